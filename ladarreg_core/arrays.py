@@ -1,0 +1,42 @@
+"""Array types, and the one way in which data from outside becomes a read-only array."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ladarreg_core.errors import ShapeError
+
+FloatArray = NDArray[np.floating[Any]]
+BoolArray = NDArray[np.bool_]
+ByteArray = NDArray[np.uint8]
+IntArray = NDArray[np.integer[Any]]
+
+
+def read_only(values: ArrayLike, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
+    """Return `values` as a contiguous read-only array of `dtype` and `shape`; the caller's array is never frozen.
+
+    Args:
+        values: anything array-like.
+        dtype: the NumPy type wanted.
+        shape: the shape wanted, `None` where any length will do.
+        name: what to call the array in the error.
+
+    Raises:
+        ShapeError: if it is not numeric or has another shape.
+    """
+    try:
+        array = np.ascontiguousarray(values, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name} is not an array of numbers: {error}") from None
+    fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
+    if not fits:
+        wanted = " x ".join("any" if want is None else str(want) for want in shape)
+        found = " x ".join(map(str, array.shape)) or "a single number"
+        raise ShapeError(f"{name} has the shape {found}; it must be {wanted}")
+    if array is values or array.base is not None:
+        array = array.copy()
+    array.flags.writeable = False
+    return array

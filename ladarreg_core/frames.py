@@ -1,0 +1,223 @@
+"""Rigid transforms, the two frames, and the thesis's six numbers.
+
+| frame | axes |
+|---|---|
+| scanner | X forward, Y left, Z up |
+| camera, view | x right, y down, z forward |
+
+A transform is named by both ends: `p_camera = camera_from_scanner @ p_scanner`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ladarreg_core.arrays import FloatArray, read_only
+from ladarreg_core.errors import DegenerateGeometryError
+
+CAMERA_AXES_FROM_SCANNER = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+"""Rotation of a camera that looks along the scanner's X: x_camera = -Y, y_camera = -Z, z_camera = X."""
+CAMERA_AXES_FROM_SCANNER.flags.writeable = False
+
+_STEREO_AXES = np.diag([-1.0, -1.0, 1.0])  # the thesis's stereo frame (x = -lambda X/Z) from the OpenCV one
+_ORTHONORMAL_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rigid:
+    """A rotation followed by a translation: `to_from_from @ point = rotation @ point + translation`.
+
+    Raises:
+        DegenerateGeometryError: if the rotation is mirrored, not finite, or off orthonormal by more than 1e-3; smaller
+            errors (files are often printed to six digits) are projected away.
+    """
+
+    rotation: FloatArray
+    """(3, 3) float64, orthonormal, determinant +1."""
+    translation: FloatArray
+    """(3,) float64, metres."""
+
+    def __post_init__(self) -> None:
+        rotation = read_only(self.rotation, np.float64, (3, 3), "rotation")
+        translation = read_only(self.translation, np.float64, (3,), "translation")
+        if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+            raise DegenerateGeometryError("the transform holds NaN or infinity; it needs 12 finite numbers")
+        error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+        if error > _ORTHONORMAL_TOLERANCE:
+            raise DegenerateGeometryError(
+                f"the rotation is off orthonormal by {error:.2g}; it may be off by {_ORTHONORMAL_TOLERANCE:g} at most"
+            )
+        if np.linalg.det(rotation) < 0:
+            raise DegenerateGeometryError("the rotation mirrors (determinant -1); it needs a right-handed one")
+        if error > 1e-14:
+            u, _, vt = np.linalg.svd(rotation)
+            rotation = read_only(u @ vt, np.float64, (3, 3), "rotation")
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation", translation)
+
+    @staticmethod
+    def identity() -> Rigid:
+        """Return the transform that moves nothing."""
+        return Rigid(np.eye(3), np.zeros(3))
+
+    @staticmethod
+    def from_matrix(matrix: ArrayLike) -> Rigid:
+        """Return the transform of a homogeneous (4, 4) matrix.
+
+        Raises:
+            ShapeError: if it is not (4, 4).
+            DegenerateGeometryError: if its last row is not 0 0 0 1 or its rotation is none.
+        """
+        m = read_only(matrix, np.float64, (4, 4), "the transform")
+        if not np.allclose(m[3], [0, 0, 0, 1], atol=1e-9):
+            raise DegenerateGeometryError(f"the transform's last row is {m[3].tolist()}; it must be 0 0 0 1")
+        return Rigid(m[:3, :3], m[:3, 3])
+
+    @staticmethod
+    def from_rotvec(rotvec: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Rigid:
+        """Return the transform with the rotation exp([rotvec]x) (rad)."""
+        return Rigid(rotation_from_rotvec(rotvec), np.asarray(translation, dtype=np.float64))
+
+    @staticmethod
+    def from_centre(rotation: ArrayLike, centre: ArrayLike) -> Rigid:
+        """Return the transform into a frame whose origin lies at `centre` (3,) of the other frame."""
+        R = np.asarray(rotation, dtype=np.float64)
+        return Rigid(R, -R @ np.asarray(centre, dtype=np.float64))
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The homogeneous matrix, (4, 4)."""
+        m = np.eye(4)
+        m[:3, :3] = self.rotation
+        m[:3, 3] = self.translation
+        return m
+
+    @property
+    def inverse(self) -> Rigid:
+        """The transform the other way."""
+        return Rigid(self.rotation.T, -self.rotation.T @ self.translation)
+
+    @property
+    def centre(self) -> NDArray[np.float64]:
+        """The origin of the target frame, (3,), in the source frame: the camera's centre in the scanner's frame, m."""
+        return np.asarray(-self.rotation.T @ self.translation, dtype=np.float64)
+
+    @overload
+    def __matmul__(self, other: Rigid) -> Rigid: ...
+    @overload
+    def __matmul__(self, other: FloatArray) -> FloatArray: ...
+    def __matmul__(self, other: Rigid | FloatArray) -> Rigid | FloatArray:
+        """Compose with another transform, or map points (..., 3); the points keep their floating type."""
+        if isinstance(other, Rigid):
+            return Rigid(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
+        points = np.asarray(other)
+        dtype: Any = points.dtype if points.dtype.kind == "f" else np.float64
+        return points @ self.rotation.T.astype(dtype) + self.translation.astype(dtype)
+
+    def angle_to(self, other: Rigid) -> float:
+        """Return the angle between the two rotations, rad."""
+        return float(np.linalg.norm(rotvec_from_rotation(self.rotation @ other.rotation.T)))
+
+    def distance_to(self, other: Rigid) -> float:
+        """Return the distance between the two centres, m."""
+        return float(np.linalg.norm(self.centre - other.centre))
+
+
+def rotation_from_rotvec(rotvec: ArrayLike) -> NDArray[np.float64]:
+    """Return exp([rotvec]x), (3, 3), of a rotation vector (3,) in rad. Source: Rodrigues' formula."""
+    w = np.asarray(rotvec, dtype=np.float64).reshape(3)
+    angle = float(np.linalg.norm(w))
+    K = skew(w)
+    if angle < 1e-4:  # Taylor: the next terms are below 1e-17
+        return np.eye(3) + K * (1 - angle**2 / 6) + K @ K * (0.5 - angle**2 / 24)
+    return np.asarray(np.eye(3) + K * (np.sin(angle) / angle) + K @ K * ((1 - np.cos(angle)) / angle**2))
+
+
+def rotvec_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
+    """Return the rotation vector (3,), rad, of length at most pi, of a rotation matrix (3, 3)."""
+    R = np.asarray(rotation, dtype=np.float64)
+    axis_sin = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
+    sine, cosine = float(np.linalg.norm(axis_sin)), float((np.trace(R) - 1) / 2)
+    angle = np.arctan2(sine, cosine)
+    if sine > 1e-6:
+        return np.asarray(axis_sin * (angle / sine), dtype=np.float64)
+    if cosine > 0:
+        return axis_sin
+    symmetric = (R + np.eye(3)) / 2  # at pi, R + I = 2 axis axis^T
+    column = int(np.argmax(np.diag(symmetric)))
+    axis = symmetric[:, column] / np.sqrt(symmetric[column, column])
+    return np.asarray(axis / np.linalg.norm(axis) * angle, dtype=np.float64)
+
+
+def skew(vector: ArrayLike) -> NDArray[np.float64]:
+    """Return [v]x, (3, 3), with [v]x @ p = v x p."""
+    x, y, z = np.asarray(vector, dtype=np.float64).reshape(3)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisParameters:
+    """The six numbers of the thesis's tables: the camera's centre and its turn, in the thesis's stereo frame.
+
+    In scanner axes (Tx, Ty, Tz) are (Y, Z, X): Tx positive is left, Ty up, Tz forward; alpha > 0 turns right,
+    beta > 0 looks down, gamma is roll. Q = Ry(-alpha) Rx(beta) Rz(gamma) turns camera into LADAR axes.
+
+    Source: thesis 2.4.2, Eq 2.13, with the sign of its y'c corrected.
+    """
+
+    Tx: float
+    """m, left."""
+    Ty: float
+    """m, up."""
+    Tz: float
+    """m, forward."""
+    alpha: float
+    """rad, pan about the vertical."""
+    beta: float
+    """rad, tilt."""
+    gamma: float
+    """rad, roll about the optical axis."""
+
+    @staticmethod
+    def from_pose(camera_from_scanner: Rigid) -> ThesisParameters:
+        """Return the thesis's parameters of a pose."""
+        # Into the stereo frame: x = left, y = up, z = forward on both sides.
+        Q_cv = CAMERA_AXES_FROM_SCANNER @ camera_from_scanner.rotation.T
+        Q = _STEREO_AXES @ Q_cv @ _STEREO_AXES
+        T = _STEREO_AXES @ CAMERA_AXES_FROM_SCANNER @ camera_from_scanner.centre
+        # Q = Ry(-alpha) Rx(beta) Rz(gamma):  Q[1, 2] = -sin beta,  Q[:, 2] = (-sin a cos b, -sin b, cos a cos b)
+        cos_beta = float(np.hypot(Q[0, 2], Q[2, 2]))
+        beta = np.arctan2(-Q[1, 2], cos_beta)
+        if cos_beta > 1e-9:
+            alpha = np.arctan2(-Q[0, 2], Q[2, 2])
+            gamma = np.arctan2(Q[1, 0], Q[1, 1])
+        else:  # straight up or down: only alpha and gamma together are determined
+            alpha, gamma = 0.0, np.arctan2(-Q[0, 1], Q[0, 0])
+        return ThesisParameters(float(T[0]), float(T[1]), float(T[2]), float(alpha), float(beta), float(gamma))
+
+    @property
+    def pose(self) -> Rigid:
+        """The pose of these parameters: `camera_from_scanner`."""
+        Q = rotation_about("y", -self.alpha) @ rotation_about("x", self.beta) @ rotation_about("z", self.gamma)
+        Q_cv = _STEREO_AXES @ Q @ _STEREO_AXES
+        centre = CAMERA_AXES_FROM_SCANNER.T @ _STEREO_AXES @ np.array([self.Tx, self.Ty, self.Tz])
+        return Rigid.from_centre(Q_cv.T @ CAMERA_AXES_FROM_SCANNER, centre)
+
+    def in_words(self) -> str:
+        """Return the position as an operator says it: '0.61 m left, 0.05 m down, 0.12 m forward'."""
+        pairs = ((self.Tx, "left", "right"), (self.Ty, "up", "down"), (self.Tz, "forward", "back"))
+        return ", ".join(f"{abs(value):.2f} m {plus if value >= 0 else minus}" for value, plus, minus in pairs)
+
+
+def rotation_about(axis: str, angle_rad: float) -> NDArray[np.float64]:
+    """Return the right-handed rotation matrix (3, 3) about one coordinate axis, `x`, `y` or `z`."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    R = np.eye(3)
+    R[i, i] = R[j, j] = c
+    R[i, j], R[j, i] = -s, s
+    return R

@@ -1,0 +1,45 @@
+"""What long work tells while it runs: one stream for the command line, the benchmarks and the workbench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ladarreg_core.frames import Rigid
+    from ladarreg_core.matches import Matches
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far loading, an export or a job has come."""
+
+    done: int
+    """Units finished."""
+    total: int
+    """Units in all; 0 where that is not known."""
+    label: str
+    """What is being done, for a person."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One finished step of a registration."""
+
+    name: str
+    """The step's name, e.g. `channels` or `climb`."""
+    seconds: float
+    """Wall time that it took."""
+    matches: Matches | None = None
+    """The matches as they stood after it, where it made any."""
+    pose: Rigid | None = None
+    """`camera_from_scanner` after it, where it had one."""
+    detail: Mapping[str, Any] = field(default_factory=dict)
+    """Counts and figures of the step, JSON-ready."""
+
+
+Report = Callable[[Progress], None]
+"""Receives `Progress`; raises `Cancelled` to stop the work."""
+StepReport = Callable[[Step], None]
+"""Receives `Step`s; raises `Cancelled` to stop the work."""
