@@ -1,0 +1,109 @@
+"""Picks are what was put down; matches are what a solver eats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ladarreg_core.arrays import FloatArray, IntArray, read_only
+from ladarreg_core.errors import ShapeError
+
+PickKind = Literal["point", "line"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pick:
+    """One pair of features, put down by a person or a detector.
+
+    Raises:
+        ShapeError: if a point has not one coordinate on each side or a line not two, or a coordinate is not finite.
+    """
+
+    id: str
+    """Stable name."""
+    kind: PickKind
+    """`point` or `line`."""
+    scan: FloatArray
+    """(1 or 2, 3) unit rays, scanner frame."""
+    photo: FloatArray
+    """(1 or 2, 2) pixels."""
+    on: bool = True
+    """Whether a solver may use it."""
+    weight: float = 1.0
+    """Relative weight, > 0."""
+    origin: str = "manual"
+    """Who put it down: `manual`, `file`, or the name of a detector."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("point", "line"):
+            raise ShapeError(f"match {self.id!r} is a {self.kind!r}; it must be a 'point' or a 'line'")
+        ends = 1 if self.kind == "point" else 2
+        scan = np.array(read_only(self.scan, np.float64, (ends, 3), f"the scan side of match {self.id!r}"))
+        photo = read_only(self.photo, np.float64, (ends, 2), f"the photo side of match {self.id!r}")
+        length = np.linalg.norm(scan, axis=-1, keepdims=True)
+        if not (np.isfinite(scan).all() and np.isfinite(photo).all() and (length > 0).all()):
+            raise ShapeError(f"match {self.id!r} has a coordinate that is not finite, or a ray of no length")
+        if not (np.isfinite(self.weight) and self.weight > 0):
+            raise ShapeError(f"match {self.id!r} has the weight {self.weight}; it must be positive")
+        object.__setattr__(self, "scan", read_only(scan / length, np.float64, (ends, 3), "rays"))
+        object.__setattr__(self, "photo", photo)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """M correspondences between the scan and the photo.
+
+    Raises:
+        ShapeError: if the arrays disagree.
+    """
+
+    rays: FloatArray
+    """(M, 3) unit, scanner frame."""
+    ranges: FloatArray
+    """(M,) m along the ray."""
+    uv: FloatArray
+    """(M, 2) photo pixels."""
+    pick_ids: tuple[str, ...] = ()
+    """The pick that each came from; one per match, or none at all."""
+    fractions: FloatArray | None = None
+    """(M,) where along its pick's line each lies, 0 to 1; 0 for points. None: all points."""
+    weights: FloatArray | None = None
+    """(M,) relative weights. None: all 1."""
+
+    def __post_init__(self) -> None:
+        rays = read_only(self.rays, np.float64, (None, 3), "the matches' rays")
+        count = len(rays)
+        object.__setattr__(self, "rays", rays)
+        object.__setattr__(self, "ranges", read_only(self.ranges, np.float64, (count,), "the matches' ranges"))
+        object.__setattr__(self, "uv", read_only(self.uv, np.float64, (count, 2), "the matches' pixels"))
+        for name in ("fractions", "weights"):
+            value: ArrayLike | None = getattr(self, name)
+            filled = np.full(count, float(name == "weights")) if value is None else value
+            object.__setattr__(self, name, read_only(filled, np.float64, (count,), f"the matches' {name}"))
+        ids = tuple(map(str, self.pick_ids)) or tuple(str(k + 1) for k in range(count))
+        if len(ids) != count:
+            raise ShapeError(f"there are {len(ids)} pick ids for {count} matches; give one each, or none")
+        object.__setattr__(self, "pick_ids", ids)
+
+    def __len__(self) -> int:
+        return len(self.rays)
+
+    @property
+    def points(self) -> FloatArray:
+        """(M, 3) points, scanner frame, m."""
+        return self.rays * self.ranges[:, None]
+
+    def subset(self, keep: IntArray | ArrayLike) -> Matches:
+        """Return the matches of a mask (M,) or of indices, in that order."""
+        index = np.arange(len(self))[np.asarray(keep)]
+        assert self.fractions is not None
+        assert self.weights is not None
+        ids = tuple(self.pick_ids[k] for k in index)
+        if not ids:
+            return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+        return Matches(
+            self.rays[index], self.ranges[index], self.uv[index], ids, self.fractions[index], self.weights[index]
+        )

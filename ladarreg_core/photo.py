@@ -1,0 +1,40 @@
+"""The photograph: pixels and the camera that took them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ladarreg_core.arrays import ByteArray, read_only
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import ShapeError
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A picture with its intrinsics; read-only.
+
+    Raises:
+        ShapeError: if the picture has not the camera's size.
+    """
+
+    pixels: ByteArray
+    """(H, W, 3) uint8, RGB; gray pictures have three equal channels."""
+    camera: Camera
+    """Intrinsics, for the picture as it stands here."""
+    name: str = "photo"
+    """What to call it."""
+    notes: tuple[str, ...] = field(default=())
+    """What an operator should know of the file, e.g. where the focal length came from."""
+
+    def __post_init__(self) -> None:
+        pixels = read_only(self.pixels, np.uint8, (None, None, 3), "the photo")
+        height, width = pixels.shape[:2]
+        if (width, height) != self.camera.size:
+            raise ShapeError(
+                f"the photo is {width} x {height} pixels, its camera {self.camera.width} x {self.camera.height}; "
+                "give the camera of this picture size"
+            )
+        object.__setattr__(self, "pixels", pixels)
+        object.__setattr__(self, "notes", tuple(self.notes))

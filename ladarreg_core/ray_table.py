@@ -1,0 +1,168 @@
+"""A table of rays, one per cell: its holes filled, interpolated between cells, and inverted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.errors import ShapeError
+
+_LEAST_RAYS = 12
+_RESIDUAL_REACH_CELLS = 8.0
+_TREE_NODES = 100_000
+_NEWTON_STEPS = 12
+_EXTRAPOLATED_CELLS = 16.0
+
+
+def complete_ray_table(table: FloatArray, law_rays: FloatArray | None) -> NDArray[np.float64]:
+    """Return unit rays for every cell.
+
+    Args:
+        table: (H, W, 3) rays of any length; NaN or zero where there is none.
+        law_rays: (H, W, 3) rays to fill holes with; None: a smooth fit of longitude and latitude over the grid, plus
+            the residuals of nearby cells, fading out within some ten cells.
+
+    Raises:
+        ShapeError: if there is nothing to fit.
+    """
+    length = np.linalg.norm(table, axis=-1)
+    known = np.isfinite(length) & (length > 0)
+    if law_rays is None and np.count_nonzero(known) < min(_LEAST_RAYS, known.size):
+        raise ShapeError(f"the ray table has {np.count_nonzero(known)} rays; it needs at least {_LEAST_RAYS}")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rays = np.array(table / length[..., None], dtype=np.float64)
+    if known.all():
+        return rays
+    filling = law_rays if law_rays is not None else _smooth_rays(rays, known)
+    rays[~known] = filling[~known]
+    return rays
+
+
+def _smooth_rays(rays: NDArray[np.float64], known: BoolArray) -> NDArray[np.float64]:
+    longitude = _fit_angle(np.arctan2(rays[..., 1], rays[..., 0]), known)
+    latitude = _fit_angle(np.arcsin(np.clip(rays[..., 2], -1, 1)), known)
+    return np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
+    )
+
+
+def _fit_angle(angle: NDArray[np.float64], known: BoolArray) -> NDArray[np.float64]:
+    """Fit an angle over the grid by a quadratic, with 2 pi jumps removed, and add the smoothed residuals."""
+    height, width = angle.shape
+    row, column = np.mgrid[:height, :width].astype(np.float64)
+    steps = []
+    for axis in (0, 1):
+        difference = _wrapped(np.diff(angle, axis=axis))
+        both = np.take(known, range(1, known.shape[axis]), axis) & np.take(known, range(known.shape[axis] - 1), axis)
+        steps.append(float(np.median(difference[both])) if both.any() else 0.0)
+    trend = steps[0] * row + steps[1] * column
+    rest = angle - trend
+    offset = np.angle(np.exp(1j * rest[known]).mean())
+    rest = _wrapped(rest - offset)
+
+    r, c = row / max(height - 1, 1) * 2 - 1, column / max(width - 1, 1) * 2 - 1
+    basis = np.stack([np.ones_like(r), r, c, r * c, r * r, c * c], axis=-1)
+    use = known.copy()
+    for _ in range(3):  # trimmed, so that a few bad points do not bend the law
+        coefficients, *_ = np.linalg.lstsq(basis[use], rest[use], rcond=None)
+        residual = rest - basis @ coefficients
+        use = known & (np.abs(residual) <= 4 * np.median(np.abs(residual[use])) + 1e-12)
+    residual = np.where(known, rest - basis @ coefficients, 0.0)
+    blurred = cv2.GaussianBlur(residual, (0, 0), _RESIDUAL_REACH_CELLS)
+    share = cv2.GaussianBlur(known.astype(np.float64), (0, 0), _RESIDUAL_REACH_CELLS)
+    return np.asarray(trend + offset + basis @ coefficients + blurred / (share + 1e-3))
+
+
+def _wrapped(angle: Any) -> NDArray[np.float64]:
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def interpolate_rays(rays: FloatArray, cells: FloatArray, *, beyond: float = 0.5) -> NDArray[np.float64]:
+    """Interpolate a ray table bilinearly.
+
+    Args:
+        rays: (H, W, 3), unit.
+        cells: (..., 2), fractional (row, column).
+        beyond: how many cells outside the outermost centres are extrapolated.
+
+    Returns:
+        rays (..., 3), not normalised; NaN further outside.
+    """
+    return _bilinear(rays, cells, beyond)[0]
+
+
+def _bilinear(
+    rays: FloatArray, cells: FloatArray, beyond: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the interpolated rays and their derivatives by row and by column."""
+    height, width = rays.shape[:2]
+    r, c = cells[..., 0], cells[..., 1]
+    with np.errstate(invalid="ignore"):
+        inside = (r >= -beyond) & (r <= height - 1 + beyond) & (c >= -beyond) & (c <= width - 1 + beyond)
+    r, c = np.where(inside, r, 0.0), np.where(inside, c, 0.0)
+    i = np.clip(np.floor(r).astype(np.intp), 0, max(height - 2, 0))
+    j = np.clip(np.floor(c).astype(np.intp), 0, max(width - 2, 0))
+    a, b = (r - i)[..., None], (c - j)[..., None]
+    i1, j1 = np.minimum(i + 1, height - 1), np.minimum(j + 1, width - 1)
+    p00, p01, p10, p11 = rays[i, j], rays[i, j1], rays[i1, j], rays[i1, j1]
+    value = (1 - a) * ((1 - b) * p00 + b * p01) + a * ((1 - b) * p10 + b * p11)
+    by_row = (1 - b) * (p10 - p00) + b * (p11 - p01)
+    by_column = (1 - a) * (p01 - p00) + a * (p11 - p10)
+    outside = ~inside
+    for array in (value, by_row, by_column):
+        array[outside] = np.nan
+    return value, by_row, by_column
+
+
+class RayTableInverse:
+    """Finds the fractional cell of a direction: the nearest ray by a tree, then Newton's method on the table."""
+
+    def __init__(self, rays: NDArray[np.float64]) -> None:
+        from scipy.spatial import cKDTree
+
+        self._rays = rays
+        stride = max(1, int(np.ceil(np.sqrt(rays.shape[0] * rays.shape[1] / _TREE_NODES))))
+        rows = np.unique(np.append(np.arange(0, rays.shape[0], stride), rays.shape[0] - 1))
+        columns = np.unique(np.append(np.arange(0, rays.shape[1], stride), rays.shape[1] - 1))
+        self._cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.float64)
+        self._tree = cKDTree(rays[np.ix_(rows, columns)].reshape(-1, 3))
+
+    def cell_of(self, directions: ArrayLike) -> NDArray[np.float64]:
+        """Return the fractional cells (..., 2) of directions (..., 3); NaN more than some cells outside the table."""
+        d = np.asarray(directions, dtype=np.float64)
+        shape = d.shape[:-1]
+        d = d.reshape(-1, 3)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            d = d / np.linalg.norm(d, axis=-1, keepdims=True)
+        result = np.full((len(d), 2), np.nan)
+        finite = np.flatnonzero(np.isfinite(d).all(axis=-1))
+        d = d[finite]
+        cells = self._cells[self._tree.query(d)[1]]
+        # Two tangent vectors of each direction: the ray is found where the table has no component along them.
+        helper = np.where(np.abs(d[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+        e1 = np.cross(helper, d)
+        e1 /= np.linalg.norm(e1, axis=-1, keepdims=True)
+        e2 = np.cross(d, e1)
+        error = np.full((len(d), 2), np.inf)
+        for _ in range(_NEWTON_STEPS):
+            value, by_row, by_column = _bilinear(self._rays, cells, _EXTRAPOLATED_CELLS)
+            error = np.stack([(value * e1).sum(-1), (value * e2).sum(-1)], axis=-1)
+            J = np.stack([np.stack([(g * e).sum(-1) for g in (by_row, by_column)], axis=-1) for e in (e1, e2)], axis=-2)
+            det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                step_row = (J[:, 1, 1] * error[:, 0] - J[:, 0, 1] * error[:, 1]) / det
+                step_column = (J[:, 0, 0] * error[:, 1] - J[:, 1, 0] * error[:, 0]) / det
+            step = np.clip(np.stack([step_row, step_column], axis=-1), -64, 64)
+            cells = cells - step
+            if np.nanmax(np.abs(step), initial=0.0) < 1e-6:
+                break
+        # A table with jitter may make the iteration swing within a cell: what it found is then still that cell.
+        swing = np.abs(step).max(axis=-1) if len(d) else np.zeros(0)
+        with np.errstate(invalid="ignore"):
+            cells[~(swing < 1.0)] = np.nan
+        result[finite] = cells
+        return result.reshape(*shape, 2)

@@ -1,0 +1,82 @@
+"""What a solver and a registration answer, and how good it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid, ThesisParameters
+from ladarreg_core.matches import Matches
+from ladarreg_core.progress import Step
+
+Evidence = Literal["image", "statistics", "none"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseResult:
+    """A pose that explains itself."""
+
+    camera_from_scanner: Rigid
+    """The pose."""
+    camera: Camera
+    """Intrinsics used or estimated."""
+    matches: Matches
+    """All M matches that went in."""
+    inliers: BoolArray
+    """(M,) bool."""
+    residuals_px: FloatArray
+    """(M, 2) photo pixels, observed minus predicted from the measured range; NaN behind the camera."""
+    residuals_m: FloatArray
+    """(M,) errors-in-variables range residual, measured minus adjusted, m; finite at zero baseline."""
+    stereo_depth_error_m: FloatArray
+    """(M,) laser minus stereo depth as in the thesis, m; NaN where undefined. Source: thesis Eq 2.19-2.21."""
+    covariance: FloatArray
+    """(6, 6) of (w, c): R_true = exp([w]x) R_estimated (rad), c = C_true - C_estimated in the scanner frame (m)."""
+    chi2_per_dof: float
+    """Over the inliers, with 2n - 6 degrees of freedom; NaN where there are none."""
+    sigma_px: float
+    """Pixel noise used, given or estimated."""
+    sigma_range_m: float
+    """Range noise used, given or estimated."""
+    accepted: bool = False
+    """Whether there is enough evidence to show this as registered."""
+    evidence: Evidence = "none"
+    """`image`: verified on pixels; `statistics`: by the matches' own residuals; `none`."""
+    reasons: tuple[str, ...] = ()
+    """The verdict in sentences."""
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    """Planarity, baseline, spread and the reason the solver stopped, JSON-ready."""
+
+    @property
+    def thesis_parameters(self) -> ThesisParameters:
+        """Tx, Ty, Tz (m) and alpha, beta, gamma (rad) of thesis 2.4."""
+        return ThesisParameters.from_pose(self.camera_from_scanner)
+
+    @property
+    def sigma_angle_rad(self) -> float:
+        """Standard deviation of the rotation, root sum of squares over its three axes, rad."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+    @property
+    def sigma_position_m(self) -> float:
+        """Standard deviation of the camera centre, root sum of squares over its three axes, m."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Registration(PoseResult):
+    """A pose with the story of how it was found."""
+
+    method: str
+    """`auto`, `thesis` or `manual`."""
+    steps: tuple[Step, ...] = ()
+    """Every step, in order."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """The options used, JSON-ready."""
+    seed: int = 0
+    """The seed used."""

@@ -1,0 +1,100 @@
+"""The scan: what a laser scanner saw, on its own grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
+from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.scanner import ScanGeometry
+
+IntensityKind = Literal["raw", "range_normalised"]
+_SMALLEST_SIDE = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Range and intensity on a grid whose cells each have a ray; read-only.
+
+    Raises:
+        ShapeError: if the arrays disagree, the grid is smaller than 2 x 2 cells, or there is no return at all.
+        OptionError: if `intensity_is` is unknown.
+    """
+
+    geometry: ScanGeometry
+    """Which ray each cell looks along."""
+    ranges: FloatArray
+    """(H, W) float32, m along the ray; NaN = no return. What is not finite and positive becomes NaN."""
+    intensity: FloatArray
+    """(H, W) float32, in the sensor's own unit."""
+    color: ByteArray | None = None
+    """(H, W, 3) uint8 RGB, where the scanner has a colour camera of its own."""
+    intensity_is: IntensityKind = "raw"
+    """`raw` falls with range; `range_normalised` does not."""
+    world_from_scanner: Rigid | None = None
+    """The scanner's pose in the file, if it has one."""
+    name: str = "scan"
+    """What to call it."""
+    notes: tuple[str, ...] = field(default=())
+    """What an operator should know of the file, e.g. a suspicion of millimetres."""
+
+    def __post_init__(self) -> None:
+        shape = self.geometry.shape
+        if min(shape) < _SMALLEST_SIDE:
+            raise ShapeError(f"the scan grid is {shape[0]} x {shape[1]} cells; it must be at least 2 x 2")
+        if self.intensity_is not in ("raw", "range_normalised"):
+            raise OptionError(f"intensity_is is {self.intensity_is!r}; it must be 'raw' or 'range_normalised'")
+        ranges = np.array(read_only(self.ranges, np.float32, shape, "the scan's range"))
+        with np.errstate(invalid="ignore"):
+            ranges[~(np.isfinite(ranges) & (ranges > 0))] = np.nan
+        intensity = np.array(read_only(self.intensity, np.float32, shape, "the scan's intensity"))
+        ranges[~np.isfinite(intensity)] = np.nan
+        intensity[~np.isfinite(intensity)] = 0
+        if not np.isfinite(ranges).any():
+            raise ShapeError(
+                "the scan has no returns: every range is missing, zero or not finite; it needs measured ranges"
+            )
+        for array in (ranges, intensity):
+            array.flags.writeable = False
+        object.__setattr__(self, "ranges", ranges)
+        object.__setattr__(self, "intensity", intensity)
+        if self.color is not None:
+            object.__setattr__(self, "color", read_only(self.color, np.uint8, (*shape, 3), "the scan's colour"))
+        object.__setattr__(self, "notes", tuple(self.notes))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W), cells."""
+        return self.geometry.shape
+
+    @cached_property
+    def valid(self) -> BoolArray:
+        """(H, W) bool: which cells have a return."""
+        mask = np.isfinite(self.ranges)
+        mask.flags.writeable = False
+        return mask
+
+    @property
+    def rays(self) -> NDArray[np.float64]:
+        """(H, W, 3) unit rays, scanner frame."""
+        return self.geometry.rays
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """(H, W, 3) float32, scanner frame, m; NaN = no return. Source: thesis Eq 2.1."""
+        points = self.rays.astype(np.float32) * self.ranges[..., None]
+        points.flags.writeable = False
+        return points
+
+    @cached_property
+    def mean_direction(self) -> NDArray[np.float64]:
+        """The mean ray of the cells that have a return, (3,), unit; X forward where they cancel out."""
+        mean = self.rays[self.valid].mean(axis=0)
+        length = float(np.linalg.norm(mean))
+        return mean / length if length > 1e-3 else np.array([1.0, 0.0, 0.0])
