@@ -42,7 +42,7 @@ _HOMES = {
     "Registration": "results",
     "Scan": "scan",
 }
-__all__ = sorted(_HOMES)  # noqa: PLE0605
+__all__ = sorted(_HOMES)
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 

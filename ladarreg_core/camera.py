@@ -82,7 +82,7 @@ class Camera:
         return replace(self, distortion=())
 
     def scaled(self, factor: float) -> Camera:
-        """Return the camera of the picture resized by `factor`; sizes are rounded, pixel centres stay where they were."""
+        """Return the camera of the picture resized by `factor` (by area: outer borders stay); sizes are rounded."""
         width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
         sx, sy = width / self.width, height / self.height
         return replace(
@@ -201,7 +201,7 @@ class Camera:
         return np.asarray(J)
 
     def _undistort(self, xd: FloatArray, yd: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Invert `_distort` by Newton's method: OpenCV's default fixed-point iteration errs by .4 px on strong lenses."""
+        """Invert `_distort` by Newton's method: OpenCV's default iteration errs by .4 px on strong lenses."""
         x, y = self._radial_start(xd, yd)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for _ in range(_NEWTON_STEPS):

@@ -37,5 +37,5 @@ class ExportError(LadarregError):
     """A result that could not be written where it was asked for."""
 
 
-class Cancelled(LadarregError):
+class Cancelled(Exception):  # noqa: N818 - it is no error
     """Raised by a `report` callback to stop the work that reports to it."""

@@ -116,7 +116,7 @@ class Rigid:
             return Rigid(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
         points = np.asarray(other)
         dtype: Any = points.dtype if points.dtype.kind == "f" else np.float64
-        return points @ self.rotation.T.astype(dtype) + self.translation.astype(dtype)
+        return np.asarray(points @ self.rotation.T.astype(dtype) + self.translation.astype(dtype))
 
     def angle_to(self, other: Rigid) -> float:
         """Return the angle between the two rotations, rad."""

@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray, read_only
+from ladarreg_core.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER
@@ -105,10 +105,10 @@ class AzimuthElevation:
         rays.flags.writeable = False
         return rays
 
-    def _azimuth(self, column: FloatArray | NDArray[np.integer]) -> NDArray[np.float64]:  # type: ignore[type-arg]
+    def _azimuth(self, column: FloatArray | IntArray) -> NDArray[np.float64]:
         return np.asarray(((self.columns - 1) / 2 - column) * self.d_azimuth_rad + self.azimuth_offset_rad)
 
-    def _elevation(self, row: FloatArray | NDArray[np.integer]) -> NDArray[np.float64]:  # type: ignore[type-arg]
+    def _elevation(self, row: FloatArray | IntArray) -> NDArray[np.float64]:
         return np.asarray(((self.rows - 1) / 2 - row) * self.d_elevation_rad + self.elevation_offset_rad)
 
     def cell_of(self, directions: ArrayLike) -> FloatArray:
@@ -150,7 +150,7 @@ class PinholeGrid:
     def rays(self) -> NDArray[np.float64]:
         """(H, W, 3) unit rays, read-only."""
         v, u = np.mgrid[: self.camera.height, : self.camera.width]
-        rays = self.camera.unproject(np.stack([u, v], axis=-1)) @ CAMERA_AXES_FROM_SCANNER
+        rays = np.asarray(self.camera.unproject(np.stack([u, v], axis=-1)) @ CAMERA_AXES_FROM_SCANNER)
         rays.flags.writeable = False
         return rays
 
@@ -162,7 +162,7 @@ class PinholeGrid:
     def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the unit rays (..., 3) of fractional cells (..., 2)."""
         c = np.asarray(cells, dtype=np.float64)
-        return self.camera.unproject(np.stack([c[..., 1], c[..., 0]], axis=-1)) @ CAMERA_AXES_FROM_SCANNER
+        return np.asarray(self.camera.unproject(np.stack([c[..., 1], c[..., 0]], axis=-1)) @ CAMERA_AXES_FROM_SCANNER)
 
 
 @dataclass(frozen=True)
@@ -185,8 +185,8 @@ class SphericalGrid:
     def __post_init__(self) -> None:
         if not (0 < self.d_longitude_rad < 0.5 and 0 < self.d_latitude_rad < 0.5):
             raise OptionError(
-                f"the spherical grid's steps are {self.d_longitude_rad:g} and {self.d_latitude_rad:g} rad; they must be "
-                "positive and below 0.5"
+                f"the spherical grid's steps are {self.d_longitude_rad:g} and {self.d_latitude_rad:g} rad; they "
+                "must be positive and below 0.5"
             )
 
     @property
