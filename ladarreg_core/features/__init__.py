@@ -1,0 +1,1 @@
+"""What is found in one picture: corners, orientation channels, descriptors."""

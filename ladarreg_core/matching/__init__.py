@@ -1,0 +1,1 @@
+"""Finding where the photo was taken: hypotheses, direct alignment, verification."""

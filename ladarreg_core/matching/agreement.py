@@ -1,0 +1,171 @@
+"""How well scan and photo agree at a pose, against every other small displacement: the pair's own null.
+
+For each block and each whole-pixel shift the centred channels are correlated; blocks are pooled over 3 x 3. A true
+pose has its peaks at zero shift all over the picture; a wrong one has them anywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.features.channels import ORIENTATIONS as CHANNELS
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matching.climb import Target, project_visible
+from ladarreg_core.matching.occlusion import Occluder
+from ladarreg_core.matching.points import ViewPoints
+
+_LEAST_POINTS = 12
+_LEAST_NEIGHBOURS = 5
+LEAST_WINDOWS = 12
+"""Fewer windows than this say nothing."""
+_NEAR_PX, _FAR_PX = 3.0, 7.0
+_NO_CORRELATION = 1e-9
+_EACH_CHANNEL = np.eye(CHANNELS, dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agreement:
+    """Pooled correlation maps of one level at one pose."""
+
+    level: int
+    """Which level."""
+    radius: int
+    """Largest shift, level pixels."""
+    maps: FloatArray
+    """(W, 2r+1, 2r+1) pooled correlation of each window over shifts (row: v, column: u)."""
+    grid: IntArray
+    """(W, 2) row and column of each window's middle block."""
+    pooled_blocks: IntArray
+    """(W,) how many blocks each window pools."""
+    members: tuple[IntArray, ...]
+    """Indices of the visible points of each window's middle block."""
+    uv: FloatArray
+    """(N, 2) level pixels of all points at this pose."""
+    visible: BoolArray
+    """(N,) bool."""
+
+    @property
+    def windows(self) -> int:
+        """How many windows could be judged."""
+        return len(self.maps)
+
+    @property
+    def _scale(self) -> float:
+        return 0.5**self.level
+
+    def peaks(self) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return each window's sub-pixel peak (W, 2) as (u, v) in level pixels, its height in sd of the window's map
+        (W,), and whether it lies on the border (W,)."""
+        side = 2 * self.radius + 1
+        flat = self.maps.reshape(len(self.maps), -1)
+        best = flat.argmax(axis=1)
+        row, column = np.divmod(best, side)
+        border = (row == 0) | (row == side - 1) | (column == 0) | (column == side - 1)
+        r, c = np.clip(row, 1, side - 2), np.clip(column, 1, side - 2)
+        k = np.arange(len(flat))
+        du = _vertex(self.maps[k, r, c - 1], self.maps[k, r, c], self.maps[k, r, c + 1])
+        dv = _vertex(self.maps[k, r - 1, c], self.maps[k, r, c], self.maps[k, r + 1, c])
+        shift = np.stack([c + du, r + dv], axis=-1) - self.radius
+        height = (flat[k, best] - flat.mean(axis=1)) / (flat.std(axis=1) + 1e-12)
+        return shift, height, border
+
+    def agreeing(self, tolerance_px: float) -> BoolArray:
+        """Return which windows (W,) peak within `tolerance_px` photo pixels of zero shift."""
+        shift = np.stack(self._shifts(), axis=-1).reshape(-1, 2)
+        if not len(self.maps):
+            return np.zeros(0, np.bool_)
+        best = self.maps.reshape(len(self.maps), -1).argmax(axis=1)
+        return np.asarray(np.hypot(*shift[best].T) <= tolerance_px * self._scale + 1e-9)
+
+    def contrast(self) -> float:
+        """Return zb: by how many standard deviations of the far shifts the near ones stand out, mean over windows."""
+        if not len(self.maps):
+            return 0.0
+        distance = np.hypot(*self._shifts()) / self._scale
+        near, far = distance <= _NEAR_PX, distance > _FAR_PX
+        if not far.any():
+            return 0.0
+        away = self.maps[:, far]
+        return float(np.mean((self.maps[:, near].max(axis=1) - away.mean(axis=1)) / (away.std(axis=1) + 1e-12)))
+
+    def _shifts(self) -> tuple[FloatArray, FloatArray]:
+        v, u = np.mgrid[-self.radius : self.radius + 1, -self.radius : self.radius + 1].astype(np.float64)
+        return u, v
+
+
+def _vertex(before: FloatArray, at: FloatArray, after: FloatArray) -> FloatArray:
+    curvature = before - 2 * at + after
+    with np.errstate(divide="ignore", invalid="ignore"):
+        offset = np.where(curvature < 0, 0.5 * (before - after) / curvature, 0.0)
+    return np.clip(offset, -0.5, 0.5)
+
+
+def agreement(
+    points: ViewPoints, target: Target, occluder: Occluder, pose: Rigid, *, level: int, radius: int
+) -> Agreement:
+    """Correlate every block with the photo at every shift within `radius` level pixels of a pose."""
+    buffer = occluder.depth_buffer(pose)
+    _, uv, visible = project_visible(points, target, occluder, buffer, pose, border=radius + 1)
+    of = points.blocks.of_point
+    count = points.blocks.sum(visible.astype(np.int64))
+    blocks = np.flatnonzero(count >= _LEAST_POINTS)
+    side = 2 * radius + 1
+    if not len(blocks):
+        none = np.zeros(0, np.intp)
+        return Agreement(level, radius, np.zeros((0, side, side)), np.zeros((0, 2), np.intp), none, (), uv, visible)
+    rank = np.full(len(points.blocks), -1)
+    rank[blocks] = np.arange(len(blocks))
+    kept = np.flatnonzero(visible & (rank[of] >= 0))
+    starts = np.searchsorted(rank[of[kept]], np.arange(len(blocks)))
+    rho = _correlations(points.channels[kept], uv[kept], starts, target, radius)
+
+    # Pool over 3 x 3 blocks, each less its own mean over the shifts.
+    rho -= rho.mean(axis=(1, 2), keepdims=True)
+    grid = points.blocks.grid[blocks]
+    extent = grid.max(axis=0) + 3
+    dense = np.zeros((*extent, side, side))
+    there = np.zeros(extent, np.int64)
+    dense[grid[:, 0] + 1, grid[:, 1] + 1] = rho
+    there[grid[:, 0] + 1, grid[:, 1] + 1] = 1
+    pooled, neighbours = np.zeros_like(rho), np.zeros(len(blocks), np.int64)
+    for i in range(3):
+        for j in range(3):
+            pooled += dense[grid[:, 0] + i, grid[:, 1] + j]
+            neighbours += there[grid[:, 0] + i, grid[:, 1] + j]
+    judged = np.flatnonzero(neighbours >= _LEAST_NEIGHBOURS)
+    ends = np.append(starts[1:], len(kept))
+    members = tuple(kept[starts[k] : ends[k]] for k in judged)
+    return Agreement(level, radius, pooled[judged], grid[judged], neighbours[judged], members, uv, visible)
+
+
+def _correlations(
+    channels: FloatArray, uv: FloatArray, starts: IntArray, target: Target, radius: int
+) -> FloatArray:
+    """Return rho (B, 2r+1, 2r+1): normalised correlation of each block at each shift.
+
+    The photo is read at whole pixels: rounding the projections jitters the points by less than a third of a pixel,
+    without a preferred direction.
+    """
+    width = target.camera.width
+    side = 2 * radius + 1
+    v, u = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    offsets = (v * width + u).reshape(-1)
+    nearest = np.rint(uv).astype(np.intp)
+    base = nearest[:, 1] * width + nearest[:, 0]
+    image = target.channels.reshape(-1, CHANNELS)
+    rho = np.empty((len(starts), side * side))
+    ends = np.append(starts[1:], len(uv))
+    for k, (first, last) in enumerate(zip(starts, ends, strict=True)):
+        n = last - first
+        A = channels[first:last] - channels[first:last].mean(axis=0)
+        B = image.take(offsets[:, None] + base[first:last], axis=0).reshape(len(offsets), n * CHANNELS)
+        # One product gives the correlation with A (which is centred, so B need not be) and the sums of B's channels.
+        right = np.column_stack([A.reshape(-1), np.tile(_EACH_CHANNEL, (n, 1))])
+        products = B @ right
+        length = np.einsum("sd,sd->s", B, B) - (products[:, 1:] ** 2).sum(axis=1) / n
+        norm_a = float(np.linalg.norm(A))
+        rho[k] = products[:, 0] / (norm_a * np.sqrt(np.maximum(length, 0)) + _NO_CORRELATION)
+    return rho.reshape(-1, side, side)

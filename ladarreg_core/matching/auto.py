@@ -1,0 +1,171 @@
+"""The automatic registration: from two pictures to a verified pose, without a first guess."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.matching.aligner import Aligner, Candidate
+from ladarreg_core.matching.evidence import WindowEvidence, window_evidence
+from ladarreg_core.matching.hypotheses import Hypothesis, hypotheses
+from ladarreg_core.matching.levels import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.verify import GateOptions, Verification
+from ladarreg_core.matching.views import viewing_directions
+from ladarreg_core.perspective import perspective_view
+from ladarreg_core.photo import Photo
+from ladarreg_core.scan import Scan
+from ladarreg_core.steps import StepLog
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class AutoOptions:
+    """How the automatic method works."""
+
+    seed: int = 0
+    """Of every draw."""
+    good_fraction: float = 0.6
+    """A climb that reaches this share of agreeing windows ends the search, if it passes the gate."""
+    least_fraction: float = 0.35
+    """A best climb below this is not worth finishing."""
+    gate: GateOptions = field(default_factory=GateOptions)
+    """What a pose must show."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AutoResult:
+    """The best pose found, and what is to be said for it."""
+
+    camera_from_scanner: Rigid | None
+    """None where nothing could even be tried."""
+    verification: Verification | None
+    """The verdict on it; None where no pose was worth verifying."""
+    evidence: WindowEvidence | None
+    """Its measurements."""
+    reasons: tuple[str, ...]
+    """The verdict in sentences."""
+
+
+def register_auto(
+    scan: Scan, photo: Photo, steps: StepLog, *, initial: Rigid | None = None, options: AutoOptions | None = None
+) -> AutoResult:
+    """Find the photo's pose from the pictures alone.
+
+    Channels, points, hypotheses, climbs, finish and verification, in that order; the first climb that convinces ends
+    the search. Views are tried one after the other where the scan is much wider than the photo.
+
+    Args:
+        scan: the scan.
+        photo: the photograph.
+        steps: receives every step.
+        initial: a rough pose to try first.
+        options: thresholds and seed.
+    """
+    o = options or AutoOptions()
+    working = working_camera(scan, photo.camera)
+    with steps.step("photo channels") as note:
+        photo_side = photo_levels(photo, working)
+        contrast = max(float(plane.max() - plane.min()) for plane in photo_side.planes[0])
+        if contrast >= 1:
+            _ = photo_side.channels
+        note.update(width=working.width, height=working.height, focal_px=round(working.fx, 3))
+    if contrast < 1:
+        return AutoResult(initial, None, None, ("The photo is one flat colour: there is nothing in it to match.",))
+
+    best: tuple[float, Aligner, Candidate] | None = None
+    last = AutoResult(initial, None, None, ())
+    for number, direction in enumerate(viewing_directions(scan, working, initial=initial)):
+        with steps.step("scan channels") as note:
+            view = perspective_view(scan, working, view_from_scanner=direction)
+            aligner = Aligner(scan_levels(scan, view), photo_side, gate=o.gate, seed=o.seed)
+            note.update(view=number, points={level: len(p) for level, p in aligner.points.items()})
+        if not aligner.usable:
+            continue
+        candidate = _search(aligner, steps, initial=initial if number == 0 else None, options=o)
+        if candidate is None or candidate.fraction < o.least_fraction:
+            if candidate is not None and (best is None or candidate.fraction > best[0]):
+                best = (candidate.fraction, aligner, candidate)
+            continue
+        result = _finish(aligner, candidate, photo, steps)
+        if result.verification is not None and result.verification.accepted:
+            return result
+        if last.verification is None or _fraction(result) > _fraction(last):
+            last = result
+    if last.verification is not None:
+        return last
+    if best is None:
+        reason = "No start could be found: too few features of the scan and the photo look alike."
+        return AutoResult(initial, None, None, (reason, _ADVICE))
+    fraction, _, candidate = best
+    reason = f"The best start found agrees in only {fraction:.0%} of the picture."
+    return AutoResult(candidate.camera_from_scanner, candidate.first_look, None, (reason, _ADVICE))
+
+
+_ADVICE = "Draw a few matching lines by hand, or give a rough pose."
+
+
+def _fraction(result: AutoResult) -> float:
+    return result.verification.fraction if result.verification is not None else -1.0
+
+
+def _search(aligner: Aligner, steps: StepLog, *, initial: Rigid | None, options: AutoOptions) -> Candidate | None:
+    """Climb from each hypothesis until one convinces; return the best."""
+    best: Candidate | None = None
+    stream = _starts(aligner, steps, initial, options.seed)
+    for source, start in stream:
+        with steps.step("climb") as note:
+            candidate = aligner.approach(start)
+            note["start"] = source
+            if candidate is not None:
+                note.update(candidate.first_look.as_dict())
+                steps.pose = candidate.camera_from_scanner
+        if candidate is None:
+            continue
+        if best is None or candidate.fraction > best.fraction:
+            best = candidate
+        if candidate.fraction >= options.good_fraction and candidate.first_look.accepted:
+            break
+    return best
+
+
+def _starts(aligner: Aligner, steps: StepLog, initial: Rigid | None, seed: int) -> Iterator[tuple[str, Rigid]]:
+    if initial is not None:
+        yield "the given pose", initial
+    found = hypotheses(aligner.scan, aligner.photo, seed=seed)
+    while True:
+        with steps.step("hypothesis") as note:
+            item = next(found, None)
+            if isinstance(item, Hypothesis):
+                note.update(source=item.source, matches=len(item.points), inliers=item.inliers)
+                steps.matches, steps.pose = _as_matches(item, aligner), item.camera_from_scanner
+            else:
+                note["none"] = item or "no further hypotheses"
+        if item is None:
+            return
+        if isinstance(item, Hypothesis):
+            yield item.source, item.camera_from_scanner
+
+
+def _as_matches(hypothesis: Hypothesis, aligner: Aligner) -> Matches:
+    ranges = (hypothesis.points**2).sum(axis=-1) ** 0.5
+    camera = aligner.photo.source
+    uv = camera.project(aligner.photo.cameras[0].unproject(hypothesis.uv))
+    return Matches(hypothesis.points / ranges[:, None], ranges, uv)
+
+
+def _finish(aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog) -> AutoResult:
+    with steps.step("finish"):
+        pose = aligner.finish(candidate.camera_from_scanner)
+        steps.pose = pose
+    with steps.step("verify") as note:
+        verification, _, fine = aligner.judge(pose)
+        evidence = window_evidence(fine, aligner.points[0], aligner.photo.cameras[0], photo.camera, pose)
+        note.update(verification.as_dict())
+        steps.pose, steps.matches = pose, evidence.matches
+    reasons: tuple[Any, ...] = verification.reasons
+    return AutoResult(pose, verification, evidence, reasons if verification.accepted else (*reasons, _ADVICE))

@@ -1,0 +1,82 @@
+"""What an accepted alignment measured: one point match per window, and how uncertain the pose is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.matching.agreement import Agreement
+from ladarreg_core.matching.points import ViewPoints
+from ladarreg_core.pose.jacobian import pose_jacobian
+
+_TRUSTED_PX = 3.0
+_PRIOR_ANGLE_RAD, _PRIOR_POSITION_M = np.pi, 100.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowEvidence:
+    """The windows as measurements."""
+
+    matches: Matches
+    """One per window, in the photo's own pixels."""
+    inliers: BoolArray
+    """(M,) which windows agree."""
+    covariance: FloatArray
+    """(6, 6) of (w, c) as `PoseResult.covariance`."""
+    scatter_px: float
+    """Standard deviation of the agreeing windows' displacements, photo pixels."""
+
+
+def window_evidence(
+    maps: Agreement, points: ViewPoints, working: Camera, camera: Camera, pose: Rigid
+) -> WindowEvidence:
+    """Turn the pooled maps at an accepted pose into measurements.
+
+    Each agreeing window is one 2-D measurement, taken at its middle block. Windows pool 3 x 3 blocks, so neighbours
+    repeat each other: the information is divided by how many blocks a window pools.
+
+    Args:
+        maps: agreement at the finished pose.
+        points: the scan points of that level.
+        working: the ideal camera of that level.
+        camera: the photo's own camera.
+        pose: `camera_from_scanner`.
+    """
+    shift, _, border = maps.peaks()
+    index = np.array([_middle(points, members) for members in maps.members], dtype=np.intp)
+    at = points.points[index].astype(np.float64).reshape(-1, 3)
+    ranges = np.linalg.norm(at, axis=-1)
+    uv_predicted = working.project(pose @ at)
+    uv = camera.project(working.unproject(uv_predicted + shift.reshape(-1, 2)))
+    to_photo = camera.focal_px / working.focal_px
+    offset = np.hypot(*shift.T) * to_photo if len(shift) else np.zeros(0)
+    inliers = (offset <= _TRUSTED_PX * max(1.0, to_photo)) & ~border & np.isfinite(uv).all(axis=-1)
+    finite = np.isfinite(uv).all(axis=-1)
+    matches = Matches(
+        at[finite] / ranges[finite, None],
+        ranges[finite],
+        uv[finite],
+        tuple(f"w{row}.{column}" for row, column in maps.grid[finite]),
+    )
+
+    used = np.flatnonzero(inliers)
+    prior = np.diag([_PRIOR_ANGLE_RAD**2] * 3 + [_PRIOR_POSITION_M**2] * 3)
+    if len(used) < 4:
+        return WindowEvidence(matches, inliers[finite], prior, float("nan"))
+    _, J = pose_jacobian(pose, at[used], camera)
+    scatter = float(np.sqrt(np.mean((shift[used] * to_photo) ** 2) * 2 * len(used) / max(2 * len(used) - 6, 1)))
+    pooled = maps.pooled_blocks[used].astype(np.float64)
+    information = np.einsum("n,nip,niq->pq", 1 / pooled, J, J) / scatter**2
+    covariance = np.linalg.inv(information + np.linalg.inv(prior))
+    return WindowEvidence(matches, inliers[finite], (covariance + covariance.T) / 2, scatter)
+
+
+def _middle(points: ViewPoints, members: FloatArray) -> int:
+    """Return the visible point nearest to the middle of its block."""
+    uv = points.uv[members]
+    return int(members[np.argmin(((uv - uv.mean(axis=0)) ** 2).sum(axis=-1))])

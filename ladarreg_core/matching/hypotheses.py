@@ -1,0 +1,113 @@
+"""First guesses of the pose, cheapest first: corners matched by descriptors or by correlation, and RANSAC."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.features.corners import CornerOptions, find_corners
+from ladarreg_core.features.descriptors import describe
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matching.correlation import correlation_product, unique_matches
+from ladarreg_core.matching.levels import PhotoLevels, ScanLevels
+from ladarreg_core.pose.ransac import ransac_pose
+
+_RANSAC_PX = 5.0
+_RANSAC_ITERATIONS = 800
+_DESCRIPTOR_CORNERS = CornerOptions(count=1000, q_min=0.3, pre_blur_px=1.0, non_maximum_px=2, sub_pixel=True)
+_DESCRIPTOR_MARGIN = 0.02
+_NCC_CORNERS = CornerOptions(count=800, q_min=0.5, non_maximum_px=1)
+_NCC_MARGIN = 0.02
+_FIRST_INLIERS, _LATER_INLIERS = 12, 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A first guess."""
+
+    source: str
+    """How it was found."""
+    camera_from_scanner: Rigid
+    """The pose."""
+    inliers: int
+    """Matches that support it."""
+    points: FloatArray
+    """(M, 3) scan points of all its matches, scanner frame, m."""
+    uv: FloatArray
+    """(M, 2) working pixels of all its matches."""
+    supported: FloatArray
+    """(M,) bool: its inliers."""
+
+
+def hypotheses(scan: ScanLevels, photo: PhotoLevels, *, seed: int) -> Iterator[Hypothesis | str]:
+    """Yield hypotheses as they are found; a string tells of an attempt that gave none.
+
+    Args:
+        scan: the scan's levels.
+        photo: the photo's levels.
+        seed: of RANSAC.
+    """
+    described = _Described(scan, photo)
+    attempts: list[tuple[str, Callable[[], tuple[FloatArray, FloatArray]]]] = [
+        ("descriptors of intensity", lambda: described.matches(scan.intensity_channels[0])),
+        ("descriptors of intensity and geometry", lambda: described.matches(scan.channels[0])),
+        ("gray and edge correlation", lambda: _correlated(scan, photo)),
+    ]
+    needed = _FIRST_INLIERS
+    for k, (source, find) in enumerate(attempts):
+        scan_uv, photo_uv = find()
+        found = _solve(scan, photo, scan_uv, photo_uv, source=source, needed=needed, seed=seed + k)
+        yield found if found is not None else f"{source}: {len(scan_uv)} matches, no pose with {needed} inliers"
+        needed = _LATER_INLIERS
+
+
+class _Described:
+    """Descriptor matching; the photo's side and the corners are shared by both attempts."""
+
+    def __init__(self, scan: ScanLevels, photo: PhotoLevels) -> None:
+        usable = np.isfinite(scan.ranges)
+        self._scan_uv = find_corners(scan.gray_planes[0], _DESCRIPTOR_CORNERS, usable=usable).uv
+        self._photo_uv = find_corners(photo.gray, _DESCRIPTOR_CORNERS, usable=photo.usable[0]).uv
+        self._photo = describe(photo.channels[0], self._photo_uv)
+
+    def matches(self, channels: FloatArray) -> tuple[FloatArray, FloatArray]:
+        score = describe(channels, self._scan_uv) @ self._photo.T
+        first, second, _ = unique_matches(score, margin=_DESCRIPTOR_MARGIN)
+        return self._scan_uv[first], self._photo_uv[second]
+
+
+def _correlated(scan: ScanLevels, photo: PhotoLevels) -> tuple[FloatArray, FloatArray]:
+    scan_gray = scan.gray_planes[0]
+    scan_uv = find_corners(scan_gray, _NCC_CORNERS, usable=np.isfinite(scan.ranges)).uv
+    photo_uv = find_corners(photo.gray, _NCC_CORNERS, usable=photo.usable[0]).uv
+    first, second, _ = unique_matches(correlation_product(scan_gray, scan_uv, photo.gray, photo_uv), margin=_NCC_MARGIN)
+    return scan_uv[first], photo_uv[second]
+
+
+def _solve(
+    scan: ScanLevels,
+    photo: PhotoLevels,
+    scan_uv: FloatArray,
+    photo_uv: FloatArray,
+    *,
+    source: str,
+    needed: int,
+    seed: int,
+) -> Hypothesis | None:
+    if len(scan_uv) < needed:
+        return None
+    pixel = np.rint(scan_uv).astype(np.intp)
+    ranges = scan.ranges[pixel[:, 1], pixel[:, 0]]
+    known = np.isfinite(ranges)
+    points = scan.view.rays_at(scan_uv[known]) * ranges[known, None]
+    result = ransac_pose(
+        points, photo_uv[known], photo.cameras[0], threshold_px=_RANSAC_PX, iterations=_RANSAC_ITERATIONS, seed=seed
+    )
+    if result is None or np.count_nonzero(result.inliers) < needed:
+        return None
+    return Hypothesis(
+        source, result.camera_from_scanner, int(np.count_nonzero(result.inliers)), points, photo_uv[known], result.inliers
+    )

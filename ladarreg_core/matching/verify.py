@@ -1,0 +1,104 @@
+"""The verdict on a finished pose, from the pictures alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ladarreg_core.matching.agreement import LEAST_WINDOWS, Agreement
+
+NEAR_PX = {1: 3.0, 0: 1.5}
+"""Photo pixels within which a window's peak counts as agreeing, by level."""
+
+
+@dataclass(frozen=True, slots=True)
+class GateOptions:
+    """What a pose must show to be called verified. Lowering `fraction` lets near-misses through."""
+
+    fraction: float = 0.50
+    """Least share of windows that agree, level 1."""
+    contrast: float = 1.9
+    """Least zb: near shifts against far ones, in standard deviations."""
+    many: int = 45
+    """So many agreeing windows are enough..."""
+    few: int = 25
+    """...or so many, if both of the next hold."""
+    few_fraction: float = 0.8
+    """Share needed with few windows."""
+    few_contrast: float = 2.5
+    """Contrast needed with few windows."""
+    fine_fraction: float = 0.35
+    """Least share of windows that agree at level 0, where the tolerance is half as large."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """The figures behind the verdict."""
+
+    windows: int
+    """n: windows that could be judged at level 1."""
+    agreeing: int
+    """a: windows that agree."""
+    fraction: float
+    """f = a / n."""
+    contrast: float
+    """zb."""
+    fine_fraction: float | None
+    """f at level 0; None: not looked at."""
+    accepted: bool
+    """Whether the gate is passed."""
+    reasons: tuple[str, ...]
+    """Why, in sentences."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures, JSON-ready."""
+        return {
+            "windows": self.windows,
+            "agreeing": self.agreeing,
+            "fraction": round(self.fraction, 4),
+            "contrast": round(self.contrast, 3),
+            "fine_fraction": None if self.fine_fraction is None else round(self.fine_fraction, 4),
+        }
+
+
+def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | None = None) -> Verification:
+    """Judge a finished pose; without `fine` it is only a first look that a climb may stop at.
+
+    Args:
+        coarse: agreement at level 1.
+        fine: agreement at level 0.
+        options: the gate.
+    """
+    o = options or GateOptions()
+    n = coarse.windows
+    a = int(coarse.agreeing(NEAR_PX[1]).sum())
+    f, zb = a / max(n, 1), coarse.contrast()
+    f0 = None if fine is None else float(fine.agreeing(NEAR_PX[0]).sum() / max(fine.windows, 1))
+    reasons = []
+    if n < LEAST_WINDOWS:
+        reasons.append(
+            f"Only {n} regions of the picture hold enough structure of the scan to compare; {LEAST_WINDOWS} are needed."
+        )
+    else:
+        if f < o.fraction:
+            reasons.append(f"{a} of {n} regions agree ({f:.0%}); {o.fraction:.0%} are needed.")
+        if zb < o.contrast:
+            reasons.append(
+                f"The agreement hardly stands out against shifted pictures ({zb:.1f} standard deviations; "
+                f"{o.contrast:.1f} are needed)."
+            )
+        enough = a >= o.many or (a >= o.few and f >= o.few_fraction and zb >= o.few_contrast)
+        if not enough and f >= o.fraction:
+            reasons.append(
+                f"Too few regions agree to be sure: {a}; {o.many} are needed, or {o.few} that agree at "
+                f"{o.few_fraction:.0%} and {o.few_contrast:.1f} standard deviations."
+            )
+        if f0 is not None and f0 < o.fine_fraction:
+            reasons.append(
+                f"At full resolution only {f0:.0%} of the regions agree within {NEAR_PX[0]:g} px; "
+                f"{o.fine_fraction:.0%} are needed."
+            )
+    accepted = not reasons
+    if accepted:
+        reasons.append(f"{a} of {n} regions of the picture agree with the scan ({f:.0%}).")
+    return Verification(n, a, f, zb, f0, accepted, tuple(reasons))

@@ -1,0 +1,1 @@
+"""Where the camera was: from matches to a pose and its uncertainty."""
