@@ -16,6 +16,7 @@ from ladarreg_core.scanner import ScanGeometry
 
 IntensityKind = Literal["raw", "range_normalised"]
 _SMALLEST_SIDE = 2
+_DIRECTION_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +96,10 @@ class Scan:
     @cached_property
     def mean_direction(self) -> NDArray[np.float64]:
         """The mean ray of the cells that have a return, (3,), unit; X forward where they cancel out."""
-        mean = self.rays[self.valid].mean(axis=0)
+        stride = max(1, int(np.sqrt(self.ranges.size / _DIRECTION_SAMPLES)))
+        rows, columns = np.nonzero(self.valid[::stride, ::stride])
+        if not len(rows):
+            rows, columns = (index // stride for index in np.nonzero(self.valid))
+        mean = self.geometry.ray_at(np.stack([rows, columns], axis=-1) * stride).mean(axis=0)
         length = float(np.linalg.norm(mean))
         return mean / length if length > 1e-3 else np.array([1.0, 0.0, 0.0])

@@ -178,9 +178,8 @@ class ScanLevels:
 def scan_levels(scan: Scan, view: View) -> ScanLevels:
     """Return the scan as the matcher sees it in one view."""
     gated = gate_spikes(scan.ranges)
-    columns, rows = view.cells[..., 0], view.cells[..., 1]
     gray = _laser_gray(scan, gated)
-    gray = cv2.remap(gray, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    gray = cv2.remap(gray, view.cells, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
     ranges = view.resample_ranges(gated)
     ranges[~view.inside] = np.nan
