@@ -42,19 +42,22 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or int(value) != value or value < 1:
-                raise CameraError(f"camera {name} is {value}; it must be a whole number of pixels, at least 1")
-            object.__setattr__(self, name, int(value))
+            size = getattr(self, name)
+            if isinstance(size, bool) or not float(_number(size)).is_integer() or size < 1:
+                raise CameraError(f"camera {name} is {size!r}; it must be a whole number of pixels, at least 1")
+            object.__setattr__(self, name, int(size))
         for name in ("fx", "fy", "cx", "cy"):
-            value = float(getattr(self, name))
+            value = _number(getattr(self, name))
             if not np.isfinite(value) or (name in ("fx", "fy") and value <= 0):
                 need = "positive" if name in ("fx", "fy") else "finite"
-                raise CameraError(f"camera {name} is {value:g}; it must be a {need} number of pixels")
+                raise CameraError(f"camera {name} is {getattr(self, name)!r}; it must be a {need} number of pixels")
             object.__setattr__(self, name, value)
-        terms = tuple(float(k) for k in self.distortion)
+        try:
+            terms = tuple(_number(k) for k in self.distortion)
+        except TypeError:
+            terms = (np.nan,)
         if len(terms) not in _TERMS or not np.isfinite(terms).all():
-            raise CameraError(f"camera distortion has {len(terms)} terms {terms}; it must be 0, 4, 5 or 8 finite terms")
+            raise CameraError(f"camera distortion is {self.distortion!r:.80}; it must be 0, 4, 5 or 8 finite terms")
         object.__setattr__(self, "distortion", terms if any(terms) else ())
 
     @staticmethod
@@ -212,7 +215,8 @@ class Camera:
                 dx = (J[..., 1, 1] * ex - J[..., 0, 1] * ey) / det
                 dy = (J[..., 0, 0] * ey - J[..., 1, 0] * ex) / det
                 x, y = x + dx, y + dy
-                if np.nanmax(np.hypot(dx, dy), initial=0.0) < 1e-14:
+                step = np.hypot(dx, dy)
+                if not (step >= 1e-14).any():  # NaN: beyond the lens, and settled as such
                     break
             fx, fy = self._distort(x, y)
             found = np.hypot(fx - xd, fy - yd) < 1e-9
@@ -227,3 +231,11 @@ class Camera:
         with np.errstate(divide="ignore", invalid="ignore"):
             factor = np.where(radius > 1e-12, np.interp(radius, mapped, r) / radius, 1.0)
         return xd * factor, yd * factor
+
+
+def _number(value: Any) -> float:
+    """Return what is given as a float; NaN for what is no number."""
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return float("nan")

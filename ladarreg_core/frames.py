@@ -212,6 +212,18 @@ class ThesisParameters:
         pairs = ((self.Tx, "left", "right"), (self.Ty, "up", "down"), (self.Tz, "forward", "back"))
         return ", ".join(f"{abs(value):.2f} m {plus if value >= 0 else minus}" for value, plus, minus in pairs)
 
+    def turn_in_words(self) -> str:
+        """Return the turn as an operator says it: '7.31 deg right, 1.20 deg up, rolled 0.94 deg clockwise'.
+
+        Clockwise as seen from behind the camera.
+        """
+        pan, tilt, roll = np.degrees([self.alpha, self.beta, self.gamma])
+        return (
+            f"{abs(pan):.2f} deg {'right' if pan >= 0 else 'left'}, "
+            f"{abs(tilt):.2f} deg {'down' if tilt >= 0 else 'up'}, "
+            f"rolled {abs(roll):.2f} deg {'clockwise' if roll >= 0 else 'counter-clockwise'}"
+        )
+
 
 def rotation_about(axis: str, angle_rad: float) -> NDArray[np.float64]:
     """Return the right-handed rotation matrix (3, 3) about one coordinate axis, `x`, `y` or `z`."""

@@ -98,7 +98,8 @@ class Matches:
 
     def subset(self, keep: IntArray | ArrayLike) -> Matches:
         """Return the matches of a mask (M,) or of indices, in that order."""
-        index = np.arange(len(self))[np.asarray(keep)]
+        chosen = np.asarray(keep)
+        index = np.arange(len(self))[chosen if chosen.size else chosen.astype(np.intp)]
         assert self.fractions is not None
         assert self.weights is not None
         ids = tuple(self.pick_ids[k] for k in index)

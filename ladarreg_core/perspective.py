@@ -151,20 +151,40 @@ def _cell_maps(scan: Scan, camera: Camera, view_from_scanner: Rigid) -> FloatArr
     columns, rows = -(-camera.width // _NODE_PX) + 2, -(-camera.height // _NODE_PX) + 2
     offset = (_NODE_PX - 1) / 2 - _NODE_PX
     u, v = (np.arange(n, dtype=np.float32) * _NODE_PX + np.float32(offset) for n in (columns, rows))
-    nodes = _columns_rows(scan, camera, view_from_scanner, u, v)
-    jumps = max(float(np.abs(np.diff(nodes, axis=axis)).max()) for axis in (0, 1))
-    if not jumps < 0.25 * max(scan.shape):  # NaN at a lens's edge, or the seam of a full turn
-        u, v = np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32)
-        return np.nan_to_num(_columns_rows(scan, camera, view_from_scanner, u, v), nan=_OUTSIDE)
+    nodes = _columns_rows(scan, camera, view_from_scanner, *np.meshgrid(u, v))
     size = (columns * _NODE_PX, rows * _NODE_PX)
-    dense = cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(dense[_NODE_PX : _NODE_PX + camera.height, _NODE_PX : _NODE_PX + camera.width])
+    cells = cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR)
+    cells = np.asarray(cells[_NODE_PX : _NODE_PX + camera.height, _NODE_PX : _NODE_PX + camera.width])
+    broken = _broken_between_nodes(nodes, 0.25 * max(scan.shape))
+    if broken.any():
+        broken = cv2.resize(broken.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        # Nearest neighbours give each quad the pixels from its first node on; a quad reaches one node further.
+        broken = cv2.dilate(broken, np.ones((_NODE_PX + 1, _NODE_PX + 1), np.uint8))
+        y, x = np.nonzero(broken[_NODE_PX : _NODE_PX + camera.height, _NODE_PX : _NODE_PX + camera.width])
+        cells = np.ascontiguousarray(cells)
+        cells[y, x] = _columns_rows(scan, camera, view_from_scanner, x.astype(np.float32), y.astype(np.float32))
+        cells = np.nan_to_num(cells, copy=False, nan=_OUTSIDE)
+    return cells
 
 
-def _columns_rows(
-    scan: Scan, camera: Camera, view_from_scanner: Rigid, u: FloatArray, v: FloatArray
-) -> FloatArray:
+def _broken_between_nodes(nodes: FloatArray, jump: float) -> BoolArray:
+    """Return where (rows, columns) a node and one of its neighbours cannot be interpolated between.
+
+    That is at a lens's or a table's edge (NaN on one side only) and at the seam of a full turn.
+    """
+    known = np.isfinite(nodes).all(axis=-1)
+    if known.all() and max(float(np.abs(np.diff(nodes, axis=axis)).max()) for axis in (0, 1)) < jump:
+        return np.zeros(known.shape, np.bool_)
+    filled = np.where(known[..., None], nodes, np.float32(-4 * jump))
+    square = np.ones((3, 3), np.uint8)
+    spans = [cv2.dilate(filled[..., k], square) - cv2.erode(filled[..., k], square) for k in (0, 1)]
+    some = cv2.dilate(known.astype(np.uint8), square) > 0
+    return np.asarray(some & ((spans[0] > jump) | (spans[1] > jump)))
+
+
+def _columns_rows(scan: Scan, camera: Camera, view_from_scanner: Rigid, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Return (..., 2) float32 (column, row) of view pixels u and v (...,)."""
     x, y = (u - np.float32(camera.cx)) / np.float32(camera.fx), (v - np.float32(camera.cy)) / np.float32(camera.fy)
     R = view_from_scanner.rotation.astype(np.float32)
-    directions = x[None, :, None] * R[0] + y[:, None, None] * R[1] + R[2]
+    directions = x[..., None] * R[0] + y[..., None] * R[1] + R[2]
     return np.ascontiguousarray(scan.geometry.cell_of(directions)[..., ::-1], dtype=np.float32)

@@ -31,7 +31,7 @@ def complete_ray_table(table: FloatArray, law_rays: FloatArray | None) -> NDArra
     """
     length = np.linalg.norm(table, axis=-1)
     known = np.isfinite(length) & (length > 0)
-    if law_rays is None and np.count_nonzero(known) < min(_LEAST_RAYS, known.size):
+    if law_rays is None and np.count_nonzero(known) < max(1, min(_LEAST_RAYS, known.size)):
         raise ShapeError(f"the ray table has {np.count_nonzero(known)} rays; it needs at least {_LEAST_RAYS}")
     with np.errstate(divide="ignore", invalid="ignore"):
         rays = np.array(table / length[..., None], dtype=np.float64)
@@ -158,11 +158,13 @@ class RayTableInverse:
                 step_column = (J[:, 0, 0] * error[:, 1] - J[:, 1, 0] * error[:, 0]) / det
             step = np.clip(np.stack([step_row, step_column], axis=-1), -64, 64)
             cells = cells - step
-            if np.nanmax(np.abs(step), initial=0.0) < 1e-6:
+            if not (np.abs(step) >= 1e-6).any():
                 break
         # A table with jitter may make the iteration swing within a cell: what it found is then still that cell.
         swing = np.abs(step).max(axis=-1) if len(d) else np.zeros(0)
+        # The opposite direction has no component along the tangents either.
+        facing = (_bilinear(self._rays, cells, _EXTRAPOLATED_CELLS)[0] * d).sum(-1) > 0
         with np.errstate(invalid="ignore"):
-            cells[~(swing < 1.0)] = np.nan
+            cells[~((swing < 1.0) & facing)] = np.nan
         result[finite] = cells
         return result.reshape(*shape, 2)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.frames import Rigid, ThesisParameters
+from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
 
@@ -58,6 +58,14 @@ class PoseResult:
         return ThesisParameters.from_pose(self.camera_from_scanner)
 
     @property
+    def thesis_sigmas(self) -> ThesisParameters:
+        """Standard deviations of the thesis's parameters (m, rad), by the covariance's first-order propagation."""
+        pose, steps = self.camera_from_scanner, 1e-6 * np.eye(6)
+        columns = [_parameters(_moved(pose, d)) - _parameters(_moved(pose, -d)) for d in steps]
+        J = np.stack(columns, axis=1) / 2e-6
+        return ThesisParameters(*np.sqrt(np.diag(J @ self.covariance @ J.T)).tolist())
+
+    @property
     def sigma_angle_rad(self) -> float:
         """Standard deviation of the rotation, root sum of squares over its three axes, rad."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3])))
@@ -80,3 +88,13 @@ class Registration(PoseResult):
     """The options used, JSON-ready."""
     seed: int = 0
     """The seed used."""
+
+
+def _moved(pose: Rigid, change: FloatArray) -> Rigid:
+    """Return the pose turned by exp([w]x) and with its centre moved by c."""
+    return Rigid.from_centre(rotation_from_rotvec(change[:3]) @ pose.rotation, pose.centre + change[3:])
+
+
+def _parameters(pose: Rigid) -> FloatArray:
+    p = ThesisParameters.from_pose(pose)
+    return np.array([p.Tx, p.Ty, p.Tz, p.alpha, p.beta, p.gamma])

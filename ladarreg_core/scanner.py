@@ -70,6 +70,7 @@ class AzimuthElevation:
     elevation_offset_rad: float = 0.0
 
     def __post_init__(self) -> None:
+        _check_grid(self.rows, self.columns)
         for name in ("d_azimuth_rad", "d_elevation_rad"):
             step = getattr(self, name)
             if not (np.isfinite(step) and 0 < step < 0.5):
@@ -81,6 +82,12 @@ class AzimuthElevation:
             raise OptionError(
                 f"the azimuth reaches {np.degrees(reach):.1f} deg; an azimuth-elevation scanner stays below 90 deg: "
                 "check that d_azimuth_rad is in radians"
+            )
+        reach = abs(self.elevation_offset_rad) + self.d_elevation_rad * (self.rows - 1) / 2
+        if reach >= np.pi:
+            raise OptionError(
+                f"the elevation reaches {np.degrees(reach):.1f} deg; it stays below 180 deg: check that "
+                "d_elevation_rad is in radians"
             )
 
     @property
@@ -183,6 +190,7 @@ class SphericalGrid:
     top_latitude_rad: float
 
     def __post_init__(self) -> None:
+        _check_grid(self.rows, self.columns)
         if not (0 < self.d_longitude_rad < 0.5 and 0 < self.d_latitude_rad < 0.5):
             raise OptionError(
                 f"the spherical grid's steps are {self.d_longitude_rad:g} and {self.d_latitude_rad:g} rad; they "
@@ -281,6 +289,11 @@ class TabulatedGrid:
         """Return the unit rays (..., 3) of fractional cells (..., 2), interpolated; NaN outside the table."""
         rays = interpolate_rays(self.rays, np.asarray(cells, dtype=np.float64))
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def _check_grid(rows: int, columns: int) -> None:
+    if rows < 1 or columns < 1:
+        raise ShapeError(f"the scan grid is {rows} x {columns} cells; it must have at least one row and one column")
 
 
 def range_from_counts(counts: ArrayLike, r0_m: float, dr_m: float) -> NDArray[np.float64]:

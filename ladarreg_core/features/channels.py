@@ -14,6 +14,7 @@ ORIENTATIONS = 8
 _PRE_BLUR_PX = 0.8
 _SELECTIVITY = 0.83
 _STRIP_ROWS = 48
+_LEAST_FACTOR, _NOISE_FACTOR = 0.02, 2.0
 _ANGLES = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
 
 
@@ -54,6 +55,10 @@ def normalised_channels(
 ) -> FloatArray:
     """Blur the channels and divide by their local strength, so that faint and strong edges count alike.
 
+    The picture's median strength is added to the divisor: most of a picture is not edges, so the median tells what is
+    noise, and noise is not to be lifted to the height of an edge. (Without it the speckle of a time-of-flight camera
+    on its flat walls outweighs what it shares with the photo.)
+
     Args:
         raw: (8, H, W).
         blur_px: Gaussian sigma of the blur.
@@ -61,7 +66,8 @@ def normalised_channels(
         local_factor: how strongly it divides.
 
     Returns:
-        (H, W, 8) float32, C / (n + factor blur(n) + .02 max n) with n the norm over the channels; below 1 in norm.
+        (H, W, 8) float32, C / (n + factor blur(n) + 2 median n + .02 max n) with n the norm over the channels; below
+        1 in norm.
     """
     side = 2 * int(np.ceil(3 * blur_px)) - 1
     blurred = cv2.merge([cv2.GaussianBlur(plane, (side, side), blur_px) for plane in raw])
@@ -69,8 +75,9 @@ def normalised_channels(
     largest = float(norm.max(initial=0.0))
     if largest <= 0:
         return np.zeros_like(blurred)
+    noise = float(np.median(norm[norm > 0]))
     norm += np.float32(local_factor) * _broad_blur(norm, local_px)
-    norm += np.float32(0.02 * largest)
+    norm += np.float32(_LEAST_FACTOR * largest + _NOISE_FACTOR * noise)
     blurred /= norm[..., None]
     return np.asarray(blurred)
 

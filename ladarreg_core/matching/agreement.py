@@ -141,9 +141,7 @@ def agreement(
     return Agreement(level, radius, pooled[judged], grid[judged], neighbours[judged], members, uv, visible)
 
 
-def _correlations(
-    channels: FloatArray, uv: FloatArray, starts: IntArray, target: Target, radius: int
-) -> FloatArray:
+def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target: Target, radius: int) -> FloatArray:
     """Return rho (B, 2r+1, 2r+1): normalised correlation of each block at each shift.
 
     The photo is read at whole pixels: rounding the projections jitters the points by less than a third of a pixel,

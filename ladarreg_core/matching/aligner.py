@@ -19,7 +19,7 @@ from ladarreg_core.matching.verify import GateOptions, Verification, verify
 _CLIMB = {2: ClimbOptions(tau_px=8, iterations=8), 1: ClimbOptions(tau_px=6, iterations=6)}
 _FINISH = ClimbOptions(tau_px=3, iterations=6)
 _FINE = ClimbOptions(tau_px=2, iterations=8)
-_FINE_POINTS, _FINE_BLOCK_PX = 14_000, 32
+_FINE_POINTS = 20_000
 _RADIUS = {0: 6, 1: 6, 2: 8}
 _SURE_FRACTION = 0.8
 _FINISH_ROUNDS = 5
@@ -84,7 +84,6 @@ class Aligner:
             level=0,
             seed=self._seed,
             count=_FINE_POINTS,
-            block_px=_FINE_BLOCK_PX,
             away_from_edges=True,
         )
 

@@ -15,6 +15,8 @@ from ladarreg_core.matching.points import ViewPoints
 from ladarreg_core.pose.jacobian import pose_jacobian
 
 _TRUSTED_PX = 3.0
+_SD_OF_MEDIAN = 1.4826
+_LEAST_SCATTER_PX = 0.02
 _PRIOR_ANGLE_RAD, _PRIOR_POSITION_M = np.pi, 100.0
 
 
@@ -69,7 +71,8 @@ def window_evidence(
     if len(used) < 4:
         return WindowEvidence(matches, inliers[finite], prior, float("nan"))
     _, J = pose_jacobian(pose, at[used], camera)
-    scatter = float(np.sqrt(np.mean((shift[used] * to_photo) ** 2) * 2 * len(used) / max(2 * len(used) - 6, 1)))
+    # From the median: the pose is a robust estimate, which windows that hardly agree do not move.
+    scatter = float(_SD_OF_MEDIAN * to_photo * np.median(np.abs(shift[used]))) + _LEAST_SCATTER_PX
     pooled = maps.pooled_blocks[used].astype(np.float64)
     information = np.einsum("n,nip,niq->pq", 1 / pooled, J, J) / scatter**2
     covariance = np.linalg.inv(information + np.linalg.inv(prior))

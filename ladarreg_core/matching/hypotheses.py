@@ -109,5 +109,10 @@ def _solve(
     if result is None or np.count_nonzero(result.inliers) < needed:
         return None
     return Hypothesis(
-        source, result.camera_from_scanner, int(np.count_nonzero(result.inliers)), points, photo_uv[known], result.inliers
+        source,
+        result.camera_from_scanner,
+        int(np.count_nonzero(result.inliers)),
+        points,
+        photo_uv[known],
+        result.inliers,
     )

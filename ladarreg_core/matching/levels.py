@@ -189,7 +189,7 @@ def scan_levels(scan: Scan, view: View) -> ScanLevels:
     jump = high - low > 0.04 * median
     surface = np.where(jump, low, median)  # the foreground owns the contour
     jump |= ~valid
-    edge = cv2.dilate(jump.astype(np.uint8), np.ones((7, 7))) > 0
+    edge = cv2.dilate(jump.astype(np.uint8), np.ones((3, 3))) > 0  # the 5 x 5 reach two pixels themselves
     geometry = _geometry_planes(view, fill_from_nearest(ranges, valid))
 
     shown = gray[valid] if valid.any() else gray
@@ -237,4 +237,3 @@ def _geometry_planes(view: View, filled: FloatArray) -> list[FloatArray]:
     normal = cv2.GaussianBlur(normal.astype(np.float32), (0, 0), 1.0)
     planes = [normal[..., 0], normal[..., 1], normal[..., 2], 1.5 * log_range]
     return [np.ascontiguousarray(plane * 255, dtype=np.float32) for plane in planes]
-

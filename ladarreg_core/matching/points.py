@@ -62,7 +62,6 @@ def select_points(
     level: int,
     seed: int,
     count: int | None = None,
-    block_px: int = BLOCK_PX,
     away_from_edges: bool = False,
 ) -> ViewPoints | None:
     """Choose points for one level.
@@ -73,7 +72,6 @@ def select_points(
         level: which level.
         seed: of the draw among the strongest.
         count: how many at the most; None: the level's standard.
-        block_px: side of a block in level-0 pixels.
         away_from_edges: leave out what is near depth edges and holes.
 
     Returns:
@@ -96,7 +94,7 @@ def select_points(
     kept = _strongest_in_strata(u, v, norm[v, u], _STRATUM_PX[level], wanted, np.random.default_rng(seed))
     u, v = u[kept], v[kept]
 
-    side = max(block_px >> level, 1)
+    side = BLOCK_PX >> level
     block_row, block_column = v // side, u // side
     label = block_row * (camera.width // side + 1) + block_column
     order = np.argsort(label, kind="stable")

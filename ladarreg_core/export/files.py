@@ -1,0 +1,29 @@
+"""Bytes on the disk, surely."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from ladarreg_core.errors import ExportError
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write a file and wait until the disk has it.
+
+    Raises:
+        ExportError: if that fails.
+    """
+    try:
+        with open(path, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise cannot_write(path, error) from None
+
+
+def cannot_write(path: str | Path, error: OSError) -> ExportError:
+    """Return the one-line error for a file or folder that could not be written."""
+    reason = (error.strerror or type(error).__name__).lower()
+    return ExportError(f"cannot write {path}: {reason}; give a folder that is writable and has room")

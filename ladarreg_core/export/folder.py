@@ -1,0 +1,171 @@
+"""Everything that a registration gives, in one folder that is there wholly or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ladarreg_core.errors import ExportError
+from ladarreg_core.export.files import cannot_write
+from ladarreg_core.export.glb import write_glb
+from ladarreg_core.export.images import write_labels_png, write_registered_png
+from ladarreg_core.export.ply import write_ply
+from ladarreg_core.export.registration_json import registration_document, write_registration_json
+from ladarreg_core.mesh import scan_mesh
+from ladarreg_core.photo import Photo
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.results import Registration
+from ladarreg_core.scan import Scan
+from ladarreg_core.texture import RegisteredTexture, model_picture, texture_scan
+
+FILE_NAMES = ("registration.json", "registered.png", "labels.png", "model.glb", "cloud.ply")
+"""What a folder of results holds; all but the first only where the registration is accepted."""
+
+
+def export_registration(
+    folder: str | Path,
+    registration: Registration,
+    scan: Scan,
+    photo: Photo,
+    *,
+    inputs: Sequence[str | Path] = (),
+    force: bool = False,
+    report: Report | None = None,
+) -> None:
+    """Write a registration into a new folder.
+
+    `registration.json` always; `registered.png`, `labels.png`, `model.glb` and `cloud.ply` only if the registration is
+    accepted. All is written beside the folder's place and renamed into it at the end, so that an error, an interruption
+    or a `report` that raises leaves what was there before.
+
+    Args:
+        folder: where to; its parents are made if need be.
+        registration: the result.
+        scan: the scan.
+        photo: the photograph.
+        inputs: the files that scan and photo came from, named in `registration.json`.
+        force: replace an existing folder, with all that is in it.
+        report: told after each file.
+
+    Raises:
+        ExportError: if the folder exists and `force` is off, if it holds the inputs, or if something cannot be
+            written.
+    """
+    target = Path(os.path.abspath(folder))
+    check_folder(target, force=force)
+    _keep_inputs(target, inputs)
+    made = _missing_parents(target)
+    aside: Path | None = None
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+    begun = False
+    try:
+        try:
+            temporary.mkdir(parents=True)
+            begun = True
+            _write_all(temporary, registration, scan, photo, inputs, report)
+            _sync(temporary)
+            check_folder(target, force=force)  # it may have appeared meanwhile
+            if target.exists():
+                aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.old")
+                os.rename(target, aside)
+            os.rename(temporary, target)
+            _sync(target.parent)
+        except OSError as error:
+            raise cannot_write(target, error) from None
+    finally:
+        if begun and not temporary.exists():  # renamed: an interruption may fall just behind it
+            if aside is not None:
+                shutil.rmtree(aside, ignore_errors=True)
+        else:
+            if aside is not None and aside.exists() and not target.exists():
+                os.rename(aside, target)
+            shutil.rmtree(temporary, ignore_errors=True)
+            for parent in made:
+                with contextlib.suppress(OSError):
+                    parent.rmdir()
+
+
+def check_folder(folder: str | Path, *, force: bool = False) -> None:
+    """Refuse a folder that results must not go to; call it before long work.
+
+    Raises:
+        ExportError: if something exists there and `force` is off, or if it is not a folder.
+    """
+    path = Path(folder)
+    if path.is_symlink() or (path.exists() and not path.is_dir()):
+        raise ExportError(f"{path} exists and is no folder; give another place for the results")
+    if path.exists() and not force:
+        raise ExportError(f"the folder {path} exists; give another one, or --force to replace it")
+    if path.exists() and Path.cwd().resolve().is_relative_to(path.resolve()):
+        raise ExportError(f"the folder {path} is the one you work in; give another place for the results")
+
+
+def _write_all(
+    folder: Path,
+    registration: Registration,
+    scan: Scan,
+    photo: Photo,
+    inputs: Sequence[str | Path],
+    report: Report | None,
+) -> None:
+    jobs: list[tuple[str, Callable[[Path], None]]] = [
+        (
+            "registration.json",
+            lambda path: write_registration_json(path, registration_document(registration, inputs=inputs)),
+        )
+    ]
+    if registration.accepted:
+        texture = texture_scan(
+            scan,
+            photo,
+            registration.camera_from_scanner,
+            camera=registration.camera,
+            covariance=registration.covariance,
+        )
+        jobs += _shown(scan, texture)
+    for done, (name, write) in enumerate(jobs):
+        if report is not None:
+            report(Progress(done, len(jobs), f"writing {name}"))
+        write(folder / name)
+    if report is not None:
+        report(Progress(len(jobs), len(jobs), "written"))
+
+
+def _shown(scan: Scan, texture: RegisteredTexture) -> list[tuple[str, Callable[[Path], None]]]:
+    return [
+        ("registered.png", lambda path: write_registered_png(path, texture)),
+        ("labels.png", lambda path: write_labels_png(path, texture)),
+        ("model.glb", lambda path: write_glb(path, scan_mesh(scan), model_picture(scan, texture))),
+        ("cloud.ply", lambda path: write_ply(path, scan, texture)),
+    ]
+
+
+def _keep_inputs(target: Path, inputs: Sequence[str | Path]) -> None:
+    """Refuse to replace the folder that the inputs themselves lie in; an earlier result of ours may be an input."""
+    for path in map(Path, inputs):
+        if path.resolve().is_relative_to(target.resolve()) and path.name not in FILE_NAMES:
+            raise ExportError(f"the folder {target} holds the input {path.name}; give another place for the results")
+
+
+def _missing_parents(target: Path) -> list[Path]:
+    """Return the parents that writing will have to make, innermost first."""
+    missing = []
+    for parent in target.parents:
+        if parent.exists():
+            break
+        missing.append(parent)
+    return missing
+
+
+def _sync(folder: Path) -> None:
+    """Have the disk know the folder's entries, where the system can say so."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

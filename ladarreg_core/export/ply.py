@@ -1,0 +1,66 @@
+"""The coloured cloud as binary PLY."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ladarreg_core.errors import ShapeError
+from ladarreg_core.export.files import write_bytes
+from ladarreg_core.scan import Scan
+from ladarreg_core.texture import Label, RegisteredTexture, model_picture
+
+_VERTEX = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("red", "u1"),
+        ("green", "u1"),
+        ("blue", "u1"),
+        ("intensity", "<f4"),
+        ("label", "u1"),
+    ]
+)
+_PLY_TYPES = {"<f4": "float", "|u1": "uchar"}
+
+
+def write_ply(path: str | Path, scan: Scan, texture: RegisteredTexture) -> None:
+    """Write every return of a scan with its colour, intensity and label, in the scanner frame; see `ply_bytes`.
+
+    Raises:
+        ExportError: if the file cannot be written.
+    """
+    write_bytes(path, ply_bytes(scan, texture))
+
+
+def ply_bytes(scan: Scan, texture: RegisteredTexture) -> bytes:
+    """Return the returns of a scan as binary little-endian PLY, row by row.
+
+    Cells that the camera does not see carry their dimmed laser intensity as colour.
+
+    Raises:
+        ShapeError: if the texture is not on the scan's grid.
+    """
+    if texture.labels.shape != scan.shape:
+        raise ShapeError(f"the texture has {texture.labels.shape} cells, the scan {scan.shape}; they must agree")
+    valid = scan.valid
+    vertices = np.zeros(int(np.count_nonzero(valid)), dtype=_VERTEX)
+    points, rgb = scan.points[valid], model_picture(scan, texture)[valid]
+    for k in range(3):
+        vertices["xyz"[k]] = points[:, k]
+        vertices[("red", "green", "blue")[k]] = rgb[:, k]
+    vertices["intensity"] = scan.intensity[valid]
+    vertices["label"] = texture.labels[valid]
+    codes = ", ".join(f"{label.value} {label.name.lower().replace('_', ' ')}" for label in Label)
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment ladarreg: scanner frame, X forward, Y left, Z up; metres",
+        f"comment label: {codes}",
+        f"element vertex {len(vertices)}",
+        *(f"property {_PLY_TYPES[_VERTEX[name].str]} {name}" for name in _VERTEX.names or ()),
+        "end_header\n",
+    ]
+    return "\n".join(header).encode("ascii") + vertices.tobytes()

@@ -1,0 +1,249 @@
+"""E57 scans: structured grids with each point's own ray, and clouds gridded by spherical projection."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from ladarreg_core.errors import DependencyError, FormatError, OptionError, ShapeError
+from ladarreg_core.formats.boundary import PathLike, as_float32, one_line, reading, unit_notes
+from ladarreg_core.formats.e57_header import E57Info, E57ScanInfo, read_e57_info
+from ladarreg_core.formats.grid_order import order_of, unit_rays
+from ladarreg_core.gridding import LARGEST_GRID, grid_points
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner import TabulatedGrid
+
+_CHUNK = 500_000
+_CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
+_SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+_COLORS = ("colorRed", "colorGreen", "colorBlue")
+_INDICES = ("rowIndex", "columnIndex")
+_STATES = ("cartesianInvalidState", "sphericalInvalidState", "isIntensityInvalid")
+_LEAST_UNIQUE = 0.6
+_CELLS_PER_POINT = 200
+
+
+def read_e57(path: PathLike, *, scan_index: int = 0, report: Report | None = None) -> Scan:
+    """Read one scan of an E57 file.
+
+    Args:
+        path: the file.
+        scan_index: which of its scans, from 0.
+        report: receives the progress, in points.
+
+    Returns:
+        the scan, in the scanner's own frame; row 0 is the top and column 0 the left, whatever the file's order. A file
+        without row and column indices is laid onto a grid. A grid of more than 8 M cells is thinned.
+
+    Raises:
+        FormatError: if it is damaged, has no scan or no intensity.
+        ShapeError: if there are no returns.
+        OptionError: if there is no such scan.
+    """
+    with reading(path) as file:
+        info = read_e57_info(file)
+        scan = _chosen(info, scan_index)
+        _require_fields(scan)
+        with e57_file(file) as image_file:
+            columns = _read_points(image_file, scan, scan_index, report)
+        return _to_scan(file.stem, info, scan, columns)
+
+
+def _chosen(info: E57Info, scan_index: int) -> E57ScanInfo:
+    if not info.scans:
+        pictures = f"only pictures ({len(info.images)})" if info.images else "nothing"
+        raise FormatError(f"the E57 holds {pictures} and no scan; give one with points")
+    if isinstance(scan_index, bool) or not 0 <= scan_index < len(info.scans):
+        names = one_line(", ".join(f"{k} {scan.name!r}" for k, scan in enumerate(info.scans[:6])), 100)
+        raise OptionError(f"there is no scan {scan_index}; the file holds {len(info.scans)} ({names}): choose by index")
+    return info.scans[scan_index]
+
+
+def _require_fields(scan: E57ScanInfo) -> None:
+    names = scan.field_names
+    if not (names >= set(_CARTESIAN) or names >= set(_SPHERICAL)):
+        raise FormatError(
+            f"its points have {one_line(', '.join(sorted(names)), 80)}; cartesian or spherical are needed"
+        )
+    if "intensity" not in names:
+        extra = "; its colours are a camera's, and no intensity" if set(_COLORS) <= names else ""
+        raise FormatError(
+            f"scan {scan.name!r} has no intensity, which is what is matched{extra}: export it again with intensity"
+        )
+    if scan.points == 0:
+        raise ShapeError(f"scan {scan.name!r} has no points; it needs measured ranges")
+
+
+@contextmanager
+def e57_file(path: Path) -> Iterator[Any]:
+    """Open an E57 file; its library's many-lined errors become one line.
+
+    Raises:
+        DependencyError: if the library is not installed.
+        FormatError: if it refuses the file.
+    """
+    try:
+        from pye57 import libe57
+    except ImportError as error:
+        raise DependencyError(
+            "reading E57 needs the package pye57, which is not installed: pip install pye57"
+        ) from error
+    try:
+        image_file = libe57.ImageFile(str(path), "r")
+        try:
+            yield image_file
+        finally:
+            image_file.close()
+    except libe57.E57Exception as error:
+        first = str(error).strip().partition("\n")[0].partition(" (Error")[0]
+        raise FormatError(f"the E57 is damaged: {one_line(first, 120)}; copy or export it again") from error
+
+
+def _read_points(image_file: Any, scan: E57ScanInfo, scan_index: int, report: Report | None) -> dict[str, NDArray[Any]]:
+    """Return the wanted fields by name, each (N,), read in chunks."""
+    from pye57 import libe57
+
+    position = _CARTESIAN if scan.field_names >= set(_CARTESIAN) else _SPHERICAL
+    precision = np.float32 if position is _CARTESIAN else np.float64
+    types: dict[str, tuple[str, Any]] = dict.fromkeys(position, ("d", precision))
+    types |= {"intensity": ("d", np.float32)}
+    types |= dict.fromkeys(_COLORS, ("d", np.float32))
+    types |= dict.fromkeys(_INDICES, ("q", np.int64))
+    types |= dict.fromkeys(_STATES, ("q", np.uint8))
+    wanted = [name for name in types if name in scan.field_names]
+    chunk = min(_CHUNK, scan.points)
+    buffers = libe57.VectorSourceDestBuffer()
+    parts = {name: np.zeros(chunk, types[name][0]) for name in wanted}
+    for name, part in parts.items():
+        buffers.append(libe57.SourceDestBuffer(image_file, name, part, chunk, True, True))
+    columns = {name: np.zeros(scan.points, types[name][1]) for name in wanted}
+    reader = image_file.root()["data3D"][scan_index]["points"].reader(buffers)
+    done = 0
+    try:
+        while done < scan.points:
+            if report is not None:
+                report(Progress(done, scan.points, f"reading {scan.name}"))
+            count = reader.read()
+            if count == 0:
+                raise FormatError(f"scan {scan.name!r} ends after {done:,} of {scan.points:,} points; it is cut off")
+            count = min(count, scan.points - done)
+            for name, part in parts.items():
+                with np.errstate(over="ignore", invalid="ignore"):
+                    columns[name][done : done + count] = part[:count]
+            done += count
+    finally:
+        reader.close()
+    if report is not None:
+        report(Progress(done, scan.points, f"reading {scan.name}"))
+    return columns
+
+
+def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDArray[Any]]) -> Scan:
+    points, state = _positions(columns)
+    intensity = columns["intensity"]
+    if "isIntensityInvalid" in columns:
+        intensity = np.where(columns["isIntensityInvalid"] != 0, np.nan, intensity).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        ranges = np.linalg.norm(points, axis=-1)
+    returned = np.isfinite(ranges) & (ranges > 0) & (state == 0)
+    if not returned.any():
+        raise ShapeError(f"scan {scan.name!r} has no returns: every point is invalid or zero; it needs measured ranges")
+    ranges = as_float32(np.where(returned, ranges, np.nan))
+    color = _color(columns, scan.color_largest)
+    notes: list[str] = []
+    if len(info.scans) > 1:
+        notes.append(f"the file holds {len(info.scans)} scans; this is {scan.name!r}")
+    if info.images:
+        count = len(info.images)
+        notes.append(f"the file holds {count} embedded picture{'s' * (count > 1)} that can be extracted")
+    grid = _grid_cells(columns)
+    if grid is None:
+        keep = np.flatnonzero(returned)
+        cloud = grid_points(points[keep], intensity[keep], None if color is None else color[keep])
+        return Scan(
+            cloud.geometry,
+            cloud.ranges,
+            cloud.intensity,
+            color=cloud.color,
+            world_from_scanner=scan.world_from_scanner,
+            name=name,
+            notes=(*notes, cloud.in_words(), *unit_notes(cloud.ranges)),
+        )
+    row, column, shape, thinned = grid
+    if thinned > 1:
+        notes.append(f"the grid was thinned to every {thinned}th row and column")
+    # State 1: the range is invalid but the direction is known, and gives the empty cell its ray.
+    directed = np.flatnonzero((state == 1) & (row >= 0))
+    hit = np.flatnonzero(returned & (row >= 0))
+    hit = hit[np.argsort(-ranges[hit], kind="stable")]  # what is written last stays: the nearest of several returns
+    rays = np.full((*shape, 3), np.nan)
+    rays[row[directed], column[directed]] = points[directed]
+    rays[row[hit], column[hit]] = points[hit]
+    grid_ranges, grid_intensity = np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32)
+    grid_ranges[row[hit], column[hit]] = ranges[hit]
+    grid_intensity[row[hit], column[hit]] = intensity[hit]
+    paint = None
+    if color is not None:
+        paint = np.zeros((*shape, 3), np.uint8)
+        paint[row[hit], column[hit]] = color[hit]
+    rays = unit_rays(rays)
+    turn = order_of(rays)
+    return Scan(
+        TabulatedGrid(turn.apply(rays)),
+        turn.apply(grid_ranges),
+        turn.apply(grid_intensity),
+        color=None if paint is None else turn.apply(paint),
+        world_from_scanner=scan.world_from_scanner,
+        name=name,
+        notes=(*notes, *unit_notes(grid_ranges)),
+    )
+
+
+def _positions(columns: dict[str, NDArray[Any]]) -> tuple[FloatArray, IntArray]:
+    """Return points (N, 3), scanner frame, m, and their state (N,): 0 valid, 1 only the direction, 2 nothing."""
+    if _CARTESIAN[0] in columns:
+        points = np.stack([columns[name] for name in _CARTESIAN], axis=-1)
+        state = columns.get("cartesianInvalidState")
+    else:
+        distance, azimuth, elevation = (columns[name] for name in _SPHERICAL)
+        with np.errstate(invalid="ignore", over="ignore"):
+            level = distance * np.cos(elevation)
+            points = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)], axis=-1)
+        state = columns.get("sphericalInvalidState")
+    return points, np.zeros(len(points), np.uint8) if state is None else state
+
+
+def _color(columns: dict[str, NDArray[Any]], largest: float) -> ByteArray | None:
+    if not set(_COLORS) <= set(columns):
+        return None
+    scale = 255 / largest if np.isfinite(largest) and largest > 0 else 1.0
+    rgb = np.stack([columns[name] for name in _COLORS], axis=-1) * np.float32(scale)
+    return np.clip(np.nan_to_num(rgb), 0, 255).round().astype(np.uint8)
+
+
+def _grid_cells(columns: dict[str, NDArray[Any]]) -> tuple[IntArray, IntArray, tuple[int, int], int] | None:
+    """Return each point's (row, column; -1 = thinned away), the grid's shape and the thinning; None: there is no grid.
+
+    Indices are believed only where they are mostly different: some writers leave them all zero.
+    """
+    if not set(_INDICES) <= set(columns):
+        return None
+    row, column = (columns[name] - columns[name].min() for name in _INDICES)
+    rows, width = int(row.max()) + 1, int(column.max()) + 1
+    if min(rows, width) < 2 or rows * width > _CELLS_PER_POINT * len(row):
+        return None
+    if len(np.unique(row * width + column)) < _LEAST_UNIQUE * len(row):
+        return None
+    thin = int(np.ceil(np.sqrt(rows * width / LARGEST_GRID)))
+    if thin > 1:
+        away: BoolArray = (row % thin != 0) | (column % thin != 0)
+        row, column = np.where(away, -1, row // thin), np.where(away, -1, column // thin)
+        rows, width = -(-rows // thin), -(-width // thin)
+    return row, column, (rows, width), thin

@@ -1,0 +1,298 @@
+"""What an E57 file says of itself, read and judged before a byte of its points is decoded.
+
+Only the 48-byte header and the XML at the end are touched, so that scans and pictures can be listed at once, and so
+that a file which claims more than it holds is refused before memory is asked for.
+"""
+
+from __future__ import annotations
+
+import struct
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+from xml.parsers import expat
+
+import numpy as np
+
+from ladarreg_core.errors import FormatError
+from ladarreg_core.formats.boundary import one_line
+from ladarreg_core.formats.pcd import pose_of_quaternion
+from ladarreg_core.frames import Rigid
+
+SIGNATURE = b"ASTM-E57"
+_HEADER = struct.Struct("<8sIIQQQQ")
+_PAGE = 1024
+_PAGE_DATA = 1020  # the last four bytes of a page are its check sum
+_LARGEST_XML = 64 << 20
+_DEEPEST = 64
+_MOST_ELEMENTS = 2_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class E57Field:
+    """One field of the point records."""
+
+    name: str
+    bits: float
+    """Bits of one value; 0 for a constant."""
+
+
+@dataclass(frozen=True, slots=True)
+class E57ScanInfo:
+    """One scan of the file."""
+
+    name: str
+    guid: str
+    points: int
+    fields: tuple[E57Field, ...]
+    grid: tuple[int, int] | None
+    """(rows, columns) by the file's index bounds; None where it has none."""
+    world_from_scanner: Rigid | None
+    color_largest: float
+    """The value of full red; 255 where the file does not say."""
+
+    @property
+    def field_names(self) -> frozenset[str]:
+        """The names of the fields."""
+        return frozenset(field.name for field in self.fields)
+
+
+@dataclass(frozen=True, slots=True)
+class E57ImageInfo:
+    """One embedded picture."""
+
+    name: str
+    kind: str
+    """`visual reference`, `pinhole`, `spherical` or `cylindrical`."""
+    format: str
+    """`jpeg` or `png`."""
+    width: int
+    height: int
+    bytes: int
+    blob_path: tuple[str | int, ...]
+    """Where its data hang in the file's tree."""
+    numbers: dict[str, float]
+    """What the representation and a distortion block say, by element name."""
+    world_from_image: Rigid | None
+    """Its pose; E57 cameras look along -Z with Y up."""
+    associated_guid: str
+    """The scan it was taken with."""
+
+
+@dataclass(frozen=True, slots=True)
+class E57Info:
+    """The file's contents."""
+
+    scans: tuple[E57ScanInfo, ...]
+    images: tuple[E57ImageInfo, ...]
+
+
+def sniff_e57(head: bytes) -> bool:
+    """Tell whether these are the first bytes of an E57 file."""
+    return head.startswith(SIGNATURE)
+
+
+def read_e57_info(path: Path) -> E57Info:
+    """Read the file's list of contents.
+
+    Args:
+        path: a file that exists.
+
+    Raises:
+        FormatError: if it is cut off, damaged, or claims more than it can hold.
+    """
+    size = path.stat().st_size
+    with open(path, "rb") as stream:
+        xml = _read_xml(stream, size)
+    _judge_xml(xml)
+    try:
+        root = ElementTree.fromstring(xml)
+    except ElementTree.ParseError as error:
+        raise FormatError(f"the E57's XML is damaged ({one_line(error, 80)})") from error
+    scans = tuple(_scan(node, k, size) for k, node in enumerate(_children(_child(root, "data3D"))))
+    images = tuple(_images(root, size))
+    return E57Info(scans, images)
+
+
+def _read_xml(stream: BinaryIO, size: int) -> bytes:
+    head = stream.read(_HEADER.size)
+    if len(head) < _HEADER.size or not head.startswith(SIGNATURE):
+        raise FormatError("it is no E57 file; an E57 begins with 'ASTM-E57' and a header of 48 bytes")
+    _, major, _, length, xml_at, xml_length, page = _HEADER.unpack(head)
+    if major != 1 or page != _PAGE:
+        raise FormatError(f"it is E57 version {major} with pages of {page} bytes; version 1 with {_PAGE} is read")
+    if length != size:
+        state = "cut off" if length > size else "damaged"
+        raise FormatError(f"its header says {length:,} bytes, the file has {size:,}; it is {state}: copy it again")
+    if xml_length > min(_LARGEST_XML, size) or xml_at < _HEADER.size or xml_at >= size:
+        raise FormatError(f"its header puts {xml_length:,} bytes of XML at {xml_at:,} of {size:,}; it is damaged")
+    first = xml_at // _PAGE
+    stream.seek(first * _PAGE)
+    pages = (xml_length + xml_at % _PAGE) // _PAGE_DATA + 2
+    raw = stream.read(pages * _PAGE)
+    raw = raw[: len(raw) // _PAGE * _PAGE]
+    data = np.frombuffer(raw, np.uint8).reshape(-1, _PAGE)[:, :_PAGE_DATA].tobytes()
+    start = xml_at % _PAGE
+    xml = data[start : start + xml_length]
+    if len(xml) != xml_length:
+        raise FormatError(f"its XML of {xml_length:,} bytes ends with the file; it is damaged")
+    return xml.rstrip(b"\0")
+
+
+def _judge_xml(xml: bytes) -> None:
+    """Refuse entities, abysses and floods, which make XML parsers eat memory."""
+    parser = expat.ParserCreate()
+    depth = count = 0
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
+        if depth > _DEEPEST or count > _MOST_ELEMENTS:
+            raise FormatError(f"the E57's XML is nested {depth} deep with {count:,} elements; it is no honest file")
+
+    def end(name: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def doctype(*_: object) -> None:
+        raise FormatError("the E57's XML declares a document type, which E57 has not; it is no honest file")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartDoctypeDeclHandler = doctype
+    try:
+        parser.Parse(xml, True)
+    except expat.ExpatError as error:
+        raise FormatError(f"the E57's XML is damaged ({one_line(error, 80)})") from error
+
+
+_Node = ElementTree.Element
+
+
+def _local(node: _Node) -> str:
+    return node.tag.rpartition("}")[2]
+
+
+def _children(node: _Node | None) -> list[_Node]:
+    return [] if node is None else list(node)
+
+
+def _child(node: _Node | None, *names: str) -> _Node | None:
+    for name in names:
+        node = next((child for child in _children(node) if _local(child) == name), None)
+    return node
+
+
+def _text(node: _Node | None) -> str:
+    return (node.text or "").strip() if node is not None else ""
+
+
+def _number(node: _Node | None, default: float = 0.0) -> float:
+    """Return a number element's value, scaled; an empty element means 0."""
+    if node is None:
+        return default
+    try:
+        value = float(_text(node) or 0)
+        if node.get("type") == "ScaledInteger":
+            value = value * float(node.get("scale", 1)) + float(node.get("offset", 0))
+    except ValueError:
+        raise FormatError(f"the E57's {_local(node)} is {one_line(_text(node), 30)!r}; it must be a number") from None
+    return value
+
+
+def _whole(text: str | None, what: str, default: int = 0) -> int:
+    if text is None or text == "":
+        return default
+    digits = text.removeprefix("-")
+    if not (digits.isascii() and digits.isdigit() and len(digits) <= 19):
+        raise FormatError(f"the E57's {what} is {one_line(text, 30)!r}; it must be a whole number")
+    return int(text)
+
+
+def _scan(node: _Node, index: int, file_bytes: int) -> E57ScanInfo:
+    points = _child(node, "points")
+    if points is None:
+        raise FormatError(f"scan {index} of the E57 has no points; it is damaged")
+    count = _whole(points.get("recordCount"), "recordCount")
+    fields = tuple(_field(child) for child in _children(_child(points, "prototype")))
+    bits = sum(field.bits for field in fields)
+    # Records that are constant take no bits at all, but no scan is made of one point.
+    if count < 0 or count * max(bits, 0.01) / 8 > file_bytes + 1024:
+        raise FormatError(
+            f"scan {index} claims {count:,} points of {bits:.0f} bits, but the whole file has {file_bytes:,} bytes; it "
+            "is damaged or no honest file"
+        )
+    bounds = _child(node, "indexBounds")
+    grid = None
+    if bounds is not None and {"rowIndex", "columnIndex"} <= {field.name for field in fields}:
+        sides = [
+            _number(_child(bounds, f"{axis}Maximum")) - _number(_child(bounds, f"{axis}Minimum")) + 1
+            for axis in ("row", "column")
+        ]
+        if all(1 < side < 2**31 for side in sides):
+            grid = int(sides[0]), int(sides[1])
+    return E57ScanInfo(
+        one_line(_text(_child(node, "name")) or f"scan {index}", 60),
+        _text(_child(node, "guid")),
+        count,
+        fields,
+        grid,
+        _pose(_child(node, "pose")),
+        _number(_child(node, "colorLimits", "colorRedMaximum"), 255.0),
+    )
+
+
+def _field(node: _Node) -> E57Field:
+    kind = node.get("type", "")
+    if kind == "Float":
+        return E57Field(_local(node), 32 if node.get("precision") == "single" else 64)
+    if kind in ("Integer", "ScaledInteger"):
+        low = _whole(node.get("minimum"), "minimum", -(2**63))
+        high = _whole(node.get("maximum"), "maximum", 2**63 - 1)
+        return E57Field(_local(node), max(high - low, 0).bit_length())
+    return E57Field(_local(node), 8)
+
+
+def _pose(node: _Node | None) -> Rigid | None:
+    if node is None:
+        return None
+    quaternion = [_number(_child(node, "rotation", axis), float(axis == "w")) for axis in "wxyz"]
+    translation = [_number(_child(node, "translation", axis)) for axis in "xyz"]
+    return pose_of_quaternion(quaternion, translation)
+
+
+def _images(root: _Node, file_bytes: int) -> Iterator[E57ImageInfo]:
+    for index, node in enumerate(_children(_child(root, "images2D"))):
+        for kind in ("pinhole", "spherical", "cylindrical", "visualReference"):
+            shape = _child(node, f"{kind}Representation")
+            if shape is None:
+                continue
+            for encoding in ("jpeg", "png"):
+                blob = _child(shape, f"{encoding}Image")
+                if blob is None:
+                    continue
+                length = _whole(blob.get("length"), "picture length")
+                if not 0 < length <= file_bytes:
+                    raise FormatError(
+                        f"picture {index} claims {length:,} bytes in a file of {file_bytes:,}; it is damaged"
+                    )
+                numbers = {_local(child): _number(child) for child in _children(shape) if _is_number(child)}
+                distortion = _child(node, "distortion")
+                numbers |= {_local(child): _number(child) for child in _children(distortion) if _is_number(child)}
+                yield E57ImageInfo(
+                    one_line(_text(_child(node, "name")) or f"picture {index}", 60),
+                    "visual reference" if kind == "visualReference" else kind,
+                    encoding,
+                    _whole(_text(_child(shape, "imageWidth")), "imageWidth"),
+                    _whole(_text(_child(shape, "imageHeight")), "imageHeight"),
+                    length,
+                    ("images2D", index, f"{kind}Representation", f"{encoding}Image"),
+                    numbers,
+                    _pose(_child(node, "pose")),
+                    _text(_child(node, "associatedData3DGuid")),
+                )
+
+
+def _is_number(node: _Node) -> bool:
+    return node.get("type") in ("Float", "Integer", "ScaledInteger")

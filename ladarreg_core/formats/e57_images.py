@@ -1,0 +1,134 @@
+"""Pictures embedded in E57 files: written out with the camera and the pose that the file gives them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import CameraError, ExportError, FormatError
+from ladarreg_core.formats.boundary import PathLike, reading
+from ladarreg_core.formats.camera_file import write_camera
+from ladarreg_core.formats.e57 import e57_file
+from ladarreg_core.formats.e57_header import E57ImageInfo, E57Info, read_e57_info
+from ladarreg_core.formats.pose_file import write_pose
+from ladarreg_core.frames import Rigid
+
+_OPENCV_FROM_E57 = Rigid(np.diag([1.0, -1.0, -1.0]), np.zeros(3))  # E57: x right, y up, looking along -z
+_STARTS = {"jpeg": b"\xff\xd8", "png": b"\x89PNG"}
+
+
+@dataclass(frozen=True, slots=True)
+class ExtractedImage:
+    """One picture written out."""
+
+    picture: Path
+    camera: Path | None
+    """Its camera file, where the file gives a usable one."""
+    pose: Path | None
+    """Its pose file (`camera_from_scanner`), where the file gives its pose."""
+
+
+def extract_images(path: PathLike, folder: PathLike) -> list[ExtractedImage]:
+    """Write the pictures embedded in an E57 file, with their cameras and poses.
+
+    Args:
+        path: the E57 file.
+        folder: where to; it is made, and no file in it is overwritten.
+
+    Returns:
+        what was written, in the file's order; empty where there are no pictures.
+
+    Raises:
+        FormatError: if the file is no E57 or is damaged.
+        ExportError: if a file exists already or cannot be written.
+    """
+    with reading(path) as file:
+        info = read_e57_info(file)
+        target = Path(folder)
+        names = [f"{k:02d}_{_slug(image.name)}" for k, image in enumerate(info.images)]
+        for name in names:
+            if taken := next(iter(target.glob(f"{name}.*")), None):
+                raise ExportError(f"{taken.name} exists already; give another folder")
+        if not info.images:
+            return []
+        with e57_file(file) as image_file:
+            blobs = [_blob(image_file, image) for image in info.images]
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+            return [
+                _write(target / name, image, blob, info)
+                for name, image, blob in zip(names, info.images, blobs, strict=True)
+            ]
+        except OSError as error:
+            raise ExportError(f"the pictures cannot be written: {error.strerror}; check the folder") from error
+
+
+def camera_of_image(image: E57ImageInfo) -> Camera | None:
+    """Return the camera of an embedded picture, or None where the file gives none that can be used.
+
+    An OpenCV distortion block, where there is one with a focal length, is believed before the ideal pinhole.
+    """
+    n = image.numbers
+    if image.kind != "pinhole":
+        return None
+    try:
+        if n.get("CV_FX", 0) > 0 and n.get("CV_FY", 0) > 0:
+            terms = [n.get(f"CV_{name}", 0.0) for name in ("K1", "K2", "P1", "P2", "K3", "K4", "K5", "K6")]
+            return Camera(
+                image.width, image.height, n["CV_FX"], n["CV_FY"], n.get("CV_CX", 0), n.get("CV_CY", 0), tuple(terms)
+            )
+        focal, across, down = (n.get(name, 0) for name in ("focalLength", "pixelWidth", "pixelHeight"))
+        if min(focal, across, down) <= 0:
+            return None
+        return Camera(
+            image.width,
+            image.height,
+            focal / across,
+            focal / down,
+            n.get("principalPointX", (image.width - 1) / 2),
+            n.get("principalPointY", (image.height - 1) / 2),
+        )
+    except CameraError:
+        return None
+
+
+def camera_from_scanner_of(image: E57ImageInfo, info: E57Info) -> Rigid | None:
+    """Return the pose of a picture against the scan that it was taken with (else the first), or None without a pose."""
+    if image.world_from_image is None or not info.scans:
+        return None
+    scan = next((s for s in info.scans if s.guid and s.guid == image.associated_guid), info.scans[0])
+    world_from_scanner = scan.world_from_scanner or Rigid.identity()
+    return _OPENCV_FROM_E57 @ image.world_from_image.inverse @ world_from_scanner
+
+
+def _blob(image_file: object, image: E57ImageInfo) -> bytes:
+    node: object = image_file.root()  # type: ignore[attr-defined]
+    for step in image.blob_path:
+        node = node[step]  # type: ignore[index]
+    data = bytes(node.read_buffer())  # type: ignore[attr-defined]
+    if not data.startswith(_STARTS[image.format]):
+        raise FormatError(
+            f"the picture {image.name!r} is no {image.format.upper()}, though the E57 says so; it is damaged"
+        )
+    return data
+
+
+def _write(stem: Path, image: E57ImageInfo, data: bytes, info: E57Info) -> ExtractedImage:
+    picture = stem.with_name(f"{stem.name}.{'jpg' if image.format == 'jpeg' else 'png'}")
+    picture.write_bytes(data)
+    camera, pose = camera_of_image(image), camera_from_scanner_of(image, info)
+    camera_path = stem.with_name(f"{stem.name}.camera.json") if camera else None
+    pose_path = stem.with_name(f"{stem.name}.pose.json") if camera and pose else None
+    if camera and camera_path:
+        write_camera(camera_path, camera)
+    if pose and pose_path:
+        write_pose(pose_path, pose)
+    return ExtractedImage(picture, camera_path, pose_path)
+
+
+def _slug(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_")[:40] or "picture"

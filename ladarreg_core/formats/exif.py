@@ -1,0 +1,119 @@
+"""What a photo's EXIF tags say of its camera: which way up it was held, and the focal length."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+ORIENTATION = 0x0112
+_FOCAL_LENGTH = 0x920A
+_FOCAL_35MM = 0xA405
+_PLANE_X_RESOLUTION = 0xA20E
+_PLANE_UNIT = 0xA210
+_PIXEL_X_DIMENSION = 0xA002
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+_FILM_DIAGONAL_MM = math.hypot(36, 24)
+_PLAUSIBLE = (0.2, 40.0)
+_DISAGREEMENT = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ExifFocal:
+    """A focal length, and how it was found."""
+
+    focal_px: float
+    """Pixels of the picture."""
+    source: str
+    """In words, for the photo's notes."""
+
+
+def orientation_of(tags: Mapping[int, Any]) -> int:
+    """Return the EXIF orientation, 1 to 8; 1 where it is absent or absurd."""
+    value = tags.get(ORIENTATION, 1)
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
+
+
+def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """Return a picture (H, W, ...) turned and mirrored as its EXIF orientation says."""
+    if orientation in (2, 3):
+        values = values[:, ::-1]
+    if orientation in (3, 4):
+        values = values[::-1]
+    if orientation in (5, 6, 7, 8):
+        values = np.swapaxes(values, 0, 1)
+        if orientation in (6, 7):
+            values = values[:, ::-1]
+        if orientation in (7, 8):
+            values = values[::-1]
+    return np.ascontiguousarray(values)
+
+
+def focal_from_exif(tags: Mapping[int, Any], raw_width: int, raw_height: int) -> ExifFocal | None:
+    """Return the focal length in pixels, or None where the tags do not tell it.
+
+    From the focal plane's resolution where it agrees within 10 % with the 35 mm equivalent (or there is none), since
+    the equivalent is a rounded number; else from the equivalent, by the picture's diagonal: makers compare angles of
+    view along the diagonal, which is the same as 36 mm of width for 3:2 pictures, and holds for upright ones too.
+
+    Args:
+        tags: EXIF tags by number.
+        raw_width: the picture's width before any turn, pixels.
+        raw_height: its height.
+    """
+    from_plane = _by_focal_plane(tags, raw_width, raw_height)
+    film = _number(tags.get(_FOCAL_35MM))
+    from_film = None
+    if film:
+        focal = film / _FILM_DIAGONAL_MM * math.hypot(raw_width, raw_height)
+        if _plausible(focal, raw_width, raw_height):
+            from_film = ExifFocal(focal, f"EXIF: {film:g} mm in 35 mm terms, good to some percent")
+    if from_plane and from_film and abs(from_plane.focal_px / from_film.focal_px - 1) > _DISAGREEMENT:
+        return from_film
+    return from_plane or from_film
+
+
+def _by_focal_plane(tags: Mapping[int, Any], raw_width: int, raw_height: int) -> ExifFocal | None:
+    focal_mm, resolution = _number(tags.get(_FOCAL_LENGTH)), _number(tags.get(_PLANE_X_RESOLUTION))
+    unit_mm = _UNIT_MM.get(tags.get(_PLANE_UNIT, 2))
+    if not (focal_mm and resolution and unit_mm):
+        return None
+    full_width = _number(tags.get(_PIXEL_X_DIMENSION)) or raw_width  # the picture may have been resized since
+    focal = focal_mm * resolution / unit_mm * raw_width / full_width
+    if not _plausible(focal, raw_width, raw_height):
+        return None
+    return ExifFocal(focal, f"EXIF: {focal_mm:g} mm at {resolution / unit_mm:.1f} pixels per mm of the sensor")
+
+
+def _plausible(focal_px: float, width: int, height: int) -> bool:
+    low, high = _PLAUSIBLE
+    return low * max(width, height) <= focal_px <= high * max(width, height)
+
+
+def _number(value: Any) -> float | None:
+    """Return a positive finite number, or None: EXIF rationals may be 0/0."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None
+
+
+def exif_facts(tags: Mapping[int, Any]) -> dict[str, Any]:
+    """Return what an operator may want to know of the tags."""
+    facts: dict[str, Any] = {}
+    for name, tag in (("make", 0x010F), ("model", 0x0110), ("lens", 0xA434)):
+        if isinstance(tags.get(tag), str) and tags[tag].strip("\0 "):
+            facts[name] = tags[tag].strip("\0 ")
+    focal, film = _number(tags.get(_FOCAL_LENGTH)), _number(tags.get(_FOCAL_35MM))
+    if focal:
+        facts["focal_mm"] = focal
+    if film:
+        facts["focal_35mm_equivalent"] = film
+    if orientation_of(tags) != 1:
+        facts["orientation"] = orientation_of(tags)
+    return facts

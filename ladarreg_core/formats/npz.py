@@ -1,0 +1,311 @@
+"""NPZ scans: `intensity` with `xyz` or with `counts` and its scalars; nothing in them is ever unpickled."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.errors import ExportError, FormatError, OptionError, ShapeError
+from ladarreg_core.formats.boundary import (
+    PathLike,
+    as_float32,
+    one_line,
+    reading,
+    require_cells,
+    shown_name,
+    unit_notes,
+)
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.scan import IntensityKind, Scan
+from ladarreg_core.scanner import AzimuthElevation, ScanGeometry, TabulatedGrid, range_from_counts
+
+SCALARS = ("r0_m", "dr_m", "d_azimuth_rad", "d_elevation_rad")
+OFFSETS = ("azimuth_offset_rad", "elevation_offset_rad")
+_LARGEST_INFLATED = 256 << 20
+_LARGEST_RATIO = 200
+_LONGEST_HEADER = 4096
+
+
+def sniff_npz(head: bytes) -> bool:
+    """Tell whether these are the first bytes of a zip archive."""
+    return head[:4] in (b"PK\x03\x04", b"PK\x05\x06")
+
+
+def read_npz(path: PathLike, *, report: Report | None = None) -> Scan:
+    """Read an NPZ scan.
+
+    Args:
+        path: a file with `intensity` (H, W) and either `xyz` (H, W, 3), m, NaN or (0, 0, 0) = no return, or `counts`
+            (H, W), 0 = no return, with `r0_m`, `dr_m`, `d_azimuth_rad`, `d_elevation_rad` and optional offsets.
+        report: receives the progress.
+
+    Returns:
+        the scan; row 0 is the top, column 0 the left.
+
+    Raises:
+        FormatError: if it is damaged, incomplete, pickled, or claims more than it holds.
+        ShapeError: if the arrays disagree or there is no return.
+    """
+    with reading(path) as file, _archive(file) as archive:
+        members = _members(archive)
+        if "intensity" not in members:
+            raise FormatError(
+                f"the NPZ holds {_listed(members)} but no 'intensity'; a scan needs the laser's intensity (H, W)"
+            )
+        if ("xyz" in members) == ("counts" in members):
+            found = "both 'xyz' and 'counts'" if "xyz" in members else f"{_listed(members)}"
+            raise FormatError(f"the NPZ holds {found}; it needs either 'xyz' (H, W, 3) or 'counts' (H, W)")
+        intensity = members["intensity"]
+        if len(intensity.shape) != 2:
+            raise ShapeError(f"'intensity' has the shape {intensity.shape}; it must be (H, W)")
+        require_cells(*intensity.shape)
+        name = "xyz" if "xyz" in members else "counts"
+        measured = members[name]
+        wanted = (*intensity.shape, 3) if name == "xyz" else intensity.shape
+        if measured.shape != wanted:
+            raise ShapeError(f"'{name}' has the shape {measured.shape}, 'intensity' {intensity.shape}; they must agree")
+        color = members.get("color")
+        if color is not None and (color.shape != (*intensity.shape, 3) or color.dtype != np.uint8):
+            raise ShapeError(f"'color' is {color.dtype} {color.shape}; it must be uint8 {(*intensity.shape, 3)}")
+        total = 2 + (color is not None)
+        _tell(report, 0, total)
+        shown = as_float32(intensity.read(archive))
+        _tell(report, 1, total)
+        values = measured.read(archive)
+        _tell(report, 2, total)
+        geometry, metres = _from_xyz(values) if name == "xyz" else _from_counts(values, _scalars(archive, members))
+        ranges = as_float32(metres)
+        return Scan(
+            geometry,
+            ranges,
+            shown,
+            color=None if color is None else color.read(archive),
+            intensity_is=_intensity_is(archive, members),
+            name=file.stem,
+            notes=unit_notes(ranges),
+        )
+
+
+def write_npz_counts(
+    path: PathLike, *, counts: NDArray[Any], intensity: NDArray[Any], geometry: AzimuthElevation, r0_m: float,
+    dr_m: float, intensity_is: IntensityKind = "raw",
+) -> None:  # fmt: skip
+    """Write the counts form.
+
+    Args:
+        path: where to.
+        counts: (H, W) uint16, 0 = no return.
+        intensity: (H, W), any number type; it is kept.
+        geometry: its angles.
+        r0_m: range of count 0, m.
+        dr_m: range of one count, m.
+        intensity_is: `raw` or `range_normalised`.
+
+    Raises:
+        ShapeError: if the arrays have not the geometry's shape.
+        ExportError: if the file cannot be written.
+    """
+    if counts.shape != geometry.shape or intensity.shape != geometry.shape:
+        raise ShapeError(f"counts {counts.shape} and intensity {intensity.shape} must have the shape {geometry.shape}")
+    scalars = {
+        "r0_m": r0_m,
+        "dr_m": dr_m,
+        "d_azimuth_rad": geometry.d_azimuth_rad,
+        "d_elevation_rad": geometry.d_elevation_rad,
+        "azimuth_offset_rad": geometry.azimuth_offset_rad,
+        "elevation_offset_rad": geometry.elevation_offset_rad,
+        "intensity_is": intensity_is,
+    }
+    _save(path, {"counts": counts.astype(np.uint16), "intensity": intensity, **scalars})
+
+
+def write_npz_xyz(path: PathLike, scan: Scan) -> None:
+    """Write a scan in the xyz form, float32 metres in the scanner frame, NaN = no return.
+
+    Raises:
+        ExportError: if the file cannot be written.
+    """
+    arrays: dict[str, Any] = {"xyz": scan.points, "intensity": scan.intensity, "intensity_is": scan.intensity_is}
+    if scan.color is not None:
+        arrays["color"] = scan.color
+    _save(path, arrays)
+
+
+def _save(path: PathLike, arrays: dict[str, Any]) -> None:
+    try:
+        with open(path, "wb") as stream:
+            np.savez_compressed(stream, allow_pickle=False, **{k: np.asarray(v) for k, v in arrays.items()})
+    except OSError as error:
+        raise ExportError(f"{shown_name(path)} cannot be written: {error.strerror}; check the folder") from error
+
+
+@contextmanager
+def _archive(file: Path) -> Iterator[zipfile.ZipFile]:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            yield archive
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
+        raise FormatError(f"the NPZ is damaged or cut off ({one_line(error, 80)}); save it again") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """One array of the archive, as its own header describes it; nothing of its data has been read."""
+
+    entry: zipfile.ZipInfo
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    fortran_order: bool
+    data_offset: int
+
+    def read(self, archive: zipfile.ZipFile) -> NDArray[Any]:
+        """Return the array; the zip's check sum is verified on the way."""
+        with archive.open(self.entry) as stream:
+            stream.read(self.data_offset)
+            data = stream.read()
+        values = np.frombuffer(data, dtype=self.dtype).reshape(self.shape, order="F" if self.fortran_order else "C")
+        return values.astype(self.dtype.newbyteorder("="))
+
+
+def _members(archive: zipfile.ZipFile) -> dict[str, _Member]:
+    """Return the arrays of an archive by name; arrays of pickled objects raise only where they would be needed."""
+    wanted = {"intensity", "xyz", "counts", "color", "intensity_is", *SCALARS, *OFFSETS}
+    found: dict[str, _Member] = {}
+    for entry in archive.infolist():
+        name = entry.filename.removesuffix(".npy")
+        if name not in wanted or not entry.filename.endswith(".npy"):
+            continue
+        if name in found:
+            raise FormatError(f"the NPZ holds two arrays named {name!r}; it must hold one")
+        if entry.flag_bits & 1:
+            raise FormatError("the NPZ is encrypted; save it without a password")
+        ratio = entry.file_size / max(entry.compress_size, 1)
+        if entry.file_size > _LARGEST_INFLATED and ratio > _LARGEST_RATIO:
+            raise FormatError(
+                f"the array {name!r} would grow from {entry.compress_size:,} to {entry.file_size:,} bytes; no scan is "
+                "so empty: it is no honest file"
+            )
+        found[name] = _header_of(archive, entry, name)
+    if not found:
+        inside = [one_line(entry.filename, 30) for entry in archive.infolist()[:4]]
+        raise FormatError(f"it is a zip archive with {inside or 'nothing'} inside; a scan needs arrays as NPZ")
+    return found
+
+
+def _header_of(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> _Member:
+    with archive.open(entry) as stream:
+        try:
+            version = np.lib.format.read_magic(stream)
+            readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+            if version not in readers:
+                raise FormatError(f"the array {name!r} is of .npy version {version}; only 1.0 and 2.0 are read")
+            shape, fortran, dtype = readers[version](stream, max_header_size=_LONGEST_HEADER)
+        except (zipfile.BadZipFile, zlib.error, FormatError):
+            raise
+        except Exception as error:  # the header is a Python literal: there are many ways not to be one
+            raise FormatError(f"the array {name!r} has a damaged header; save it again") from error
+        offset = stream.tell()
+    if dtype.hasobject:
+        raise FormatError(f"the array {name!r} holds pickled Python objects, which are never loaded; save numbers")
+    if dtype.kind not in ("US" if name == "intensity_is" else "fiub"):
+        raise FormatError(f"the array {name!r} is of type {one_line(dtype, 40)}; it must hold numbers")
+    cells = 1
+    for side in shape:
+        cells *= int(side)
+    if cells * dtype.itemsize != entry.file_size - offset:
+        raise FormatError(
+            f"the array {name!r} claims {' x '.join(map(str, shape)) or 'one'} values of {dtype.itemsize} bytes, "
+            f"but {max(entry.file_size - offset, 0):,} bytes are there; save it again"
+        )
+    return _Member(entry, dtype, tuple(int(side) for side in shape), bool(fortran), offset)
+
+
+def _listed(members: dict[str, _Member]) -> str:
+    return ", ".join(sorted(members))
+
+
+def _scalars(archive: zipfile.ZipFile, members: dict[str, _Member]) -> dict[str, float]:
+    values = dict.fromkeys(OFFSETS, 0.0)
+    for name in (*SCALARS, *OFFSETS):
+        member = members.get(name)
+        if member is None:
+            if name in SCALARS:
+                raise FormatError(f"the scalar {name!r} is missing; the counts form needs {', '.join(SCALARS)}")
+            continue
+        if member.shape not in ((), (1,)):
+            raise ShapeError(f"{name!r} has the shape {member.shape}; it must be one number")
+        values[name] = float(member.read(archive).reshape(()))
+        if not np.isfinite(values[name]):
+            raise FormatError(f"{name!r} is {values[name]}; it must be a finite number")
+    return values
+
+
+def counts_geometry(shape: tuple[int, int], scalars: dict[str, float]) -> AzimuthElevation:
+    """Return the geometry of the counts form.
+
+    Raises:
+        FormatError: if `dr_m` is not positive, or an angle is impossible.
+    """
+    if scalars["dr_m"] <= 0:
+        raise FormatError(f"'dr_m' is {scalars['dr_m']:g}; it must be the positive range of one count in metres")
+    try:
+        return AzimuthElevation(
+            *shape,
+            scalars["d_azimuth_rad"],
+            scalars["d_elevation_rad"],
+            scalars["azimuth_offset_rad"],
+            scalars["elevation_offset_rad"],
+        )
+    except OptionError as error:
+        raise FormatError(str(error)) from error
+
+
+def _from_counts(counts: NDArray[Any], scalars: dict[str, float]) -> tuple[ScanGeometry, NDArray[np.float64]]:
+    if counts.dtype.kind not in "ui":
+        raise FormatError(f"'counts' is of type {counts.dtype}; it must hold whole numbers (uint16)")
+    if counts.dtype.kind == "i" and counts.min(initial=0) < 0:
+        raise FormatError(f"'counts' reaches down to {counts.min()}; counts are not negative, 0 = no return")
+    geometry = counts_geometry((counts.shape[0], counts.shape[1]), scalars)
+    return geometry, range_from_counts(counts, scalars["r0_m"], scalars["dr_m"])
+
+
+def _from_xyz(xyz: NDArray[Any]) -> tuple[ScanGeometry, NDArray[np.float64]]:
+    points = xyz.astype(np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        ranges = np.linalg.norm(points, axis=-1)
+    missing = ~(np.isfinite(ranges) & (ranges > 0))
+    if missing.all():
+        raise ShapeError(
+            "the scan has no returns: every point is missing, zero or not finite; it needs measured points"
+        )
+    points[missing] = np.nan
+    ranges[missing] = np.nan
+    return TabulatedGrid(points), ranges
+
+
+def _intensity_is(archive: zipfile.ZipFile, members: dict[str, _Member]) -> IntensityKind:
+    member = members.get("intensity_is")
+    if member is None:
+        return "raw"
+    if member.shape not in ((), (1,)):
+        raise ShapeError(f"'intensity_is' has the shape {member.shape}; it must be one word")
+    value = member.read(archive).reshape(())[()]
+    word = value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)
+    if word == "raw":
+        return "raw"
+    if word == "range_normalised":
+        return "range_normalised"
+    raise FormatError(f"'intensity_is' is {one_line(repr(word), 40)}; it must be 'raw' or 'range_normalised'")
+
+
+def _tell(report: Report | None, done: int, total: int) -> None:
+    if report is not None:
+        report(Progress(done, total, "reading the scan"))

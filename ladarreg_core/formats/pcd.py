@@ -1,0 +1,314 @@
+"""PCD point clouds: ascii, binary and binary_compressed; organised, or gridded by spherical projection."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import ByteArray, FloatArray
+from ladarreg_core.errors import FormatError, ShapeError
+from ladarreg_core.formats.boundary import PathLike, as_float32, one_line, reading, require_cells, unit_notes
+from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
+from ladarreg_core.formats.lzf import lzf_decompress
+from ladarreg_core.frames import Rigid
+from ladarreg_core.gridding import grid_points
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner import TabulatedGrid
+
+INTENSITY_NAMES = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "amplitude", "signal")
+RING_NAMES = ("ring", "channel", "laser_id", "laserid", "beam", "line")
+_COLOR_NAMES = ("rgb", "rgba")
+_LONGEST_HEADER = 1 << 16
+_MOST_FIELDS = 256
+_LARGEST_FIELD = 1 << 16
+_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_TYPES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+
+
+def sniff_pcd(head: bytes) -> bool:
+    """Tell whether these are the first bytes of a PCD header."""
+    lines = [line.strip() for line in head[:1024].splitlines()]
+    words = [line.split()[0] for line in lines if line and not line.startswith(b"#")]
+    return head.lstrip().startswith(b"# .PCD") or (bool(words) and words[0] in (b"VERSION", b"FIELDS"))
+
+
+def read_pcd(path: PathLike, *, report: Report | None = None) -> Scan:
+    """Read a PCD cloud as a scan.
+
+    Args:
+        path: a cloud with x, y, z (m) and an intensity; a `ring` field is used where there is one.
+        report: receives the progress.
+
+    Returns:
+        the scan in the file's own frame; an organised cloud keeps its grid if its directions bear it out, any other is
+        laid onto one.
+
+    Raises:
+        FormatError: if the header is damaged, claims more than the file holds, or there is no intensity.
+        ShapeError: if there are no returns.
+    """
+    with reading(path) as file:
+        with open(file, "rb") as stream:
+            header = _read_header(stream)
+            _tell(report, 0)
+            columns = _read_body(stream, header, file.stat().st_size - header.data_offset)
+        _tell(report, 1)
+        names = {name.lower(): name for name in columns}
+        if not {"x", "y", "z"} <= set(names):
+            raise FormatError(f"its fields are {one_line(' '.join(columns), 80)}; a scan needs x, y, z and intensity")
+        found = next((names[name] for name in INTENSITY_NAMES if name in names), None)
+        if found is None:
+            raise FormatError(
+                f"its fields are {one_line(' '.join(columns), 80)}; none is an intensity, which a scan needs: export "
+                "the cloud with its intensity"
+            )
+        points = np.stack([columns[names[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
+        color = next((_unpack_rgb(columns[names[name]]) for name in _COLOR_NAMES if name in names), None)
+        ring = next((columns[names[name]] for name in RING_NAMES if name in names), None)
+        scan = _to_scan(file.stem, header, points, as_float32(columns[found]), color, ring)
+        _tell(report, 2)
+        return scan
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    dtype: np.dtype[Any]
+    width: int
+    height: int
+    viewpoint: tuple[float, ...]
+    encoding: str
+    data_offset: int
+
+    @property
+    def points(self) -> int:
+        return self.width * self.height
+
+
+def _read_header(stream: io.BufferedReader) -> _Header:
+    entries: dict[str, list[str]] = {}
+    while "DATA" not in entries:
+        line = stream.readline(_LONGEST_HEADER)
+        if not line.endswith(b"\n") or stream.tell() > _LONGEST_HEADER:
+            raise FormatError("the PCD header ends before its DATA line; the file is cut off or no PCD")
+        words = line.decode("latin-1").split()
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] not in _KEYS:
+            raise FormatError(f"the PCD header has the line {one_line(line.decode('latin-1'), 60)!r}; it is damaged")
+        entries[words[0]] = words[1:]
+    fields = entries.get("FIELDS", [])
+    if not 1 <= len(fields) <= _MOST_FIELDS:
+        raise FormatError(f"the PCD header names {len(fields)} fields; it must name 1 to {_MOST_FIELDS}")
+    sizes, types = _whole(entries, "SIZE", len(fields)), entries.get("TYPE", [])
+    counts = _whole(entries, "COUNT", len(fields)) if "COUNT" in entries else [1] * len(fields)
+    if len(types) != len(fields):
+        raise FormatError(f"the PCD header has {len(fields)} FIELDS and {len(types)} TYPEs; they must agree")
+    width = _whole(entries, "WIDTH", 1)[0]
+    height = _whole(entries, "HEIGHT", 1)[0] if "HEIGHT" in entries else 1
+    require_cells(height, width)
+    if "POINTS" in entries and _whole(entries, "POINTS", 1)[0] != width * height:
+        raise FormatError(f"the PCD header says POINTS {entries['POINTS'][0]}, but WIDTH x HEIGHT is {width * height}")
+    encoding = " ".join(entries["DATA"]).lower()
+    if encoding not in ("ascii", "binary", "binary_compressed"):
+        raise FormatError(f"the PCD data are {one_line(encoding, 40)!r}; ascii, binary and binary_compressed are read")
+    dtype = _record_type(fields, sizes, types, counts)
+    return _Header(dtype, width, height, _viewpoint(entries.get("VIEWPOINT")), encoding, stream.tell())
+
+
+def _whole(entries: dict[str, list[str]], key: str, count: int) -> list[int]:
+    words = entries.get(key, [])
+    if len(words) != count or not all(word.isascii() and word.isdigit() and len(word) <= 18 for word in words):
+        found = one_line(" ".join(words), 40) or "missing"
+        raise FormatError(f"the PCD header's {key} is {found!r}; it must be {count} whole number{'s' * (count > 1)}")
+    return [int(word) for word in words]
+
+
+def _record_type(fields: list[str], sizes: list[int], types: list[str], counts: list[int]) -> np.dtype[Any]:
+    """Return the type of one point; repeated names (padding is called `_`) get a number."""
+    names: list[str] = []
+    formats: list[Any] = []
+    for field, size, letter, count in zip(fields, sizes, types, counts, strict=True):
+        if size not in _TYPES.get(letter, ()):
+            raise FormatError(
+                f"the field {one_line(field, 30)!r} is of TYPE {letter[:3]} SIZE {size}; there is no such type"
+            )
+        if not 1 <= count <= _LARGEST_FIELD:
+            raise FormatError(f"the field {one_line(field, 30)!r} has COUNT {count}; it must be 1 to {_LARGEST_FIELD}")
+        names.append(field if field not in names and field != "_" else f"_{len(names)}")
+        code = f"<{letter.lower()}{size}"
+        formats.append(code if count == 1 else (code, (count,)))
+    return np.dtype({"names": names, "formats": formats})
+
+
+def _viewpoint(words: list[str] | None) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(word) for word in words or ())
+    except ValueError:
+        numbers = ()
+    return numbers if len(numbers) == 7 and np.isfinite(numbers).all() else (0, 0, 0, 1, 0, 0, 0)
+
+
+def _read_body(stream: io.BufferedReader, header: _Header, there: int) -> dict[str, NDArray[Any]]:
+    """Return the one-valued fields by name, each (N,); nothing is allocated before the file is known to hold it."""
+    count, dtype = header.points, header.dtype
+    if header.encoding == "ascii":
+        return _read_ascii(stream, header, there)
+    if header.encoding == "binary":
+        _require_bytes(there, count, dtype)
+        records = np.frombuffer(stream.read(count * dtype.itemsize), dtype=dtype, count=count)
+        return {name: records[name] for name in _single(dtype)}
+    sizes = np.frombuffer(stream.read(8).ljust(8, b"\0"), "<u4").tolist()
+    if sizes[0] > there - 8:
+        raise FormatError(
+            f"the PCD body claims {sizes[0]:,} compressed bytes, {max(there - 8, 0):,} are there; it is cut off"
+        )
+    if sizes[1] != count * dtype.itemsize:
+        raise FormatError(
+            f"the PCD body holds {sizes[1]:,} bytes, but the header claims {count:,} points of {dtype.itemsize}"
+        )
+    data = lzf_decompress(stream.read(sizes[0]), sizes[1])
+    columns: dict[str, NDArray[Any]] = {}
+    at = 0
+    for name in dtype.names or ():  # compressed bodies are stored field by field
+        field = dtype[name]
+        if not field.shape:
+            columns[name] = np.frombuffer(data, dtype=field, count=count, offset=at)
+        at += field.itemsize * count
+    return columns
+
+
+def _require_bytes(there: int, count: int, dtype: np.dtype[Any]) -> None:
+    if there < count * dtype.itemsize:
+        raise FormatError(
+            f"the PCD header claims {count:,} points of {dtype.itemsize} bytes, but only {max(there, 0):,} bytes "
+            "follow; the file is cut off"
+        )
+
+
+def _single(dtype: np.dtype[Any]) -> list[str]:
+    return [name for name in dtype.names or () if not dtype[name].shape]
+
+
+def _read_ascii(stream: io.BufferedReader, header: _Header, there: int) -> dict[str, NDArray[Any]]:
+    dtype, count = header.dtype, header.points
+    lengths = [int(np.prod(dtype[name].shape, dtype=np.int64)) for name in dtype.names or ()]
+    if there < 2 * sum(lengths) * count - 1:  # a digit and a separator each
+        raise FormatError(
+            f"the PCD header claims {count:,} points of {sum(lengths)} numbers, but only {max(there, 0):,} bytes "
+            "follow; the file is cut off"
+        )
+    try:
+        table = np.loadtxt(stream, dtype=np.float64, ndmin=2, max_rows=count, comments=None, encoding="latin-1")
+    except ValueError as error:
+        raise FormatError(f"its rows of numbers are damaged ({one_line(error, 80)})") from error
+    if table.shape != (count, sum(lengths)):
+        raise FormatError(
+            f"the PCD header claims {count:,} points of {sum(lengths)} numbers, the file holds "
+            f"{table.shape[0]:,} x {table.shape[1]}; it is cut off or damaged"
+        )
+    starts = np.cumsum([0, *lengths])
+    columns: dict[str, NDArray[Any]] = {
+        name: table[:, starts[k]] for k, name in enumerate(dtype.names or ()) if not dtype[name].shape
+    }
+    for name in set(columns) & set(_COLOR_NAMES):
+        packed = columns[name]
+        columns[name] = packed.astype(np.float32) if dtype[name].kind == "f" else _clipped_uint32(packed)
+    return columns
+
+
+def _clipped_uint32(values: NDArray[Any]) -> NDArray[np.uint32]:
+    return np.asarray(np.clip(np.nan_to_num(values), 0, 2**32 - 1), dtype=np.uint32)
+
+
+def _unpack_rgb(packed: NDArray[Any]) -> ByteArray | None:
+    """Return (N, 3) of colours packed into four bytes, 0xAARRGGBB, which PCL stores as a float or an integer."""
+    if packed.dtype.itemsize != 4:
+        return None
+    words = np.ascontiguousarray(packed).view(np.uint32)
+    return np.stack([(words >> shift) & 255 for shift in (16, 8, 0)], axis=-1).astype(np.uint8)
+
+
+def _to_scan(
+    name: str,
+    header: _Header,
+    points: FloatArray,
+    intensity: FloatArray,
+    color: ByteArray | None,
+    ring: NDArray[Any] | None,
+) -> Scan:
+    notes: list[str] = []
+    pose = _pose(header.viewpoint)
+    if pose is not None:
+        notes.append("VIEWPOINT was read as the scanner's pose in the world; the points stay in the scanner's frame")
+    shape = (header.height, header.width)
+    if min(shape) > 1:
+        rays = unit_rays(points.reshape(*shape, 3))
+        if not np.isfinite(rays[..., 0]).any():
+            raise ShapeError("the scan has no returns: every point is missing or zero; it needs measured points")
+        if is_scan_grid(rays):
+            order = order_of(rays)
+            if order:
+                notes.append("the grid was turned so that row 0 is the top and column 0 the left")
+            with np.errstate(over="ignore", invalid="ignore"):
+                ranges = as_float32(np.linalg.norm(points, axis=-1)).reshape(shape)
+            grids = [order.apply(grid) for grid in (rays, ranges, intensity.reshape(shape))]
+            return Scan(
+                TabulatedGrid(grids[0]),
+                grids[1],
+                grids[2],
+                color=None if color is None else order.apply(color.reshape(*shape, 3)),
+                world_from_scanner=pose,
+                name=name,
+                notes=(*notes, *unit_notes(ranges)),
+            )
+        notes.append(f"its header says {header.width} x {header.height}, but the directions are in another order")
+    cloud = grid_points(points, intensity, color, ring=_whole_rings(ring))
+    notes.append(cloud.in_words())
+    return Scan(
+        cloud.geometry,
+        cloud.ranges,
+        cloud.intensity,
+        color=cloud.color,
+        world_from_scanner=pose,
+        name=name,
+        notes=(*notes, *unit_notes(cloud.ranges)),
+    )
+
+
+def _whole_rings(ring: NDArray[Any] | None) -> NDArray[np.int64] | None:
+    if ring is None or not np.isfinite(ring).all() or np.abs(ring.astype(np.float64)).max(initial=0) > 2**31:
+        return None
+    return ring.astype(np.int64)
+
+
+def _pose(viewpoint: tuple[float, ...]) -> Rigid | None:
+    """Return the pose of VIEWPOINT (tx ty tz qw qx qy qz), or None where it says nothing."""
+    x, y, z, *quaternion = viewpoint
+    return pose_of_quaternion(quaternion, (x, y, z))
+
+
+def pose_of_quaternion(quaternion: Any, translation: Any) -> Rigid | None:
+    """Return the transform of a quaternion (w, x, y, z) of any length; None for the identity, or for none at all."""
+    q, t = np.asarray(quaternion, dtype=np.float64), np.asarray(translation, dtype=np.float64)
+    length = float(np.linalg.norm(q))
+    if not (np.isfinite(q).all() and np.isfinite(t).all() and length > 1e-9):
+        return None
+    w, x, y, z = q / length
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return None if np.array_equal(R, np.eye(3)) and not t.any() else Rigid(R, t)
+
+
+def _tell(report: Report | None, done: int) -> None:
+    if report is not None:
+        report(Progress(done, 2, "reading the cloud"))

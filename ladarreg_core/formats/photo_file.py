@@ -1,0 +1,119 @@
+"""Photographs: the picture the right way up, and the camera that took it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import CameraError, OptionError
+from ladarreg_core.formats.boundary import PathLike, reading
+from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.exif import focal_from_exif, orientation_of, upright
+from ladarreg_core.formats.image_file import as_rgb, read_image
+from ladarreg_core.photo import Photo
+
+
+def read_photo(
+    path: PathLike,
+    *,
+    camera: Camera | PathLike | None = None,
+    focal_px: float | None = None,
+    focal_mm: float | None = None,
+    sensor_mm: float | None = None,
+) -> Photo:
+    """Read a photograph with its camera.
+
+    The camera is the one given, or a distortion-free one of the focal length given, or of the one in EXIF.
+
+    Args:
+        path: a PNG, JPEG, TIFF, WebP or BMP; gray and 16-bit pictures become 8-bit RGB.
+        camera: a camera, or a file of one. Its size then says whether it was calibrated on raw or on turned pixels.
+        focal_px: focal length in pixels of this picture.
+        focal_mm: focal length, mm; needs `sensor_mm`.
+        sensor_mm: the sensor's width, mm: that of the picture before any turn by EXIF.
+
+    Raises:
+        FormatError: if the file is no picture, or is damaged.
+        CameraError: if no focal length is given or found, or the picture has not the camera's size.
+        OptionError: if the options contradict each other or are not positive.
+    """
+    _check_options(camera, focal_px, focal_mm, sensor_mm)
+    given = camera if camera is None or isinstance(camera, Camera) else read_camera(camera)
+    with reading(path) as file:
+        image = read_image(file)
+        values, depth_note = as_rgb(image.values)
+        notes = [depth_note] if depth_note else []
+        orientation = orientation_of(image.exif)
+        raw_height, raw_width = values.shape[:2]
+        if given is not None:
+            turned = _is_turned(given, raw_width, raw_height, orientation)
+            if orientation != 1:
+                notes.append(
+                    f"EXIF orientation {orientation} was applied"
+                    if turned
+                    else f"EXIF orientation {orientation} was not applied: the camera has the size of the raw pixels"
+                )
+            pixels = upright(values, orientation) if turned else values
+            return Photo(pixels, given, name=file.stem, notes=tuple(notes))
+        focal, note = _focal(image.exif, raw_width, raw_height, focal_px, focal_mm, sensor_mm)
+        pixels = upright(values, orientation)
+        if orientation != 1:
+            notes.append(f"EXIF orientation {orientation} was applied")
+        notes.append(note)
+        height, width = pixels.shape[:2]
+        return Photo(pixels, Camera.from_focal(width, height, focal), name=file.stem, notes=tuple(notes))
+
+
+def _check_options(camera: object, focal_px: float | None, focal_mm: float | None, sensor_mm: float | None) -> None:
+    for name, value in (("focal_px", focal_px), ("focal_mm", focal_mm), ("sensor_mm", sensor_mm)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise OptionError(f"{name} is {value:g}; it must be positive")
+    ways = [name for name, value in (("a camera", camera), ("focal_px", focal_px), ("focal_mm", focal_mm))
+            if value is not None]  # fmt: skip
+    if len(ways) > 1:
+        raise OptionError(f"{' and '.join(ways)} are given; give one of them")
+    if (focal_mm is None) != (sensor_mm is None) and not (camera or focal_px):
+        there, missing = ("focal_mm", "sensor_mm") if sensor_mm is None else ("sensor_mm", "focal_mm")
+        raise OptionError(f"{there} is given without {missing}; give both (the sensor's width in mm)")
+
+
+def _is_turned(camera: Camera, raw_width: int, raw_height: int, orientation: int) -> bool:
+    """Tell whether the camera belongs to the picture as EXIF turns it: its size decides.
+
+    Where both fit (half turns, mirrored or square pictures) the turned one is meant: OpenCV, with which cameras are
+    calibrated, turns pictures silently.
+    """
+    turned = (raw_height, raw_width) if orientation >= 5 else (raw_width, raw_height)
+    if camera.size == turned:
+        return True
+    if camera.size == (raw_width, raw_height):
+        return False
+    either = f" ({turned[0]} x {turned[1]} turned by EXIF)" if turned != (raw_width, raw_height) else ""
+    raise CameraError(
+        f"the picture is {raw_width} x {raw_height} pixels{either}, the camera {camera.width} x {camera.height}; "
+        "give the camera of this picture size"
+    )
+
+
+def _focal(
+    tags: Mapping[int, Any],
+    raw_width: int,
+    raw_height: int,
+    focal_px: float | None,
+    focal_mm: float | None,
+    sensor_mm: float | None,
+) -> tuple[float, str]:
+    if focal_px is not None:
+        return focal_px, f"focal length {focal_px:.1f} px, as given; the lens is taken as free of distortion"
+    if focal_mm is not None and sensor_mm is not None:
+        focal = focal_mm / sensor_mm * raw_width
+        return focal, f"focal length {focal:.1f} px from {focal_mm:g} mm and a sensor {sensor_mm:g} mm wide"
+    found = focal_from_exif(tags, raw_width, raw_height)
+    if found is None:
+        raise CameraError(
+            "the picture does not tell its focal length (no EXIF); give --camera FILE, --focal-px, or --focal-mm with "
+            "--sensor-mm"
+        )
+    return found.focal_px, f"focal length {found.focal_px:.1f} px from {found.source}"

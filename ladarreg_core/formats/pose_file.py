@@ -1,0 +1,38 @@
+"""Pose files: `{"camera_from_scanner": 4 x 4}`; a registration's own JSON is one too."""
+
+from __future__ import annotations
+
+from ladarreg_core.errors import DegenerateGeometryError, FormatError, ShapeError
+from ladarreg_core.formats.boundary import PathLike, one_line, reading
+from ladarreg_core.formats.json_file import number, read_json_object, write_json
+from ladarreg_core.frames import Rigid
+
+POSE_FIELD = "camera_from_scanner"
+
+
+def read_pose(path: PathLike) -> Rigid:
+    """Read `camera_from_scanner`.
+
+    Raises:
+        FormatError: if it is no JSON with that field, or the field is no rigid transform.
+    """
+    with reading(path) as file:
+        rows = read_json_object(file, "a pose file").get(POSE_FIELD)
+        if rows is None:
+            raise FormatError(f"the field {POSE_FIELD!r} is missing; a pose file holds it as 4 rows of 4 numbers")
+        if not (isinstance(rows, list) and len(rows) == 4 and all(isinstance(r, list) and len(r) == 4 for r in rows)):
+            raise FormatError(f"{POSE_FIELD!r} is {one_line(repr(rows), 60)}; it must be 4 rows of 4 numbers")
+        matrix = [[number({POSE_FIELD: value}, POSE_FIELD) for value in row] for row in rows]
+        try:
+            return Rigid.from_matrix(matrix)
+        except (DegenerateGeometryError, ShapeError) as error:
+            raise FormatError(f"{POSE_FIELD!r} is no rigid transform: {error}") from error
+
+
+def write_pose(path: PathLike, camera_from_scanner: Rigid) -> None:
+    """Write a pose.
+
+    Raises:
+        ExportError: if the file cannot be written.
+    """
+    write_json(path, {POSE_FIELD: camera_from_scanner.matrix.tolist()})

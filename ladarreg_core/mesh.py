@@ -1,0 +1,287 @@
+"""The 2.5-D mesh of a scan: its grid as a surface, torn where the surface is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
+from ladarreg_core.errors import OptionError
+from ladarreg_core.scan import Scan
+
+_ALWAYS_SURFACE = 1.0  # tan 45 deg: an isolated step that no surface of one slope makes is an edge beyond it
+_SURFACE_IF_SUPPORTED = 3.7  # tan 75 deg: steeper than this a surface must show itself over three steps in a row
+_SUPPORT = 0.25
+_SAME_SLOPE = 0.3
+_LEAST_SHARE = 0.5
+_NOISE_SIGMAS = 6.0
+_RELATIVE_NOISE = 0.002
+_LARGEST_NOISE = 0.01
+_LARGEST_GAP_STEPS = 6.0
+_LARGEST_GAP_RAD = 0.35
+_NOISE_SAMPLES = 200_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Triangles over the cells of a scan grid, facing the scanner (counter-clockwise as seen from it)."""
+
+    vertices: FloatArray
+    """(N, 3) float32, scanner frame, m."""
+    faces: IntArray
+    """(F, 3) int32, indices of vertices."""
+    cells: IntArray
+    """(N, 2) int32, the grid cell (row, column) of each vertex."""
+    shape: tuple[int, int]
+    """(H, W), cells of the full grid."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", read_only(self.vertices, np.float32, (None, 3), "the mesh's vertices"))
+        object.__setattr__(self, "faces", read_only(self.faces, np.int32, (None, 3), "the mesh's faces"))
+        object.__setattr__(self, "cells", read_only(self.cells, np.int32, (len(self.vertices), 2), "the mesh's cells"))
+
+    @property
+    def uv(self) -> NDArray[np.float32]:
+        """(N, 2) texture coordinates of a picture on the full grid: u right, v down, (0, 0) its outer top-left corner.
+
+        The centre of cell (row, column) is ((column + .5)/W, (row + .5)/H).
+        """
+        size = np.array(self.shape[::-1], dtype=np.float32)
+        return np.asarray((self.cells[:, ::-1].astype(np.float32) + np.float32(0.5)) / size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridEdges:
+    """Which neighbouring cells lie on one surface; False too where either has no return."""
+
+    right: BoolArray
+    """(H, W - 1) bool: cell (i, j) with (i, j + 1)."""
+    down: BoolArray
+    """(H - 1, W) bool: cell (i, j) with (i + 1, j)."""
+    noise_m: float
+    """Range noise that was allowed for, one sigma, estimated from the scan."""
+
+
+_edges_of_scan: WeakKeyDictionary[Scan, GridEdges] = WeakKeyDictionary()
+
+
+def grid_edges(scan: Scan) -> GridEdges:
+    """Tell surface from depth edge between all neighbouring cells of a scan.
+
+    On a plane the inverse range is linear along the grid, however grazing the plane is, so a step in it is judged
+    against the steps beside it: a flat step is surface; a steeper one needs a neighbour that steps the same way; one
+    steeper than 75 degrees needs three equal steps in a row, which a mixed pixel between two surfaces cannot show.
+
+    Returns:
+        The edges; kept for as long as the scan lives, since nothing about it can change.
+    """
+    edges = _edges_of_scan.get(scan)
+    if edges is None:
+        edges = _edges_of_scan[scan] = _surface_edges(scan.ranges, scan.rays)
+    return edges
+
+
+def scan_mesh(scan: Scan, *, step: int | tuple[int, int] = 1, max_vertices: int | None = None) -> Mesh:
+    """Return the surface of a scan, with no triangle across a depth edge or a cell without return.
+
+    Args:
+        scan: the scan.
+        step: take every n-th cell, of rows and columns alike or (rows, columns).
+        max_vertices: raise the step, on the axis with the finer angle first, until there are no more vertices than
+            this; None: keep the step.
+
+    Returns:
+        The mesh; it has no faces if no three neighbouring cells have returns.
+
+    Raises:
+        OptionError: if a step is below 1 or `max_vertices` below 4.
+    """
+    steps = step if isinstance(step, tuple) else (step, step)
+    if len(steps) != 2 or any(isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1 for n in steps):
+        raise OptionError(f"the mesh's step is {step}; it must be a whole number of cells, at least 1")
+    if max_vertices is not None and max_vertices < 4:
+        raise OptionError(f"max_vertices is {max_vertices}; a mesh needs at least 4")
+    rows, columns = _decimate(scan, (int(steps[0]), int(steps[1])), max_vertices)
+    if len(rows) == scan.shape[0] and len(columns) == scan.shape[1]:
+        edges = grid_edges(scan)
+        ranges, points = scan.ranges, scan.points
+    else:
+        ranges = scan.ranges[np.ix_(rows, columns)]
+        points = scan.points[np.ix_(rows, columns)]
+        edges = _surface_edges(ranges, scan.rays[np.ix_(rows, columns)])
+    faces = _faces_toward_scanner(grid_faces(ranges, edges), points)
+    used = np.zeros(ranges.size, dtype=np.bool_)
+    used[faces] = True
+    kept = np.flatnonzero(used)
+    index = np.zeros(ranges.size, dtype=np.int32)
+    index[kept] = np.arange(len(kept), dtype=np.int32)
+    i, j = np.divmod(kept, len(columns))
+    return Mesh(points.reshape(-1, 3)[kept], index[faces], np.stack([rows[i], columns[j]], axis=-1), scan.shape)
+
+
+def _decimate(scan: Scan, steps: tuple[int, int], max_vertices: int | None) -> tuple[IntArray, IntArray]:
+    (height, width), angles = scan.shape, scan.geometry.step_rad
+    row_step, column_step = min(steps[0], height - 1), min(steps[1], width - 1)
+    valid = scan.valid
+    while max_vertices is not None and np.count_nonzero(valid[::row_step, ::column_step]) > max_vertices:
+        can_rows, can_columns = row_step < height - 1, column_step < width - 1
+        if can_rows and (row_step * angles[0] <= column_step * angles[1] or not can_columns):
+            row_step += 1
+        elif can_columns:
+            column_step += 1
+        else:
+            break
+    return np.arange(0, height, row_step), np.arange(0, width, column_step)
+
+
+def grid_faces(ranges: FloatArray, edges: GridEdges, *, wanted: BoolArray | None = None) -> IntArray:
+    """Return the triangles of a grid, as flat cell indices, all of one turn over the grid.
+
+    A triangle is named by its right-angled corner and stands where the two edges at that corner do. Of a quad's two
+    diagonals the one is taken that keeps more triangles, then the one with the smaller step.
+
+    Args:
+        ranges: (H, W) m; NaN = no return.
+        edges: which neighbours lie on one surface.
+        wanted: (H - 1, W - 1) bool, quads to use; None: all.
+
+    Returns:
+        faces (F, 3) int32.
+    """
+    height, width = ranges.shape
+    top, bottom, left, right = edges.right[:-1], edges.right[1:], edges.down[:, :-1], edges.down[:, 1:]
+    at_00, at_01, at_10, at_11 = top & left, top & right, bottom & left, bottom & right
+    with np.errstate(invalid="ignore"):
+        step_a = np.abs(ranges[:-1, 1:] - ranges[1:, :-1])  # diagonal of the corners 00 and 11
+        step_b = np.abs(ranges[:-1, :-1] - ranges[1:, 1:])
+        nearer_a = ~(step_b < step_a)
+    count_a, count_b = at_00.view(np.int8) + at_11.view(np.int8), at_01.view(np.int8) + at_10.view(np.int8)
+    use_a = (count_a > count_b) | ((count_a == count_b) & nearer_a)
+    use_b = ~use_a
+    if wanted is not None:
+        use_a, use_b = use_a & wanted, use_b & wanted
+    corner = np.arange(height * width, dtype=np.int32).reshape(height, width)[:-1, :-1]
+    triangles = []
+    for present, offsets in (
+        (at_00 & use_a, (0, width, 1)),
+        (at_11 & use_a, (width + 1, 1, width)),
+        (at_01 & use_b, (1, 0, width + 1)),
+        (at_10 & use_b, (width, width + 1, 0)),
+    ):
+        triangles.append(corner[present][:, None] + np.array(offsets, dtype=np.int32))
+    return np.concatenate(triangles)
+
+
+def _faces_toward_scanner(faces: IntArray, points: FloatArray) -> IntArray:
+    """Turn all triangles if most of them show the scanner their back: grids may run either way."""
+    if not len(faces):
+        return faces
+    sample = faces[:: max(1, len(faces) // 2000)]
+    a, b, c = (points.reshape(-1, 3)[sample[:, k]].astype(np.float64) for k in range(3))
+    outward = (np.cross(b - a, c - a) * a).sum(axis=-1)
+    return faces[:, ::-1] if np.count_nonzero(outward > 0) * 2 > len(sample) else faces
+
+
+def typical_range(ranges: FloatArray) -> float:
+    """Return the median range, m, of an evenly spread sample of the returns; 0 where there are none."""
+    returns = ranges[np.isfinite(ranges)]
+    return float(np.median(returns[:: max(1, returns.size // _NOISE_SAMPLES)])) if len(returns) else 0.0
+
+
+def _surface_edges(ranges: FloatArray, rays: FloatArray) -> GridEdges:
+    with np.errstate(over="ignore"):
+        q = (1 / ranges).astype(np.float32)  # no range is zero; NaN stays
+    noise = _range_noise(ranges, q)
+    planes = np.ascontiguousarray(np.moveaxis(rays, -1, 0), dtype=np.float32)
+    return GridEdges(_line_edges(q, planes, 1, noise), _line_edges(q, planes, 0, noise), noise)
+
+
+def _line_edges(q: FloatArray, planes: FloatArray, axis: int, noise_m: float) -> BoolArray:
+    """Return which steps along an axis are surface, for inverse ranges q (H, W) and rays (3, H, W)."""
+    first, second = ((np.s_[..., :-1], np.s_[..., 1:]), (np.s_[..., :-1, :], np.s_[..., 1:, :]))[1 - axis]
+    gap = np.zeros(q[first].shape, dtype=np.float32)
+    for plane in planes:
+        gap += np.square(plane[second] - plane[first])
+    np.sqrt(gap, out=gap)
+    step = q[second] - q[first]
+    smaller = np.minimum(q[second], q[first])
+    larger = np.maximum(q[second], q[first])
+    allowance = np.float32(_RELATIVE_NOISE) + np.float32(_NOISE_SIGMAS * noise_m) * larger
+    with np.errstate(invalid="ignore"):
+        steepness = np.abs(step) / smaller - allowance  # relative to the nearer range, less the noise
+        surface = np.asarray(steepness <= np.float32(_ALWAYS_SURFACE) * gap)
+        judged = np.nonzero((steepness > np.float32(_ALWAYS_SURFACE) * gap) & np.isfinite(step))
+    here = step[judged]
+    around = [_beside(step, judged, axis, offset) for offset in (-2, -1, 1, 2)]
+    tolerance = allowance[judged] * smaller[judged]
+    supported = _is_supported(here, around[1], around[2])
+    straight = _is_straight(here, around, tolerance)
+    gentle = steepness[judged] <= _SURFACE_IF_SUPPORTED * gap[judged]
+    surface[judged] = (gentle & supported) | straight
+    usual = float(np.median(gap.ravel()[:: max(1, gap.size // 4096)]))
+    surface &= gap <= min(max(_LARGEST_GAP_STEPS * usual, 1e-6), _LARGEST_GAP_RAD)
+    return surface
+
+
+def _beside(step: FloatArray, at: tuple[IntArray, ...], axis: int, offset: int) -> FloatArray:
+    """Return the steps `offset` places further along the axis; NaN outside the grid."""
+    index = list(at)
+    index[axis] = at[axis] + offset
+    inside = (index[axis] >= 0) & (index[axis] < step.shape[axis])
+    index[axis] = np.clip(index[axis], 0, step.shape[axis] - 1)
+    return np.asarray(np.where(inside, step[tuple(index)], np.nan))
+
+
+def _is_supported(here: FloatArray, before: FloatArray, after: FloatArray) -> BoolArray:
+    """A neighbour steps the same way, at least a quarter as far; or there is no neighbour to ask."""
+    with np.errstate(invalid="ignore"):
+        least = _SUPPORT * np.abs(here)
+        by_before, by_after = before * np.sign(here) >= least, after * np.sign(here) >= least
+    return np.asarray(by_before | by_after | (np.isnan(before) & np.isnan(after)))
+
+
+def _is_straight(here: FloatArray, around: Sequence[FloatArray], tolerance: FloatArray) -> BoolArray:
+    """The step is one of three in a row that are alike, as on a plane however grazing."""
+
+    def alike(a: FloatArray, b: FloatArray) -> Any:
+        smaller, larger = np.minimum(np.abs(a), np.abs(b)), np.maximum(np.abs(a), np.abs(b))
+        # The share keeps noise from making a flat neighbour of a jump look like its continuation.
+        return (larger - smaller <= _SAME_SLOPE * larger + tolerance) & (smaller >= _LEAST_SHARE * larger) & (a * b > 0)
+
+    two_before, before, after, two_after = around
+    with np.errstate(invalid="ignore"):
+        left, right = alike(here, before), alike(here, after)
+        result = (left & right) | (left & alike(before, two_before)) | (right & alike(after, two_after))
+    return np.asarray(result, dtype=np.bool_)
+
+
+def _range_noise(ranges: FloatArray, q: FloatArray) -> float:
+    """Estimate the range noise, one sigma, m, from second differences of the inverse range, which vanish on planes.
+
+    The smaller of the two axes is taken (the coarser one sees the scene's shape), and a scanner's range quantum counts
+    as noise although most of its second differences are zero.
+    """
+    typical = typical_range(ranges)
+    estimates = []
+    for axis in (0, 1):
+        if q.shape[axis] < 3:
+            continue
+        lines = q if axis == 1 else q.T
+        lines = lines[:: max(1, lines.size // _NOISE_SAMPLES)]
+        with np.errstate(invalid="ignore"):
+            second = lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2]
+            bend_m = np.abs(second) / lines[:, 1:-1] ** 2
+        bend_m = bend_m[np.isfinite(bend_m)]
+        if len(bend_m):
+            inner = bend_m[bend_m <= np.quantile(bend_m, 0.9)]
+            estimates.append(1.3 * float(np.sqrt(np.mean(np.square(inner, dtype=np.float64)))) / np.sqrt(6))
+    noise = min(estimates, default=0.0)
+    line_steps = np.abs(np.diff(ranges[:: max(1, ranges.size // _NOISE_SAMPLES)], axis=1))
+    line_steps = line_steps[line_steps > 4e-6 * typical]
+    quantum = float(np.quantile(line_steps, 0.01)) if len(line_steps) else 0.0
+    return float(min(max(noise, quantum / np.sqrt(12)), _LARGEST_NOISE * typical))

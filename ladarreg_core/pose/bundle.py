@@ -1,0 +1,377 @@
+"""The errors-in-variables cost of a pose, and Levenberg-Marquardt on it with every range eliminated.
+
+Each match has a ray that is exact, a range r that is not and a pixel u. With the true range rho as an unknown of its
+own the cost is the sum of
+
+    s = min_rho |u - pi(rho d)|^2 / sigma_u^2 + (r - rho)^2 / sigma_r^2
+
+which is chi-squared with two degrees of freedom a match. The ranges form a diagonal block, so their Schur complement
+leaves a 6 x 6 system whatever the number of matches. Several starts are carried at once (the leading axis B), and
+matches come last: at a few hundred of them the cost is that of calling NumPy, not of the arithmetic.
+
+Source: Triggs et al., Bundle adjustment: a modern synthesis (1999), 6.1; the pose's increments are those of
+`PoseResult.covariance`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid, skew
+from ladarreg_core.matches import Matches
+
+UNSEEN = 1e30
+"""The s of a match behind the camera: finite, so that sums and bounded costs stay so."""
+_FARTHEST_SIGMA = 8.0  # a range further off belongs to a mismatch, whose rho must not run away
+_NEAREST = 0.05  # rho stays beyond this fraction of the measured range
+_EYE = np.eye(6)
+_GENERATORS = np.stack([skew(axis) for axis in np.eye(3)]).reshape(3, 9)
+_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
+
+Weigh = Callable[[FloatArray], FloatArray]
+"""From s (B, N) to weights (B, N)."""
+Cost = Callable[[FloatArray], FloatArray]
+"""From s (B, N) to costs (B,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """Matches with the noise of each, their pixels on the ideal picture at z = 1.
+
+    The lens is undone once and stays in the noise alone: over the few pixels of an inlier's residual its distortion is
+    linear to 1e-3, and a mismatch need not be exact.
+    """
+
+    rays: FloatArray
+    """(3, N) unit, scanner frame."""
+    ranges: FloatArray
+    """(N,) m."""
+    range_information: FloatArray
+    """(N,) 1/sigma_r^2, 1/m^2."""
+    xy: FloatArray
+    """(2, N) ideal picture coordinates, tangents; NaN where no ray of the lens meets the pixel."""
+    information: FloatArray
+    """(3, N) the elements xx, xy, yy of the inverse covariance of `xy`."""
+    least_rho: FloatArray
+    """(N,) how near a range may be adjusted, m."""
+    most_rho: FloatArray
+    """(N,) how far, m."""
+
+    @staticmethod
+    def of(matches: Matches, camera: Camera, *, sigma_px: float, sigma_range_m: float) -> Measurements:
+        """Return the measurements of matches; a match's weight multiplies its information."""
+        assert matches.weights is not None
+        rays_camera = camera.unproject(matches.uv)
+        ideal = rays_camera / rays_camera[:, 2:]
+        _, d_uv = camera.project_with_jacobian(ideal)
+        D = np.moveaxis(d_uv[..., :2], 0, -1)  # (2, 2, N) d uv / d xy
+        information = np.stack(
+            [D[0, 0] ** 2 + D[1, 0] ** 2, D[0, 0] * D[0, 1] + D[1, 0] * D[1, 1], D[0, 1] ** 2 + D[1, 1] ** 2]
+        )
+        reach = _FARTHEST_SIGMA * sigma_range_m / np.sqrt(matches.weights)
+        return Measurements(
+            np.ascontiguousarray(matches.rays.T),
+            matches.ranges,
+            matches.weights / sigma_range_m**2,
+            np.ascontiguousarray(ideal[:, :2].T),
+            np.where(np.isfinite(information), information, 0.0) * (matches.weights / sigma_px**2),
+            np.maximum(matches.ranges - reach, _NEAREST * matches.ranges),
+            matches.ranges + reach,
+        )
+
+    def __len__(self) -> int:
+        return len(self.ranges)
+
+    def subset(self, keep: BoolArray | IntArray) -> Measurements:
+        """Return the measurements of a mask (N,) or of indices."""
+        return Measurements(
+            self.rays[:, keep],
+            self.ranges[keep],
+            self.range_information[keep],
+            self.xy[:, keep],
+            self.information[:, keep],
+            self.least_rho[keep],
+            self.most_rho[keep],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class States:
+    """B poses, each with its own N ranges."""
+
+    rotations: FloatArray
+    """(B, 3, 3) camera_from_scanner."""
+    centres: FloatArray
+    """(B, 3) camera centres, scanner frame, m."""
+    rho: FloatArray
+    """(B, N) adjusted ranges, m."""
+
+    @staticmethod
+    def of(poses: Sequence[Rigid], measured: Measurements) -> States:
+        """Return the states of poses, the ranges as measured."""
+        return States(
+            np.stack([pose.rotation for pose in poses]),
+            np.stack([pose.centre for pose in poses]),
+            np.tile(measured.ranges, (len(poses), 1)),
+        )
+
+    def pose(self, index: int = 0) -> Rigid:
+        """Return one pose."""
+        return Rigid.from_centre(self.rotations[index], self.centres[index])
+
+    def subset(self, starts: BoolArray | IntArray) -> States:
+        """Return some of the states."""
+        return States(self.rotations[starts], self.centres[starts], self.rho[starts])
+
+    def seeing(self, measured: Measurements) -> States:
+        """Return the same poses with the measured ranges of other matches."""
+        return States(self.rotations, self.centres, np.tile(measured.ranges, (len(self.centres), 1)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """The matches as B states see them; nothing is divided by sigma yet."""
+
+    s: FloatArray
+    """(B, N) the cost of each match; `UNSEEN` behind the camera."""
+    turned: FloatArray
+    """(B, 3, N) rays in the camera's axes."""
+    x: FloatArray
+    """(B, N) predicted tangents; 0 where unseen, as all below."""
+    y: FloatArray
+    """(B, N)"""
+    inverse_z: FloatArray
+    """(B, N) 1/m."""
+    ex: FloatArray
+    """(B, N) observed minus predicted tangents."""
+    ey: FloatArray
+    """(B, N)"""
+    range_error: FloatArray
+    """(B, N) measured minus adjusted, m."""
+
+
+def residuals(measured: Measurements, states: States) -> Residuals:
+    """Return how every state sees every match."""
+    R = states.rotations
+    turned = R @ measured.rays
+    p = turned * states.rho[:, None, :]
+    p -= R @ states.centres[:, :, None]
+    z = p[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        inverse_z = 1 / z
+        x, y = p[:, 0] * inverse_z, p[:, 1] * inverse_z
+        ex, ey = measured.xy[0] - x, measured.xy[1] - y
+        xx, xy, yy = measured.information
+        error = measured.ranges - states.rho
+        s = xx * ex * ex + 2 * xy * ex * ey + yy * ey * ey + measured.range_information * error * error
+        unseen = ~((z > 0) & (s < UNSEEN))
+    if unseen.any():
+        s[unseen] = UNSEEN
+        for values in (x, y, inverse_z, ex, ey, error):
+            values[unseen] = 0.0
+    return Residuals(s, turned, x, y, inverse_z, ex, ey, error)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """The normal equations' parts at B states, each match's range already answered."""
+
+    j_pose: FloatArray
+    """(B, 6, 2, N) d xy / d (w, c)."""
+    jx: FloatArray
+    """(B, N) d x / d rho, 1/m."""
+    jy: FloatArray
+    """(B, N) d y / d rho, 1/m."""
+    mx: FloatArray
+    """(B, N) M j, with M the information of xy."""
+    my: FloatArray
+    """(B, N)"""
+    h: FloatArray
+    """(B, N) the ranges' diagonal block: j M j + 1/sigma_r^2."""
+
+
+def linearise(measured: Measurements, states: States, seen: Residuals) -> Linearised:
+    """Return the derivatives of every match at every state."""
+    R, x, y, inverse_z = states.rotations, seen.x, seen.y, seen.inverse_z
+    B, N = x.shape
+    J = np.empty((B, 6, 2, N))
+    xy = x * y
+    J[:, 0, 0], J[:, 1, 0], J[:, 2, 0] = -xy, 1 + x * x, -y  # d p = w x p
+    J[:, 0, 1], J[:, 1, 1], J[:, 2, 1] = -1 - y * y, xy, x
+    J[:, 3:, 0] = (x[:, None] * R[:, 2, :, None] - R[:, 0, :, None]) * inverse_z[:, None]  # d p = -R c
+    J[:, 3:, 1] = (y[:, None] * R[:, 2, :, None] - R[:, 1, :, None]) * inverse_z[:, None]
+    turned = seen.turned
+    jx, jy = (turned[:, 0] - x * turned[:, 2]) * inverse_z, (turned[:, 1] - y * turned[:, 2]) * inverse_z
+    xx, xy_, yy = measured.information
+    mx, my = xx * jx + xy_ * jy, xy_ * jx + yy * jy
+    return Linearised(J, jx, jy, mx, my, jx * mx + jy * my + measured.range_information)
+
+
+def normal_equations(
+    measured: Measurements, seen: Residuals, lin: Linearised, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return H (B, 6, 6) and g (B, 6) of the poses, the ranges eliminated.
+
+    Args:
+        measured: what is fitted.
+        seen: its residuals.
+        lin: its derivatives.
+        weights: (B, N) multiply the information; matches that are unseen count for nothing.
+    """
+    B, _, _, N = lin.j_pose.shape
+    weights = weights * (seen.s < UNSEEN)
+    xx, xy, yy = measured.information
+    # the information of a pixel whose range is free within its own noise: M - M j j^T M / h
+    share_x, share_y = lin.mx / lin.h, lin.my / lin.h
+    xx, xy, yy = weights * (xx - lin.mx * share_x), weights * (xy - lin.mx * share_y), weights * (yy - lin.my * share_y)
+    J = lin.j_pose
+    J_x, J_y = J[:, :, 0], J[:, :, 1]
+    K = np.empty_like(J)
+    np.multiply(xx[:, None], J_x, out=K[:, :, 0])
+    K[:, :, 0] += xy[:, None] * J_y
+    np.multiply(xy[:, None], J_x, out=K[:, :, 1])
+    K[:, :, 1] += yy[:, None] * J_y
+    # what is left of the residual when the range has gone back to where it was measured: e' = e - j (r - rho)
+    e = np.empty((B, 2, N))
+    np.subtract(seen.ex, lin.jx * seen.range_error, out=e[:, 0])
+    np.subtract(seen.ey, lin.jy * seen.range_error, out=e[:, 1])
+    flat = K.reshape(B, 6, 2 * N)
+    H = flat @ J.reshape(B, 6, 2 * N).swapaxes(1, 2)
+    g = flat @ e.reshape(B, 2 * N, 1)
+    return (H + H.swapaxes(1, 2)) / 2, g[..., 0]
+
+
+def moved(measured: Measurements, states: States, seen: Residuals, lin: Linearised, step: FloatArray | None) -> States:
+    """Return the states after a step (B, 6) of the poses, each range following its pose; None: the ranges alone."""
+    ex, ey = seen.ex, seen.ey
+    rotations, centres = states.rotations, states.centres
+    if step is not None:
+        B, _, _, N = lin.j_pose.shape
+        predicted = (step[:, None, :] @ lin.j_pose.reshape(B, 6, 2 * N)).reshape(B, 2, N)
+        ex, ey = ex - predicted[:, 0], ey - predicted[:, 1]
+        rotations = _rotations(step[:, :3]) @ rotations
+        centres = centres + step[:, 3:]
+    rho = states.rho + (lin.mx * ex + lin.my * ey + measured.range_information * seen.range_error) / lin.h
+    return States(rotations, centres, np.minimum(np.maximum(rho, measured.least_rho), measured.most_rho))
+
+
+def _rotations(rotvecs: FloatArray) -> FloatArray:
+    """Return exp([w]x), (B, 3, 3), of rotation vectors (B, 3). Source: Rodrigues' formula."""
+    angle = np.sqrt((rotvecs * rotvecs).sum(axis=1)) + 1e-30
+    half = np.sin(angle / 2) / angle
+    K = (rotvecs @ _GENERATORS).reshape(-1, 3, 3)
+    return np.asarray(
+        _EYE[:3, :3] + (np.sin(angle) / angle)[:, None, None] * K + (2 * half * half)[:, None, None] * (K @ K)
+    )
+
+
+def settle(measured: Measurements, states: States, *, rounds: int = 2) -> tuple[States, Residuals]:
+    """Let every range answer its pose, the poses held still."""
+    seen = residuals(measured, states)
+    for _ in range(rounds):
+        answered = moved(measured, states, seen, linearise(measured, states, seen), None)
+        after = residuals(measured, answered)
+        better = after.s <= seen.s
+        if better.all():
+            states, seen = answered, after
+        else:  # a range that overshoots stays where it was
+            states = States(states.rotations, states.centres, np.where(better, answered.rho, states.rho))
+            seen = residuals(measured, states)
+    return states, seen
+
+
+@dataclass(slots=True, eq=False)
+class Descent:
+    """Levenberg-Marquardt on B states at once, one step at a time, each start with its own damping.
+
+    The cost may change between steps, as graduated non-convexity needs it.
+    """
+
+    measured: Measurements
+    """What is fitted."""
+    states: States
+    """Where the descent stands."""
+    seen: Residuals
+    """The residuals there."""
+    damping: FloatArray
+    """(B,)"""
+    moved_sigma: FloatArray
+    """(B,) length of the last step in its own standard deviations; infinite after a refused one."""
+
+    @staticmethod
+    def start(measured: Measurements, states: States) -> Descent:
+        """Return the descent before its first step."""
+        B = len(states.centres)
+        return Descent(measured, states, residuals(measured, states), np.full(B, 1e-4), np.full(B, np.inf))
+
+    def step(self, weigh: Weigh, cost: Cost) -> None:
+        """Take one step of every start; a start that would climb stays and is damped more."""
+        lin = linearise(self.measured, self.states, self.seen)
+        H, g = normal_equations(self.measured, self.seen, lin, weigh(self.seen.s))
+        step = _solve_damped(H, g, self.damping)
+        there = moved(self.measured, self.states, self.seen, lin, step)
+        seen = residuals(self.measured, there)
+        lower = cost(seen.s) <= cost(self.seen.s)
+        length = np.sqrt(np.maximum((step[:, None, :] @ H @ step[:, :, None])[:, 0, 0], 0))
+        self.moved_sigma = np.where(lower, length, np.where(length < 1e-3, 0.0, np.inf))
+        self.damping = np.clip(np.where(lower, self.damping / 10, self.damping * 10), _LEAST_DAMPING, _MOST_DAMPING)
+        if lower.all():
+            self.states, self.seen = there, seen
+        elif lower.any():
+            take = lower[:, None]
+            self.states = States(
+                np.where(take[..., None], there.rotations, self.states.rotations),
+                np.where(take, there.centres, self.states.centres),
+                np.where(take, there.rho, self.states.rho),
+            )
+            self.seen = residuals(self.measured, self.states)
+
+
+def _solve_damped(H: FloatArray, g: FloatArray, damping: FloatArray) -> FloatArray:
+    diagonal = np.diagonal(H, axis1=1, axis2=2)
+    added = damping[:, None] * diagonal + 1e-14 * diagonal.max(axis=1, keepdims=True) + 1e-300
+    damped = H + added[:, :, None] * _EYE
+    try:
+        step = np.linalg.solve(damped, g[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        step = np.stack([np.linalg.lstsq(h, v, rcond=None)[0] for h, v in zip(damped, g, strict=True)])
+    step = np.where(np.isfinite(step), step, 0.0)
+    turn = np.sqrt((step[:, :3] ** 2).sum(axis=1, keepdims=True))
+    return np.asarray(step / np.maximum(turn, 1.0))  # beyond a radian the linearisation means nothing
+
+
+def least_squares(
+    measured: Measurements, states: States, *, steps: int = 20, tolerance_sigma: float = 1e-2
+) -> tuple[States, BoolArray]:
+    """Descend the plain sum of s; every match counts in full.
+
+    Args:
+        measured: what is fitted.
+        states: where to start.
+        steps: at most.
+        tolerance_sigma: stop when no start moves further than this many of its standard deviations.
+
+    Returns:
+        The states, and which of them settled (B,).
+    """
+    descent = Descent.start(measured, states)
+    for _ in range(steps):
+        descent.step(np.ones_like, _total)
+        if (descent.moved_sigma < tolerance_sigma).all():
+            break
+    return descent.states, descent.moved_sigma < tolerance_sigma
+
+
+def information_matrix(measured: Measurements, states: States) -> FloatArray:
+    """Return the Fisher information (B, 6, 6) of (w, c), the ranges marginalised."""
+    seen = residuals(measured, states)
+    return normal_equations(measured, seen, linearise(measured, states, seen), np.ones_like(seen.s))[0]
+
+
+def _total(s: FloatArray) -> FloatArray:
+    return np.asarray(s.sum(axis=-1))

@@ -1,0 +1,94 @@
+"""What an operator should know about a pose beside its residuals: the scene's shape, the baseline, the disparity."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
+from ladarreg_core.matches import Matches
+
+_STEREO_FROM_SCANNER = np.diag([-1.0, -1.0, 1.0]) @ CAMERA_AXES_FROM_SCANNER  # x left, y up, z forward
+_LEAST_DISPARITY_SIGMA = 3.0
+
+
+def stereo_depth_error(pose: Rigid, matches: Matches, camera: Camera, *, sigma_px: float) -> FloatArray:
+    """Return laser minus stereo depth of every match, in the thesis's stereo frame (depth along the scanner's X).
+
+    The two stereo depths, by x and by y disparity, are combined with the squares of their disparities as weights.
+    That mean does not depend on how both pictures are turned about the optical axis, so the 45 degree rotation of the
+    thesis (Eq 2.14-2.16), which keeps either disparity from vanishing, is not needed.
+
+    Args:
+        pose: camera_from_scanner.
+        matches: M matches.
+        camera: intrinsics.
+        sigma_px: pixel noise, px.
+
+    Returns:
+        (M,) m; NaN where the point is beside or behind the scanner's X, or where the disparity is within three
+        sigma_px of zero, as at a baseline of zero.
+
+    Source: thesis Eq 2.19-2.21.
+    """
+    laser_depth, disparity, numerator = _stereo(pose, matches, camera)
+    squared = (disparity * disparity).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = (disparity * numerator).sum(axis=1) / squared
+        known = np.sqrt(squared) * camera.focal_px > _LEAST_DISPARITY_SIGMA * sigma_px
+    return np.where(known, laser_depth - depth, np.nan)
+
+
+def _stereo(pose: Rigid, matches: Matches, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return laser depths (M,), derotated disparities (M, 2) and Z times those (M, 2) by Eq 2.17-2.18; lambda = 1."""
+    points = matches.points @ _STEREO_FROM_SCANNER.T
+    seen = camera.unproject(matches.uv) @ (pose.rotation @ _STEREO_FROM_SCANNER.T)
+    T = _STEREO_FROM_SCANNER @ pose.centre
+    with np.errstate(divide="ignore", invalid="ignore"):
+        laser_depth = np.where(points[:, 2] > 0, points[:, 2], np.nan)
+        xl = -points[:, :2] / laser_depth[:, None]
+        xc = -seen[:, :2] / np.where(seen[:, 2:] > 0, seen[:, 2:], np.nan)
+    return laser_depth, xc - xl, T[:2] + T[2] * xc
+
+
+def diagnose(pose: Rigid, matches: Matches, inliers: BoolArray, camera: Camera, *, sigma_px: float) -> dict[str, Any]:
+    """Return the scene's shape and the baseline's figures over the inliers, JSON-ready.
+
+    `planarity` is the least over the middle singular value of the centred points (0: flat), `linearity` the middle
+    over the largest (0: a line). The stereo methods fail where `stereo_sigma_z_over_z` exceeds .05 or
+    `disparity_over_sigma` falls below 40.
+    """
+    found = matches.subset(inliers)
+    figures: dict[str, Any] = {"matches": len(matches), "inliers": len(found)}
+    left, up, forward = (float(v) for v in _STEREO_FROM_SCANNER @ pose.centre)
+    figures |= {
+        "baseline_m": float(np.linalg.norm(pose.centre)),
+        "baseline_across_m": float(np.hypot(left, up)),
+        "baseline_forward_m": forward,
+    }
+    if len(found) < 2:
+        return figures
+    s = singular_values(found.points)
+    figures["planarity"] = float(s[2] / s[1]) if s[1] > 0 else 0.0
+    figures["linearity"] = float(s[1] / s[0]) if s[0] > 0 else 0.0
+    figures["range_near_m"], figures["range_far_m"] = float(found.ranges.min()), float(found.ranges.max())
+    spread = np.ptp(found.uv, axis=0) / camera.size
+    figures["spread_of_picture"] = float(np.clip(spread, 0, 1).prod())
+    _, disparity, _ = _stereo(pose, found, camera)
+    length = np.linalg.norm(disparity, axis=1) * camera.focal_px
+    if np.isfinite(length).any():
+        median = float(np.nanmedian(length))
+        figures["disparity_median_px"] = median
+        figures["disparity_over_sigma"] = median / sigma_px
+        if median > 0:
+            figures["stereo_sigma_z_over_z"] = float(np.sqrt(2) * sigma_px / median)
+    return figures
+
+
+def singular_values(points: FloatArray) -> FloatArray:
+    """Return the root mean square extents (3,) of points (N, 3) along their principal axes, largest first, m."""
+    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
+    return np.asarray(np.concatenate([values, np.zeros(3 - len(values))]))

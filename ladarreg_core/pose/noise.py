@@ -1,0 +1,89 @@
+"""The noise of pixels and ranges, told apart by what the inliers' scatter shows.
+
+A wrong range moves its pixel along the epipolar line only. The scatter across that line is therefore the pixels'
+alone, and what is more along it is the ranges':
+
+    variance across = sigma_u^2,    variance along = sigma_u^2 + sigma_r^2 |d pi / d rho|^2
+
+Where the baseline is too short to show the ranges' noise it does not matter either; a broad prior then keeps the
+stated value. Source: maximum likelihood of the two variance components.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+
+_PARAMETERS = 6
+_LEAST_PX = 0.05
+_PRIOR_LOG_SIGMA = np.log(3.0)
+_STEPS = 41
+_ROUNDS = 6
+
+
+def estimate_noise(
+    pose: Rigid,
+    inliers: Matches,
+    camera: Camera,
+    *,
+    stated_range_m: float,
+    most_px: float,
+    most_range_m: float,
+    fixed_px: float | None = None,
+    fixed_range_m: float | None = None,
+) -> tuple[float, float]:
+    """Return (sigma_px, sigma_range_m) of a match of weight 1.
+
+    Args:
+        pose: camera_from_scanner, fitted to the inliers.
+        inliers: the matches that agree, seen by the camera.
+        camera: intrinsics.
+        stated_range_m: the prior's centre, m.
+        most_px: upper bound, px.
+        most_range_m: upper bound, m.
+        fixed_px: where it is known, px.
+        fixed_range_m: where it is known, m.
+    """
+    assert inliers.weights is not None
+    points = pose @ inliers.points
+    uv, d_uv = camera.project_with_jacobian(points)
+    root = np.sqrt(inliers.weights)
+    e = (inliers.uv - uv) * root[:, None]
+    j = (d_uv @ (inliers.rays @ pose.rotation.T)[..., None])[..., 0]
+    length2 = (j * j).sum(axis=1)
+    along2 = np.divide((e * j).sum(axis=1) ** 2, length2, out=np.zeros(len(e)), where=length2 > 0)
+    across2 = np.maximum((e * e).sum(axis=1) - along2, 0)
+    n = len(e)
+    fitted = 2 * n / max(2 * n - _PARAMETERS, 1)  # the pose has taken its share of the scatter
+    along2, across2 = along2 * fitted, across2 * fitted
+
+    least_range_m = min(stated_range_m, most_range_m) / 30
+    grid = (
+        np.geomspace(least_range_m, most_range_m, _STEPS) if fixed_range_m is None else np.array([float(fixed_range_m)])
+    )
+    by_range = grid[:, None] ** 2 * length2
+    variance = np.full(len(grid), float(fixed_px) ** 2 if fixed_px is not None else 1.0)
+    if fixed_px is None:
+        variance = _pixel_variance(along2, across2, by_range, start=(across2.sum() + along2.sum()) / (2 * n))
+        variance = np.clip(variance, _LEAST_PX**2, most_px**2)
+    total = variance[:, None] + by_range
+    cost = (np.log(total) + along2 / total).sum(axis=1) + n * np.log(variance) + across2.sum() / variance
+    cost += (np.log(grid / stated_range_m) / _PRIOR_LOG_SIGMA) ** 2
+    best = int(np.argmin(cost))
+    return float(np.sqrt(variance[best])), float(grid[best])
+
+
+def _pixel_variance(along2: FloatArray, across2: FloatArray, by_range: FloatArray, *, start: float) -> FloatArray:
+    """Return the likeliest pixel variance for each range noise, by its fixed-point iteration."""
+    variance = np.full(len(by_range), max(start, _LEAST_PX**2))
+    n = len(across2)
+    for _ in range(_ROUNDS):
+        # expectation of the pixel's part of the scatter along the line, given the variances of the moment
+        share = variance[:, None] / (variance[:, None] + by_range)
+        part = share * share * along2 + share * by_range
+        variance = np.maximum((across2.sum() + part.sum(axis=1)) / (2 * n), _LEAST_PX**2)
+    return variance

@@ -1,0 +1,136 @@
+"""Whether the matches alone are evidence enough, in sentences.
+
+The rule is that of `statistics`: at least 12 inliers, half of the matches, chi^2/dof <= 3 and no second minimum. Three
+further questions keep a pose from being called certain where that rule is satisfied by default: whether the agreement
+could be chance, whether copies of one match were counted, and whether the pose is determined at all.
+"""
+
+from __future__ import annotations
+
+from math import lgamma, log, log10
+
+import numpy as np
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.pose.bundle import Measurements, States, linearise, residuals
+
+LEAST_INLIERS = 12
+LEAST_SHARE = 0.5
+MOST_CHI2_PER_DOF = 3.0
+_MOST_ANGLE_RAD = np.deg2rad(2.0)
+_MOST_POSITION_OF_RANGE = 0.1
+_MOST_LOG10_CHANCE = -3.0
+_KEY = np.sqrt([2.0, 3.0, 5.0])
+
+
+def judge(
+    *,
+    pose: Rigid,
+    matches: Matches,
+    inliers: BoolArray,
+    chi2_per_dof: float,
+    covariance: FloatArray,
+    log10_chance: float,
+    rival: Rigid | None = None,
+) -> tuple[bool, tuple[str, ...]]:
+    """Return whether the pose is accepted by `statistics`, and why or why not.
+
+    Args:
+        pose: camera_from_scanner.
+        matches: all matches.
+        inliers: (M,) those that agree.
+        chi2_per_dof: over the inliers.
+        covariance: (6, 6) of (w, c).
+        log10_chance: `chance_agreement` of the inliers.
+        rival: another pose that explains them as well; None where none was found.
+    """
+    agree, count = distinct(matches.subset(inliers)), len(matches)
+    share = np.count_nonzero(inliers) / count
+    against = []
+    if agree < LEAST_INLIERS:
+        against.append(
+            f"only {agree} different matches agree with the pose and {LEAST_INLIERS} are needed; add or correct matches"
+        )
+    if share < LEAST_SHARE:
+        against.append(
+            f"only {share:.0%} of the {count} matches agree with the pose and {LEAST_SHARE:.0%} are needed; "
+            "correct or remove the others"
+        )
+    if not chi2_per_dof <= MOST_CHI2_PER_DOF:
+        against.append(
+            f"the residuals are larger than the stated noise explains (chi^2/dof {chi2_per_dof:.1f}, at most "
+            f"{MOST_CHI2_PER_DOF:g}); check the focal length and the lens, or state a larger noise"
+        )
+    if log10_chance > _MOST_LOG10_CHANCE:
+        against.append(
+            "as many matches would agree by chance at so large a noise; state a smaller noise or add matches"
+        )
+    angle = float(np.sqrt(np.trace(covariance[:3, :3])))
+    position = float(np.sqrt(np.trace(covariance[3:, 3:])))
+    reach = float(np.median(matches.ranges))
+    if not (angle <= _MOST_ANGLE_RAD and position <= _MOST_POSITION_OF_RANGE * reach):
+        against.append(
+            f"the matches hardly determine the pose ({_length(position)} and {np.degrees(angle):.2g} deg, 1 sigma); "
+            "spread them over the picture and over near and far"
+        )
+    if rival is not None:
+        against.append(
+            f"a second pose, {_length(pose.distance_to(rival))} and {np.degrees(pose.angle_to(rival)):.1f} deg away, "
+            "explains the matches as well; add matches off their plane"
+        )
+    if against:
+        return False, tuple(against)
+    return True, (
+        f"{np.count_nonzero(inliers)} of {count} matches agree with the pose (chi^2/dof {chi2_per_dof:.2f})",
+        f"the camera is known to {_length(position)} and {np.degrees(angle):.2g} deg (1 sigma)",
+        "no second pose explains the matches",
+    )
+
+
+def distinct(matches: Matches) -> int:
+    """Return how many matches differ from each other on both sides: copies are no evidence."""
+    # One number stands for a row: different rows share it by accident only, and sorting numbers is quick.
+    return min(len(np.unique(matches.points @ _KEY)), len(np.unique(matches.uv @ _KEY[:2])))
+
+
+def chance_agreement(
+    measured: Measurements, matches: Matches, state: States, inliers: BoolArray, camera: Camera, *, gate: float
+) -> float:
+    """Return log10 of the number of poses that as many matches would agree with, were all of them random.
+
+    Args:
+        measured: all matches.
+        matches: the same.
+        state: the pose (B = 1).
+        inliers: (M,) those that agree.
+        camera: intrinsics.
+        gate: largest s of an inlier.
+
+    Source: Moulon, Monasse and Marlet, Adaptive structure from motion with a contrario model estimation (2012).
+    """
+    n, k = len(matches), int(np.count_nonzero(inliers))
+    if k <= 3:
+        return float(log10(max(n, 1)))
+    lin = linearise(measured, state, residuals(measured, state))
+    xx, xy, yy = measured.information
+    determinant = xx * yy - xy * xy
+    prior = measured.range_information
+    # det(M - M j j^T M / h) = det M * prior / h
+    determinant = determinant * prior / lin.h[0]
+    gate_area = np.pi * gate * camera.fx * camera.fy / np.sqrt(np.median(determinant[inliers]))
+    radius = np.sqrt(gate_area / np.pi)
+    low, high = matches.uv.min(axis=0), matches.uv.max(axis=0)
+    patch = float(np.prod(np.minimum(high - low + 2 * radius, np.maximum(camera.size, high - low))))
+    p = float(min(1.0, gate_area / max(patch, 1e-9)))
+    return log10(n - 3) + _log10_choose(n, k) + _log10_choose(k, 3) + (k - 3) * log10(max(p, 1e-12))
+
+
+def _log10_choose(n: int, k: int) -> float:
+    return (lgamma(n + 1) - lgamma(k + 1) - lgamma(n - k + 1)) / log(10)
+
+
+def _length(metres: float) -> str:
+    return f"{metres * 1000:.1f} mm" if metres < 0.1 else f"{metres:.2f} m"

@@ -1,0 +1,137 @@
+"""The facade: a scan and a photograph in, a registration out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from ladarreg_core.errors import OptionError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches, Pick
+from ladarreg_core.matching.auto import AutoOptions, AutoResult, register_auto
+from ladarreg_core.perspective import look_along
+from ladarreg_core.photo import Photo
+from ladarreg_core.picked import matches_from_picks
+from ladarreg_core.pose.describe import describe_pose
+from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
+from ladarreg_core.progress import StepReport
+from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.scan import Scan
+from ladarreg_core.steps import StepLog
+
+RegistrationMethod = Literal["auto", "manual"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegisterOptions:
+    """How a registration works; saved with its result."""
+
+    seed: int = 0
+    """Of every random draw: the same inputs, options and seed give the same answer."""
+    auto: AutoOptions = field(default_factory=AutoOptions)
+    """Of the method `auto`."""
+    pose: PoseOptions = field(default_factory=PoseOptions)
+    """Of the estimator that solves given matches."""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**31:
+            raise OptionError(f"the seed is {self.seed!r}; it must be a whole number of at least 0")
+
+
+def register(
+    scan: Scan,
+    photo: Photo,
+    *,
+    method: str = "auto",
+    picks: Sequence[Pick] | None = None,
+    initial: Rigid | None = None,
+    options: RegisterOptions | None = None,
+    report: StepReport | None = None,
+) -> Registration:
+    """Find where a photograph was taken, relative to a scan, and say how good the answer is.
+
+    Args:
+        scan: what the laser scanner saw.
+        photo: the photograph with its camera.
+        method: `auto` matches the pictures; `manual` solves `picks`. Given picks, `auto` becomes `manual`: what a
+            person put down is not overruled.
+        picks: matching points and lines.
+        initial: a first guess of `camera_from_scanner`, tried before all others.
+        options: seeds and thresholds.
+        report: receives every finished `Step`; may raise `Cancelled`.
+
+    Returns:
+        The registration. Not being accepted is a result, told by `accepted` and `reasons`; the pose is then only the
+        best guess and must not be shown as registered.
+
+    Raises:
+        OptionError: if the method is unknown, or `manual` has no picks.
+        DegenerateGeometryError: if the picks cannot determine a pose.
+    """
+    o = options or RegisterOptions()
+    if method not in get_args(RegistrationMethod):
+        raise OptionError(f"the method is {method!r}; it must be one of {', '.join(get_args(RegistrationMethod))}")
+    if method == "manual" and not picks:
+        raise OptionError("the method 'manual' has no matches; give points or lines, or take the method 'auto'")
+    steps = StepLog(report)
+    if picks:
+        return _register_picked(scan, photo, steps, picks, initial, o)
+    found = register_auto(scan, photo, steps, initial=initial, options=replace(o.auto, seed=o.seed))
+    with steps.step("result"):
+        result = _explained(found, scan, photo)
+        steps.pose, steps.matches = result.camera_from_scanner, result.matches
+    return _registration(result, "auto", steps, o)
+
+
+def _register_picked(
+    scan: Scan, photo: Photo, steps: StepLog, picks: Sequence[Pick], initial: Rigid | None, options: RegisterOptions
+) -> Registration:
+    with steps.step("matches") as note:
+        matches, losses = matches_from_picks(scan, picks)
+        note.update(picks=len(picks), matches=len(matches), left_out=list(losses))
+        steps.matches = matches
+    with steps.step("pose") as note:
+        result = solve_pose(matches, photo.camera, replace(options.pose, seed=options.seed), initial=initial)
+        note.update(inliers=int(result.inliers.sum()), matches=len(matches))
+        steps.matches, steps.pose = matches, result.camera_from_scanner
+    fields = _fields(result)
+    fields["reasons"] = (*result.reasons, *losses)
+    return _registration(PoseResult(**fields), "manual", steps, options)
+
+
+def _explained(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
+    """Return an automatic result with the figures that every pose has."""
+    pose = found.camera_from_scanner
+    if pose is None:  # nothing was found: the scanner's own place stands in, and is not accepted
+        pose = Rigid(look_along(scan.mean_direction), np.zeros(3))
+    evidence = found.evidence
+    matches = evidence.matches if evidence else Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+    inliers = evidence.inliers if evidence else np.zeros(0, np.bool_)
+    covariance = evidence.covariance if evidence else np.diag([np.pi**2] * 3 + [100.0**2] * 3)
+    sigma_px = evidence.scatter_px if evidence and np.isfinite(evidence.scatter_px) else STATED_SIGMA_PX
+    described = describe_pose(
+        pose,
+        matches,
+        inliers,
+        photo.camera,
+        sigma_px=sigma_px,
+        sigma_range_m=STATED_SIGMA_RANGE_M,
+        covariance=covariance,
+    )
+    accepted = found.verification is not None and found.verification.accepted
+    fields = _fields(described)
+    fields.update(accepted=accepted, evidence="image" if accepted else "none", reasons=found.reasons)
+    if found.verification is not None:
+        fields["diagnostics"] = {**described.diagnostics, "verification": found.verification.as_dict()}
+    return PoseResult(**fields)
+
+
+def _registration(result: PoseResult, method: str, steps: StepLog, options: RegisterOptions) -> Registration:
+    return Registration(**_fields(result), method=method, steps=steps.steps, options=asdict(options), seed=options.seed)
+
+
+def _fields(result: PoseResult) -> dict[str, Any]:
+    return {name: getattr(result, name) for name in PoseResult.__dataclass_fields__}

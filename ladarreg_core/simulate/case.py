@@ -1,0 +1,182 @@
+"""One simulated case: a scan, a photograph from elsewhere, and the truth between them."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import OptionError
+from ladarreg_core.frames import Rigid, ThesisParameters
+from ladarreg_core.photo import Photo
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner import range_from_counts
+from ladarreg_core.simulate.ladar import DR_M, GEOMETRY, R0_M, scan_world
+from ladarreg_core.simulate.photograph import Lighting, take_photograph
+from ladarreg_core.simulate.ray_cast import RayCaster
+from ladarreg_core.simulate.scenes import SCENES, build_scene
+
+CAMERA = Camera.from_focal(768, 512, 974.0)
+"""A 35 mm lens before a small frame."""
+
+
+@dataclass(frozen=True)
+class CaseSet:
+    """What distinguishes a set of cases."""
+
+    baseline_m: tuple[float, float] = (0.3, 1.0)
+    """Lateral, to either side."""
+    other_axes_m: float = 0.15
+    toe_in_limit_deg: float = 12.0
+    tilt_deg: float = 2.0
+    """Of pitch and roll, to either side."""
+    rolls_deg: tuple[float, ...] = (0.0,)
+    """The photograph is turned by one of these, by the seed."""
+    independent_inks: bool = False
+    speckle: float = 0.06
+    noise: float = 1.0
+    lighting: Lighting = field(default_factory=Lighting)
+
+
+SETS = {
+    "standard": CaseSet(),
+    "hard": CaseSet(
+        independent_inks=True,
+        speckle=0.15,
+        noise=2.0,
+        lighting=Lighting(ambient=0.22, strength=(1.25,), tints=((1.0, 0.93, 0.82),)),
+    ),
+    # From 2 m aside, 12 degrees of toe-in would leave half of the picture without scan.
+    "wide": CaseSet(baseline_m=(1.4, 2.2), toe_in_limit_deg=26.0),
+    "rotated": CaseSet(rolls_deg=(30.0, 90.0, 180.0, -90.0, -30.0)),
+    "identical": CaseSet(baseline_m=(0.0, 0.0), other_axes_m=0.0, toe_in_limit_deg=0.0, tilt_deg=0.0),
+}
+"""The sets by name."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedCase:
+    """What the instruments gave, and what nobody is told outside a test."""
+
+    scan: Scan
+    photo: Photo
+    """With the camera as it is stated, which may be wrong on purpose."""
+    camera_from_scanner: Rigid
+    """The truth."""
+    true_camera: Camera
+    """The camera as it really is."""
+    counts: NDArray[np.uint16]
+    """(H, W), the scan as the instrument stores it."""
+    intensity: NDArray[np.uint16]
+    """(H, W), as the instrument stores it."""
+
+
+def simulate_case(
+    scene: str,
+    *,
+    set_name: str = "standard",
+    seed: int = 0,
+    k1: float = 0.0,
+    k1_error: float = 0.0,
+    focal_error: float = 0.0,
+    report: Report | None = None,
+) -> SimulatedCase:
+    """Return a scan and a photograph of a made-up room; the same arguments give the same bytes.
+
+    Args:
+        scene: boxes, desk, office or people.
+        set_name: standard, hard, wide, rotated or identical.
+        seed: not negative; every seed is another room and another pose.
+        k1: radial distortion of the real lens.
+        k1_error: how much the stated k1 is above the real one.
+        focal_error: how much the stated focal length is above the real one, relative.
+        report: told how far it is.
+
+    Raises:
+        OptionError: if the scene or set does not exist or a number makes no sense.
+        DependencyError: if `embreex` is not installed.
+
+    Source: the thesis's instruments (chapter 2.2), made up; cleaner than reality.
+    """
+    case_set = _checked(scene, set_name, seed, (k1, k1_error, focal_error))
+    # One stream a purpose: more noise must not move the furniture.
+    streams = np.random.SeedSequence([zlib.crc32(f"{scene}/{set_name}".encode()), seed]).spawn(4)
+    layout, pose_rng, scan_rng, photo_rng = (np.random.default_rng(s) for s in streams)
+
+    def stage(start: int, share: int, label: str) -> Callable[[float], None]:
+        def tell(done: float) -> None:
+            if report:
+                report(Progress(start + round(share * done), 100, label))
+
+        tell(0.0)
+        return tell
+
+    stage(0, 15, "building the room")
+    world = build_scene(scene, layout=layout, independent_inks=case_set.independent_inks)
+    caster = RayCaster(world.triangles)
+    camera_from_scanner = _pose(case_set, seed, world.focus_m, pose_rng)
+    true_camera = replace(CAMERA, distortion=(k1, 0, 0, 0))
+    images = scan_world(world, caster, rng=scan_rng, speckle=case_set.speckle, report=stage(15, 45, "scanning"))
+    pixels = take_photograph(
+        world,
+        caster,
+        true_camera,
+        camera_from_scanner,
+        lighting=case_set.lighting,
+        rng=photo_rng,
+        noise=case_set.noise,
+        report=stage(60, 40, "photographing"),
+    )
+    name = f"{scene}-{set_name}-{seed}"
+    scan = Scan(
+        geometry=GEOMETRY,
+        ranges=range_from_counts(images.counts, R0_M, DR_M).astype(np.float32),
+        intensity=images.intensity.astype(np.float32),
+        name=name,
+    )
+    stated = replace(
+        true_camera,
+        fx=true_camera.fx * (1 + focal_error),
+        fy=true_camera.fy * (1 + focal_error),
+        distortion=(k1 + k1_error, 0, 0, 0),
+    )
+    return SimulatedCase(
+        scan=scan,
+        photo=Photo(pixels=pixels, camera=stated, name=name),
+        camera_from_scanner=camera_from_scanner,
+        true_camera=true_camera,
+        counts=images.counts,
+        intensity=images.intensity,
+    )
+
+
+def _checked(scene: str, set_name: str, seed: int, lens: tuple[float, ...]) -> CaseSet:
+    if scene not in SCENES:
+        raise OptionError(f"there is no scene {scene!r}; the scenes are {', '.join(SCENES)}")
+    if set_name not in SETS:
+        raise OptionError(f"there is no set {set_name!r}; the sets are {', '.join(SETS)}")
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise OptionError(f"the seed is {seed!r}; it must be a whole number that is not negative")
+    if not all(math.isfinite(v) and abs(v) <= 0.5 for v in lens):
+        raise OptionError(f"k1, its error and the focal error are {lens}; each must lie within -0.5 to 0.5")
+    return SETS[set_name]
+
+
+def _pose(case_set: CaseSet, seed: int, focus_m: float, rng: np.random.Generator) -> Rigid:
+    """Return a pose to the left or right of the scanner that looks back at the scene."""
+    low, high = case_set.baseline_m
+    left = float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
+    up, ahead = (float(v) for v in rng.uniform(-1, 1, 2) * case_set.other_axes_m)
+    limit = case_set.toe_in_limit_deg
+    aim = np.degrees(np.arctan2(left, focus_m)) + rng.uniform(-2.5, 2.5)
+    pan = float(np.clip(aim, -limit, limit))
+    tilt, roll = (float(v) for v in rng.uniform(-1, 1, 2) * case_set.tilt_deg)
+    roll += case_set.rolls_deg[seed % len(case_set.rolls_deg)]
+    a, b, c = (float(np.radians(v)) for v in (pan, tilt, roll))
+    return ThesisParameters(Tx=left, Ty=up, Tz=ahead, alpha=a, beta=b, gamma=c).pose

@@ -1,0 +1,140 @@
+"""The simulated LADAR: five sub-rays a cell, summed as an amplitude-modulated scanner sums them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.simulate.ray_cast import RayCaster
+from ladarreg_core.simulate.rays import SampleGrid, in_strips
+from ladarreg_core.simulate.world import Viewpoint, World
+
+GEOMETRY = AzimuthElevation(rows=700, columns=1000, d_azimuth_rad=np.radians(0.055), d_elevation_rad=np.radians(0.055))
+R0_M = 1.0
+DR_M = 0.0022
+MODULATION_M = 4096 * DR_M
+"""The range at which the phase comes round again."""
+
+_DIVERGENCE_RAD = np.radians(0.03)
+_SUB_RAYS = np.array([[0.0, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])  # of the divergence: row, column
+_SUB_WEIGHTS = np.array([2.0, 1.0, 1.0, 1.0, 1.0]) / 6
+_REFERENCE_M = 2.5
+_SIGMA_M = 0.003  # at the amplitude .3
+_READ_NOISE = 0.003
+_DROPOUT = 0.006
+_DROPOUT_RANDOM = 0.4  # of the drop-outs that still report some range
+_FULL_COUNT = 4095
+_INTENSITY_PER_AMPLITUDE = 2048
+
+
+@dataclass(frozen=True, eq=False)
+class LadarImages:
+    """What the instrument's two registers hold."""
+
+    counts: NDArray[np.uint16]
+    """(H, W): range = R0_M + count DR_M; 0 = no return."""
+    intensity: NDArray[np.uint16]
+    """(H, W): 12 bits, falls with the squared range."""
+
+
+def scan_world(
+    world: World,
+    caster: RayCaster,
+    *,
+    rng: np.random.Generator,
+    speckle: float = 0.06,
+    report: Callable[[float], None] | None = None,
+) -> LadarImages:
+    """Scan a world from the scanner's own origin.
+
+    Args:
+        world: what to scan.
+        caster: its ray caster.
+        rng: of the noise.
+        speckle: relative standard deviation of the amplitude.
+        report: told how much is done, 0..1.
+
+    Returns:
+        Counts and intensity on `GEOMETRY`.
+
+    Source: thesis 2.2.1; the amplitude-modulated scanner of chapter 2.2.
+    """
+    rows, columns = GEOMETRY.shape
+    steps = _SUB_RAYS * (_DIVERGENCE_RAD / np.array(GEOMETRY.step_rad))
+    grid = SampleGrid.cast(world, caster, np.zeros(3), GEOMETRY.shape, _rays_at, steps)
+    viewpoint = Viewpoint(world, np.zeros(3))
+    amplitude = np.zeros(GEOMETRY.shape, np.float32)
+    phase = np.zeros(GEOMETRY.shape, np.float32)
+
+    def strip(part: slice) -> None:
+        real = np.zeros((part.stop - part.start, columns), np.float32)
+        imaginary = np.zeros_like(real)
+        for k, weight in enumerate(_SUB_WEIGHTS.astype(np.float32)):
+            a, r = _returned(viewpoint, grid.faces(k, part).ravel(), grid.directions(k, part).reshape(-1, 3))
+            turn = (r - np.float32(R0_M)) * np.float32(2 * np.pi / MODULATION_M)
+            real += (weight * a * np.cos(turn)).reshape(real.shape)
+            imaginary += (weight * a * np.sin(turn)).reshape(real.shape)
+        amplitude[part] = np.hypot(real, imaginary)
+        phase[part] = np.arctan2(imaginary, real)
+
+    in_strips(rows, strip, report)
+    return _digitise(amplitude, phase, rng, speckle)
+
+
+def _rays_at(step: FloatArray, rows: slice) -> FloatArray:
+    """Return the unit rays (h, W, 3) of some rows, moved by a step (row, column) in cells."""
+    row = np.arange(rows.start, rows.stop) + step[0]
+    column = np.arange(GEOMETRY.columns) + step[1]
+    # Angles separate, so one row and one column of cells tell all of them.
+    across = GEOMETRY.ray_at(np.stack([np.full(len(column), (GEOMETRY.rows - 1) / 2), column], axis=-1))
+    down = GEOMETRY.ray_at(np.stack([row, np.full(len(row), (GEOMETRY.columns - 1) / 2)], axis=-1))
+    rays = np.empty((len(row), len(column), 3))
+    rays[..., 0] = down[:, None, 0] * across[:, 0]
+    rays[..., 1] = across[:, 1]
+    rays[..., 2] = down[:, None, 2] * across[:, 0]
+    return rays
+
+
+def _returned(
+    viewpoint: Viewpoint, faces: NDArray[np.int32], directions: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return amplitude and range (N,) of single rays."""
+    hit = viewpoint.meet(faces, directions)
+    metal, gloss, _ = hit.finish
+    c = hit.cosine
+    albedo = hit.texel[:, 3].astype(np.float32) / np.float32(255)
+    c2 = c * c
+    c4 = c2 * c2
+    c6 = c4 * c2
+    c12 = c6 * c6
+    c48 = (c12 * c12) ** 2
+    mirror = (np.float32(0.8) * metal + np.float32(0.3) * gloss) * (c48 * c12) + np.float32(0.15) * metal * c6
+    with np.errstate(divide="ignore"):
+        near = np.where(hit.range_m > 0, (np.float32(_REFERENCE_M) / hit.range_m) ** 2, np.float32(0))
+    return (albedo * (1 - metal) * c + mirror) * near, hit.range_m
+
+
+def _digitise(
+    amplitude: NDArray[np.float32], phase: NDArray[np.float32], rng: np.random.Generator, speckle: float
+) -> LadarImages:
+    shape = amplitude.shape
+    looks = 1 / speckle**2
+    with np.errstate(divide="ignore"):
+        sigma_m = _SIGMA_M / np.sqrt(amplitude / np.float32(0.3))
+    noise_m = rng.standard_normal(shape, dtype=np.float32) * np.minimum(sigma_m, np.float32(1))
+    range_m = np.mod(phase, np.float32(2 * np.pi)) * np.float32(MODULATION_M / (2 * np.pi)) + noise_m
+    measured = amplitude * (rng.standard_gamma(looks, shape, dtype=np.float32) / np.float32(looks))
+    measured += rng.standard_normal(shape, dtype=np.float32) * np.float32(_READ_NOISE)
+    counts = np.clip(np.rint(range_m / np.float32(DR_M)), 1, _FULL_COUNT).astype(np.uint16)
+    # The signal decides whether there is a return, not its noise: else dark paper would flicker.
+    lost = amplitude < _DROPOUT
+    wild = lost & (rng.random(shape, dtype=np.float32) < _DROPOUT_RANDOM)
+    counts[lost] = 0
+    counts[wild] = rng.integers(1, _FULL_COUNT + 1, int(wild.sum())).astype(np.uint16)
+    intensity = np.clip(np.rint(measured * _INTENSITY_PER_AMPLITUDE), 0, _FULL_COUNT).astype(np.uint16)
+    return LadarImages(counts, intensity)

@@ -1,0 +1,279 @@
+"""The photograph on the scan's grid, with a label that says what each colour is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.lookup import look_up
+from ladarreg_core.mesh import grid_edges
+from ladarreg_core.photo import Photo
+from ladarreg_core.scan import Scan
+from ladarreg_core.visibility import ScanProjection, project_scan
+
+BACKGROUND = (48, 48, 48)
+"""The uniform colour of cells that the camera does not see."""
+_LARGEST_POSE_SIGMA_PX = 2.0
+_NET_NODES = 65
+_UNSEEN_BRIGHTNESS = 0.45
+_OUTSIDE = np.float32(-10)
+
+
+class Label(IntEnum):
+    """What a cell's colour is worth; the codes stand in every export."""
+
+    NO_RETURN = 0
+    """The scanner measured nothing here."""
+    SEEN = 1
+    """The camera sees it."""
+    OCCLUDED = 2
+    """Hidden from the camera, or seen from its back."""
+    OUT_OF_FRAME = 3
+    """Outside the photograph."""
+    GRAZING = 4
+    """Seen by the CAMERA at an incidence beyond 80 degrees: the colour is smeared."""
+    UNCERTAIN = 5
+    """Within one cell of a depth edge, of the scanner's or the camera's, or the pose is uncertain by over 2 px here."""
+
+
+COLOURED = (Label.SEEN, Label.GRAZING, Label.UNCERTAIN)
+"""The labels whose cells carry the photograph's colour."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegisteredTexture:
+    """The photograph resampled onto the scan's grid; read-only."""
+
+    image: ByteArray
+    """(H, W, 3) uint8 RGB; cells that the camera does not see have a uniform colour."""
+    labels: ByteArray
+    """(H, W) uint8, codes of `Label`."""
+
+    def __post_init__(self) -> None:
+        image = read_only(self.image, np.uint8, (None, None, 3), "the registered picture")
+        object.__setattr__(self, "image", image)
+        object.__setattr__(self, "labels", read_only(self.labels, np.uint8, image.shape[:2], "the labels"))
+
+    @property
+    def coloured(self) -> BoolArray:
+        """(H, W) bool: which cells carry the photograph's colour."""
+        table = np.zeros(256, dtype=np.bool_)
+        table[list(COLOURED)] = True
+        return table[self.labels]
+
+
+def texture_scan(
+    scan: Scan,
+    photo: Photo,
+    camera_from_scanner: Rigid,
+    *,
+    camera: Camera | None = None,
+    covariance: FloatArray | None = None,
+    background: tuple[int, int, int] = BACKGROUND,
+) -> RegisteredTexture:
+    """Give every cell of a scan the colour that the photograph has for it, where the camera sees it.
+
+    Args:
+        scan: the scan.
+        photo: the photograph.
+        camera_from_scanner: its pose.
+        camera: intrinsics to use instead of the photo's, e.g. estimated ones.
+        covariance: (6, 6) of (w, c) as `PoseResult.covariance`, rad and m; None: the pose counts as exact.
+        background: RGB of cells that the camera does not see.
+
+    Returns:
+        The picture and its labels. Where several labels fit, the first of these holds: no return, out of frame,
+        occluded, uncertain, grazing, seen.
+
+    Raises:
+        ShapeError: if the camera is not of the photo's size, or the covariance not (6, 6).
+        OptionError: if the background is no colour.
+
+    Source: thesis 2.5.
+    """
+    camera = photo.camera if camera is None else camera
+    if camera.size != photo.camera.size:
+        raise ShapeError(
+            f"the camera is for {camera.width} x {camera.height} pixels, the photo has {photo.camera.width} x "
+            f"{photo.camera.height}; give the camera of this picture size"
+        )
+    colour = np.asarray(background)
+    if colour.shape != (3,) or colour.dtype.kind not in "iu" or colour.min() < 0 or colour.max() > 255:
+        raise OptionError(f"the background is {background!r}; it must be three whole numbers from 0 to 255")
+    if covariance is not None:
+        covariance = read_only(covariance, np.float64, (6, 6), "the pose covariance")
+    projection = project_scan(scan, camera, camera_from_scanner)
+    labels = _labels(scan, projection, camera, camera_from_scanner, covariance)
+    image = _sampled(photo.pixels, projection, scan, camera, tuple(int(value) for value in colour))
+    return RegisteredTexture(image, labels)
+
+
+def model_picture(scan: Scan, texture: RegisteredTexture) -> ByteArray:
+    """Return the picture for a model, (H, W, 3): the photo's colour where seen, dimmed laser intensity elsewhere.
+
+    Raises:
+        ShapeError: if the texture is not on the scan's grid.
+    """
+    if texture.labels.shape != scan.shape:
+        raise ShapeError(f"the texture has {texture.labels.shape} cells, the scan {scan.shape}; they must agree")
+    low, high = np.quantile(scan.intensity[scan.valid], (0.02, 0.98))
+    span = max(float(high - low), 1e-12)
+    bright = np.clip((scan.intensity - np.float32(low)) / np.float32(span), 0, 1) * 0.85 + 0.15
+    gray = np.rint(bright * (255 * _UNSEEN_BRIGHTNESS)).astype(np.uint8)
+    return np.asarray(np.where(texture.coloured[..., None], texture.image, gray[..., None]))
+
+
+def pixel_sigma(points_camera: FloatArray, camera: Camera, rotation: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return how far the pose's uncertainty moves points in the picture: the ellipse's longer half axis, one sigma.
+
+    With R_true = exp([w]x) R and C_true = C + c, a point X of the camera frame moves by w x X - R c.
+
+    Args:
+        points_camera: (..., 3), m.
+        camera: intrinsics.
+        rotation: (3, 3) of `camera_from_scanner`.
+        covariance: (6, 6) of (w, c).
+
+    Returns:
+        sigma_px (...,); NaN behind the camera.
+    """
+    points = np.asarray(points_camera, dtype=np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
+        terms = _variance_terms(points / z, camera, rotation, covariance)
+    return np.sqrt(_longer_axis(terms, 1 / z))
+
+
+def _variance_terms(
+    rays: FloatArray, camera: Camera, rotation: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the pixel's covariance (uu, uv, vv) at rays (x, y, 1) as three terms (..., 3) of a polynomial in 1/z.
+
+    Turning moves a pixel whatever its depth, shifting moves it by 1/z.
+    """
+    _, by_point = camera.project_with_jacobian(rays)
+    by_turn, by_shift = np.cross(rays[..., None, :], by_point), -by_point @ rotation
+    turns, mixed, shifts = covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:]
+
+    def term(left: FloatArray, matrix: FloatArray, right: FloatArray) -> FloatArray:
+        S = left @ matrix @ right.swapaxes(-1, -2)
+        return np.stack([S[..., 0, 0], (S[..., 0, 1] + S[..., 1, 0]) / 2, S[..., 1, 1]], axis=-1)
+
+    return term(by_turn, turns, by_turn), 2 * term(by_turn, mixed, by_shift), term(by_shift, shifts, by_shift)
+
+
+def _longer_axis(terms: tuple[FloatArray, FloatArray, FloatArray], inverse_depth: FloatArray) -> FloatArray:
+    """Return the larger eigenvalue (...,) of the pixel's covariance, px^2, at inverse depths (..., 1)."""
+    S = terms[0] + inverse_depth * (terms[1] + inverse_depth * terms[2])
+    mean, half = (S[..., 0] + S[..., 2]) / 2, (S[..., 0] - S[..., 2]) / 2
+    return np.asarray(np.maximum(mean + np.sqrt(half * half + S[..., 1] * S[..., 1]), 0))
+
+
+def _labels(
+    scan: Scan,
+    projection: ScanProjection,
+    camera: Camera,
+    camera_from_scanner: Rigid,
+    covariance: FloatArray | None,
+) -> NDArray[np.uint8]:
+    labels = np.full(scan.shape, Label.SEEN, dtype=np.uint8)
+    labels[projection.grazing] = Label.GRAZING
+    uncertain = _at_depth_edge(scan) | projection.untested | _beside(projection.occluded)
+    if covariance is not None:
+        uncertain |= _pose_uncertain(scan, projection, camera, camera_from_scanner, covariance)
+    labels[uncertain] = Label.UNCERTAIN
+    labels[projection.occluded] = Label.OCCLUDED
+    labels[~projection.in_picture] = Label.OUT_OF_FRAME
+    labels[~scan.valid] = Label.NO_RETURN
+    return labels
+
+
+def _at_depth_edge(scan: Scan) -> BoolArray:
+    """Return the cells on both sides of every depth edge."""
+    edges, valid = grid_edges(scan), scan.valid
+    result = np.zeros(scan.shape, dtype=np.bool_)
+    torn = ~edges.right & valid[:, 1:] & valid[:, :-1]
+    result[:, 1:] |= torn
+    result[:, :-1] |= torn
+    torn = ~edges.down & valid[1:] & valid[:-1]
+    result[1:] |= torn
+    result[:-1] |= torn
+    return result
+
+
+def _beside(mask: BoolArray) -> BoolArray:
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    return np.asarray(cv2.dilate(mask.view(np.uint8), cross)).astype(np.bool_)
+
+
+def _pose_uncertain(
+    scan: Scan,
+    projection: ScanProjection,
+    camera: Camera,
+    camera_from_scanner: Rigid,
+    covariance: FloatArray,
+) -> BoolArray:
+    """Return where the pose's own uncertainty exceeds 2 px; everywhere if the covariance is not finite."""
+    visible = projection.visible
+    if not np.isfinite(covariance).all():
+        return visible
+    if not visible.any():
+        return visible
+    # The three terms are smooth over the picture, so a coarse net of them serves all cells.
+    net = [np.linspace(0, n - 1, _NET_NODES) for n in camera.size]
+    rays = camera.unproject(np.stack(np.meshgrid(*net), axis=-1))
+    with np.errstate(invalid="ignore"):
+        terms = _variance_terms(rays / rays[..., 2:], camera, camera_from_scanner.rotation, covariance)
+    limit = _LARGEST_POSE_SIGMA_PX**2
+    # At a pixel the variance is convex in 1/z, so it is largest at the nearest or the farthest depth: if it is small
+    # for both all over the picture, as it nearly always is, no cell needs a look.
+    depths = projection.depth_m[visible]
+    ends = [_longer_axis(terms, np.array(1 / depth)) for depth in (depths.min(), depths.max())]
+    if np.nanmax(ends, initial=0.0) < 0.98 * limit and np.isfinite(ends).all():
+        return np.zeros(scan.shape, dtype=np.bool_)
+    at = [
+        np.where(visible, projection.uv[..., k] * np.float32((_NET_NODES - 1) / max(camera.size[k] - 1, 1)), _OUTSIDE)
+        for k in range(2)
+    ]
+    looked_up = [look_up(term.astype(np.float32), at[0], at[1]) for term in terms]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = _longer_axis((looked_up[0], looked_up[1], looked_up[2]), 1 / projection.depth_m[..., None])
+        beside_net = visible & ~np.isfinite(variance)  # where a node's pixel has no ray through the lens
+        points_camera = camera_from_scanner @ scan.points[beside_net].astype(np.float64)
+        sigma = pixel_sigma(points_camera, camera, camera_from_scanner.rotation, covariance)
+        variance[beside_net] = np.square(sigma)
+        return np.asarray(visible & ~(variance <= limit))
+
+
+def _sampled(
+    pixels: ByteArray, projection: ScanProjection, scan: Scan, camera: Camera, background: tuple[int, ...]
+) -> NDArray[np.uint8]:
+    """Return the photo's colour at every visible cell, (H, W, 3), from a copy reduced to about the cell's size."""
+    visible = projection.visible
+    u, v = (np.where(visible, projection.uv[..., k], _OUTSIDE) for k in range(2))
+    result = look_up(pixels, u, v, outside=background)
+    steps = scan.geometry.step_rad
+    reach = np.float32(camera.focal_px * np.sqrt(steps[0] * steps[1]))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cell_px = np.where(visible, reach * scan.ranges / projection.depth_m, np.float32(0))
+    reduced, level = pixels, 1
+    while float(cell_px.max()) >= 2**level and min(reduced.shape[:2]) >= 4:
+        size = (reduced.shape[1] // 2, reduced.shape[0] // 2)
+        reduced = np.asarray(cv2.resize(reduced, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        # Outer borders stay where they are, so pixel centres move: (u + 1/2) / factor - 1/2.
+        at = []
+        for position, n, whole in ((u, size[0], pixels.shape[1]), (v, size[1], pixels.shape[0])):
+            factor = np.float32(n / whole)
+            at.append(np.clip((position + np.float32(0.5)) * factor - np.float32(0.5), 0, n - 1))
+        here = cell_px >= 2**level
+        np.copyto(result, look_up(reduced, at[0], at[1]), where=here[..., None])
+        level += 1
+    return result
