@@ -156,7 +156,7 @@ class GriddedCloud:
     def in_words(self) -> str:
         """Return what was done, for the scan's notes."""
         height, width = self.geometry.shape
-        rows = f"{self.rings} rings as rows" if self.rings else "rows and columns of equal angle"
+        rows = f"its {self.rings} rings as rows" if self.rings else "rows and columns of equal angle"
         share = 100 * self.points_kept / self.points_in
         return f"the cloud has no grid: laid onto {height} x {width} cells, {rows}; {share:.0f} % of its points kept"
 

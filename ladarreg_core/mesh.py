@@ -16,7 +16,7 @@ from ladarreg_core.scan import Scan
 
 _ALWAYS_SURFACE = 1.0  # tan 45 deg: an isolated step that no surface of one slope makes is an edge beyond it
 _SURFACE_IF_SUPPORTED = 3.7  # tan 75 deg: steeper than this a surface must show itself over three steps in a row
-_SUPPORT = 0.25
+_SUPPORT = 0.35
 _SAME_SLOPE = 0.3
 _LEAST_SHARE = 0.5
 _NOISE_SIGMAS = 6.0
@@ -238,7 +238,7 @@ def _beside(step: FloatArray, at: tuple[IntArray, ...], axis: int, offset: int) 
 
 
 def _is_supported(here: FloatArray, before: FloatArray, after: FloatArray) -> BoolArray:
-    """A neighbour steps the same way, at least a quarter as far; or there is no neighbour to ask."""
+    """A neighbour steps the same way, at least a third as far; or there is no neighbour to ask."""
     with np.errstate(invalid="ignore"):
         least = _SUPPORT * np.abs(here)
         by_before, by_after = before * np.sign(here) >= least, after * np.sign(here) >= least

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
+from ladarreg_core.lookup import look_up
 from ladarreg_core.scan import Scan
 
 WIDEST_VIEW_RAD = np.deg2rad(120.0)
@@ -20,6 +22,7 @@ WIDEST_VIEW_RAD = np.deg2rad(120.0)
 _NODE_PX = 8
 _DEPTH_EDGE = 0.04
 _OUTSIDE = -1e4
+_LONGEST_SIDE = 32_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +50,7 @@ class View:
 
     def resample(self, values: FloatArray) -> FloatArray:
         """Return values (H, W) float32 of the scan's grid on the view's pixels (h, w), bilinear; 0 outside the grid."""
-        return np.asarray(cv2.remap(values, self.cells, None, cv2.INTER_LINEAR))
+        return np.asarray(_values_at(values, self.cells, cv2.INTER_LINEAR))
 
     def resample_ranges(self, ranges: FloatArray) -> FloatArray:
         """Return ranges (H, W) m on the view's pixels, (h, w) float32; NaN = no return.
@@ -61,9 +64,9 @@ class View:
         low, high = corners.min(axis=0), corners.max(axis=0)
         smooth = np.zeros(filled.shape, np.uint8)
         smooth[:-1, :-1] = (low > 0) & (high - low < _DEPTH_EDGE * low)
-        linear, nearest = self.resample(filled), cv2.remap(filled, self.cells, None, cv2.INTER_NEAREST)
+        linear, nearest = self.resample(filled), _values_at(filled, self.cells, cv2.INTER_NEAREST)
         # The quad that a pixel falls into is named by its upper left cell: floor, not round.
-        quad = cv2.remap(smooth, np.floor(self.cells), None, cv2.INTER_NEAREST)
+        quad = _values_at(smooth, np.floor(self.cells), cv2.INTER_NEAREST)
         result = np.where(quad > 0, linear, nearest)
         return np.where(result > 0, result, np.nan).astype(np.float32)
 
@@ -116,8 +119,7 @@ def perspective_view(
     if whole_scan:
         ideal = _widened(ideal, scan, turn)
     cells = _cell_maps(scan, ideal, turn)
-    intensity = cv2.remap(scan.intensity, cells, None, cv2.INTER_LINEAR)
-    return View(scan, ideal, turn, np.asarray(intensity, dtype=np.float32), cells)
+    return View(scan, ideal, turn, _values_at(scan.intensity, cells, cv2.INTER_LINEAR), cells)
 
 
 def look_along(direction: ArrayLike) -> NDArray[np.float64]:
@@ -153,18 +155,27 @@ def _cell_maps(scan: Scan, camera: Camera, view_from_scanner: Rigid) -> FloatArr
     u, v = (np.arange(n, dtype=np.float32) * _NODE_PX + np.float32(offset) for n in (columns, rows))
     nodes = _columns_rows(scan, camera, view_from_scanner, *np.meshgrid(u, v))
     size = (columns * _NODE_PX, rows * _NODE_PX)
-    cells = cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR)
-    cells = np.asarray(cells[_NODE_PX : _NODE_PX + camera.height, _NODE_PX : _NODE_PX + camera.width])
+    dense = np.asarray(cv2.resize(nodes, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+    cells: FloatArray = dense[_NODE_PX : _NODE_PX + camera.height, _NODE_PX : _NODE_PX + camera.width]
     broken = _broken_between_nodes(nodes, 0.25 * max(scan.shape))
     if broken.any():
-        broken = cv2.resize(broken.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
         # Nearest neighbours give each quad the pixels from its first node on; a quad reaches one node further.
-        broken = cv2.dilate(broken, np.ones((_NODE_PX + 1, _NODE_PX + 1), np.uint8))
-        y, x = np.nonzero(broken[_NODE_PX : _NODE_PX + camera.height, _NODE_PX : _NODE_PX + camera.width])
+        reach = np.ones((_NODE_PX + 1, _NODE_PX + 1), np.uint8)
+        exact = cv2.dilate(cv2.resize(broken.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), reach)
+        y, x = np.nonzero(exact[_NODE_PX : _NODE_PX + camera.height, _NODE_PX : _NODE_PX + camera.width])
         cells = np.ascontiguousarray(cells)
         cells[y, x] = _columns_rows(scan, camera, view_from_scanner, x.astype(np.float32), y.astype(np.float32))
-        cells = np.nan_to_num(cells, copy=False, nan=_OUTSIDE)
+        cells = np.nan_to_num(cells, nan=_OUTSIDE)
     return cells
+
+
+def _values_at(values: NDArray[Any], cells: FloatArray, interpolation: int) -> NDArray[Any]:
+    """Return values (H, W) of a grid at (h, w, 2) fractional (column, row); 0 outside."""
+    if max(values.shape) > _LONGEST_SIDE:  # OpenCV's own lookup refuses such grids
+        at = np.rint(cells) if interpolation == cv2.INTER_NEAREST else cells
+        return look_up(values, at[..., 0], at[..., 1], outside=(0.0,))
+    both_coordinates: Any = None
+    return np.asarray(cv2.remap(values, cells, both_coordinates, interpolation))
 
 
 def _broken_between_nodes(nodes: FloatArray, jump: float) -> BoolArray:
@@ -172,13 +183,14 @@ def _broken_between_nodes(nodes: FloatArray, jump: float) -> BoolArray:
 
     That is at a lens's or a table's edge (NaN on one side only) and at the seam of a full turn.
     """
-    known = np.isfinite(nodes).all(axis=-1)
+    known = np.asarray(np.isfinite(nodes).all(axis=-1))
     if known.all() and max(float(np.abs(np.diff(nodes, axis=axis)).max()) for axis in (0, 1)) < jump:
         return np.zeros(known.shape, np.bool_)
-    filled = np.where(known[..., None], nodes, np.float32(-4 * jump))
+    filled = np.where(known[..., None], nodes, np.float32(-4 * jump)).astype(np.float32)
     square = np.ones((3, 3), np.uint8)
-    spans = [cv2.dilate(filled[..., k], square) - cv2.erode(filled[..., k], square) for k in (0, 1)]
-    some = cv2.dilate(known.astype(np.uint8), square) > 0
+    planes = [np.ascontiguousarray(filled[..., k]) for k in (0, 1)]
+    spans = [np.asarray(cv2.dilate(p, square)) - np.asarray(cv2.erode(p, square)) for p in planes]
+    some = np.asarray(cv2.dilate(np.asarray(known, np.uint8), square)) > 0
     return np.asarray(some & ((spans[0] > jump) | (spans[1] > jump)))
 
 

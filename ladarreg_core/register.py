@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from types import ModuleType
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -135,3 +137,13 @@ def _registration(result: PoseResult, method: str, steps: StepLog, options: Regi
 
 def _fields(result: PoseResult) -> dict[str, Any]:
     return {name: getattr(result, name) for name in PoseResult.__dataclass_fields__}
+
+
+class _Facade(ModuleType):
+    """This module, made callable: once imported by its name, it stands where `ladarreg_core.register` is looked for."""
+
+    def __call__(self, *args: Any, **options: Any) -> Registration:
+        return register(*args, **options)
+
+
+sys.modules[__name__].__class__ = _Facade

@@ -35,8 +35,7 @@ def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX)
     for plane in planes:
         smooth = cv2.GaussianBlur(np.ascontiguousarray(plane, dtype=np.float32), (0, 0), pre_blur_px)
         gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
-        floor = cv2.magnitude(gx, gy)
-        floor *= np.float32(_SELECTIVITY)
+        floor = np.asarray(cv2.magnitude(gx, gy), dtype=np.float32) * np.float32(_SELECTIVITY)
         # Strip by strip: the eight passes then run in the processor's cache.
         for top in range(0, height, _STRIP_ROWS):
             rows = slice(top, min(top + _STRIP_ROWS, height))

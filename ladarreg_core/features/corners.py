@@ -95,7 +95,7 @@ def find_corners(
         raise ShapeError(f"corners are found in a gray picture (H, W); this one has the shape {image.shape}")
     gray = np.ascontiguousarray(image, dtype=np.float32)
     if o.pre_blur_px > 0:
-        gray = cv2.GaussianBlur(gray, (0, 0), o.pre_blur_px)
+        gray = np.asarray(cv2.GaussianBlur(gray, (0, 0), o.pre_blur_px), dtype=np.float32)
     w, q = corner_maps(gray)
     side = 2 * o.non_maximum_px + 1
     peak = (w >= cv2.dilate(w, np.ones((side, side), np.uint8))) & (w > max(o.w_min, 0.0)) & (q > o.q_min)

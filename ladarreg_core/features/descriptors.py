@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
 
@@ -29,7 +32,7 @@ def describe(channels: FloatArray, uv: FloatArray) -> FloatArray:
     return unit_rows(samples.reshape(len(uv), -1))
 
 
-def unit_rows(rows: FloatArray) -> FloatArray:
+def unit_rows(rows: NDArray[Any]) -> FloatArray:
     """Return rows (N, D) with their mean removed and unit length; rows without contrast become zeros."""
     centred = rows - rows.mean(axis=1, keepdims=True)
     length = np.linalg.norm(centred, axis=1, keepdims=True)

@@ -178,7 +178,7 @@ def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDA
         )
     row, column, shape, thinned = grid
     if thinned > 1:
-        notes.append(f"the grid was thinned to every {thinned}th row and column")
+        notes.append(f"the grid was thinned to one row and one column in {thinned}")
     # State 1: the range is invalid but the direction is known, and gives the empty cell its ray.
     directed = np.flatnonzero((state == 1) & (row >= 0))
     hit = np.flatnonzero(returned & (row >= 0))

@@ -23,6 +23,7 @@ from ladarreg_core.formats.boundary import (
     shown_name,
     unit_notes,
 )
+from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import IntensityKind, Scan
 from ladarreg_core.scanner import AzimuthElevation, ScanGeometry, TabulatedGrid, range_from_counts
@@ -81,7 +82,11 @@ def read_npz(path: PathLike, *, report: Report | None = None) -> Scan:
         _tell(report, 1, total)
         values = measured.read(archive)
         _tell(report, 2, total)
-        geometry, metres = _from_xyz(values) if name == "xyz" else _from_counts(values, _scalars(archive, members))
+        if name == "xyz":
+            geometry, metres, notes = _from_xyz(values)
+        else:
+            geometry, metres = _from_counts(values, _scalars(archive, members))
+            notes = ()
         ranges = as_float32(metres)
         return Scan(
             geometry,
@@ -90,7 +95,7 @@ def read_npz(path: PathLike, *, report: Report | None = None) -> Scan:
             color=None if color is None else color.read(archive),
             intensity_is=_intensity_is(archive, members),
             name=file.stem,
-            notes=unit_notes(ranges),
+            notes=(*notes, *unit_notes(ranges)),
         )
 
 
@@ -277,7 +282,7 @@ def _from_counts(counts: NDArray[Any], scalars: dict[str, float]) -> tuple[ScanG
     return geometry, range_from_counts(counts, scalars["r0_m"], scalars["dr_m"])
 
 
-def _from_xyz(xyz: NDArray[Any]) -> tuple[ScanGeometry, NDArray[np.float64]]:
+def _from_xyz(xyz: NDArray[Any]) -> tuple[ScanGeometry, NDArray[np.float64], tuple[str, ...]]:
     points = xyz.astype(np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
         ranges = np.linalg.norm(points, axis=-1)
@@ -288,7 +293,11 @@ def _from_xyz(xyz: NDArray[Any]) -> tuple[ScanGeometry, NDArray[np.float64]]:
         )
     points[missing] = np.nan
     ranges[missing] = np.nan
-    return TabulatedGrid(points), ranges
+    rays = unit_rays(points)
+    # The order is the file's to keep: cells in a matches file are counted in it.
+    wrong = is_scan_grid(rays) and order_of(rays)
+    note = "rows and columns do not run from the top and from the left: the picture is turned or mirrored"
+    return TabulatedGrid(points), ranges, (note,) if wrong else ()
 
 
 def _intensity_is(archive: zipfile.ZipFile, members: dict[str, _Member]) -> IntensityKind:

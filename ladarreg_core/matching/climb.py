@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
@@ -115,7 +116,9 @@ def project_visible(
     points_camera = pose @ points.points
     camera = target.camera
     depth = np.where(points_camera[:, 2] > 0.05, points_camera[:, 2], 1)[:, None]
-    uv = points_camera[:, :2] / depth * np.float32([camera.fx, camera.fy]) + np.float32([camera.cx, camera.cy])
+    uv = points_camera[:, :2] / depth * np.array([camera.fx, camera.fy], np.float32) + np.array(
+        [camera.cx, camera.cy], np.float32
+    )
     visible = camera.contains(uv, border=border) & occluder.visible(points_camera, buffer)
     near = np.rint(np.where(visible[:, None], uv, 0)).astype(np.intp)
     visible &= target.usable[near[:, 1], near[:, 0]]
@@ -141,7 +144,7 @@ def _gauss_newton_step(
     count = blocks.sum(np.ones(len(kept), np.float32))
 
     def total(a: FloatArray, b: FloatArray) -> FloatArray:
-        return np.einsum("nk,nk->n", a, b)
+        return np.asarray(np.einsum("nk,nk->n", a, b))
 
     def centred(values: FloatArray) -> FloatArray:
         return np.asarray(values - (blocks.sum(values) / count[:, None]).take(of, axis=0))
@@ -214,7 +217,7 @@ def _own_steps(
     return np.hypot((vv * right_u - uv * right_v) / det, (uu * right_v - uv * right_u) / det)
 
 
-def _sub_blocks(labels: FloatArray) -> Blocks:
+def _sub_blocks(labels: NDArray[np.intp]) -> Blocks:
     names, starts, of_point = np.unique(labels, return_index=True, return_inverse=True)
     return Blocks(starts, of_point, names[:, None])
 

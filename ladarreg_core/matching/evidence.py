@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
@@ -79,7 +79,7 @@ def window_evidence(
     return WindowEvidence(matches, inliers[finite], (covariance + covariance.T) / 2, scatter)
 
 
-def _middle(points: ViewPoints, members: FloatArray) -> int:
+def _middle(points: ViewPoints, members: IntArray) -> int:
     """Return the visible point nearest to the middle of its block."""
     uv = points.uv[members]
     return int(members[np.argmin(((uv - uv.mean(axis=0)) ** 2).sum(axis=-1))])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.features.corners import CornerOptions, find_corners
 from ladarreg_core.features.descriptors import describe
 from ladarreg_core.frames import Rigid
@@ -38,7 +38,7 @@ class Hypothesis:
     """(M, 3) scan points of all its matches, scanner frame, m."""
     uv: FloatArray
     """(M, 2) working pixels of all its matches."""
-    supported: FloatArray
+    supported: BoolArray
     """(M,) bool: its inliers."""
 
 

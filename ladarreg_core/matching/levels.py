@@ -7,13 +7,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import add_channels, normalised_channels, raw_channels
+from ladarreg_core.lookup import look_up
 from ladarreg_core.perspective import View
 from ladarreg_core.photo import Photo
 from ladarreg_core.range_gate import fill_from_nearest, gate_spikes, median_range
@@ -37,7 +40,7 @@ def level_channels(planes: list[FloatArray], level: int) -> FloatArray:
 
 
 def _halved(planes: list[FloatArray], camera: Camera) -> list[FloatArray]:
-    return [cv2.resize(plane, camera.size, interpolation=cv2.INTER_AREA) for plane in planes]
+    return [np.asarray(cv2.resize(p, camera.size, interpolation=cv2.INTER_AREA), dtype=np.float32) for p in planes]
 
 
 def working_camera(scan: Scan, camera: Camera) -> Camera:
@@ -65,7 +68,7 @@ class PhotoLevels:
     def gray(self) -> FloatArray:
         """(h, w) float32, level 0."""
         red, green, blue = self.planes[0]
-        return 0.299 * red + 0.587 * green + 0.114 * blue
+        return np.asarray(0.299 * red + 0.587 * green + 0.114 * blue, dtype=np.float32)
 
     @cached_property
     def _raw_fine(self) -> FloatArray:
@@ -91,9 +94,9 @@ def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
         working: the ideal camera to work in, of the photo's shape or smaller.
     """
     scaled = photo.camera.scaled(working.width / photo.camera.width)
-    pixels = photo.pixels
+    pixels: NDArray[Any] = photo.pixels
     if scaled.size != photo.camera.size:
-        pixels = cv2.resize(pixels, scaled.size, interpolation=cv2.INTER_AREA)
+        pixels = np.asarray(cv2.resize(pixels, scaled.size, interpolation=cv2.INTER_AREA))
     usable = np.ones((working.height, working.width), np.bool_)
     if scaled.distortion or abs(scaled.fx - scaled.fy) > 1e-3 * scaled.fx:
         v, u = np.mgrid[: working.height, : working.width].astype(np.float32)
@@ -101,7 +104,7 @@ def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
         source = scaled.project(np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32))
         usable = scaled.contains(source)
         source = np.nan_to_num(source, nan=-1e4)
-        pixels = cv2.remap(pixels, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        pixels = look_up(pixels, source[..., 0], source[..., 1])
     planes = [np.ascontiguousarray(pixels[..., k], dtype=np.float32) for k in range(3)]
     cameras, all_planes, masks = [working], [planes], [usable]
     for level in LEVELS[1:]:
@@ -179,7 +182,7 @@ def scan_levels(scan: Scan, view: View) -> ScanLevels:
     """Return the scan as the matcher sees it in one view."""
     gated = gate_spikes(scan.ranges)
     gray = _laser_gray(scan, gated)
-    gray = cv2.remap(gray, view.cells, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    gray = look_up(gray, view.cells[..., 0], view.cells[..., 1])  # beyond the grid its border goes on
 
     ranges = view.resample_ranges(gated)
     ranges[~view.inside] = np.nan

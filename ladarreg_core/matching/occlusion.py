@@ -6,6 +6,7 @@ For matching only; the texture uses the exact surface (`ladarreg_core.visibility
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
@@ -44,7 +45,7 @@ class Occluder:
         nearest = buffer[np.where(inside, cell, 0)]
         return np.asarray(inside & (depth <= nearest * (1 + _TOLERANCE_FRACTION) + _TOLERANCE_M))
 
-    def _cells(self, points_camera: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def _cells(self, points_camera: FloatArray) -> tuple[NDArray[np.intp], BoolArray]:
         camera = self._camera
         x, y, z = points_camera[:, 0], points_camera[:, 1], points_camera[:, 2]
         front = z > 0.05

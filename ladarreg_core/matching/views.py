@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.perspective import look_along
@@ -55,5 +56,5 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
     return [*found, *(view for _, view in scored)] or [first]
 
 
-def _wrapped(angle: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+def _wrapped(angle: FloatArray) -> FloatArray:
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

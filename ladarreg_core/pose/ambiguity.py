@@ -9,14 +9,13 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.pose.bundle import Descent, Measurements, States, information_matrix
-from ladarreg_core.pose.gnc import graduate, narrow_scales
+from ladarreg_core.pose.bundle import Descent, Measurements, States, information_matrix, settle
+from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score
 
 _ORBIT_RAD = np.deg2rad(40.0)
 _ORBITS = 3
 _SAMPLE = 20
-_STEPS = 10
-_SETTLED_SIGMA = 0.3
+_STEPS = 6  # starts that come home are there after four
 _LIKELY = 16.0  # a rise of s by 16, four sigma, tells two poses apart
 _APART_SIGMA = 6.0
 
@@ -39,19 +38,21 @@ def competing_pose(
     sample = members[np.unique(np.linspace(0, len(members) - 1, _SAMPLE).astype(np.intp))]
     few = measured.subset(sample)
     points = (few.rays * few.ranges).T
-    H = information_matrix(measured.subset(inliers), States.of([pose], measured.subset(inliers)))[0]
+    here, seen = settle(few, States.of([pose], few), rounds=1)
     noise = max(1.0, chi2_per_dof if np.isfinite(chi2_per_dof) else 1.0)
     descent = Descent.start(few, States.of([mirrored(pose, points), *_orbits(pose, points)], few))
     for _ in range(_STEPS):
         descent.step(np.ones_like, _total)
-        away = _apart(pose, descent.states, H)
-        if not (away & (descent.moved_sigma > _SETTLED_SIGMA)).any():
-            break
-    # A sample of the inliers can only be explained better than all matches are.
-    worth = away & (_total(descent.seen.s) < score + _LIKELY * noise)
+    # A rival's score over all matches may be higher by _LIKELY, on a sample also by chance.
+    worth = truncated_score(descent.seen.s, gate) < truncated_score(seen.s, gate) + (
+        _LIKELY * noise + 4 * np.sqrt(4 * len(sample))
+    )
+    worth &= _apart(pose, descent.states, information_matrix(few, here)[0])
     if not worth.any():
         return None
     full = descent.states.subset(worth).seeing(measured)
+    agreeing = measured.subset(inliers)
+    H = information_matrix(agreeing, States.of([pose], agreeing))[0]
     others, scores = graduate(measured, full, narrow_scales(full, gate), gate)
     rivals = _apart(pose, others, H) & (scores < score + _LIKELY * noise)
     return others.pose(int(np.argmin(np.where(rivals, scores, np.inf)))) if rivals.any() else None

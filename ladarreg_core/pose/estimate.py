@@ -52,6 +52,7 @@ _LINE = 1e-3  # extents across over along below this: collinear
 _MOST_RANGE_M, _MOST_PIXEL = 1e7, 1e7
 _LEAST_SIGMA, _MOST_SIGMA = 1e-6, 1e6
 _GATE_ROUNDS = 5
+_CLEAR_SHARE = 0.5
 _NOISE_ROUNDS = 3
 _SETTLED_NOISE = 1.1  # a change of the noise below this factor changes neither inliers nor pose
 
@@ -251,36 +252,43 @@ def _first_poses(
         if pose is None:
             break
         poses.append(pose)
-        again = options.ransac_again_sigma * _propagated_sigma_px(measured, pose, ideal, gate_px=threshold)
-        if not np.isfinite(again):
-            break
+        again, share = _second_threshold_px(measured, pose, ideal, options, gate_px=threshold)
+        if np.isnan(again) or (again <= threshold and share > _CLEAR_SHARE):
+            break  # a tighter threshold only matters where mismatches are many
         threshold = again
     return poses
 
 
-def _propagated_sigma_px(measured: Measurements, pose: Rigid, camera: Camera, *, gate_px: float) -> float:
-    """Return the median over the inliers of the pixel's sigma with that of its range propagated into it, px."""
+def _second_threshold_px(
+    measured: Measurements, pose: Rigid, camera: Camera, options: PoseOptions, *, gate_px: float
+) -> tuple[float, float]:
+    """Return the second RANSAC's threshold from the noise of ranges propagated into pixels, and the inliers' share.
+
+    NaN where the pose has no inlier.
+    """
     state = States.of([pose], measured)
     seen = residuals(measured, state)
-    near = np.hypot(seen.ex[0], seen.ey[0]) * camera.focal_px < gate_px
-    near &= seen.s[0] < UNSEEN
+    squared = (seen.ex[0] ** 2 + seen.ey[0] ** 2) * (camera.fx * camera.fy)
+    near = (squared < gate_px**2) & (seen.s[0] < UNSEEN)
     if not near.any():
-        return float("nan")
+        return float("nan"), 0.0
     lin = linearise(measured, state, seen)
-    xx, xy, yy = measured.information[:, near]
+    xx, xy, yy = measured.information
     own = (xx + yy) / np.maximum(xx * yy - xy * xy, 1e-300) / 2
-    by_range = (lin.jx[0, near] ** 2 + lin.jy[0, near] ** 2) / measured.range_information[near]
-    return float(np.sqrt(np.median(own + by_range)) * camera.focal_px)
+    by_range = (lin.jx[0] ** 2 + lin.jy[0] ** 2) / measured.range_information
+    sigma = float(np.sqrt(np.median((own + by_range)[near])) * camera.focal_px)
+    return options.ransac_again_sigma * sigma, float(np.mean(near))
 
 
 def _best_of(measured: Measurements, poses: Sequence[Rigid], options: PoseOptions, *, wide: bool) -> States:
     """Return the state (B = 1) of the lowest truncated score after closing the cost on every start."""
     gate = options.gate_chi2
-    states, seen = settle(measured, States.of(poses, measured), rounds=1)
-    keep = np.array([int(np.argmin(truncated_score(seen.s, gate)))])
-    if wide:
-        keep = np.unique([*keep, len(poses) - 1])  # the guess that was given counts even where it is poor
-    states = states.subset(keep)
+    states = States.of(poses, measured)
+    if len(poses) > 1:
+        keep = np.array([int(np.argmin(truncated_score(residuals(measured, states).s, gate)))])
+        if wide:
+            keep = np.unique([*keep, len(poses) - 1])  # the guess that was given counts even where it is poor
+        states = states.subset(keep)
     found, scores = graduate(measured, states, narrow_scales(states, gate, options.gnc), gate, options.gnc)
     best = found.subset(np.array([int(np.argmin(scores))]))
     share = np.mean(residuals(measured, best).s <= gate)
@@ -295,7 +303,7 @@ def _best_of(measured: Measurements, poses: Sequence[Rigid], options: PoseOption
 def _fit(measured: Measurements, state: States, options: PoseOptions) -> _Fit:
     """Gate and descend in turn until the inliers stay the same."""
     gate, settled = options.gate_chi2, False
-    state, seen = settle(measured, state.seeing(measured))
+    state, seen = settle(measured, state, rounds=1)
     inliers = seen.s[0] <= gate
     for _ in range(_GATE_ROUNDS):
         if np.count_nonzero(inliers) < _LEAST_MATCHES:
@@ -397,7 +405,7 @@ def _checked(matches: Matches, camera: Camera, initial: Rigid | None) -> Matches
     if not ((matches.weights >= _LEAST_SIGMA) & (matches.weights <= _MOST_SIGMA)).all():
         bad = (matches.weights < _LEAST_SIGMA) | (matches.weights > _MOST_SIGMA)
         raise ShapeError(
-            f"{_these(bad, matches)} a weight outside {_LEAST_SIGMA:g} to {_MOST_SIGMA:g}; leave out what should not count"
+            f"{_these(bad, matches)} a weight outside {_LEAST_SIGMA:g} to {_MOST_SIGMA:g}; leave such matches out"
         )
     good = (matches.ranges > 0) & (matches.ranges <= _MOST_RANGE_M)
     good &= (np.abs(matches.uv) <= _MOST_PIXEL).all(axis=1)
