@@ -13,6 +13,7 @@ from ladarreg_core.errors import ShapeError
 
 _LEAST_RAYS = 12
 _RESIDUAL_REACH_CELLS = 8.0
+_FIT_CELLS = 20_000
 _TREE_NODES = 100_000
 _NEWTON_STEPS = 12
 _EXTRAPOLATED_CELLS = 16.0
@@ -65,16 +66,22 @@ def _fit_angle(angle: NDArray[np.float64], known: BoolArray) -> NDArray[np.float
     rest = _wrapped(rest - offset)
 
     r, c = row / max(height - 1, 1) * 2 - 1, column / max(width - 1, 1) * 2 - 1
-    basis = np.stack([np.ones_like(r), r, c, r * c, r * r, c * c], axis=-1)
-    use = known.copy()
+    sample = np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _FIT_CELLS)]
+    basis, values = _quadratic(r.ravel()[sample], c.ravel()[sample]), rest.ravel()[sample]
+    use = np.ones(len(sample), np.bool_)
     for _ in range(3):  # trimmed, so that a few bad points do not bend the law
-        coefficients, *_ = np.linalg.lstsq(basis[use], rest[use], rcond=None)
-        residual = rest - basis @ coefficients
-        use = known & (np.abs(residual) <= 4 * np.median(np.abs(residual[use])) + 1e-12)
-    residual = np.where(known, rest - basis @ coefficients, 0.0)
+        coefficients, *_ = np.linalg.lstsq(basis[use], values[use], rcond=None)
+        error = np.abs(values - basis @ coefficients)
+        use = error <= 4 * np.median(error[use]) + 1e-12
+    smooth = _quadratic(r, c) @ coefficients
+    residual = np.where(known, rest - smooth, 0.0)
     blurred = cv2.GaussianBlur(residual, (0, 0), _RESIDUAL_REACH_CELLS)
     share = cv2.GaussianBlur(known.astype(np.float64), (0, 0), _RESIDUAL_REACH_CELLS)
-    return np.asarray(trend + offset + basis @ coefficients + blurred / (share + 1e-3))
+    return np.asarray(trend + offset + smooth + blurred / (share + 1e-3))
+
+
+def _quadratic(r: FloatArray, c: FloatArray) -> NDArray[np.float64]:
+    return np.stack([np.ones_like(r), r, c, r * c, r * r, c * c], axis=-1)
 
 
 def _wrapped(angle: Any) -> NDArray[np.float64]:

@@ -259,21 +259,37 @@ def _sampled(
     """Return the photo's colour at every visible cell, (H, W, 3), from a copy reduced to about the cell's size."""
     visible = projection.visible
     u, v = (np.where(visible, projection.uv[..., k], _OUTSIDE) for k in range(2))
-    result = look_up(pixels, u, v, outside=background)
     steps = scan.geometry.step_rad
     reach = np.float32(camera.focal_px * np.sqrt(steps[0] * steps[1]))
     with np.errstate(invalid="ignore", divide="ignore"):
         cell_px = np.where(visible, reach * scan.ranges / projection.depth_m, np.float32(0))
-    reduced, level = pixels, 1
-    while float(cell_px.max()) >= 2**level and min(reduced.shape[:2]) >= 4:
+    largest = float(cell_px.max())
+    smallest = float(np.min(cell_px, where=visible, initial=largest))
+    result: NDArray[np.uint8] | None = None
+    reduced, level = pixels, 0
+    while True:
+        last = largest < 2 ** (level + 1) or min(reduced.shape[:2]) < 4
+        if last or smallest < 2 ** (level + 1):  # some cells are served best by this copy
+            at_u, at_v = (u, v) if level == 0 else _on_copy(u, v, visible, pixels, reduced)
+            colours = look_up(reduced, at_u, at_v, outside=background)
+            if result is None:
+                result = colours
+            else:
+                np.copyto(result, colours, where=(cell_px >= 2**level)[..., None])
+        if last:
+            assert result is not None, "the last copy is always looked up"
+            return result
         size = (reduced.shape[1] // 2, reduced.shape[0] // 2)
         reduced = np.asarray(cv2.resize(reduced, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        # Outer borders stay where they are, so pixel centres move: (u + 1/2) / factor - 1/2.
-        at = []
-        for position, n, whole in ((u, size[0], pixels.shape[1]), (v, size[1], pixels.shape[0])):
-            factor = np.float32(n / whole)
-            at.append(np.clip((position + np.float32(0.5)) * factor - np.float32(0.5), 0, n - 1))
-        here = cell_px >= 2**level
-        np.copyto(result, look_up(reduced, at[0], at[1]), where=here[..., None])
         level += 1
-    return result
+
+
+def _on_copy(
+    u: FloatArray, v: FloatArray, visible: BoolArray, pixels: ByteArray, reduced: ByteArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return where pixels lie on a reduced copy: outer borders stay, so centres move, (u + 1/2) / factor - 1/2."""
+    half, at = np.float32(0.5), []
+    for position, n, whole in ((u, reduced.shape[1], pixels.shape[1]), (v, reduced.shape[0], pixels.shape[0])):
+        moved = np.clip((position + half) * np.float32(n / whole) - half, 0, n - 1)
+        at.append(np.where(visible, moved, _OUTSIDE))
+    return at[0], at[1]

@@ -1,0 +1,49 @@
+# `make demo` and `make test` each do all of their own set-up in .venv; nothing else is needed but Python 3.11-3.13.
+
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test browser clean
+
+demo: $(VENV)/.installed
+	@$(BIN)/ladarreg demo
+
+# Everything runs even where an earlier check fails, so that pytest's closing line is always the last; any failure fails.
+test: $(VENV)/.installed-dev browser
+	@status=0; \
+	echo "ruff check"; $(BIN)/ruff check . || status=1; \
+	echo "ruff format --check"; $(BIN)/ruff format --check --quiet . || status=1; \
+	echo "mypy"; $(BIN)/mypy || status=1; \
+	$(BIN)/python -m pytest || status=1; \
+	exit $$status
+
+$(VENV)/.created:
+	@for python in $(PYTHON) python3.13 python3.12 python3.11 python3 python; do \
+		if $$python -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null; then \
+			echo "$(VENV): $$($$python --version)"; \
+			[ -x $(BIN)/python ] && $(BIN)/python -m pip --version >/dev/null 2>&1 || $$python -m venv --clear $(VENV) || exit 1; \
+			touch $@; exit 0; \
+		fi; \
+	done; \
+	echo "make: no Python 3.11, 3.12 or 3.13 with the venv module was found; install one or say make PYTHON=/path/to/python" >&2; \
+	exit 1
+
+$(VENV)/.installed: pyproject.toml $(VENV)/.created
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml $(VENV)/.created
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@touch $@ $(VENV)/.installed
+
+# The browser tests skip with a reason where none of these ways leads to a Chromium.
+browser: $(VENV)/.installed-dev
+	@if $(BIN)/python -m tests.e2e.browser >/dev/null 2>&1; then exit 0; fi; \
+	if command -v apt-get >/dev/null && [ "$$(id -u)" = 0 ]; then \
+		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq chromium >/dev/null || true; \
+	fi; \
+	$(BIN)/python -m tests.e2e.browser >/dev/null 2>&1 || $(BIN)/python -m playwright install chromium || true; \
+	$(BIN)/python -m tests.e2e.browser || true
+
+clean:
+	rm -rf build dist artifacts .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

@@ -1,0 +1,1 @@
+"""What a person sees of the core: the command line and the viewer. No mathematics lives here."""

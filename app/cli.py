@@ -1,0 +1,144 @@
+"""The command line: `ladarreg COMMAND ...`.
+
+Only the chosen command's module is imported, and for `--help` none at all: tyro alone takes a fifth of a second.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from app.exit_codes import ExitCode
+
+COMMANDS = {
+    "register": "Register a scan with a photograph: pose, registered picture, textured model.",
+    "info": "Tell what a scan, photograph or camera file holds.",
+    "simulate": "Write a synthetic scan and photograph with their true pose.",
+    "demo": "Register the embedded sample and look at it in the browser.",
+}
+"""Every command and its summary; its code is `app.commands.<name>`."""
+
+_ANSWERS = "Exit codes: 0 done and accepted, 2 bad input, 3 ran but not accepted, 130 interrupted."
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code; errors are one line on stderr."""
+    words = list(sys.argv[1:] if args is None else args)
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(_help())
+        return ExitCode.ACCEPTED if words else ExitCode.BAD_INPUT
+    if words[0] == "--version":
+        from ladarreg_core import __version__
+
+        print(f"ladarreg {__version__}")
+        return ExitCode.ACCEPTED
+    if words[0] not in COMMANDS:
+        return _fail(
+            f"{words[0]!r} is no command; use one of {', '.join(COMMANDS)} (see ladarreg --help)", ExitCode.BAD_INPUT
+        )
+    debug = "--debug" in words
+    _interrupt_on_sigterm()
+    try:
+        return _run(words[0], words[1:], debug=debug)
+    except SystemExit as stop:  # help and errors of the argument parser
+        return stop.code if isinstance(stop.code, int) else ExitCode.ACCEPTED
+    except (KeyboardInterrupt, Exception) as error:
+        if debug:
+            import traceback
+
+            traceback.print_exc()
+        return _fail(*_explain(error))
+
+
+def entry_point() -> NoReturn:
+    """Start the process: `main`, and a quiet end where the reader of the output has gone."""
+    try:
+        code = main()
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The interpreter flushes once more on its way out.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = ExitCode.ACCEPTED
+    sys.exit(code)
+
+
+def _run(name: str, words: list[str], *, debug: bool) -> int:
+    from app.arguments import parse
+
+    command = importlib.import_module(f"app.commands.{name}")
+    arguments = parse(command.Arguments, words, prog=f"ladarreg {name}", description=COMMANDS[name])
+    _set_up_log(debug=debug)
+    return int(command.run(arguments))
+
+
+def _explain(error: BaseException) -> tuple[str, ExitCode]:
+    """Return one line for a person and the exit code of an error."""
+    from ladarreg_core.errors import Cancelled, LadarregError
+
+    if isinstance(error, KeyboardInterrupt | Cancelled):
+        return "interrupted; nothing half-made is left", ExitCode.INTERRUPTED
+    if isinstance(error, LadarregError):
+        return str(error), ExitCode.BAD_INPUT
+    if isinstance(error, BrokenPipeError):
+        raise error
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}; check the path, its permissions and the space", ExitCode.BAD_INPUT
+    if isinstance(error, MemoryError):
+        return "not enough memory; use a smaller scan or photo, or a machine with more", ExitCode.FAILED
+    what = f"unexpected {type(error).__name__}: {error}"
+    return f"{what}; this is a fault of the program: run again with --debug to see where", ExitCode.FAILED
+
+
+def _fail(text: str, code: ExitCode) -> ExitCode:
+    from app.wording import one_line
+
+    print(f"ladarreg: {one_line(text)}", file=sys.stderr)
+    return code
+
+
+def _help() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {summary}" for name, summary in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: ladarreg [-h] [--version] COMMAND ...",
+            "",
+            "Register laser scans with photographs taken from somewhere else, and know how good the result is.",
+            "",
+            "commands:",
+            *lines,
+            "",
+            "ladarreg COMMAND --help tells a command's options.",
+            _ANSWERS,
+        ]
+    )
+
+
+def _set_up_log(*, debug: bool) -> None:
+    import logging
+    import warnings
+
+    if debug:
+        logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s")
+        logging.getLogger("ladarreg_core").setLevel(logging.DEBUG)
+    else:
+        warnings.simplefilter("ignore")
+        logging.getLogger().addHandler(logging.NullHandler())
+
+
+def _interrupt_on_sigterm() -> None:
+    """Let a polite kill clean up like Ctrl-C does."""
+
+    def interrupt(signum: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    if hasattr(signal, "SIGTERM"):
+        try:
+            signal.signal(signal.SIGTERM, interrupt)
+        except ValueError:  # called from another thread than the main one
+            return

@@ -1,0 +1,66 @@
+"""`ladarreg info FILE`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from app.exit_codes import ExitCode
+from app.wording import one_line
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """What `info` is told."""
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    """A scan, photograph, camera, pose or matches file."""
+    debug: bool = False
+    """Log, and a trace back where something fails."""
+
+
+def run(arguments: Arguments) -> ExitCode:
+    """Print what the file holds, one fact a line."""
+    from ladarreg_core.formats import describe
+
+    facts = list(_facts(describe(arguments.file)))
+    width = max(len(name) for name, _ in facts)
+    for name, value in facts:
+        print(f"{name:<{width}}  {value}")
+    return ExitCode.ACCEPTED
+
+
+def _facts(info: Any) -> Iterator[tuple[str, str]]:
+    pairs = (
+        info.items()
+        if isinstance(info, Mapping)
+        else ((field.name, getattr(info, field.name)) for field in fields(info))
+    )
+    for name, value in pairs:
+        label = str(name).replace("_", " ")
+        if value is None or value == () or value == [] or value == {}:
+            continue
+        if isinstance(value, Mapping) or is_dataclass(value):
+            yield from ((f"{label} {inner}", text) for inner, text in _facts(value))
+        elif isinstance(value, list | tuple) and value and not all(isinstance(item, int | float) for item in value):
+            for number, item in enumerate(value):
+                if isinstance(item, Mapping) or is_dataclass(item):
+                    yield f"{label} {number}", ", ".join(f"{inner} {text}" for inner, text in _facts(item))
+                else:
+                    yield label, _text(item)
+        else:
+            yield label, _text(value)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return " ".join(map(_text, value))
+    return one_line(str(value))

@@ -1,0 +1,27 @@
+"""Where the page's files are: beside the source tree's rooms, or inside an installed wheel."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+_ANCHOR = "tokens.css"
+
+
+@cache
+def static_folder() -> Path:
+    """Return the folder of the page's files.
+
+    Raises:
+        FileNotFoundError: if the installation is broken.
+    """
+    here = Path(__file__).resolve().parent
+    for folder in (here / "static", here.parent / "static"):
+        if (folder / _ANCHOR).is_file():
+            return folder
+    raise FileNotFoundError(f"the page's files are missing beside {here}; install ladarreg again")
+
+
+def static_text(name: str) -> str:
+    """Return the text of one of the page's files."""
+    return (static_folder() / name).read_text(encoding="utf-8")

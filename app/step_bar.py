@@ -1,0 +1,129 @@
+"""Progress on stderr: a bar on a terminal, plain lines elsewhere, nothing where quiet is wanted."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Protocol, TextIO
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from ladarreg_core.progress import Progress, Step
+
+_MILESTONES = {
+    "read scan": 0.08,
+    "read photo": 0.1,
+    "photo channels": 0.15,
+    "scan channels": 0.25,
+    "hypothesis": 0.35,
+    "climb": 0.45,
+    "finish": 0.55,
+    "verify": 0.58,
+    "matches": 0.3,
+    "pose": 0.58,
+    "result": 0.6,
+}
+"""How far the work has come after a step, as a share of the usual time; a search may take many climbs."""
+_EXPORTS_FROM = 0.6
+
+
+class StepBar(Protocol):
+    """What a command tells its progress to; a context manager."""
+
+    def __enter__(self) -> StepBar:
+        """Start."""
+        ...
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        """Take the bar off the screen."""
+        ...
+
+    def step(self, step: Step) -> None:
+        """Tell a finished step."""
+        ...
+
+    def progress(self, progress: Progress) -> None:
+        """Tell how far loading or writing has come."""
+        ...
+
+
+def step_bar(*, quiet: bool, stream: TextIO | None = None) -> StepBar:
+    """Return the bar that suits the stream (stderr)."""
+    out = stream or sys.stderr
+    if quiet:
+        return _Silence()
+    return _Bar() if out.isatty() else _Lines(out)
+
+
+class _Silence:
+    def __enter__(self) -> StepBar:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        return None
+
+    def step(self, step: Step) -> None:
+        """Tell nothing."""
+
+    def progress(self, progress: Progress) -> None:
+        """Tell nothing."""
+
+
+class _Lines(_Silence):
+    def __init__(self, out: TextIO) -> None:
+        self._out = out
+        self._label = ""
+
+    def step(self, step: Step) -> None:
+        """Print the step, its time and its numbers."""
+        detail = "  ".join(
+            f"{key} {value}" for key, value in step.detail.items() if isinstance(value, str | int | float)
+        )
+        print(f"{step.name:<16} {step.seconds:6.2f} s  {detail}".rstrip(), file=self._out, flush=True)
+
+    def progress(self, progress: Progress) -> None:
+        """Print each new label once."""
+        if progress.label != self._label:
+            self._label = progress.label
+            print(progress.label, file=self._out, flush=True)
+
+
+class _Bar(_Silence):
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as RichProgress
+
+        self._bar = RichProgress(
+            TextColumn("{task.description:<18}"),
+            BarColumn(complete_style="#5cc8ff", finished_style="#5cc8ff"),
+            TimeElapsedColumn(),
+            TextColumn("[dim]{task.fields[note]}"),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self._task = self._bar.add_task("starting", total=1.0, note="")
+        self._steps = 0
+
+    def __enter__(self) -> StepBar:
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self._bar.stop()
+
+    def step(self, step: Step) -> None:
+        """Move the bar to the step."""
+        self._steps += 1
+        self._show(step.name, _MILESTONES.get(step.name, 0.0), f"{self._steps} steps")
+
+    def progress(self, progress: Progress) -> None:
+        """Move the bar through the exports."""
+        share = progress.done / progress.total if progress.total else 0.0
+        self._show(progress.label, _EXPORTS_FROM + (1 - _EXPORTS_FROM) * share, f"{self._steps} steps")
+
+    def _show(self, label: str, share: float, note: str) -> None:
+        from rich.markup import escape
+
+        done = max(share, self._bar.tasks[0].completed)
+        self._bar.update(self._task, description=escape(label)[:40], completed=done, note=note)

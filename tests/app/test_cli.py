@@ -1,0 +1,376 @@
+"""The command line: exit codes, one line for every mistake, nothing left half-made."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.cli import COMMANDS, main
+from app.exit_codes import ExitCode
+from ladarreg_core.errors import Cancelled
+from ladarreg_core.simulate.embedded import sample_folder
+
+REGISTER_OPTIONS = (
+    "--method", "--matches", "--initial", "--camera", "--focal-px", "--focal-mm", "--sensor-mm", "--scan-index",
+    "--seed", "--force", "--quiet", "--debug", "-o",
+)  # fmt: skip
+
+
+def complaint(capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the one line on stderr, and insist that it is one."""
+    captured = capsys.readouterr()
+    lines = [line for line in captured.err.splitlines() if not line.startswith(("read ", "photo channels"))]
+    assert len(lines) == 1, captured.err
+    assert lines[0].startswith("ladarreg: ")
+    assert "Traceback" not in captured.err
+    return lines[0]
+
+
+def sample(*more: str) -> list[str]:
+    folder = sample_folder()
+    return [
+        "register",
+        str(folder / "scan.npz"),
+        str(folder / "photo.png"),
+        "--camera",
+        str(folder / "camera.json"),
+        *more,
+    ]
+
+
+# --- help and arguments ----------------------------------------------------------------------------------------------
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    for name, summary in COMMANDS.items():
+        assert name in shown
+        assert summary in shown
+        command = importlib.import_module(f"app.commands.{name}")
+        assert callable(command.run)
+        assert command.Arguments.__doc__
+
+
+def test_help_imports_nothing_that_takes_time() -> None:
+    code = (
+        "import sys; from app.cli import main; main(['--help'])\n"
+        "heavy = {'tyro', 'numpy', 'rich', 'logging', 'ladarreg_core.frames', 'viser'} & set(sys.modules)\n"
+        "sys.exit(f'{heavy}' if heavy else 0)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert f"ladarreg {name}" in shown
+    wanted = {"register": REGISTER_OPTIONS, "simulate": ("-o", "--set", "--seed"), "demo": ("--port", "--no-browser")}
+    for option in wanted.get(name, ()):
+        assert option in shown
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    from ladarreg_core import __version__
+
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.split() == ["ladarreg", __version__]
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["regsiter", "a", "b"], "regsiter"),
+        (["register"], "SCAN"),
+        (["register", "a", "b"], "--out"),
+        (["register", "a", "b", "-o"], "--out"),
+        (["register", "a", "b", "-o", "c", "--method", "magic"], "magic"),
+        (["register", "a", "b", "-o", "c", "--seed", "x"], "--seed"),
+        (["register", "a", "b", "-o", "c", "--bogus"], "--bogus"),
+        (["register", "a", "b", "c", "-o", "d"], "c"),
+        (["register", "a", "b", "-o", "c", "--focal-px", "long"], "--focal-px"),
+        (["simulate", "moon", "-o", "c"], "moon"),
+        (["simulate", "office", "-o", "c", "--set", "easy"], "easy"),
+        (["info"], "FILE"),
+        (["demo", "--port", "http"], "--port"),
+    ],
+)
+def test_a_mistyped_command_is_one_line(words: list[str], named: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == ExitCode.BAD_INPUT
+    assert named in complaint(capsys)
+
+
+def test_no_command_at_all_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == ExitCode.BAD_INPUT
+    assert "register" in capsys.readouterr().out
+
+
+# --- bad input -------------------------------------------------------------------------------------------------------
+
+
+def npz(**arrays: object) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        np.savez(folder / "scan.npz", **arrays)  # type: ignore[arg-type]
+        return folder / "scan.npz"
+
+    return write
+
+
+def file(name: str, content: bytes) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        (folder / name).write_bytes(content)
+        return folder / name
+
+    return write
+
+
+HUGE_PCD = """VERSION .7
+FIELDS x y z intensity
+SIZE 4 4 4 4
+TYPE F F F F
+COUNT 1 1 1 1
+WIDTH 200000000
+HEIGHT 1
+POINTS 200000000
+DATA binary
+"""
+SCALARS = {"r0_m": 1.0, "dr_m": 0.002, "d_azimuth_rad": 0.001, "d_elevation_rad": 0.001}
+NO_COUNTS, COUNTS = np.zeros((9, 9), np.uint16), np.ones((9, 9), np.uint16)
+BAD_SCANS: dict[str, Callable[[Path], Path]] = {
+    "missing": lambda folder: folder / "none.npz",
+    "a name with a line break": lambda folder: folder / "two\nlines.e57",
+    "a folder": lambda folder: folder,
+    "empty": file("empty.e57", b""),
+    "random": file("random.pcd", np.random.default_rng(0).bytes(5000)),
+    "truncated": file("half.npz", (sample_folder() / "scan.npz").read_bytes()[:200_000]),
+    "a claim without data": file("claim.pcd", HUGE_PCD.encode()),
+    "pickled": npz(xyz=np.array([{}]), intensity=np.ones((4, 4))),
+    "no returns": npz(counts=NO_COUNTS, intensity=np.ones((9, 9)), **SCALARS),
+    "no intensity": npz(counts=COUNTS, **SCALARS),
+    "one cell": npz(xyz=np.ones((1, 1, 3)), intensity=np.ones((1, 1))),
+    "shapes that disagree": npz(xyz=np.ones((9, 9, 3)), intensity=np.ones((9, 8))),
+    "not numbers": npz(xyz=np.full((9, 9, 3), np.nan), intensity=np.full((9, 9), np.inf)),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_SCANS)
+def test_a_bad_scan_is_one_line_and_leaves_nothing(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, out = tmp_path / "data", tmp_path / "results"
+    data.mkdir()
+    out.mkdir()
+    scan = BAD_SCANS[kind](data)
+    words = ["register", str(scan), *sample()[2:], "-o", str(out / "new")]
+    started = time.perf_counter()
+    assert main(words) == ExitCode.BAD_INPUT
+    complaint(capsys)
+    assert not list(out.iterdir())
+    assert time.perf_counter() - started < 20, "refusing took as long as working"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"width": 767},
+        {"fx": 0},
+        {"fx": -974.0},
+        {"fy": "NaN"},
+        {"distortion": [1, 2, 3]},
+        {"height": None},
+    ],
+    ids=str,
+)
+def test_a_bad_camera_is_one_line(
+    change: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = json.loads((sample_folder() / "camera.json").read_text())
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({**camera, **change}))
+    words = [*sample()[:-1], str(path), "-o", str(tmp_path / "new")]
+    assert main(words) == ExitCode.BAD_INPUT
+    complaint(capsys)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_photo_without_focal_length_says_what_to_give(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [*sample()[:-2], "-o", str(tmp_path / "new")]
+    assert main(words) == ExitCode.BAD_INPUT
+    line = complaint(capsys)
+    assert "--camera" in line
+    assert "--focal-px" in line
+
+
+@pytest.mark.parametrize("option", ["--matches", "--initial"])
+def test_a_missing_extra_file_is_one_line(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = sample(option, str(tmp_path / "none.json"), "-o", str(tmp_path / "new"))
+    assert main(words) == ExitCode.BAD_INPUT
+    assert "none.json" in complaint(capsys)
+
+
+def test_an_existing_folder_is_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "results"
+    mine.mkdir()
+    (mine / "notes.txt").write_text("mine")
+    assert main(sample("-o", str(mine))) == ExitCode.BAD_INPUT
+    assert "--force" in complaint(capsys)
+    assert (mine / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("kind", ["missing", "empty", "random", "truncated", "pickled", "a claim without data"])
+def test_info_of_a_bad_file_is_one_line(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(BAD_SCANS[kind](tmp_path))]) == ExitCode.BAD_INPUT
+    complaint(capsys)
+
+
+# --- faults and interruptions ----------------------------------------------------------------------------------------
+
+
+def fails_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run(arguments: object) -> int:
+        raise error
+
+    monkeypatch.setattr("app.commands.info.run", run)
+
+
+def test_a_fault_of_the_program_is_one_line_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fails_with(ZeroDivisionError("a\nb"), monkeypatch)
+    assert main(["info", "x"]) == ExitCode.FAILED
+    assert "--debug" in complaint(capsys)
+    assert main(["info", "x", "--debug"]) == ExitCode.FAILED
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (KeyboardInterrupt(), ExitCode.INTERRUPTED),
+        (Cancelled(), ExitCode.INTERRUPTED),
+        (PermissionError(13, "Permission denied", "/locked"), ExitCode.BAD_INPUT),
+        (MemoryError(), ExitCode.FAILED),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_every_end_has_its_code(
+    error: BaseException, code: ExitCode, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fails_with(error, monkeypatch)
+    assert main(["info", "x"]) == code
+    complaint(capsys)
+
+
+@pytest.mark.parametrize("after", ["read photo", "verify"])
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "kill"])
+@pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
+def test_an_interruption_leaves_nothing(after: str, signum: int, tmp_path: Path, checkout: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app", *sample("-o", str(tmp_path / "new"))],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=checkout,
+    )  # fmt: skip
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith(after):
+            break
+    process.send_signal(signum)
+    rest = process.stderr.read()
+    assert process.wait(timeout=60) == ExitCode.INTERRUPTED, rest
+    assert "Traceback" not in rest
+    assert not list(tmp_path.iterdir())
+
+
+# --- the whole line --------------------------------------------------------------------------------------------------
+
+
+def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from ladarreg_core.formats.pose_file import read_pose
+
+    out = tmp_path / "deep" / "results"
+    assert main(sample("-o", str(out))) == ExitCode.ACCEPTED
+    shown = capsys.readouterr()
+    assert "Accepted" in shown.out
+    assert "sigma" in shown.out
+    names = {"registration.json", "registered.png", "labels.png", "model.glb", "cloud.ply"}
+    assert {path.name for path in out.iterdir()} == names
+    for name in names:
+        assert name in shown.out
+    assert "verify" in shown.err
+    pose, truth = read_pose(out / "registration.json"), read_pose(sample_folder() / "truth.json")
+    assert np.degrees(pose.angle_to(truth)) < 0.12
+    assert pose.distance_to(truth) < 0.015
+
+    assert main(sample("-o", str(out), "--force", "--quiet")) == ExitCode.ACCEPTED
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert len(shown.out.splitlines()) == 1
+
+
+def test_a_gray_picture_is_not_registered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    photo = tmp_path / "gray.png"
+    Image.fromarray(np.full((512, 768, 3), 128, np.uint8)).save(photo)
+    out = tmp_path / "results"
+    words = sample("-o", str(out))
+    words[2] = str(photo)
+    assert main(words) == ExitCode.NOT_ACCEPTED
+    assert "Not accepted" in capsys.readouterr().out
+    assert {path.name for path in out.iterdir()} == {"registration.json"}
+    assert json.loads((out / "registration.json").read_text())["accepted"] is False
+
+
+def test_simulate_writes_what_info_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("embreex")
+    out = tmp_path / "case"
+    assert main(["simulate", "boxes", "-o", str(out), "--seed", "3"]) == 0
+    assert {path.name for path in out.iterdir()} == {"scan.npz", "photo.png", "camera.json", "truth.json"}
+    assert [path.name for path in tmp_path.iterdir()] == ["case"]
+    capsys.readouterr()
+    assert main(["info", str(out / "scan.npz")]) == 0
+    shown = capsys.readouterr().out
+    assert "1000" in shown
+    assert "700" in shown
+    assert main(["simulate", "boxes", "-o", str(out)]) == ExitCode.BAD_INPUT
+    assert "--force" in complaint(capsys)
+
+
+def test_a_set_that_comes_later_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("embreex")
+    from ladarreg_core.simulate import SETS
+
+    if "thermal" not in SETS:
+        assert main(["simulate", "boxes", "-o", str(tmp_path / "x"), "--set", "thermal"]) == ExitCode.BAD_INPUT
+        complaint(capsys)
+        assert not list(tmp_path.iterdir())
+
+
+def test_a_reader_that_leaves_is_no_error(checkout: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app", "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=checkout
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.wait(timeout=30) == 0
+    assert process.stderr is not None
+    assert process.stderr.read() == b""
+
+
+def test_it_runs_from_anywhere(tmp_path: Path, checkout: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(checkout)}
+    result = subprocess.run(
+        [sys.executable, "-m", "app", "--version"], capture_output=True, text=True, cwd=tmp_path, env=environment
+    )
+    assert result.returncode == 0
+    assert result.stdout.startswith("ladarreg ")

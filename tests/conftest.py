@@ -1,0 +1,30 @@
+"""What every test may ask for."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+
+# One seed for all runs: a failure found once is found again, and the machine's load never fails a law.
+settings.register_profile("ladarreg", deadline=None, derandomize=True, max_examples=60)
+settings.load_profile("ladarreg")
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real scans and photographs, which are not part of the project."""
+    folder = Path(os.environ.get("LADARREG_DATA") or CHECKOUT.parent / "shared" / "data")
+    if not folder.is_dir():
+        pytest.skip(f"no real data: set LADARREG_DATA (looked in {folder})")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def checkout() -> Path:
+    """The top of the source tree."""
+    return CHECKOUT

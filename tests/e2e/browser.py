@@ -1,0 +1,56 @@
+"""Which Chromium the browser tests use; `python -m tests.e2e.browser` tells, and fails where there is none."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+FLAGS = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+_MAC = "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome"
+
+
+@cache
+def find_chromium() -> str | None:
+    """Return a Chromium that starts, or None: some distributions' `chromium` only says where to get it."""
+    for candidate in (os.environ.get("LADARREG_CHROMIUM"), *map(shutil.which, _NAMES), _MAC, _playwrights_own()):
+        if candidate and Path(candidate).exists() and _starts(candidate):
+            return candidate
+    return None
+
+
+def _playwrights_own() -> str | None:
+    try:
+        from playwright.sync_api import sync_playwright
+
+        with sync_playwright() as playwright:
+            return playwright.chromium.executable_path
+    except Exception:
+        return None
+
+
+def _starts(path: str) -> bool:
+    try:
+        return subprocess.run([path, "--version"], capture_output=True, timeout=30).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+
+
+if __name__ == "__main__":
+    found = find_chromium()
+    sys.stdout.write(f"browser tests: {found}\n" if found else "browser tests: no Chromium, they will be skipped\n")
+    sys.exit(found is None)

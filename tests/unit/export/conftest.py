@@ -1,0 +1,24 @@
+import pytest
+
+from ladarreg_core.texture import texture_scan
+from tests.unit.export.samples import POSE, sample_photo, sample_registration, sample_scan
+
+
+@pytest.fixture(scope="session")
+def scan():
+    return sample_scan()
+
+
+@pytest.fixture(scope="session")
+def photo():
+    return sample_photo()
+
+
+@pytest.fixture
+def registration():
+    return sample_registration()
+
+
+@pytest.fixture(scope="session")
+def texture(scan, photo):
+    return texture_scan(scan, photo, POSE)

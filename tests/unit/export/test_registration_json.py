@@ -1,0 +1,65 @@
+import hashlib
+import json
+
+import numpy as np
+import pytest
+
+from ladarreg_core.errors import ExportError
+from ladarreg_core.export.registration_json import registration_document, write_registration_json
+from ladarreg_core.frames import Rigid
+
+PROMISED = {
+    "version", "camera_from_scanner", "camera", "covariance", "sigma", "thesis_parameters", "accepted", "evidence",
+    "reasons", "matches", "steps", "options", "seed", "inputs", "software", "labels",
+}  # fmt: skip
+
+
+@pytest.fixture
+def document(tmp_path, registration):
+    source = tmp_path / "secret place" / "scan.npz"
+    source.parent.mkdir()
+    source.write_bytes(b"123" * 1_000_000)
+    write_registration_json(tmp_path / "r.json", registration_document(registration, inputs=[source]))
+    text = (tmp_path / "r.json").read_text(encoding="utf-8")
+    return json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
+
+
+def test_the_document_says_all_that_was_promised(document, registration):
+    assert document.keys() >= PROMISED
+    assert document["inputs"] == [
+        {"name": "scan.npz", "size": 3_000_000, "sha256": hashlib.sha256(b"123" * 1_000_000).hexdigest()}
+    ]
+    assert document["labels"] == {"0": "no_return", "1": "seen", "2": "occluded", "3": "out_of_frame",
+                                  "4": "grazing", "5": "uncertain"}  # fmt: skip
+    assert document["options"] == {"window_px": 11, "kinds": ["a", "b"], "none": None, "flag": True}
+    assert [step["name"] for step in document["steps"]] == ["channels", "climb"]
+    assert document["steps"][1]["matches"] == 5
+    assert document["steps"][1]["detail"] == {"rounds": 3}
+    assert document["diagnostics"] == {"planarity": 0.25, "worst": None, "3": [1, 2]}
+    assert document["reasons"] == list(registration.reasons)
+    assert (document["accepted"], document["evidence"], document["seed"]) == (True, "image", 7)
+
+
+def test_numbers_come_back_exactly_and_absent_ones_as_null(document, registration):
+    pose = Rigid.from_matrix(document["camera_from_scanner"])
+    np.testing.assert_array_equal(pose.matrix, registration.camera_from_scanner.matrix)
+    back = np.array(document["scanner_from_camera"])
+    np.testing.assert_allclose(back @ pose.matrix, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(back[:3, 3], pose.centre, atol=1e-12)
+    np.testing.assert_array_equal(document["covariance"], registration.covariance)
+    assert document["sigma"]["chi2_per_dof"] is None
+    assert document["camera"]["distortion"] == list(registration.camera.distortion)
+    matches = document["matches"]
+    assert [m["pick_id"] for m in matches] == list("abcde")
+    assert [m["inlier"] for m in matches] == registration.inliers.tolist()
+    assert matches[2]["residual_px"] == [None, None]
+    assert matches[0]["stereo_depth_error_m"] is None
+    np.testing.assert_array_equal(matches[1]["ray"], registration.matches.rays[1])
+    thesis = document["thesis_parameters"]
+    assert thesis["Tx"] == registration.thesis_parameters.Tx
+    assert thesis["alpha"] == registration.thesis_parameters.alpha
+
+
+def test_an_input_that_is_gone_is_named(tmp_path, registration):
+    with pytest.raises(ExportError, match=r"gone\.npz"):
+        registration_document(registration, inputs=[tmp_path / "gone.npz"])

@@ -1,0 +1,49 @@
+"""Orientation channels: what they must ignore and what they must see."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ladarreg_core.features.channels import add_channels, normalised_channels, raw_channels
+
+
+def scene(seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    image = np.full((96, 128), 90.0, np.float32)
+    for _ in range(25):
+        v, u, h, w = rng.integers(0, 80), rng.integers(0, 110), rng.integers(6, 30), rng.integers(6, 40)
+        image[v : v + h, u : u + w] = rng.uniform(20, 230)
+    return image
+
+
+def test_contrast_may_reverse() -> None:
+    image = scene()
+    np.testing.assert_allclose(raw_channels([image]), raw_channels([255 - image]), atol=1e-3)
+
+
+def test_brightness_and_gain_do_not_matter_once_normalised() -> None:
+    image = scene()
+    first, second = (normalised_channels(raw_channels([picture])) for picture in (image, 0.3 * image + 40))
+    np.testing.assert_allclose(first, second, atol=1e-4)
+
+
+def test_an_edge_answers_in_the_channel_across_it() -> None:
+    v, u = np.mgrid[:64, :64].astype(np.float32)
+    for k in range(8):
+        angle = k * np.pi / 8
+        edge = 100 * np.tanh(((u - 32) * np.cos(angle) + (v - 32) * np.sin(angle)) / 2).astype(np.float32)
+        assert raw_channels([edge])[:, 32, 32].argmax() == k
+
+
+def test_planes_are_summed_and_not_their_gradients() -> None:
+    image = scene()
+    # Opposite gradients cancel in a gray sum; the channels of the two must add up.
+    np.testing.assert_allclose(raw_channels([image, 255 - image]), 2 * raw_channels([image]), rtol=1e-4, atol=1e-2)
+
+
+def test_norms_stay_below_one_and_a_flat_picture_is_silent() -> None:
+    channels = normalised_channels(raw_channels([scene()]))
+    assert np.linalg.norm(channels, axis=-1).max() < 1
+    both = add_channels(channels, channels)
+    assert np.linalg.norm(both, axis=-1).max() <= 1 + 1e-5
+    assert not normalised_channels(raw_channels([np.full((40, 50), 7.0, np.float32)])).any()
