@@ -9,6 +9,7 @@ from types import ModuleType
 from typing import Any, Literal, get_args
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
@@ -79,13 +80,26 @@ def register(
     if method == "manual" and not picks:
         raise OptionError("the method 'manual' has no matches; give points or lines, or take the method 'auto'")
     steps = StepLog(report)
+    # On several threads BLAS adds up in another order, and the last digits of a pose would depend on the machine.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _register(scan, photo, steps, picks, initial, o)
+
+
+def _register(
+    scan: Scan,
+    photo: Photo,
+    steps: StepLog,
+    picks: Sequence[Pick] | None,
+    initial: Rigid | None,
+    options: RegisterOptions,
+) -> Registration:
     if picks:
-        return _register_picked(scan, photo, steps, picks, initial, o)
-    found = register_auto(scan, photo, steps, initial=initial, options=replace(o.auto, seed=o.seed))
+        return _register_picked(scan, photo, steps, picks, initial, options)
+    found = register_auto(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
     with steps.step("result"):
         result = _explained(found, scan, photo)
         steps.pose, steps.matches = result.camera_from_scanner, result.matches
-    return _registration(result, "auto", steps, o)
+    return _registration(result, "auto", steps, options)
 
 
 def _register_picked(

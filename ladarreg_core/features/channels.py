@@ -14,7 +14,7 @@ ORIENTATIONS = 8
 _PRE_BLUR_PX = 0.8
 _SELECTIVITY = 0.83
 _STRIP_ROWS = 48
-_LEAST_FACTOR, _NOISE_FACTOR = 0.02, 2.0
+_LEAST_FACTOR, _NOISE_FACTOR = 0.02, 1.0
 _ANGLES = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
 
 
@@ -34,18 +34,22 @@ def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX)
     total = np.zeros((ORIENTATIONS, height, width), np.float32)
     for plane in planes:
         smooth = cv2.GaussianBlur(np.ascontiguousarray(plane, dtype=np.float32), (0, 0), pre_blur_px)
-        gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
-        floor = np.asarray(cv2.magnitude(gx, gy), dtype=np.float32) * np.float32(_SELECTIVITY)
-        # Strip by strip: the eight passes then run in the processor's cache.
+        gradient = [np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *order), dtype=np.float32) for order in ((1, 0), (0, 1))]
+        # Strip by strip: the passes then run in the processor's cache. Sums and roots are NumPy's: OpenCV's differ in
+        # the last digit with the place of the array in memory, and the same picture must give the same pose.
         for top in range(0, height, _STRIP_ROWS):
-            rows = slice(top, min(top + _STRIP_ROWS, height))
-            response = np.empty((rows.stop - top, width), np.float32)
+            gx, gy = (g[top : top + _STRIP_ROWS] for g in gradient)
+            floor = np.sqrt(gx * gx + gy * gy)
+            floor *= np.float32(_SELECTIVITY)
+            response, part = np.empty_like(gx), np.empty_like(gx)
             for k, angle in enumerate(_ANGLES):
-                cv2.addWeighted(gx[rows], float(np.cos(angle)), gy[rows], float(np.sin(angle)), 0, dst=response)
+                np.multiply(gx, np.float32(np.cos(angle)), out=response)
+                np.multiply(gy, np.float32(np.sin(angle)), out=part)
+                response += part
                 np.abs(response, out=response)
-                response -= floor[rows]
+                response -= floor
                 np.maximum(response, 0, out=response)
-                total[k, rows] += response
+                total[k, top : top + _STRIP_ROWS] += response
     return total
 
 
@@ -65,7 +69,7 @@ def normalised_channels(
         local_factor: how strongly it divides.
 
     Returns:
-        (H, W, 8) float32, C / (n + factor blur(n) + 2 median n + .02 max n) with n the norm over the channels; below
+        (H, W, 8) float32, C / (n + factor blur(n) + median n + .02 max n) with n the norm over the channels; below
         1 in norm.
     """
     side = 2 * int(np.ceil(3 * blur_px)) - 1

@@ -19,7 +19,7 @@ from ladarreg_core.matching.verify import GateOptions, Verification, verify
 _CLIMB = {2: ClimbOptions(tau_px=8, iterations=8), 1: ClimbOptions(tau_px=6, iterations=6)}
 _FINISH = ClimbOptions(tau_px=3, iterations=6)
 _FINE = ClimbOptions(tau_px=2, iterations=8)
-_FINE_POINTS = 20_000
+_FINE_POINTS = _JUDGED_POINTS = 20_000
 _RADIUS = {0: 6, 1: 6, 2: 8}
 _SURE_FRACTION = 0.8
 _FINISH_ROUNDS = 5
@@ -87,11 +87,17 @@ class Aligner:
             away_from_edges=True,
         )
 
+    @cached_property
+    def judged_points(self) -> ViewPoints:
+        """The level-0 points of the verdict: more of them than a climb needs, so that a window's peak is its own."""
+        found = select_points(self.scan, self.scan.channels[0], level=0, seed=self._seed, count=_JUDGED_POINTS)
+        assert found is not None, "an aligner without points must not be asked to judge"
+        return found
+
     def look(self, pose: Rigid, level: int) -> Agreement:
         """Return the agreement at a pose."""
-        return agreement(
-            self.points[level], self.targets[level], self.occluder, pose, level=level, radius=_RADIUS[level]
-        )
+        points = self.judged_points if level == 0 else self.points[level]
+        return agreement(points, self.targets[level], self.occluder, pose, level=level, radius=_RADIUS[level])
 
     def approach(self, start: Rigid) -> Candidate | None:
         """Climb at levels 2 and 1, with up to two flow steps where the result is not sure yet."""

@@ -164,7 +164,7 @@ def _finish(aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog
         steps.pose = pose
     with steps.step("verify") as note:
         verification, _, fine = aligner.judge(pose)
-        evidence = window_evidence(fine, aligner.points[0], aligner.photo.cameras[0], photo.camera, pose)
+        evidence = window_evidence(fine, aligner.judged_points, aligner.photo.cameras[0], photo.camera, pose)
         note.update(verification.as_dict())
         steps.pose, steps.matches = pose, evidence.matches
     reasons: tuple[Any, ...] = verification.reasons

@@ -167,16 +167,21 @@ def _gauss_newton_step(
     along_a = blocks.sum(a_u[:, None] * Ju + a_v[:, None] * Jv)
 
     weight = rho**2 / (1 + (_own_steps(blocks, count, rho, Bu, Bv, a_u, a_v, b_u, b_v) / tau_px) ** 2) ** 2
-    w = weight.take(of)[:, None]
-    cross = (w * m_uv[:, None] * Ju).T @ Jv
-    H = (w * m_uu[:, None] * Ju).T @ Ju + (w * m_vv[:, None] * Jv).T @ Jv + cross + cross.T
+    # What a block shares with the photo is rho of it, and only that part curves: the rest of B's gradient is noise,
+    # and counting it would shorten every step by rho.
+    curvature = weight * rho
+    w = curvature.take(of)[:, None]
+    cross = np.einsum("np,nq->pq", w * m_uv[:, None] * Ju, Jv)
+    H = np.einsum("np,nq->pq", w * m_uu[:, None] * Ju, Ju) + np.einsum("np,nq->pq", w * m_vv[:, None] * Jv, Jv)
+    H += cross + cross.T
     # The centring of the gradient, at each block's mean Jacobian: it only steers the step, not where it ends.
     mean_u, mean_v = blocks.sum(Ju) / count[:, None], blocks.sum(Jv) / count[:, None]
     sum_u, sum_v = blocks.sum(Bu), blocks.sum(Bv)
     channel_sums = sum_u[:, :, None] * mean_u[:, None] + sum_v[:, :, None] * mean_v[:, None]
-    H -= np.einsum("b,bkp,bkq->pq", weight / count, channel_sums, channel_sums, optimize=True)
-    H -= np.einsum("b,bp,bq->pq", weight, along_b, along_b)
-    g = weight @ (along_a - rho[:, None] * along_b)
+    channel_sums *= np.sqrt(curvature / count)[:, None, None]
+    H -= np.einsum("kp,kq->pq", channel_sums.reshape(-1, 6), channel_sums.reshape(-1, 6))
+    H -= np.einsum("b,bp,bq->pq", curvature, along_b, along_b)
+    g = (weight[:, None] * (along_a - rho[:, None] * along_b)).sum(axis=0)
     H, g = H.astype(np.float64), g.astype(np.float64)
     scale = np.sqrt(np.diag(H)) + 1e-12
     try:

@@ -14,8 +14,9 @@ _WINDOW_PX = 15
 
 def edge_picture(gray: FloatArray) -> FloatArray:
     """Return the magnitude of the Sobel gradient (H, W) float32: the thesis's edge detector response."""
-    smooth = np.ascontiguousarray(gray, dtype=np.float32)
-    return np.asarray(cv2.magnitude(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)))
+    picture = np.ascontiguousarray(gray, dtype=np.float32)
+    gx, gy = (np.asarray(cv2.Sobel(picture, cv2.CV_32F, *order), dtype=np.float32) for order in ((1, 0), (0, 1)))
+    return np.sqrt(gx * gx + gy * gy)
 
 
 def windows_at(image: FloatArray, uv: FloatArray, *, side_px: int = _WINDOW_PX) -> FloatArray:

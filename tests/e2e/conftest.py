@@ -1,4 +1,4 @@
-"""A page in a real browser; its screenshot and console are kept under artifacts/."""
+"""A page in a real browser: its console must be clean, and where a test fails its screenshot is kept."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from tests.e2e.browser import FLAGS, find_chromium
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-SIZE = (1600, 900)
+SIZE = (1280, 720)
+FAILED = pytest.StashKey[bool]()
 
 
 @pytest.fixture(scope="session")
@@ -41,11 +42,25 @@ def page(browser: Browser, request: pytest.FixtureRequest, checkout: Path) -> It
     tab.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
     tab.on("pageerror", lambda error: errors.append(str(error)))
     yield tab
-    folder = checkout / "artifacts"
-    folder.mkdir(exist_ok=True)
-    tab.screenshot(path=folder / f"{request.node.name}.png")
+    if request.node.stash.get(FAILED, False):
+        keep(tab, checkout, request.node.name)
     tab.close()
     assert not errors, f"the page's console: {errors}"
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+    """Note on the test that it failed, for the page that is torn down after it."""
+    outcome = yield
+    if outcome.get_result().failed:  # type: ignore[attr-defined]
+        item.stash[FAILED] = True
+
+
+def keep(page: Page, checkout: Path, name: str) -> None:
+    """Keep a screenshot under artifacts/."""
+    folder = checkout / "artifacts"
+    folder.mkdir(exist_ok=True)
+    page.screenshot(path=folder / f"{name}.png")
 
 
 def pixels(page: Page) -> np.ndarray:

@@ -42,7 +42,7 @@ def test_colours_on_the_screen_are_within_three_levels(page: Page) -> None:
         server.scene.world_axes.visible = False
         server.scene.set_background_image(np.full((2, 2, 3), BACKGROUND, np.uint8), format="png")
         server.scene.add_glb("/wall", glb_bytes(scan_mesh(wall), picture, for_viser=True))
-        fov = 0.5
+        fov = 0.75
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = (0.0, 0, 0), (2.0, 0, 0), fov
 

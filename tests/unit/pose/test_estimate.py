@@ -225,3 +225,11 @@ def test_two_views_at_once_are_not_accepted_for_less_than_half():
         np.r_[a.rays[:40], b.rays[:19]], np.r_[a.ranges[:40], b.ranges[:19]], np.r_[a.uv[:40], b.uv[:19]], ROOM_CAMERA
     )
     assert few.camera_from_scanner.distance_to(a.pose) < 0.05
+
+
+def test_a_mirrored_photo_of_a_wall_is_not_accepted():
+    rays, ranges, uv, _ = flat_case(extent_m=1.2, distance_m=5.0)
+    mirrored_uv = [ROOM_CAMERA.width - 1, 0] + uv * [-1, 1]
+    result = estimate_pose(rays, ranges, mirrored_uv, ROOM_CAMERA, sigma_px=1.0, sigma_range_m=0.002)
+    assert not result.accepted
+    assert any("from behind" in reason for reason in result.reasons)
