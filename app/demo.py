@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
 import threading
 import webbrowser
@@ -39,6 +40,9 @@ def run_demo(*, port: int, browser: bool, quiet: bool) -> ExitCode:
     except KeyboardInterrupt:
         print(file=sys.stderr)
     finally:
+        # A terminal sends Ctrl-C to everyone in it, and `make` passes it on once more: the second must not hurt.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
         scene.close()
         close_server(server)
     return ExitCode.ACCEPTED

@@ -114,9 +114,9 @@ class Stage:
         # From the side away from the camera, so that neither frustum hides the other.
         aside = -left if between @ left > 0 else left
         # A little to the right of the model's middle, since the panel covers that side.
-        centre = np.median(self.scan.points[self.scan.valid], axis=0) - 0.07 * reach * left
+        centre = np.median(self.scan.points[self.scan.valid], axis=0) - 0.04 * reach * left
         position = between + reach * (-0.3 * forward + 0.2 * aside + np.array([0, 0, 0.22]))
-        return Standpoint(position, centre - np.array([0, 0, 0.12 * reach]), np.array([0.0, 0, 1]), np.deg2rad(44.0))
+        return Standpoint(position, centre - np.array([0, 0, 0.12 * reach]), np.array([0.0, 0, 1]), np.deg2rad(47.0))
 
 
 def vertical_fov(camera: Camera) -> float:
@@ -173,8 +173,8 @@ class Scene:
         stage = self._stage
         size = _FRUSTUM_SIZE * stage.typical_range_m**0.5
         view = stage.view
-        gray = np.clip(view.intensity / max(float(np.percentile(view.intensity[view.inside], 99)), 1e-12), 0, 1)
-        picture = np.repeat((255 * gray).astype(np.uint8)[..., None], 3, axis=-1)
+        gray = view.resample(intensity_picture(stage.scan)[..., 0].astype(np.float32))
+        picture = np.repeat(gray.astype(np.uint8)[..., None], 3, axis=-1)
         self._add_frustum("/scanner", view.camera, view.view_from_scanner, picture, SCANNER_COLOR, size)
         if stage.registration.accepted:
             pose = stage.registration.camera_from_scanner

@@ -11,12 +11,14 @@ from ladarreg_core.texture import RegisteredTexture, model_picture
 
 _DARKEST, _BRIGHTEST = 18.0, 245.0
 _PERCENTILES = (1.0, 99.0)
+_GAMMA = 0.6  # raw intensity falls with the square of the range: most of it lies near the dark end
 
 
 def intensity_picture(scan: Scan) -> ByteArray:
     """Return the scan's intensity, contrast stretched over its returns, as gray RGB, (H, W, 3) uint8."""
     low, high = np.percentile(scan.intensity[scan.valid], _PERCENTILES)
     share = np.clip((scan.intensity - np.float32(low)) / np.float32(max(high - low, 1e-12)), 0, 1)
+    share = share**_GAMMA
     gray = np.rint(_DARKEST + share * (_BRIGHTEST - _DARKEST)).astype(np.uint8)
     gray[~scan.valid] = 0
     return np.repeat(gray[..., None], 3, axis=-1)

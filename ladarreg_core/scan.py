@@ -94,12 +94,17 @@ class Scan:
         return points
 
     @cached_property
+    def sampled_directions(self) -> NDArray[np.float64]:
+        """Unit rays (N, 3) of some ten thousand cells that have a return, spread over the grid."""
+        stride = max(1, int(np.sqrt(self.ranges.size / _DIRECTION_SAMPLES)))
+        rows, columns = (index * stride for index in np.nonzero(self.valid[::stride, ::stride]))
+        if not len(rows):  # so few that the sample misses them all
+            rows, columns = np.nonzero(self.valid)
+        return self.geometry.ray_at(np.stack([rows, columns], axis=-1))
+
+    @cached_property
     def mean_direction(self) -> NDArray[np.float64]:
         """The mean ray of the cells that have a return, (3,), unit; X forward where they cancel out."""
-        stride = max(1, int(np.sqrt(self.ranges.size / _DIRECTION_SAMPLES)))
-        rows, columns = np.nonzero(self.valid[::stride, ::stride])
-        if not len(rows):
-            rows, columns = (index // stride for index in np.nonzero(self.valid))
-        mean = self.geometry.ray_at(np.stack([rows, columns], axis=-1) * stride).mean(axis=0)
+        mean = self.sampled_directions.mean(axis=0)
         length = float(np.linalg.norm(mean))
         return mean / length if length > 1e-3 else np.array([1.0, 0.0, 0.0])

@@ -73,16 +73,20 @@ def normalised_channels(
         1 in norm.
     """
     side = 2 * int(np.ceil(3 * blur_px)) - 1
-    blurred = cv2.merge([cv2.GaussianBlur(plane, (side, side), blur_px) for plane in raw])
-    norm = np.sqrt(np.einsum("hwk,hwk->hw", blurred, blurred))
+    planes = [np.asarray(cv2.GaussianBlur(plane, (side, side), blur_px), dtype=np.float32) for plane in raw]
+    norm = np.zeros_like(planes[0])
+    for plane in planes:
+        norm += plane * plane
+    np.sqrt(norm, out=norm)
     largest = float(norm.max(initial=0.0))
     if largest <= 0:
-        return np.zeros_like(blurred)
+        return np.zeros((*norm.shape, len(planes)), np.float32)
     noise = float(np.median(norm[norm > 0]))
     norm += np.float32(local_factor) * _broad_blur(norm, local_px)
     norm += np.float32(_LEAST_FACTOR * largest + _NOISE_FACTOR * noise)
-    blurred /= norm[..., None]
-    return np.asarray(blurred)
+    for plane in planes:
+        plane /= norm
+    return np.asarray(cv2.merge(planes), dtype=np.float32)
 
 
 def _broad_blur(image: FloatArray, sigma_px: float) -> FloatArray:

@@ -33,28 +33,28 @@ class Target:
         self.camera = camera
         self.channels = channels
         self.usable = usable
-        # Central differences; the outermost pixels are never sampled.
-        slopes = np.zeros((*channels.shape[:2], 16), np.float32)
-        slopes[:, 1:-1, :8] = (channels[:, 2:] - channels[:, :-2]) * np.float32(0.5)
-        slopes[1:-1, :, 8:] = (channels[2:] - channels[:-2]) * np.float32(0.5)
-        self._values, self._slopes = channels.reshape(-1, 8), slopes.reshape(-1, 16)
+        self._values = channels.reshape(-1, channels.shape[-1])
 
     def sample(self, uv: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return channels and their derivatives by u and v, each (N, 8), at pixels (N, 2) inside the picture.
 
-        The derivatives are those of the nearest pixel: the channels are smooth, and this halves the time.
+        The derivatives are the central differences at the nearest pixel: the channels are smooth enough.
         """
         width = self.camera.width
         base = np.floor(uv).astype(np.intp)
         fraction = (uv - base).astype(np.float32)
         a, b = fraction[:, :1], fraction[:, 1:]
         first = base[:, 1] * width + base[:, 0]
-        table = self._values
-        upper = table.take(first, axis=0) * (1 - a) + table.take(first + 1, axis=0) * a
-        lower = table.take(first + width, axis=0) * (1 - a) + table.take(first + width + 1, axis=0) * a
+        upper = self._at(first) * (1 - a) + self._at(first + 1) * a
+        lower = self._at(first + width) * (1 - a) + self._at(first + width + 1) * a
         nearest = first + (fraction[:, 0] >= 0.5) + width * (fraction[:, 1] >= 0.5)
-        slopes = self._slopes.take(nearest, axis=0)
-        return upper * (1 - b) + lower * b, slopes[:, :8], slopes[:, 8:]
+        half = np.float32(0.5)
+        by_u = (self._at(nearest + 1) - self._at(nearest - 1)) * half
+        by_v = (self._at(nearest + width) - self._at(nearest - width)) * half
+        return upper * (1 - b) + lower * b, by_u, by_v
+
+    def _at(self, pixels: NDArray[np.intp]) -> FloatArray:
+        return self._values.take(pixels, axis=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,16 +171,16 @@ def _gauss_newton_step(
     # and counting it would shorten every step by rho.
     curvature = weight * rho
     w = curvature.take(of)[:, None]
-    cross = np.einsum("np,nq->pq", w * m_uv[:, None] * Ju, Jv)
-    H = np.einsum("np,nq->pq", w * m_uu[:, None] * Ju, Ju) + np.einsum("np,nq->pq", w * m_vv[:, None] * Jv, Jv)
-    H += cross + cross.T
+    cross = (w * m_uv[:, None] * Ju).T @ Jv
+    H = (w * m_uu[:, None] * Ju).T @ Ju + (w * m_vv[:, None] * Jv).T @ Jv + cross + cross.T
     # The centring of the gradient, at each block's mean Jacobian: it only steers the step, not where it ends.
     mean_u, mean_v = blocks.sum(Ju) / count[:, None], blocks.sum(Jv) / count[:, None]
     sum_u, sum_v = blocks.sum(Bu), blocks.sum(Bv)
     channel_sums = sum_u[:, :, None] * mean_u[:, None] + sum_v[:, :, None] * mean_v[:, None]
     channel_sums *= np.sqrt(curvature / count)[:, None, None]
-    H -= np.einsum("kp,kq->pq", channel_sums.reshape(-1, 6), channel_sums.reshape(-1, 6))
-    H -= np.einsum("b,bp,bq->pq", curvature, along_b, along_b)
+    channel_sums = channel_sums.reshape(-1, 6)
+    H -= channel_sums.T @ channel_sums
+    H -= (curvature[:, None] * along_b).T @ along_b
     g = (weight[:, None] * (along_a - rho[:, None] * along_b)).sum(axis=0)
     H, g = H.astype(np.float64), g.astype(np.float64)
     scale = np.sqrt(np.diag(H)) + 1e-12

@@ -128,7 +128,8 @@ def _strongest_in_strata(
 ) -> NDArray[np.intp]:
     """Keep the strongest of each stratum, twice as many as wanted, and draw `count` of them."""
     label = (v // stratum_px) * 100_000 + u // stratum_px
-    order = np.lexsort((-strength, label))
+    weakness = 1 - strength / (np.float64(strength.max()) * (1 + 1e-9) + 1e-12)  # in [0, 1): sorts within a stratum
+    order = np.argsort(label + weakness, kind="stable")
     _, starts, sizes = np.unique(label[order], return_index=True, return_counts=True)
     rank = np.arange(len(order)) - np.repeat(starts, sizes)
     kept = order[rank < int(np.ceil(2 * count / len(starts)))]

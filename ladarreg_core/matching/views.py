@@ -13,7 +13,6 @@ from ladarreg_core.scan import Scan
 _STEP = 0.6
 _MARGIN = 1.4
 _LEAST_SHARE = 0.05
-_SAMPLES = 20_000
 
 
 def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = None) -> list[Rigid]:
@@ -31,8 +30,7 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
     found = []
     if initial is not None:
         found.append(Rigid(look_along(initial.rotation[2]), np.zeros(3)))
-    rays = scan.rays[scan.valid]
-    rays = rays[:: max(1, len(rays) // _SAMPLES)]
+    rays = scan.sampled_directions
     centre = scan.mean_direction
     half_width = np.arctan(0.5 * camera.width / camera.fx)
     azimuth = np.arctan2(rays[:, 1], rays[:, 0])

@@ -8,20 +8,20 @@ from __future__ import annotations
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.pose.bundle import Descent, Measurements, States, information_matrix, settle
+from ladarreg_core.frames import Rigid
+from ladarreg_core.pose.bundle import Descent, Measurements, States, information_matrix, rotations_from_rotvecs
 from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score
 
-_ORBIT_RAD = np.deg2rad(40.0)
+_ORBIT_RAD = np.deg2rad(20.0)
 _ORBITS = 3
 _SAMPLE = 20
-_STEPS = 6  # starts that come home are there after four
+_STEPS = 4  # starts that come home are there after three
 _LIKELY = 16.0  # a rise of s by 16, four sigma, tells two poses apart
 _APART_SIGMA = 6.0
 
 
 def competing_pose(
-    measured: Measurements, best: States, inliers: BoolArray, *, gate: float, score: float, chi2_per_dof: float
+    measured: Measurements, best: States, inliers: BoolArray, *, s: FloatArray, gate: float, chi2_per_dof: float
 ) -> Rigid | None:
     """Return another pose whose truncated score is not clearly worse, or None.
 
@@ -29,32 +29,29 @@ def competing_pose(
         measured: all matches.
         best: the state found (B = 1).
         inliers: (N,) its inliers.
+        s: (N,) the cost of each match there.
         gate: largest s of an inlier.
-        score: the truncated score of the state found.
         chi2_per_dof: by which differences of scores are judged, where it exceeds 1.
     """
     pose = best.pose()
+    H = information_matrix(measured, best, members=inliers)[0]
     members = np.flatnonzero(inliers)
     sample = members[np.unique(np.linspace(0, len(members) - 1, _SAMPLE).astype(np.intp))]
     few = measured.subset(sample)
-    points = (few.rays * few.ranges).T
-    here, seen = settle(few, States.of([pose], few), rounds=1)
     noise = max(1.0, chi2_per_dof if np.isfinite(chi2_per_dof) else 1.0)
-    descent = Descent.start(few, States.of([mirrored(pose, points), *_orbits(pose, points)], few))
+    descent = Descent.start(few, _starts(pose, (few.rays * few.ranges).T, few))
     for _ in range(_STEPS):
         descent.step(np.ones_like, _total)
     # A rival's score over all matches may be higher by _LIKELY, on a sample also by chance.
-    worth = truncated_score(descent.seen.s, gate) < truncated_score(seen.s, gate) + (
+    worth = truncated_score(descent.seen.s, gate) < truncated_score(s[sample], gate) + (
         _LIKELY * noise + 4 * np.sqrt(4 * len(sample))
     )
-    worth &= _apart(pose, descent.states, information_matrix(few, here)[0])
+    worth &= _apart(pose, descent.states, H * (len(sample) / len(members)))
     if not worth.any():
         return None
     full = descent.states.subset(worth).seeing(measured)
-    agreeing = measured.subset(inliers)
-    H = information_matrix(agreeing, States.of([pose], agreeing))[0]
     others, scores = graduate(measured, full, narrow_scales(full, gate), gate)
-    rivals = _apart(pose, others, H) & (scores < score + _LIKELY * noise)
+    rivals = _apart(pose, others, H) & (scores < truncated_score(s, gate) + _LIKELY * noise)
     return others.pose(int(np.argmin(np.where(rivals, scores, np.inf)))) if rivals.any() else None
 
 
@@ -66,7 +63,8 @@ def mirrored(pose: Rigid, points: FloatArray) -> Rigid:
         points: (N, 3), scanner frame, m; their best plane is meant.
     """
     centroid = points.mean(axis=0)
-    normal = np.linalg.svd(points - centroid, full_matrices=False)[2][-1]
+    centred = points - centroid
+    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
     seen = pose @ centroid
     sight = seen / max(float(np.linalg.norm(seen)), 1e-12)
     # Depths along the line of sight change sign, points of the plane stay where they are seen.
@@ -74,16 +72,19 @@ def mirrored(pose: Rigid, points: FloatArray) -> Rigid:
     return Rigid(R, seen - R @ centroid)
 
 
-def _orbits(pose: Rigid, points: FloatArray) -> list[Rigid]:
+def _starts(pose: Rigid, points: FloatArray, few: Measurements) -> States:
+    """Return the mirrored pose and some whose camera went round the points, which stay in its view."""
+    flipped = mirrored(pose, points)
     centroid = points.mean(axis=0)
-    seen = pose @ centroid
-    across = np.linalg.svd(seen[None])[2][1:]  # two axes across the line of sight
-    orbits = []
-    for k in range(_ORBITS):
-        angle = 2 * np.pi * k / _ORBITS
-        turn = rotation_from_rotvec((np.cos(angle) * across[0] + np.sin(angle) * across[1]) * _ORBIT_RAD)
-        orbits.append(Rigid(turn @ pose.rotation, seen - turn @ pose.rotation @ centroid))
-    return orbits
+    x, y, z = seen = pose @ centroid
+    across = np.array([z, 0.0, -x]) if abs(y) <= abs(z) else np.array([y, -x, 0.0])  # not along the line of sight
+    across = across / max(float(np.linalg.norm(across)), 1e-12)
+    other = np.cross(seen / max(float(np.linalg.norm(seen)), 1e-12), across)
+    angles = 2 * np.pi * np.arange(_ORBITS) / _ORBITS
+    turns = rotations_from_rotvecs(_ORBIT_RAD * (np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * other))
+    R = np.concatenate([flipped.rotation[None], turns @ pose.rotation])
+    centres = centroid - R.swapaxes(1, 2) @ seen
+    return States(R, centres, np.tile(few.ranges, (len(R), 1)))
 
 
 def _apart(pose: Rigid, states: States, H: FloatArray) -> BoolArray:

@@ -56,7 +56,9 @@ class Measurements:
     xy: FloatArray
     """(2, N) ideal picture coordinates, tangents; NaN where no ray of the lens meets the pixel."""
     information: FloatArray
-    """(3, N) the elements xx, xy, yy of the inverse covariance of `xy`."""
+    """(2, N) the elements xx and yy of the inverse covariance of `xy`."""
+    cross_information: FloatArray
+    """(1, N) its element xy."""
     least_rho: FloatArray
     """(N,) how near a range may be adjusted, m."""
     most_rho: FloatArray
@@ -70,16 +72,17 @@ class Measurements:
         ideal = rays_camera / rays_camera[:, 2:]
         _, d_uv = camera.project_with_jacobian(ideal)
         D = np.moveaxis(d_uv[..., :2], 0, -1)  # (2, 2, N) d uv / d xy
-        information = np.stack(
-            [D[0, 0] ** 2 + D[1, 0] ** 2, D[0, 0] * D[0, 1] + D[1, 0] * D[1, 1], D[0, 1] ** 2 + D[1, 1] ** 2]
-        )
+        diagonal = np.where(np.isfinite(D[:, 0]), (D * D).sum(axis=0), 0.0)
+        cross = np.where(np.isfinite(D[:, 0]), D[:, 0] * D[:, 1], 0.0).sum(axis=0, keepdims=True)
+        by_weight = matches.weights / sigma_px**2
         reach = _FARTHEST_SIGMA * sigma_range_m / np.sqrt(matches.weights)
         return Measurements(
             np.ascontiguousarray(matches.rays.T),
             matches.ranges,
             matches.weights / sigma_range_m**2,
             np.ascontiguousarray(ideal[:, :2].T),
-            np.where(np.isfinite(information), information, 0.0) * (matches.weights / sigma_px**2),
+            diagonal * by_weight,
+            cross * by_weight,
             np.maximum(matches.ranges - reach, _NEAREST * matches.ranges),
             matches.ranges + reach,
         )
@@ -95,6 +98,7 @@ class Measurements:
             self.range_information[keep],
             self.xy[:, keep],
             self.information[:, keep],
+            self.cross_information[:, keep],
             self.least_rho[keep],
             self.most_rho[keep],
         )
@@ -141,16 +145,12 @@ class Residuals:
     """(B, N) the cost of each match; `UNSEEN` behind the camera."""
     turned: FloatArray
     """(B, 3, N) rays in the camera's axes."""
-    x: FloatArray
-    """(B, N) predicted tangents; 0 where unseen, as all below."""
-    y: FloatArray
-    """(B, N)"""
+    xy: FloatArray
+    """(B, 2, N) predicted tangents; 0 where unseen, as all below."""
     inverse_z: FloatArray
-    """(B, N) 1/m."""
-    ex: FloatArray
-    """(B, N) observed minus predicted tangents."""
-    ey: FloatArray
-    """(B, N)"""
+    """(B, 1, N) 1/m."""
+    e: FloatArray
+    """(B, 2, N) observed minus predicted tangents."""
     range_error: FloatArray
     """(B, N) measured minus adjusted, m."""
 
@@ -159,57 +159,59 @@ def residuals(measured: Measurements, states: States) -> Residuals:
     """Return how every state sees every match."""
     R = states.rotations
     turned = R @ measured.rays
-    p = turned * states.rho[:, None, :]
+    p = turned * states.rho[:, None]
     p -= R @ states.centres[:, :, None]
-    z = p[:, 2]
+    z = p[:, 2:]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         inverse_z = 1 / z
-        x, y = p[:, 0] * inverse_z, p[:, 1] * inverse_z
-        ex, ey = measured.xy[0] - x, measured.xy[1] - y
-        xx, xy, yy = measured.information
+        xy = p[:, :2] * inverse_z
+        e = measured.xy - xy
         error = measured.ranges - states.rho
-        s = xx * ex * ex + 2 * xy * ex * ey + yy * ey * ey + measured.range_information * error * error
-        unseen = ~((z > 0) & (s < UNSEEN))
-    if unseen.any():
+        s = (measured.information * e + measured.cross_information * e[:, ::-1]) * e
+        s = s[:, 0] + s[:, 1]
+        s += measured.range_information * error * error
+        seen = (z[:, 0] > 0) & (s < UNSEEN)
+    if not seen.all():
+        unseen = ~seen
         s[unseen] = UNSEEN
-        for values in (x, y, inverse_z, ex, ey, error):
-            values[unseen] = 0.0
-    return Residuals(s, turned, x, y, inverse_z, ex, ey, error)
+        error[unseen] = 0.0
+        for values in (xy, inverse_z, e):
+            values.swapaxes(1, 2)[unseen] = 0.0
+    return Residuals(s, turned, xy, inverse_z, e, error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
-    """The normal equations' parts at B states, each match's range already answered."""
+    """The normal equations' parts at B states."""
 
     j_pose: FloatArray
     """(B, 6, 2, N) d xy / d (w, c)."""
-    jx: FloatArray
-    """(B, N) d x / d rho, 1/m."""
-    jy: FloatArray
-    """(B, N) d y / d rho, 1/m."""
-    mx: FloatArray
-    """(B, N) M j, with M the information of xy."""
-    my: FloatArray
-    """(B, N)"""
+    j: FloatArray
+    """(B, 2, N) d xy / d rho, 1/m."""
+    m: FloatArray
+    """(B, 2, N) M j, with M the information of xy."""
     h: FloatArray
     """(B, N) the ranges' diagonal block: j M j + 1/sigma_r^2."""
 
 
 def linearise(measured: Measurements, states: States, seen: Residuals) -> Linearised:
     """Return the derivatives of every match at every state."""
-    R, x, y, inverse_z = states.rotations, seen.x, seen.y, seen.inverse_z
-    B, N = x.shape
+    R, xy, inverse_z = states.rotations, seen.xy, seen.inverse_z
+    B, _, N = xy.shape
     J = np.empty((B, 6, 2, N))
-    xy = x * y
-    J[:, 0, 0], J[:, 1, 0], J[:, 2, 0] = -xy, 1 + x * x, -y  # d p = w x p
-    J[:, 0, 1], J[:, 1, 1], J[:, 2, 1] = -1 - y * y, xy, x
-    J[:, 3:, 0] = (x[:, None] * R[:, 2, :, None] - R[:, 0, :, None]) * inverse_z[:, None]  # d p = -R c
-    J[:, 3:, 1] = (y[:, None] * R[:, 2, :, None] - R[:, 1, :, None]) * inverse_z[:, None]
-    turned = seen.turned
-    jx, jy = (turned[:, 0] - x * turned[:, 2]) * inverse_z, (turned[:, 1] - y * turned[:, 2]) * inverse_z
-    xx, xy_, yy = measured.information
-    mx, my = xx * jx + xy_ * jy, xy_ * jx + yy * jy
-    return Linearised(J, jx, jy, mx, my, jx * mx + jy * my + measured.range_information)
+    x, y = xy[:, 0], xy[:, 1]
+    J[:, :2, 0] = -x[:, None] * xy[:, ::-1]  # d p = w x p
+    J[:, :2, 1] = -y[:, None] * xy[:, ::-1]
+    J[:, 1] *= -1
+    J[:, 1, 0] += 1
+    J[:, 0, 1] -= 1
+    J[:, 2, 0], J[:, 2, 1] = -y, x
+    np.multiply(xy[:, None], R[:, 2, :, None, None], out=J[:, 3:])  # d p = -R c
+    J[:, 3:] -= R[:, :2].swapaxes(1, 2)[..., None]
+    J[:, 3:] *= inverse_z[:, None]
+    j = (seen.turned[:, :2] - xy * seen.turned[:, 2:]) * inverse_z
+    m = measured.information * j + measured.cross_information * j[:, ::-1]
+    return Linearised(J, j, m, (j * m).sum(axis=1) + measured.range_information)
 
 
 def normal_equations(
@@ -224,22 +226,16 @@ def normal_equations(
         weights: (B, N) multiply the information; matches that are unseen count for nothing.
     """
     B, _, _, N = lin.j_pose.shape
-    weights = weights * (seen.s < UNSEEN)
-    xx, xy, yy = measured.information
+    weights = (weights * (seen.s < UNSEEN))[:, None]
     # the information of a pixel whose range is free within its own noise: M - M j j^T M / h
-    share_x, share_y = lin.mx / lin.h, lin.my / lin.h
-    xx, xy, yy = weights * (xx - lin.mx * share_x), weights * (xy - lin.mx * share_y), weights * (yy - lin.my * share_y)
+    share = lin.m / lin.h[:, None]
+    diagonal = weights * (measured.information - lin.m * share)
+    cross = weights * (measured.cross_information - lin.m[:, :1] * share[:, 1:])
     J = lin.j_pose
-    J_x, J_y = J[:, :, 0], J[:, :, 1]
-    K = np.empty_like(J)
-    np.multiply(xx[:, None], J_x, out=K[:, :, 0])
-    K[:, :, 0] += xy[:, None] * J_y
-    np.multiply(xy[:, None], J_x, out=K[:, :, 1])
-    K[:, :, 1] += yy[:, None] * J_y
+    K = diagonal[:, None] * J
+    K += cross[:, None] * J[:, :, ::-1]
     # what is left of the residual when the range has gone back to where it was measured: e' = e - j (r - rho)
-    e = np.empty((B, 2, N))
-    np.subtract(seen.ex, lin.jx * seen.range_error, out=e[:, 0])
-    np.subtract(seen.ey, lin.jy * seen.range_error, out=e[:, 1])
+    e = seen.e - lin.j * seen.range_error[:, None]
     flat = K.reshape(B, 6, 2 * N)
     H = flat @ J.reshape(B, 6, 2 * N).swapaxes(1, 2)
     g = flat @ e.reshape(B, 2 * N, 1)
@@ -248,19 +244,17 @@ def normal_equations(
 
 def moved(measured: Measurements, states: States, seen: Residuals, lin: Linearised, step: FloatArray | None) -> States:
     """Return the states after a step (B, 6) of the poses, each range following its pose; None: the ranges alone."""
-    ex, ey = seen.ex, seen.ey
-    rotations, centres = states.rotations, states.centres
+    e, rotations, centres = seen.e, states.rotations, states.centres
     if step is not None:
         B, _, _, N = lin.j_pose.shape
-        predicted = (step[:, None, :] @ lin.j_pose.reshape(B, 6, 2 * N)).reshape(B, 2, N)
-        ex, ey = ex - predicted[:, 0], ey - predicted[:, 1]
-        rotations = _rotations(step[:, :3]) @ rotations
+        e = e - (step[:, None] @ lin.j_pose.reshape(B, 6, 2 * N)).reshape(B, 2, N)
+        rotations = rotations_from_rotvecs(step[:, :3]) @ rotations
         centres = centres + step[:, 3:]
-    rho = states.rho + (lin.mx * ex + lin.my * ey + measured.range_information * seen.range_error) / lin.h
+    rho = states.rho + ((lin.m * e).sum(axis=1) + measured.range_information * seen.range_error) / lin.h
     return States(rotations, centres, np.minimum(np.maximum(rho, measured.least_rho), measured.most_rho))
 
 
-def _rotations(rotvecs: FloatArray) -> FloatArray:
+def rotations_from_rotvecs(rotvecs: FloatArray) -> FloatArray:
     """Return exp([w]x), (B, 3, 3), of rotation vectors (B, 3). Source: Rodrigues' formula."""
     angle = np.sqrt((rotvecs * rotvecs).sum(axis=1)) + 1e-30
     half = np.sin(angle / 2) / angle
@@ -319,59 +313,75 @@ class Descent:
         lower = cost(seen.s) <= cost(self.seen.s)
         length = np.sqrt(np.maximum((step[:, None, :] @ H @ step[:, :, None])[:, 0, 0], 0))
         self.moved_sigma = np.where(lower, length, np.where(length < 1e-3, 0.0, np.inf))
-        self.damping = np.clip(np.where(lower, self.damping / 10, self.damping * 10), _LEAST_DAMPING, _MOST_DAMPING)
-        if lower.all():
-            self.states, self.seen = there, seen
-        elif lower.any():
-            take = lower[:, None]
-            self.states = States(
-                np.where(take[..., None], there.rotations, self.states.rotations),
-                np.where(take, there.centres, self.states.centres),
-                np.where(take, there.rho, self.states.rho),
-            )
-            self.seen = residuals(self.measured, self.states)
+        self.damping = np.minimum(
+            np.maximum(np.where(lower, self.damping / 10, self.damping * 10), _LEAST_DAMPING), _MOST_DAMPING
+        )
+        if not lower.all():
+            _keep(~lower, self.states, there)
+            _keep(~lower, self.seen, seen)
+        self.states, self.seen = there, seen
+
+
+def _keep(stay: BoolArray, old: States | Residuals, new: States | Residuals) -> None:
+    """Put the old values of the starts that stay into the new arrays, which nobody else holds yet."""
+    for name in new.__slots__:
+        getattr(new, name)[stay] = getattr(old, name)[stay]
 
 
 def _solve_damped(H: FloatArray, g: FloatArray, damping: FloatArray) -> FloatArray:
-    diagonal = np.diagonal(H, axis1=1, axis2=2)
-    added = damping[:, None] * diagonal + 1e-14 * diagonal.max(axis=1, keepdims=True) + 1e-300
-    damped = H + added[:, :, None] * _EYE
+    diagonal = np.einsum("bii->bi", H)
+    damped = H.copy()
+    np.einsum("bii->bi", damped)[:] += damping[:, None] * diagonal + (
+        1e-14 * diagonal.max(axis=1, keepdims=True) + 1e-300
+    )
     try:
         step = np.linalg.solve(damped, g[..., None])[..., 0]
     except np.linalg.LinAlgError:
         step = np.stack([np.linalg.lstsq(h, v, rcond=None)[0] for h, v in zip(damped, g, strict=True)])
-    step = np.where(np.isfinite(step), step, 0.0)
-    turn = np.sqrt((step[:, :3] ** 2).sum(axis=1, keepdims=True))
-    return np.asarray(step / np.maximum(turn, 1.0))  # beyond a radian the linearisation means nothing
+    length = np.sqrt((step[:, :3] ** 2).sum(axis=1, keepdims=True))
+    if not (length < 1).all():  # beyond a radian the linearisation means nothing
+        step = np.where(np.isfinite(step), step, 0.0) / np.maximum(np.where(np.isfinite(length), length, 1.0), 1.0)
+    return np.asarray(step)
 
 
 def least_squares(
-    measured: Measurements, states: States, *, steps: int = 20, tolerance_sigma: float = 1e-2
-) -> tuple[States, BoolArray]:
-    """Descend the plain sum of s; every match counts in full.
+    measured: Measurements,
+    states: States,
+    *,
+    members: BoolArray | None = None,
+    steps: int = 20,
+    tolerance_sigma: float = 1e-2,
+) -> tuple[States, Residuals, BoolArray]:
+    """Descend the plain sum of s; every member counts in full.
 
     Args:
         measured: what is fitted.
         states: where to start.
+        members: (N,) the matches that count, None: all; the others' ranges follow all the same.
         steps: at most.
         tolerance_sigma: stop when no start moves further than this many of its standard deviations.
 
     Returns:
-        The states, and which of them settled (B,).
+        The states, the residuals there, and which of the states settled (B,).
     """
     descent = Descent.start(measured, states)
+    counts = np.ones(len(measured)) if members is None else members.astype(np.float64)
+
+    def weigh(s: FloatArray) -> FloatArray:
+        return np.broadcast_to(counts, s.shape)
+
+    def cost(s: FloatArray) -> FloatArray:
+        return np.asarray(s @ counts)
+
     for _ in range(steps):
-        descent.step(np.ones_like, _total)
+        descent.step(weigh, cost)
         if (descent.moved_sigma < tolerance_sigma).all():
             break
-    return descent.states, descent.moved_sigma < tolerance_sigma
+    return descent.states, descent.seen, descent.moved_sigma < tolerance_sigma
 
 
-def information_matrix(measured: Measurements, states: States) -> FloatArray:
-    """Return the Fisher information (B, 6, 6) of (w, c), the ranges marginalised."""
+def information_matrix(measured: Measurements, states: States, *, members: BoolArray | None = None) -> FloatArray:
+    """Return the Fisher information (B, 6, 6) of (w, c) from the members (N,), the ranges marginalised."""
     seen = residuals(measured, states)
-    return normal_equations(measured, seen, linearise(measured, states, seen), np.ones_like(seen.s))[0]
-
-
-def _total(s: FloatArray) -> FloatArray:
-    return np.asarray(s.sum(axis=-1))
+    weights = np.ones_like(seen.s) if members is None else np.broadcast_to(members.astype(np.float64), seen.s.shape)
+    return normal_equations(measured, seen, linearise(measured, states, seen), weights)[0]

@@ -34,7 +34,7 @@ def stereo_depth_error(pose: Rigid, matches: Matches, camera: Camera, *, sigma_p
 
     Source: thesis Eq 2.19-2.21.
     """
-    laser_depth, disparity, numerator = _stereo(pose, matches, camera)
+    laser_depth, disparity, numerator = _stereo(pose, matches.points, matches.uv, camera)
     squared = (disparity * disparity).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = (disparity * numerator).sum(axis=1) / squared
@@ -42,10 +42,12 @@ def stereo_depth_error(pose: Rigid, matches: Matches, camera: Camera, *, sigma_p
     return np.where(known, laser_depth - depth, np.nan)
 
 
-def _stereo(pose: Rigid, matches: Matches, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _stereo(
+    pose: Rigid, points_scanner: FloatArray, uv: FloatArray, camera: Camera
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return laser depths (M,), derotated disparities (M, 2) and Z times those (M, 2) by Eq 2.17-2.18; lambda = 1."""
-    points = matches.points @ _STEREO_FROM_SCANNER.T
-    seen = camera.unproject(matches.uv) @ (pose.rotation @ _STEREO_FROM_SCANNER.T)
+    points = points_scanner @ _STEREO_FROM_SCANNER.T
+    seen = camera.unproject(uv) @ (pose.rotation @ _STEREO_FROM_SCANNER.T)
     T = _STEREO_FROM_SCANNER @ pose.centre
     with np.errstate(divide="ignore", invalid="ignore"):
         laser_depth = np.where(points[:, 2] > 0, points[:, 2], np.nan)
@@ -61,23 +63,23 @@ def diagnose(pose: Rigid, matches: Matches, inliers: BoolArray, camera: Camera, 
     over the largest (0: a line). The stereo methods fail where `stereo_sigma_z_over_z` exceeds .05 or
     `disparity_over_sigma` falls below 40.
     """
-    found = matches.subset(inliers)
-    figures: dict[str, Any] = {"matches": len(matches), "inliers": len(found)}
+    points, ranges, uv = matches.points[inliers], matches.ranges[inliers], matches.uv[inliers]
+    figures: dict[str, Any] = {"matches": len(matches), "inliers": len(points)}
     left, up, forward = (float(v) for v in _STEREO_FROM_SCANNER @ pose.centre)
     figures |= {
         "baseline_m": float(np.linalg.norm(pose.centre)),
         "baseline_across_m": float(np.hypot(left, up)),
         "baseline_forward_m": forward,
     }
-    if len(found) < 2:
+    if len(points) < 2:
         return figures
-    s = singular_values(found.points)
+    s = singular_values(points)
     figures["planarity"] = float(s[2] / s[1]) if s[1] > 0 else 0.0
     figures["linearity"] = float(s[1] / s[0]) if s[0] > 0 else 0.0
-    figures["range_near_m"], figures["range_far_m"] = float(found.ranges.min()), float(found.ranges.max())
-    spread = np.ptp(found.uv, axis=0) / camera.size
+    figures["range_near_m"], figures["range_far_m"] = float(ranges.min()), float(ranges.max())
+    spread = np.ptp(uv, axis=0) / camera.size
     figures["spread_of_picture"] = float(np.clip(spread, 0, 1).prod())
-    _, disparity, _ = _stereo(pose, found, camera)
+    _, disparity, _ = _stereo(pose, points, uv, camera)
     length = np.linalg.norm(disparity, axis=1) * camera.focal_px
     if np.isfinite(length).any():
         median = float(np.nanmedian(length))
@@ -90,5 +92,5 @@ def diagnose(pose: Rigid, matches: Matches, inliers: BoolArray, camera: Camera, 
 
 def singular_values(points: FloatArray) -> FloatArray:
     """Return the root mean square extents (3,) of points (N, 3) along their principal axes, largest first, m."""
-    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / np.sqrt(len(points))
-    return np.asarray(np.concatenate([values, np.zeros(3 - len(values))]))
+    centred = points - points.mean(axis=0)
+    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(points))[::-1], 0)))

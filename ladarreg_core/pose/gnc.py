@@ -26,7 +26,7 @@ class GncOptions:
     """The wide start's scale, over the median s."""
     last_steps: int = 12
     """Steps after the scale has closed, at most."""
-    tolerance_sigma: float = 0.05
+    tolerance_sigma: float = 0.1
     """It ends when no pose moves further than this many of its standard deviations."""
 
 
@@ -77,8 +77,7 @@ def graduate(
         descent.step(weigh, cost)
         if (descent.moved_sigma < options.tolerance_sigma).all():
             break
-    states, seen = settle(measured, descent.states, rounds=1)
-    return states, truncated_score(seen.s, gate)
+    return descent.states, truncated_score(descent.seen.s, gate)
 
 
 def truncated_score(s: FloatArray, gate: float) -> FloatArray:

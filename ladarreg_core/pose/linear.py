@@ -66,6 +66,8 @@ def solve_radial(points: FloatArray, xy: FloatArray) -> tuple[FloatArray, FloatA
     """
     x, y = xy[..., :1], xy[..., 1:]
     A = np.concatenate([-y * points, x * points, -y, x], axis=-1)  # unknowns r1, r2, Tx, Ty
+    missing = max(0, 8 - A.shape[1])  # seven matches leave the null vector to a row of zeros
+    A = np.concatenate([A, np.zeros((len(A), missing, 8))], axis=1)
     _, singular, vt = np.linalg.svd(A, full_matrices=False)
     v = vt[:, -1]
     # The null vector must stand clear of the next one, which on few matches is also the noise's own size.

@@ -1,8 +1,9 @@
 """Whether the matches alone are evidence enough, in sentences.
 
-The rule is that of `statistics`: at least 12 inliers, half of the matches, chi^2/dof <= 3 and no second minimum. Three
+The rule is that of `statistics`: at least 12 inliers, half of the matches, chi^2/dof <= 3 and no second minimum. Four
 further questions keep a pose from being called certain where that rule is satisfied by default: whether the agreement
-could be chance, whether copies of one match were counted, and whether the pose is determined at all.
+could be chance, whether copies of one match were counted, whether the pose is determined at all, and whether the
+camera sees surfaces from the side that the scanner saw.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ MOST_CHI2_PER_DOF = 3.0
 _MOST_ANGLE_RAD = np.deg2rad(2.0)
 _MOST_POSITION_OF_RANGE = 0.1
 _MOST_LOG10_CHANCE = -3.0
+_FLAT = 0.05
 _KEY = np.sqrt([2.0, 3.0, 5.0])
 
 
@@ -47,7 +49,7 @@ def judge(
         log10_chance: `chance_agreement` of the inliers.
         rival: another pose that explains them as well; None where none was found.
     """
-    agree, count = distinct(matches.subset(inliers)), len(matches)
+    agree, count = distinct(matches.points[inliers], matches.uv[inliers]), len(matches)
     share = np.count_nonzero(inliers) / count
     against = []
     if agree < LEAST_INLIERS:
@@ -76,6 +78,10 @@ def judge(
             f"the matches hardly determine the pose ({_length(position)} and {np.degrees(angle):.2g} deg, 1 sigma); "
             "spread them over the picture and over near and far"
         )
+    if _from_behind(pose, matches.points[inliers]):
+        against.append(
+            "the camera would see the matches' plane from behind; check that the photo and the scan are not mirrored"
+        )
     if rival is not None:
         against.append(
             f"a second pose, {_length(pose.distance_to(rival))} and {np.degrees(pose.angle_to(rival)):.1f} deg away, "
@@ -90,10 +96,23 @@ def judge(
     )
 
 
-def distinct(matches: Matches) -> int:
-    """Return how many matches differ from each other on both sides: copies are no evidence."""
+def _from_behind(pose: Rigid, points: FloatArray) -> bool:
+    """Return whether points (N, 3) are flat and lie between scanner and camera: a mirrored picture fits them so."""
+    if len(points) < 3:
+        return False
+    centroid = points.mean(axis=0)
+    centred = points - centroid
+    squared, axes = np.linalg.eigh(centred.T @ centred)
+    normal = axes[:, 0]
+    if squared[0] > _FLAT**2 * squared[1]:
+        return False
+    return bool((centroid @ normal) * ((centroid - pose.centre) @ normal) < 0)
+
+
+def distinct(points: FloatArray, uv: FloatArray) -> int:
+    """Return how many matches differ from each other on both sides, (N, 3) and (N, 2): copies are no evidence."""
     # One number stands for a row: different rows share it by accident only, and sorting numbers is quick.
-    return min(len(np.unique(matches.points @ _KEY)), len(np.unique(matches.uv @ _KEY[:2])))
+    return min(len(np.unique(points @ _KEY)), len(np.unique(uv @ _KEY[:2])))
 
 
 def chance_agreement(
@@ -115,11 +134,9 @@ def chance_agreement(
     if k <= 3:
         return float(log10(max(n, 1)))
     lin = linearise(measured, state, residuals(measured, state))
-    xx, xy, yy = measured.information
-    determinant = xx * yy - xy * xy
-    prior = measured.range_information
-    # det(M - M j j^T M / h) = det M * prior / h
-    determinant = determinant * prior / lin.h[0]
+    # det(M - M j j^T M / h) = det M / (sigma_r^2 h)
+    determinant = measured.information.prod(axis=0) - measured.cross_information[0] ** 2
+    determinant = determinant * measured.range_information / lin.h[0]
     gate_area = np.pi * gate * camera.fx * camera.fy / np.sqrt(np.median(determinant[inliers]))
     radius = np.sqrt(gate_area / np.pi)
     low, high = matches.uv.min(axis=0), matches.uv.max(axis=0)

@@ -1,0 +1,138 @@
+"""Registrations, their accuracy and a time per step, beside SIFT with RANSAC in the same run.
+
+Run it as `python -m benchmarks.register [--seeds N] [--seed-offset K] [--sets standard,hard,...] [--json FILE]`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import defaultdict
+from dataclasses import asdict, dataclass
+
+import cv2
+import numpy as np
+
+import ladarreg_core as lr
+from ladarreg_core.picked import surface_range
+from ladarreg_core.pose.ransac import ransac_pose
+from ladarreg_core.simulate import SCENES, SETS, SimulatedCase, simulate_case
+
+
+@dataclass(frozen=True)
+class Row:
+    """One case by one method."""
+
+    method: str
+    set_name: str
+    scene: str
+    seed: int
+    accepted: bool
+    error_px: float
+    error_deg: float
+    error_mm: float
+    sigmas: float
+    seconds: float
+
+
+def errors(case: SimulatedCase, pose: lr.Rigid) -> tuple[float, float, float]:
+    """Return the median displacement of visible cells (px), the angle (deg) and the distance (mm) from the truth."""
+    points = case.scan.points[case.scan.valid][::29].astype(float)
+    camera, truth = case.true_camera, case.camera_from_scanner
+    true = camera.project(truth @ points)
+    off = np.hypot(*(true - camera.project(pose @ points))[camera.contains(true)].T)
+    return float(np.nanmedian(off)), float(np.degrees(pose.angle_to(truth))), 1e3 * pose.distance_to(truth)
+
+
+def by_sift(case: SimulatedCase) -> lr.Rigid | None:
+    """Match SIFT features of the perspective intensity image and the photo, and solve by RANSAC: the usual way."""
+    view = lr.perspective_view(case.scan, case.photo.camera)
+    gray = np.sqrt(np.maximum(view.intensity, 0))
+    gray = np.clip(gray * (255 / np.percentile(gray, 99.5)), 0, 255).astype(np.uint8)
+    sift = cv2.SIFT_create()
+    scan_keys, scan_features = sift.detectAndCompute(gray, None)
+    photo_keys, photo_features = sift.detectAndCompute(cv2.cvtColor(case.photo.pixels, cv2.COLOR_RGB2GRAY), None)
+    pairs = cv2.BFMatcher().knnMatch(scan_features, photo_features, k=2)
+    good = [first for first, second in pairs if first.distance < 0.85 * second.distance]
+    if len(good) < 6:
+        return None
+    rays = view.rays_at(np.array([scan_keys[m.queryIdx].pt for m in good]))
+    ranges = surface_range(case.scan, rays)
+    known = np.isfinite(ranges)
+    uv = np.array([photo_keys[m.trainIdx].pt for m in good])
+    found = ransac_pose(
+        (rays * ranges[:, None])[known], uv[known], case.photo.camera, threshold_px=5, iterations=5000, seed=0
+    )
+    return found.camera_from_scanner if found else None
+
+
+def run(case: SimulatedCase, set_name: str, scene: str, seed: int, steps: dict[str, list[float]]) -> list[Row]:
+    """Register one case by every method."""
+    started = time.perf_counter()
+    result = lr.register(case.scan, case.photo)
+    seconds = time.perf_counter() - started
+    of_this: dict[str, float] = defaultdict(float)
+    for step in result.steps:
+        of_this[step.name] += step.seconds
+    for name, spent in of_this.items():
+        steps[name].append(spent)
+    px, deg, mm = errors(case, result.camera_from_scanner)
+    w = cv2.Rodrigues(case.camera_from_scanner.rotation @ result.camera_from_scanner.rotation.T)[0][:, 0]
+    d = np.concatenate([w, case.camera_from_scanner.centre - result.camera_from_scanner.centre])
+    sigmas = float(np.sqrt(d @ np.linalg.solve(result.covariance, d) / 6))
+    rows = [Row("auto", set_name, scene, seed, result.accepted, px, deg, mm, sigmas, seconds)]
+
+    started = time.perf_counter()
+    pose = by_sift(case)
+    seconds = time.perf_counter() - started
+    px, deg, mm = errors(case, pose) if pose else (np.nan, np.nan, np.nan)
+    rows.append(Row("SIFT + RANSAC", set_name, scene, seed, pose is not None, px, deg, mm, np.nan, seconds))
+    return rows
+
+
+def table(rows: list[Row]) -> None:
+    """Print a line per set and method."""
+    print(
+        f"{'set':10} {'method':14} {'accepted':>9} {'<.6 px':>7} {'px':>6} {'max':>7} {'deg':>6} {'mm':>6} {'s':>6} {'sigmas':>6}"
+    )
+    for set_name in dict.fromkeys(row.set_name for row in rows):
+        for method in dict.fromkeys(row.method for row in rows):
+            mine = [row for row in rows if row.set_name == set_name and row.method == method]
+            taken = [row for row in mine if row.accepted]
+            px = np.array([row.error_px for row in taken] or [np.nan])
+            print(
+                f"{set_name:10} {method:14} {len(taken):4}/{len(mine):<4} {int((px < 0.6).sum()):7} {np.nanmedian(px):6.2f} "
+                f"{np.nanmax(px):7.2f} {np.nanmedian([r.error_deg for r in taken] or [np.nan]):6.3f} "
+                f"{np.nanmedian([r.error_mm for r in taken] or [np.nan]):6.1f} {np.median([r.seconds for r in mine]):6.2f} "
+                f"{np.sqrt(np.mean([r.sigmas**2 for r in taken] or [np.nan])):6.2f}"
+            )
+
+
+def main() -> None:
+    """Run the cases and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=2, help="cases per scene and set")
+    parser.add_argument("--seed-offset", type=int, default=0)
+    parser.add_argument("--sets", default="standard", help=f"of {', '.join(SETS)}")
+    parser.add_argument("--json", help="write all rows here")
+    arguments = parser.parse_args()
+    rows: list[Row] = []
+    steps: dict[str, list[float]] = defaultdict(list)
+    lr.register(*((made := simulate_case("boxes", seed=0)).scan, made.photo))  # imports and caches
+    for set_name in arguments.sets.split(","):
+        for scene in SCENES:
+            for seed in range(arguments.seed_offset, arguments.seed_offset + arguments.seeds):
+                rows += run(simulate_case(scene, set_name=set_name, seed=seed), set_name, scene, seed, steps)
+    table(rows)
+    print("\nmedian seconds a step (1000 x 700 cells, 768 x 512 pixels)")
+    for name, spent in steps.items():
+        print(f"  {name:16} {np.median(spent):6.3f}")
+    print(f"  {'all':16} {np.median([row.seconds for row in rows if row.method == 'auto']):6.3f}   (asked: <= 1.5)")
+    if arguments.json:
+        with open(arguments.json, "w", encoding="utf-8") as file:
+            json.dump([asdict(row) for row in rows], file, indent=1)
+
+
+if __name__ == "__main__":
+    main()

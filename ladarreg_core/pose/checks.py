@@ -1,0 +1,78 @@
+"""What a solver asks of its matches before it starts, said in one line where it is not so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import CameraError, DegenerateGeometryError, OptionError, ShapeError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.pose.diagnostics import singular_values
+from ladarreg_core.pose.verdict import distinct
+
+LEAST_MATCHES = 4
+_UNIT_TOLERANCE = 1e-3
+_LINE = 1e-3  # extents across over along below this: collinear
+_MOST_RANGE_M, _MOST_PIXEL = 1e7, 1e7
+_LEAST_WEIGHT, _MOST_WEIGHT = 1e-6, 1e6
+
+
+def checked_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> Matches:
+    """Return the matches with rays of length 1, or say what is wrong with them.
+
+    Args:
+        matches: M matches.
+        camera: the photo's camera.
+        initial: a first guess of the pose, or none.
+
+    Raises:
+        LadarregError: as `estimate_pose`.
+    """
+    if not isinstance(camera, Camera):
+        raise CameraError(f"the camera is a {type(camera).__name__}; give a Camera")
+    if initial is not None and not isinstance(initial, Rigid):
+        raise OptionError(f"the initial pose is a {type(initial).__name__}; give a Rigid (camera_from_scanner)")
+    assert matches.weights is not None
+    count = len(matches)
+    if count < LEAST_MATCHES:
+        raise DegenerateGeometryError(f"there are {count} matches and a pose needs {LEAST_MATCHES}; add matches")
+    finite = np.isfinite(np.column_stack([matches.rays, matches.ranges, matches.uv, matches.weights])).all(axis=1)
+    if not finite.all():
+        raise ShapeError(f"{_these(~finite, matches)} NaN or infinity; remove them or give them a range and a pixel")
+    if not ((matches.weights >= _LEAST_WEIGHT) & (matches.weights <= _MOST_WEIGHT)).all():
+        bad = (matches.weights < _LEAST_WEIGHT) | (matches.weights > _MOST_WEIGHT)
+        raise ShapeError(
+            f"{_these(bad, matches)} a weight outside {_LEAST_WEIGHT:g} to {_MOST_WEIGHT:g}; leave such matches out"
+        )
+    good = (matches.ranges > 0) & (matches.ranges <= _MOST_RANGE_M)
+    good &= (np.abs(matches.uv) <= _MOST_PIXEL).all(axis=1)
+    if not good.all():
+        raise ShapeError(
+            f"{_these(~good, matches)} a range that is not positive, or a range or pixel beyond "
+            f"{_MOST_RANGE_M:g}; ranges are metres along the ray"
+        )
+    length = np.linalg.norm(matches.rays, axis=1)
+    unit = np.abs(length - 1) <= _UNIT_TOLERANCE
+    if not unit.all():
+        raise ShapeError(f"{_these(~unit, matches)} a ray that is not of length 1; divide rays by their length")
+    different = distinct(matches.points, matches.uv)
+    if different < LEAST_MATCHES:
+        raise DegenerateGeometryError(
+            f"only {different} of the {count} matches are different and a pose needs {LEAST_MATCHES}; add matches"
+        )
+    extent = singular_values(matches.points)
+    if extent[1] <= _LINE * extent[0]:
+        raise DegenerateGeometryError("the matches' scan points lie on one line; add matches off that line")
+    if np.abs(length - 1).max() < 1e-14:
+        return matches
+    return replace(matches, rays=matches.rays / length[:, None])
+
+
+def _these(bad: ArrayLike, matches: Matches) -> str:
+    ids = [matches.pick_ids[k] for k in np.flatnonzero(bad)[:3]]
+    count = int(np.count_nonzero(bad))
+    return f"{count} of {len(matches)} matches ({', '.join(ids)}{', ...' if count > 3 else ''}) hold"
