@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 _MILESTONES = {
     "read scan": 0.08,
     "read photo": 0.1,
-    "photo channels": 0.15,
-    "scan channels": 0.25,
+    "photo": 0.01,
+    "channels": 0.4,
     "hypothesis": 0.35,
     "climb": 0.45,
     "finish": 0.55,

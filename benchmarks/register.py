@@ -93,19 +93,27 @@ def run(case: SimulatedCase, set_name: str, scene: str, seed: int, steps: dict[s
 
 def table(rows: list[Row]) -> None:
     """Print a line per set and method."""
-    print(
-        f"{'set':10} {'method':14} {'accepted':>9} {'<.6 px':>7} {'px':>6} {'max':>7} {'deg':>6} {'mm':>6} {'s':>6} {'sigmas':>6}"
-    )
+    heads = ("set", "method", "accepted", "<.6 px", "px", "max px", "deg", "mm", "s", "sigmas")
+    print(f"{heads[0]:10} {heads[1]:14} {heads[2]:>9}" + "".join(f"{head:>8}" for head in heads[3:]))
     for set_name in dict.fromkeys(row.set_name for row in rows):
         for method in dict.fromkeys(row.method for row in rows):
             mine = [row for row in rows if row.set_name == set_name and row.method == method]
             taken = [row for row in mine if row.accepted]
-            px = np.array([row.error_px for row in taken] or [np.nan])
+            px, deg, mm, sigmas = (
+                np.array([getattr(row, name) for row in taken] or [np.nan])
+                for name in ("error_px", "error_deg", "error_mm", "sigmas")
+            )
+            figures = [
+                f"{int((px < 0.6).sum())}",
+                f"{np.nanmedian(px):.2f}",
+                f"{np.nanmax(px):.2f}",
+                f"{np.nanmedian(deg):.3f}",
+                f"{np.nanmedian(mm):.1f}",
+                f"{np.median([row.seconds for row in mine]):.2f}",
+                f"{np.sqrt(np.mean(sigmas**2)):.2f}",
+            ]
             print(
-                f"{set_name:10} {method:14} {len(taken):4}/{len(mine):<4} {int((px < 0.6).sum()):7} {np.nanmedian(px):6.2f} "
-                f"{np.nanmax(px):7.2f} {np.nanmedian([r.error_deg for r in taken] or [np.nan]):6.3f} "
-                f"{np.nanmedian([r.error_mm for r in taken] or [np.nan]):6.1f} {np.median([r.seconds for r in mine]):6.2f} "
-                f"{np.sqrt(np.mean([r.sigmas**2 for r in taken] or [np.nan])):6.2f}"
+                f"{set_name:10} {method:14} {len(taken):5}/{len(mine):<3}" + "".join(f"{text:>8}" for text in figures)
             )
 
 

@@ -183,9 +183,10 @@ def _broken_between_nodes(nodes: FloatArray, jump: float) -> BoolArray:
 
     That is at a lens's or a table's edge (NaN on one side only) and at the seam of a full turn.
     """
+    steps = [nodes[1:] - nodes[:-1], nodes[:, 1:] - nodes[:, :-1]]
+    if all(step.max() < jump and step.min() > -jump for step in steps):  # false for NaN, too
+        return np.zeros(nodes.shape[:2], np.bool_)
     known = np.asarray(np.isfinite(nodes).all(axis=-1))
-    if known.all() and max(float(np.abs(np.diff(nodes, axis=axis)).max()) for axis in (0, 1)) < jump:
-        return np.zeros(known.shape, np.bool_)
     filled = np.where(known[..., None], nodes, np.float32(-4 * jump)).astype(np.float32)
     square = np.ones((3, 3), np.uint8)
     planes = [np.ascontiguousarray(filled[..., k]) for k in (0, 1)]
@@ -197,6 +198,7 @@ def _broken_between_nodes(nodes: FloatArray, jump: float) -> BoolArray:
 def _columns_rows(scan: Scan, camera: Camera, view_from_scanner: Rigid, u: FloatArray, v: FloatArray) -> FloatArray:
     """Return (..., 2) float32 (column, row) of view pixels u and v (...,)."""
     x, y = (u - np.float32(camera.cx)) / np.float32(camera.fx), (v - np.float32(camera.cy)) / np.float32(camera.fy)
-    R = view_from_scanner.rotation.astype(np.float32)
-    directions = x[..., None] * R[0] + y[..., None] * R[1] + R[2]
+    in_view = np.empty((*x.shape, 3), np.float32)
+    in_view[..., 0], in_view[..., 1], in_view[..., 2] = x, y, 1
+    directions = (in_view.reshape(-1, 3) @ view_from_scanner.rotation.astype(np.float32)).reshape(in_view.shape)
     return np.ascontiguousarray(scan.geometry.cell_of(directions)[..., ::-1], dtype=np.float32)

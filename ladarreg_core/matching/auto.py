@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,10 +13,10 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.matching.aligner import Aligner, Candidate
 from ladarreg_core.matching.evidence import WindowEvidence, window_evidence
 from ladarreg_core.matching.hypotheses import Hypothesis, hypotheses
-from ladarreg_core.matching.levels import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.levels import PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.verify import GateOptions, Verification
 from ladarreg_core.matching.views import viewing_directions
-from ladarreg_core.perspective import perspective_view
+from ladarreg_core.perspective import View, perspective_view
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
@@ -68,11 +69,9 @@ def register_auto(
     """
     o = options or AutoOptions()
     working = working_camera(scan, photo.camera)
-    with steps.step("photo channels") as note:
+    with steps.step("photo") as note:
         photo_side = photo_levels(photo, working)
         contrast = max(float(plane.max() - plane.min()) for plane in photo_side.planes[0])
-        if contrast >= 1:
-            _ = photo_side.channels
         note.update(width=working.width, height=working.height, focal_px=round(working.fx, 3))
     if contrast < 1:
         return AutoResult(initial, None, None, ("The photo is one flat colour: there is nothing in it to match.",))
@@ -80,9 +79,9 @@ def register_auto(
     best: tuple[float, Aligner, Candidate] | None = None
     last = AutoResult(initial, None, None, ())
     for number, direction in enumerate(viewing_directions(scan, working, initial=initial)):
-        with steps.step("scan channels") as note:
+        with steps.step("channels") as note:
             view = perspective_view(scan, working, view_from_scanner=direction)
-            aligner = Aligner(scan_levels(scan, view), photo_side, gate=o.gate, seed=o.seed)
+            aligner = Aligner(_with_channels(scan, view, photo_side), photo_side, gate=o.gate, seed=o.seed)
             note.update(view=number, points={level: len(p) for level, p in aligner.points.items()})
         if not aligner.usable:
             continue
@@ -104,6 +103,18 @@ def register_auto(
     fraction, _, candidate = best
     reason = f"The best start found agrees in only {fraction:.0%} of the picture."
     return AutoResult(candidate.camera_from_scanner, candidate.first_look, None, (reason, _ADVICE))
+
+
+def _with_channels(scan: Scan, view: View, photo_side: PhotoLevels) -> ScanLevels:
+    """Return the scan's levels with the channels of both sides made, on two cores where there are two."""
+    with ThreadPoolExecutor(1) as other_core:
+        of_photo = other_core.submit(lambda: (photo_side.channels, photo_side.fine_channels))
+        levels = scan_levels(scan, view)
+        of_geometry = other_core.submit(lambda: levels.geometry_channels)
+        _ = levels.intensity_channels, levels.fine_channels
+        of_photo.result()
+        of_geometry.result()
+    return levels
 
 
 _ADVICE = "Draw a few matching lines by hand, or give a rough pose."

@@ -33,10 +33,9 @@ _HOLE_REACH_PX = 2.0
 _FINE = {"blur_px": 1.2, "local_factor": 2.0}
 
 
-def level_channels(planes: list[FloatArray], level: int) -> FloatArray:
-    """Return the normalised channels (h, w, 8) of planes that already have the level's size."""
+def _normalised(raw: FloatArray, level: int) -> FloatArray:
     coarse = level >= 2
-    return normalised_channels(raw_channels(planes), blur_px=1.2 if coarse else 1.5, local_px=6.0 if coarse else 8.0)
+    return normalised_channels(raw, blur_px=1.2 if coarse else 1.5, local_px=6.0 if coarse else 8.0)
 
 
 def _halved(planes: list[FloatArray], camera: Camera) -> list[FloatArray]:
@@ -77,8 +76,8 @@ class PhotoLevels:
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
         """(h, w, 8) of each level."""
-        fine = normalised_channels(self._raw_fine)
-        return (fine, *(level_channels(self.planes[level], level) for level in LEVELS[1:]))
+        raw = [self._raw_fine, *(raw_channels(self.planes[level]) for level in LEVELS[1:])]
+        return tuple(map(_normalised, raw, LEVELS))
 
     @cached_property
     def fine_channels(self) -> FloatArray:
@@ -150,27 +149,19 @@ class ScanLevels:
     @cached_property
     def intensity_channels(self) -> tuple[FloatArray, ...]:
         """(h, w, 8) of each level, from intensity alone."""
-        near = self._near_returns
         raw = [self._raw_intensity, *(raw_channels([plane]) for plane in self.gray_planes[1:])]
-        return tuple(
-            normalised_channels(r * m, blur_px=1.2 if L >= 2 else 1.5, local_px=6.0 if L >= 2 else 8.0)
-            for L, (r, m) in enumerate(zip(raw, near, strict=True))
-        )
+        return tuple(_normalised(r * near, L) for L, (r, near) in enumerate(zip(raw, self._near_returns, strict=True)))
+
+    @cached_property
+    def geometry_channels(self) -> tuple[FloatArray, ...]:
+        """(h, w, 8) of each level, from normals and log range alone."""
+        pairs = zip(self.geometry_planes, self._near_returns, strict=True)
+        return tuple(_normalised(raw_channels(planes) * near, L) for L, (planes, near) in enumerate(pairs))
 
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
         """(h, w, 8) of each level, from intensity and geometry, each normalised alone."""
-        return tuple(
-            add_channels(
-                of_intensity,
-                normalised_channels(
-                    raw_channels(planes) * near, blur_px=1.2 if L >= 2 else 1.5, local_px=6.0 if L >= 2 else 8.0
-                ),
-            )
-            for L, (of_intensity, planes, near) in enumerate(
-                zip(self.intensity_channels, self.geometry_planes, self._near_returns, strict=True)
-            )
-        )
+        return tuple(map(add_channels, self.intensity_channels, self.geometry_channels))
 
     @cached_property
     def fine_channels(self) -> FloatArray:

@@ -32,6 +32,7 @@ class GncOptions:
 
 DEFAULT_GNC = GncOptions()
 _WIDEST = 1e9
+_ALMOST = 1.5
 
 
 def narrow_scales(states: States, gate: float, options: GncOptions = DEFAULT_GNC) -> FloatArray:
@@ -72,7 +73,8 @@ def graduate(
 
     while (mu > gate).any():
         descent.step(weigh, cost)
-        mu = np.maximum(mu / options.divide_by, gate)
+        mu = mu / options.divide_by
+        mu = np.where(mu < _ALMOST * gate, gate, mu)  # a stage just above the gate would be the last one twice
     for _ in range(options.last_steps):
         descent.step(weigh, cost)
         if (descent.moved_sigma < options.tolerance_sigma).all():

@@ -66,8 +66,8 @@ def test_rays_and_pixels_are_inverse_in_any_direction(turn: tuple[float, float, 
 
 def test_the_seam_of_a_full_turn_does_not_smear() -> None:
     geometry = SphericalGrid(120, 360, np.deg2rad(1.0), np.deg2rad(0.5), 0.0, 0.5)
-    row, column = np.mgrid[:120, :360].astype(float)
-    scan = Scan(geometry, np.full(geometry.shape, 3.0), 10 + np.cos(np.deg2rad(column)))
+    intensity = np.tile(10 + np.cos(np.deg2rad(np.arange(360.0))), (120, 1))
+    scan = Scan(geometry, np.full(geometry.shape, 3.0), intensity)
     behind = Rigid(np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]]), np.zeros(3))
     view = perspective_view(scan, Camera.from_focal(200, 60, 200.0), view_from_scanner=behind)
     v, u = np.mgrid[:60, :200]
@@ -106,7 +106,8 @@ def test_the_whole_scan_fits_up_to_120_degrees() -> None:
     whole = perspective_view(scan, small, whole_scan=True)
     corners = whole.project(scan.rays[::149, ::219].reshape(-1, 3))
     assert whole.camera.contains(corners, border=-1).all()
-    around = Scan(SphericalGrid(40, 360, np.deg2rad(1), np.deg2rad(1), 0.0, 0.35), np.ones((40, 360)), np.ones((40, 360)))
+    full_turn = SphericalGrid(40, 360, np.deg2rad(1), np.deg2rad(1), 0.0, 0.35)
+    around = Scan(full_turn, np.ones((40, 360)), np.ones((40, 360)))
     width = perspective_view(around, small, whole_scan=True).camera.width
     assert width <= 2 * 300 * np.tan(np.deg2rad(60)) + 3
 

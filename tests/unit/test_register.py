@@ -58,7 +58,7 @@ def test_the_result_is_complete(registration: lr.Registration) -> None:
     predicted = registration.camera.project(registration.camera_from_scanner @ registration.matches.points)
     np.testing.assert_allclose(registration.residuals_px, registration.matches.uv - predicted)
     names = [step.name for step in registration.steps]
-    assert names[:2] == ["photo channels", "scan channels"]
+    assert names[:2] == ["photo", "channels"]
     assert names[-3:] == ["finish", "verify", "result"]
     assert registration.options["auto"]["gate"]["fraction"] == 0.5
 
@@ -73,7 +73,7 @@ def test_every_step_is_reported_as_it_ends(room: PaintedRoom) -> None:
 
     with pytest.raises(lr.Cancelled):
         register(room.scan, room.photo, report=report)
-    assert [step.name for step in seen] == ["photo channels", "scan channels", "hypothesis"]
+    assert [step.name for step in seen] == ["photo", "channels", "hypothesis"]
     assert seen[-1].matches is not None
     assert seen[-1].pose is not None
 
@@ -154,7 +154,9 @@ def test_points_put_down_by_hand_are_solved_and_judged_by_statistics(room: Paint
 
 def test_mismatched_points_are_rejected_one_by_one(room: PaintedRoom) -> None:
     picks = point_picks(room)
-    wrong = {k: lr.Pick(picks[k].id, "point", picks[k].scan, picks[k].photo + [[60.0, -40.0]]) for k in (3, 11, 20)}
+    wrong = {
+        k: lr.Pick(picks[k].id, "point", picks[k].scan, picks[k].photo + np.array([[60.0, -40.0]])) for k in (3, 11, 20)
+    }
     result = register(room.scan, room.photo, picks=[wrong.get(k, pick) for k, pick in enumerate(picks)])
     assert result.accepted, result.reasons
     outliers = {result.matches.pick_ids[k] for k in np.flatnonzero(~result.inliers)}

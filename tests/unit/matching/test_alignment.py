@@ -94,7 +94,7 @@ def test_the_maps_are_plain_normalised_correlation(room: PaintedRoom, aligner: A
         rho = np.zeros((5, 5))
         for v in range(-2, 3):
             for u in range(-2, 3):
-                at = np.rint(maps.uv[mine]).astype(int) + [u, v]
+                at = np.rint(maps.uv[mine]).astype(int) + np.array([u, v])
                 b = target.channels[at[:, 1], at[:, 0]]
                 b = b - b.mean(axis=0)
                 rho[v + 2, u + 2] = (a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum())
