@@ -1,0 +1,77 @@
+"""Spherical coordinates, and scans taken on a pan/tilt unit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ladarreg_core.frames import Rigid, rotation_about
+
+
+def spherical_from_points(points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return range, longitude and polar angle of points or rays.
+
+    Args:
+        points: (..., 3), X forward, Y left, Z up.
+
+    Returns:
+        r (...,) in the points' unit; theta_s (...,) rad, positive to the left; phi_s (...,) rad from +Z, 0 to pi; NaN
+        angles at the origin.
+
+    Source: thesis 2.2.3, Eq 2.6 and 2.7.
+    """
+    p = np.asarray(points, dtype=np.float64)
+    r = np.linalg.norm(p, axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        phi = np.arccos(np.clip(p[..., 2] / r, -1, 1))
+    return r, np.where(r > 0, np.arctan2(p[..., 1], p[..., 0]), np.nan), phi
+
+
+def rays_from_spherical(theta_s: ArrayLike, phi_s: ArrayLike) -> NDArray[np.float64]:
+    """Return the unit rays (..., 3) of longitudes and polar angles (rad)."""
+    theta, phi = np.broadcast_arrays(np.asarray(theta_s, np.float64), np.asarray(phi_s, np.float64))
+    return np.stack([np.sin(phi) * np.cos(theta), np.sin(phi) * np.sin(theta), np.cos(phi)], axis=-1)
+
+
+def spherical_from_azimuth_elevation(
+    azimuth: ArrayLike, elevation: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return longitude and polar angle (rad) of a two-mirror scanner's angles (rad).
+
+    Source: thesis Eq 2.6, 2.7.
+    """
+    az, el = np.asarray(azimuth, np.float64), np.asarray(elevation, np.float64)
+    theta = np.arctan2(np.sin(az), np.cos(az) * np.cos(el))
+    return theta, np.arccos(np.clip(np.cos(az) * np.sin(el), -1, 1))
+
+
+def azimuth_elevation_from_spherical(
+    theta_s: ArrayLike, phi_s: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a two-mirror scanner's azimuth and elevation (rad) of longitudes and polar angles (rad).
+
+    The thesis takes the azimuth by arccos, which loses its sign; it is asin(sin theta_s sin phi_s).
+
+    Source: thesis Eq 2.8 (corrected), 2.9.
+    """
+    theta, phi = np.asarray(theta_s, np.float64), np.asarray(phi_s, np.float64)
+    azimuth = np.arcsin(np.clip(np.sin(theta) * np.sin(phi), -1, 1))
+    return azimuth, np.arctan2(np.cos(phi), np.sin(phi) * np.cos(theta))
+
+
+def pan_tilt_pose(pan_rad: float, tilt_rad: float, *, mount: ArrayLike = (0.0, 0.0, 0.0)) -> Rigid:
+    """Return `world_from_scanner` of a scanner on a pan/tilt unit.
+
+    The world's origin is where pan and tilt axes cross. Pan turns left about the vertical, tilt turns up. The thesis
+    adds the encoders' angles to azimuth and elevation, which is off by 25 degrees at a pan of 90: pan adds to the
+    longitude only, so the rotations are composed and the angles taken afterwards.
+
+    Args:
+        pan_rad: positive to the left.
+        tilt_rad: positive upward.
+        mount: (3,) m, the scanner's centre in the unit's own turned frame.
+
+    Source: thesis 2.2.3, corrected.
+    """
+    rotation = rotation_about("z", pan_rad) @ rotation_about("y", -tilt_rad)
+    return Rigid(rotation, rotation @ np.asarray(mount, dtype=np.float64))
