@@ -19,15 +19,21 @@ class Arguments:
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
     """A scan, photograph, camera, pose or matches file."""
+    extract: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Write the pictures embedded in an E57 file there, with their cameras and poses where they have any."""
     debug: bool = False
     """Log, and a trace back where something fails."""
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Print what the file holds, one fact a line."""
-    from ladarreg_core.formats import describe
+    """Print what the file holds, one fact a line, and extract its pictures if that is asked for."""
+    from ladarreg_core.formats import describe, extract_images
 
     facts = list(_facts(describe(arguments.file)))
+    if arguments.extract is not None:
+        for image in extract_images(arguments.file, arguments.extract):
+            written = (image.picture, image.camera, image.pose)
+            facts.append(("extracted", ", ".join(one_line(str(path)) for path in written if path is not None)))
     width = max(len(name) for name, _ in facts)
     for name, value in facts:
         print(f"{name:<{width}}  {value}")
