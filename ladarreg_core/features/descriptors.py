@@ -29,7 +29,7 @@ def describe(channels: FloatArray, uv: FloatArray) -> FloatArray:
     u = np.clip(np.rint(uv[:, 0, None] + du.reshape(-1)).astype(np.intp), 0, width - 1)
     v = np.clip(np.rint(uv[:, 1, None] + dv.reshape(-1)).astype(np.intp), 0, height - 1)
     samples = channels.reshape(-1, channels.shape[-1]).take(v * width + u, axis=0)
-    return unit_rows(samples.reshape(len(uv), -1))
+    return unit_rows(samples.reshape(len(uv), _SIDE * _SIDE * channels.shape[-1]))
 
 
 def unit_rows(rows: NDArray[Any]) -> FloatArray:

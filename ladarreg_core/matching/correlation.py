@@ -26,7 +26,7 @@ def windows_at(image: FloatArray, uv: FloatArray, *, side_px: int = _WINDOW_PX) 
     view = np.lib.stride_tricks.sliding_window_view(padded, (side_px, side_px))
     u = np.clip(np.rint(uv[:, 0]).astype(np.intp), 0, image.shape[1] - 1)
     v = np.clip(np.rint(uv[:, 1]).astype(np.intp), 0, image.shape[0] - 1)
-    return unit_rows(view[v, u].reshape(len(uv), -1))
+    return unit_rows(view[v, u].reshape(len(uv), side_px * side_px))
 
 
 def correlation_product(

@@ -65,7 +65,8 @@ def test_no_triangle_spans_a_depth_edge(gap_m, step, noise_m, mixed):
     """A panel before a wall: every triangle lies on the one or the other, mixed pixels between them or not."""
     geometry = AzimuthElevation(60, 80, step, step)
     rays = geometry.rays
-    gap_m += 20 * noise_m  # what a jump must stand out by
+    # What a jump must stand out by; a mixed pixel divides it in two, and a few cm between cells of 9 mm may be a slope.
+    gap_m += 20 * noise_m + 0.1 * mixed
     near, far = 3.0 / rays[..., 0], (3.0 + gap_m) / rays[..., 0]
     ranges = far.copy()
     ranges[20:40, 25:55] = near[20:40, 25:55]
@@ -75,7 +76,7 @@ def test_no_triangle_spans_a_depth_edge(gap_m, step, noise_m, mixed):
     mesh = scan_mesh(scan)
     x = mesh.vertices[mesh.faces][..., 0]
     spread = x.max(axis=1) - x.min(axis=1)
-    assert spread.max() < min(0.5 * gap_m + 3 * noise_m, 12 * noise_m + 0.03)
+    assert spread.max() < min(0.5 * gap_m + 3 * noise_m, 14 * noise_m + 0.03)
     torn = full_face_count(scan.valid) - len(mesh.faces)
     assert torn <= 2 * 2 * (20 + 30) + 8 + (2 * 2 * 22 if mixed else 0) + (10 if noise_m else 0)
 
