@@ -18,6 +18,7 @@ from app.panel import BLEND_LABEL
 from app.scene import BACKGROUND
 from ladarreg_core.simulate.embedded import sample_folder
 from tests.e2e.conftest import SIZE, keep, wait_for_pixels
+from tests.processes import hear_ctrl_c
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -35,7 +36,7 @@ def demo(checkout: Path) -> Iterator[str]:
         port = probe.getsockname()[1]
     process = subprocess.Popen(
         [sys.executable, "-m", "app", "demo", "--port", str(port), "--no-browser"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=checkout,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=hear_ctrl_c,
     )  # fmt: skip
     assert process.stdout is not None
     said = []
