@@ -28,8 +28,11 @@ def read_only(values: ArrayLike, dtype: Any, shape: tuple[int | None, ...], name
         ShapeError: if it is not numeric or has another shape.
     """
     try:
-        array = np.ascontiguousarray(values, dtype=dtype)
-    except (TypeError, ValueError) as error:
+        given = np.asarray(values)
+        _refuse_what_would_be_cut(given, np.dtype(dtype), name)
+        with np.errstate(over="ignore"):  # too large for float32: infinite
+            array = np.ascontiguousarray(values, dtype=dtype)
+    except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(f"{name} is not an array of numbers: {error}") from None
     fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
     if not fits:
@@ -40,3 +43,16 @@ def read_only(values: ArrayLike, dtype: Any, shape: tuple[int | None, ...], name
         array = array.copy()
     array.flags.writeable = False
     return array
+
+
+def _refuse_what_would_be_cut(given: NDArray[Any], wanted: np.dtype[Any], name: str) -> None:
+    """Refuse complex numbers, and numbers that a type of whole numbers would silently turn into others."""
+    if given.dtype.kind == "c":
+        raise ShapeError(f"{name} holds complex numbers; it must hold real ones")
+    if wanted.kind not in "iu" or given.dtype.kind not in "iuf" or np.can_cast(given.dtype, wanted):
+        return
+    low, high = np.iinfo(wanted).min, np.iinfo(wanted).max
+    with np.errstate(invalid="ignore"):
+        fits = (given >= low) & (given <= high) & (given == np.rint(given))
+    if not fits.all():
+        raise ShapeError(f"{name} holds {given[~fits].flat[0]:g}; it must hold whole numbers from {low} to {high}")

@@ -14,6 +14,7 @@ from ladarreg_core.errors import CameraError
 
 _TERMS = (0, 4, 5, 8)
 _NEWTON_STEPS = 20
+_FOCAL_PX = (1e-6, 1e12)  # beyond, squares leave the range of numbers, and no lens is left
 
 
 @dataclass(frozen=True)
@@ -21,8 +22,8 @@ class Camera:
     """Intrinsics of a camera; pixels are (u, v), and (0, 0) is the centre of the top-left pixel.
 
     Raises:
-        CameraError: if a size or focal length is not positive, a number is not finite, or the distortion has not
-            0, 4, 5 or 8 terms.
+        CameraError: if a size or focal length is not positive, a focal length is absurd, a number is not finite, or the
+            distortion has not 0, 4, 5 or 8 terms.
     """
 
     width: int
@@ -48,9 +49,12 @@ class Camera:
             object.__setattr__(self, name, int(size))
         for name in ("fx", "fy", "cx", "cy"):
             value = _number(getattr(self, name))
-            if not np.isfinite(value) or (name in ("fx", "fy") and value <= 0):
+            if not np.isfinite(value) or (name in ("fx", "fy") and not _FOCAL_PX[0] <= value <= _FOCAL_PX[1]):
+                extent = f" from {_FOCAL_PX[0]:g} to {_FOCAL_PX[1]:g}" if value > 0 and name in ("fx", "fy") else ""
                 need = "positive" if name in ("fx", "fy") else "finite"
-                raise CameraError(f"camera {name} is {getattr(self, name)!r}; it must be a {need} number of pixels")
+                raise CameraError(
+                    f"camera {name} is {getattr(self, name)!r}; it must be a {need} number of pixels{extent}"
+                )
             object.__setattr__(self, name, value)
         try:
             terms = tuple(_number(k) for k in self.distortion)
@@ -86,7 +90,10 @@ class Camera:
 
     def scaled(self, factor: float) -> Camera:
         """Return the camera of the picture resized by `factor` (by area: outer borders stay); sizes are rounded."""
-        width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
+
+    def resized(self, width: int, height: int) -> Camera:
+        """Return the camera of the picture resized to `width` x `height` pixels (by area: outer borders stay)."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError
+from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.lookup import look_up
 from ladarreg_core.scan import Scan
@@ -23,6 +23,7 @@ _NODE_PX = 8
 _DEPTH_EDGE = 0.04
 _OUTSIDE = -1e4
 _LONGEST_SIDE = 32_000
+_MOST_PIXELS = 100_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,21 +106,44 @@ def perspective_view(
         the view, filled by inverse mapping. Pixels that look past the grid have intensity 0.
 
     Raises:
-        OptionError: if `view_from_scanner` moves the centre.
+        OptionError: if `view_from_scanner` moves the centre, or the view would have more than 100 Mpixel.
+        DegenerateGeometryError: if no camera is given and the scan's rays do not spread.
 
     Source: thesis 2.2.2, Eq 2.2-2.5.
     """
+    if not isinstance(scan, Scan) or not isinstance(camera, Camera | None):
+        kinds = f"{type(scan).__name__} and {type(camera).__name__}"
+        raise OptionError(f"a view is made of a Scan and a Camera; {kinds} were given")
     if view_from_scanner is not None and np.abs(view_from_scanner.translation).max() > 1e-9:
         raise OptionError("the view is not taken from the scanner's centre; its transform must be a rotation only")
     turn = view_from_scanner or Rigid(look_along(scan.mean_direction), np.zeros(3))
     if camera is None:
-        focal = 1 / min(scan.geometry.step_rad)
-        camera, whole_scan = Camera.from_focal(2, 2, focal), True
+        camera, whole_scan = Camera.from_focal(2, 2, native_focal_px(scan)), True
     ideal = Camera.from_focal(camera.width, camera.height, camera.focal_px)
     if whole_scan:
         ideal = _widened(ideal, scan, turn)
+    if ideal.width * ideal.height > _MOST_PIXELS:
+        raise OptionError(
+            f"the view would have {ideal.width:,} x {ideal.height:,} pixels; at most {_MOST_PIXELS:,} are made: take a "
+            "smaller picture or a shorter focal length"
+        )
     cells = _cell_maps(scan, ideal, turn)
     return View(scan, ideal, turn, _values_at(scan.intensity, cells, cv2.INTER_LINEAR), cells)
+
+
+def native_focal_px(scan: Scan) -> float:
+    """Return the focal length at which a view has one pixel per cell, by the scan's finer direction.
+
+    Raises:
+        DegenerateGeometryError: if the scan's rays do not spread in both directions.
+    """
+    finest = min(scan.geometry.step_rad)
+    if not (np.isfinite(finest) and finest > 0):
+        raise DegenerateGeometryError(
+            f"the scan's neighbouring rays are {finest:g} rad apart; they must spread along rows and columns: check "
+            "the scan's angles or points"
+        )
+    return float(1 / finest)
 
 
 def look_along(direction: ArrayLike) -> NDArray[np.float64]:
@@ -165,6 +189,7 @@ def _cell_maps(scan: Scan, camera: Camera, view_from_scanner: Rigid) -> FloatArr
         y, x = np.nonzero(exact[_NODE_PX : _NODE_PX + camera.height, _NODE_PX : _NODE_PX + camera.width])
         cells = np.ascontiguousarray(cells)
         cells[y, x] = _columns_rows(scan, camera, view_from_scanner, x.astype(np.float32), y.astype(np.float32))
+    if broken.any() or not np.isfinite(nodes).all():  # also where the lens or table shows nothing here at all
         cells = np.nan_to_num(cells, nan=_OUTSIDE)
     return cells
 

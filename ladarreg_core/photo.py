@@ -8,7 +8,7 @@ import numpy as np
 
 from ladarreg_core.arrays import ByteArray, read_only
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import ShapeError
+from ladarreg_core.errors import CameraError, ShapeError
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,7 +16,8 @@ class Photo:
     """A picture with its intrinsics; read-only.
 
     Raises:
-        ShapeError: if the picture has not the camera's size.
+        ShapeError: if the picture has not the camera's size, or values that are no whole numbers from 0 to 255.
+        CameraError: if there is no camera.
     """
 
     pixels: ByteArray
@@ -29,6 +30,8 @@ class Photo:
     """What an operator should know of the file, e.g. where the focal length came from."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.camera, Camera):
+            raise CameraError(f"the photo's camera is a {type(self.camera).__name__}; give a Camera")
         pixels = read_only(self.pixels, np.uint8, (None, None, 3), "the photo")
         height, width = pixels.shape[:2]
         if (width, height) != self.camera.size:

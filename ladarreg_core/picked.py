@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -61,14 +62,9 @@ def matches_from_picks(scan: Scan, picks: Sequence[Pick]) -> tuple[Matches, tupl
 
 
 def _losses(ids: list[str], found: NDArray[np.bool_]) -> list[tuple[str, int, int]]:
-    losses = []
-    names = np.array(ids)
-    for name in dict.fromkeys(ids):
-        mine = names == name
-        lost = int(np.count_nonzero(mine & ~found))
-        if lost:
-            losses.append((name, lost, int(np.count_nonzero(mine))))
-    return losses
+    total = Counter(ids)
+    lost = Counter(name for name, known in zip(ids, found.tolist(), strict=True) if not known)
+    return [(name, lost[name], total[name]) for name in lost]
 
 
 def _along_line(ends: FloatArray, along: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -71,10 +71,11 @@ def register(
         best guess and must not be shown as registered.
 
     Raises:
-        OptionError: if the method is unknown, or `manual` has no picks.
+        OptionError: if the method is unknown, `manual` has no picks, or an argument is of another type.
         DegenerateGeometryError: if the picks cannot determine a pose.
     """
-    o = options or RegisterOptions()
+    o = RegisterOptions() if options is None else options
+    _check_types(scan, photo, picks, initial, o)
     if method not in get_args(RegistrationMethod):
         raise OptionError(f"the method is {method!r}; it must be one of {', '.join(get_args(RegistrationMethod))}")
     if method == "manual" and not picks:
@@ -83,6 +84,23 @@ def register(
     # On several threads BLAS adds up in another order, and the last digits of a pose would depend on the machine.
     with threadpool_limits(limits=1, user_api="blas"):
         return _register(scan, photo, steps, picks, initial, o)
+
+
+def _check_types(scan: object, photo: object, picks: object, initial: object, options: object) -> None:
+    """Refuse a path where its content is wanted, a matrix where a pose is, and the like, before any work."""
+    wanted: list[tuple[str, object, type]] = [
+        ("scan", scan, Scan),
+        ("photo", photo, Photo),
+        ("options", options, RegisterOptions),
+        *([("initial", initial, Rigid)] if initial is not None else []),
+    ]
+    if picks is not None:
+        if not isinstance(picks, Sequence) or isinstance(picks, str):
+            raise OptionError(f"the picks are a {type(picks).__name__}; give a list of Pick")
+        wanted += [("picks", pick, Pick) for pick in picks]
+    for name, value, kind in wanted:
+        if not isinstance(value, kind):
+            raise OptionError(f"'{name}' holds a {type(value).__name__}; it must be a {kind.__name__}")
 
 
 def _register(

@@ -19,6 +19,8 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER
 from ladarreg_core.ray_table import RayTableInverse, complete_ray_table, interpolate_rays
 
+_LEAST_STEP_RAD = 1e-12
+
 
 @runtime_checkable
 class ScanGeometry(Protocol):
@@ -245,7 +247,8 @@ class TabulatedGrid:
         law: a geometry that the table follows to within a cell (a cloud gridded by it): then `cell_of` is the law's.
 
     Raises:
-        ShapeError: if the table is no (H, W, 3) grid or has fewer than 12 rays.
+        ShapeError: if the table is no (H, W, 3) grid or has fewer than 12 rays, or if most neighbours share
+            one.
     """
 
     table: FloatArray
@@ -258,6 +261,10 @@ class TabulatedGrid:
         rays = complete_ray_table(table, self.law.rays if self.law else None)
         rays.flags.writeable = False
         object.__setattr__(self, "table", rays)
+        if min(self.shape) > 1 and not min(self.step_rad) > _LEAST_STEP_RAD:
+            raise ShapeError(
+                "most neighbouring cells of the scan look the same way; each cell must have a ray of its own"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:

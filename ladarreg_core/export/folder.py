@@ -93,7 +93,7 @@ def check_folder(folder: str | Path, *, force: bool = False) -> None:
     """Refuse a folder that results must not go to; call it before long work.
 
     Raises:
-        ExportError: if something exists there and `force` is off, or if it is not a folder.
+        ExportError: if something exists there and `force` is off, if it is not a folder, or if none can be made there.
     """
     path = Path(folder)
     if path.is_symlink() or (path.exists() and not path.is_dir()):
@@ -102,6 +102,10 @@ def check_folder(folder: str | Path, *, force: bool = False) -> None:
         raise ExportError(f"the folder {path} exists; give another one, or --force to replace it")
     if path.exists() and Path.cwd().resolve().is_relative_to(path.resolve()):
         raise ExportError(f"the folder {path} is the one you work in; give another place for the results")
+    home = next(parent for parent in path.absolute().parents if os.path.lexists(parent))
+    if not home.is_dir() or not os.access(home, os.W_OK | os.X_OK):
+        reason = "may not be written to" if home.is_dir() else "is no folder"
+        raise ExportError(f"{path} cannot be made: {home} {reason}; give another place for the results")
 
 
 def _write_all(

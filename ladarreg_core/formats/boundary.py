@@ -50,6 +50,8 @@ def reading(path: PathLike) -> Iterator[Path]:
             of ours.
         LadarregError: of the kind raised inside, the file named.
     """
+    if not isinstance(path, str | os.PathLike):  # a number would be taken for an open file, bytes for no name at all
+        raise FormatError(f"{one_line(repr(path), 60)} is no path; give the name of a file")
     try:
         yield _checked(path)
     except (Cancelled, AssertionError):

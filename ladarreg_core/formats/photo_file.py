@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Mapping
 from typing import Any
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
-from ladarreg_core.formats.boundary import PathLike, reading
+from ladarreg_core.formats.boundary import PathLike, one_line, reading
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.exif import focal_from_exif, orientation_of, upright
 from ladarreg_core.formats.image_file import as_rgb, read_image
@@ -68,8 +69,8 @@ def read_photo(
 
 def _check_options(camera: object, focal_px: float | None, focal_mm: float | None, sensor_mm: float | None) -> None:
     for name, value in (("focal_px", focal_px), ("focal_mm", focal_mm), ("sensor_mm", sensor_mm)):
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise OptionError(f"{name} is {value:g}; it must be positive")
+        if value is not None and not (isinstance(value, numbers.Real) and math.isfinite(value) and value > 0):
+            raise OptionError(f"{name} is {one_line(value, 40)}; it must be a positive number")
     ways = [name for name, value in (("a camera", camera), ("focal_px", focal_px), ("focal_mm", focal_mm))
             if value is not None]  # fmt: skip
     if len(ways) > 1:

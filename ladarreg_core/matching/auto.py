@@ -8,6 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.aligner import Aligner, Candidate
@@ -15,13 +17,14 @@ from ladarreg_core.matching.evidence import WindowEvidence, window_evidence
 from ladarreg_core.matching.hypotheses import Hypothesis, hypotheses
 from ladarreg_core.matching.levels import PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.verify import GateOptions, Verification
-from ladarreg_core.matching.views import viewing_directions
+from ladarreg_core.matching.views import towards_seen, viewing_directions
 from ladarreg_core.perspective import View, perspective_view
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
 
 log = logging.getLogger(__name__)
+_RANGE_M = (1e-6, 1e7)  # generous, for millimetres taken for metres; the estimator of matches ends there, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,16 @@ def register_auto(
     if contrast < 1:
         return AutoResult(initial, None, None, ("The photo is one flat colour: there is nothing in it to match.",))
 
+    nearest, farthest = float(np.nanmin(scan.ranges)), float(np.nanmax(scan.ranges))
+    if nearest == farthest:
+        reason = f"Every return of the scan has the same range, {nearest:g} m: nothing was measured that fixes a pose."
+        return AutoResult(initial, None, None, (reason,))
+
+    median = float(np.nanmedian(scan.ranges))
+    if not _RANGE_M[0] <= median <= _RANGE_M[1]:
+        reason = f"The scan's median range is {median:.3g} m, which no laser measures: check its unit and scale."
+        return AutoResult(initial, None, None, (reason,))
+
     best: tuple[float, Aligner, Candidate] | None = None
     last = AutoResult(initial, None, None, ())
     for number, direction in enumerate(viewing_directions(scan, working, initial=initial)):
@@ -90,6 +103,7 @@ def register_auto(
             if candidate is not None and (best is None or candidate.fraction > best[0]):
                 best = (candidate.fraction, aligner, candidate)
             continue
+        aligner, candidate = _seen_whole(scan, aligner, candidate, steps, o)
         result = _finish(aligner, candidate, photo, steps)
         if result.verification is not None and result.verification.accepted:
             return result
@@ -103,6 +117,31 @@ def register_auto(
     fraction, _, candidate = best
     reason = f"The best start found agrees in only {fraction:.0%} of the picture."
     return AutoResult(candidate.camera_from_scanner, candidate.first_look, None, (reason, _ADVICE))
+
+
+def _seen_whole(
+    scan: Scan, aligner: Aligner, candidate: Candidate, steps: StepLog, options: AutoOptions
+) -> tuple[Aligner, Candidate]:
+    """Return the pair as seen in a view of all that the photo sees, where the present view shows only part of it."""
+    photo_side, pose = aligner.photo, candidate.camera_from_scanner
+    turn = towards_seen(scan, photo_side.cameras[0], pose, view=aligner.scan.view)
+    if turn is None:
+        return aligner, candidate
+    with steps.step("channels") as note:
+        view = perspective_view(scan, photo_side.cameras[0], view_from_scanner=turn)
+        whole = Aligner(_with_channels(scan, view, photo_side), photo_side, gate=options.gate, seed=options.seed)
+        note.update(view="what the photo sees", points={level: len(p) for level, p in whole.points.items()})
+    if not whole.usable:
+        return aligner, candidate
+    with steps.step("climb") as note:
+        again = whole.approach(pose)
+        note["start"] = "the pose found in another view"
+        if again is not None:
+            note.update(again.first_look.as_dict())
+            steps.pose = again.camera_from_scanner
+    if again is None or again.first_look.agreeing <= candidate.first_look.agreeing:
+        return aligner, candidate
+    return whole, again
 
 
 def _with_channels(scan: Scan, view: View, photo_side: PhotoLevels) -> ScanLevels:

@@ -17,7 +17,7 @@ from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import add_channels, normalised_channels, raw_channels
 from ladarreg_core.lookup import look_up
-from ladarreg_core.perspective import View
+from ladarreg_core.perspective import View, native_focal_px
 from ladarreg_core.photo import Photo
 from ladarreg_core.range_gate import fill_from_nearest, gate_spikes, median_range
 from ladarreg_core.scan import Scan
@@ -25,6 +25,8 @@ from ladarreg_core.scan import Scan
 LEVELS = (0, 1, 2)
 """Level L has 1 / 2^L of the working resolution."""
 _MOST_PIXELS = 1_000_000
+_FEW_PIXELS = 160_000
+_MOST_ENLARGED = 2.0
 _STANDARD_RANGE_M = 2.5
 _RANGE_RATIO = (0.4, 4.0)
 _STRETCH_PERCENT = (1.0, 99.5)
@@ -43,9 +45,14 @@ def _halved(planes: list[FloatArray], camera: Camera) -> list[FloatArray]:
 
 
 def working_camera(scan: Scan, camera: Camera) -> Camera:
-    """Return the ideal camera in which matching works: the photo's, no finer than the scan and at most 1 Mpixel."""
-    finest = 1 / min(scan.geometry.step_rad)
-    factor = min(1.0, finest / camera.focal_px, float(np.sqrt(_MOST_PIXELS / (camera.width * camera.height))))
+    """Return the ideal camera in which matching works: the photo's, at most 1 Mpixel and never finer than the scan.
+
+    A small photo is enlarged, up to twice, as far as the scan is finer: regions are of a fixed number of pixels, and
+    few regions cannot tell. A coarse scan is never interpolated so: what was not measured must not count as agreeing.
+    """
+    pixels = camera.width * camera.height
+    enlarged = min(max(1.0, float(np.sqrt(_FEW_PIXELS / pixels))), _MOST_ENLARGED)
+    factor = min(enlarged, native_focal_px(scan) / camera.focal_px, float(np.sqrt(_MOST_PIXELS / pixels)))
     scaled = camera.scaled(factor)
     return Camera(scaled.width, scaled.height, scaled.focal_px, scaled.focal_px, scaled.cx, scaled.cy)
 
@@ -90,12 +97,14 @@ def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
 
     Args:
         photo: the photograph.
-        working: the ideal camera to work in, of the photo's shape or smaller.
+        working: the ideal camera to work in, of the photo's shape.
     """
-    scaled = photo.camera.scaled(working.width / photo.camera.width)
+    scaled = photo.camera.resized(*working.size)
     pixels: NDArray[Any] = photo.pixels
     if scaled.size != photo.camera.size:
-        pixels = np.asarray(cv2.resize(pixels, scaled.size, interpolation=cv2.INTER_AREA))
+        smaller = scaled.width <= photo.camera.width
+        how = cv2.INTER_AREA if smaller else cv2.INTER_CUBIC
+        pixels = np.asarray(cv2.resize(pixels, scaled.size, interpolation=how))
     usable = np.ones((working.height, working.width), np.bool_)
     if scaled.distortion or abs(scaled.fx - scaled.fy) > 1e-3 * scaled.fx:
         v, u = np.mgrid[: working.height, : working.width].astype(np.float32)

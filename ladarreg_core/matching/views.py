@@ -7,12 +7,15 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.perspective import look_along
+from ladarreg_core.perspective import View, look_along
 from ladarreg_core.scan import Scan
 
 _STEP = 0.6
 _MARGIN = 1.4
 _LEAST_SHARE = 0.05
+_SAMPLES = 10_000
+_LEAST_SEEN = 30
+_MOST_SEEN, _WORTHWHILE = 0.7, 0.1
 
 
 def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = None) -> list[Rigid]:
@@ -21,7 +24,8 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
     Args:
         scan: the scan.
         camera: the working camera, whose field of view one view has.
-        initial: a rough pose; its optical axis is looked along first.
+        initial: a rough pose; what it sees is looked at first, with its roll: channels are compared as they stand
+            upright in the picture, and do not bear to be turned.
 
     Returns:
         one or more. A scan that is not much wider than the photo is seen along its mean return; a wider one in steps
@@ -29,8 +33,9 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
     """
     found = []
     if initial is not None:
-        found.append(Rigid(look_along(initial.rotation[2]), np.zeros(3)))
+        found.append(towards_seen(scan, camera, initial) or Rigid(initial.rotation, np.zeros(3)))
     rays = scan.sampled_directions
+    rays = rays[np.isfinite(rays).all(axis=-1)]  # beyond what a strong lens can see there are none
     centre = scan.mean_direction
     half_width = np.arctan(0.5 * camera.width / camera.fx)
     azimuth = np.arctan2(rays[:, 1], rays[:, 0])
@@ -52,6 +57,41 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
         scored.append((abs(turn), Rigid(look_along(direction), np.zeros(3))))
     scored.sort(key=lambda item: item[0])
     return [*found, *(view for _, view in scored)] or [first]
+
+
+def towards_seen(scan: Scan, camera: Camera, pose: Rigid, *, view: View | None = None) -> Rigid | None:
+    """Return the rotation (view from scanner) that looks at what a photo sees, rolled as the photo is.
+
+    Args:
+        scan: the scan.
+        camera: the working camera.
+        pose: `camera_from_scanner` of the photo.
+        view: a view there is already.
+
+    Returns:
+        the rotation; None where the photo sees hardly anything of the scan, or `view` shows most of that.
+    """
+    stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLES)))
+    points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
+    points = points[np.isfinite(points).all(axis=-1)]
+    points = points[camera.contains(camera.project(pose @ points))]
+    if len(points) < _LEAST_SEEN:
+        return None
+    rays = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    forward = rays.mean(axis=0)
+    right = np.cross(pose.rotation[1], forward)
+    if min(np.linalg.norm(forward), np.linalg.norm(right)) < 1e-3:
+        return None
+    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+    found = Rigid(np.stack([right, np.cross(forward, right), forward]), np.zeros(3))
+    if view is not None:
+        now, then = (
+            float(view.camera.contains(view.camera.project(rays @ turn.rotation.T)).mean())
+            for turn in (view.view_from_scanner, found)
+        )
+        if now >= _MOST_SEEN or then < now + _WORTHWHILE:
+            return None
+    return found
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
