@@ -99,11 +99,10 @@ def _read(arguments: Arguments, bar: StepBar) -> tuple[Scan, Photo]:
 
 
 def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: StepBar) -> Registration:
+    import ladarreg_core as lr
     from ladarreg_core.formats.matches_file import read_matches
     from ladarreg_core.formats.pose_file import read_pose
     from ladarreg_core.register import RegisterOptions
-
-    import ladarreg_core as lr
 
     picks: list[Pick] | None = read_matches(arguments.matches, scan) if arguments.matches else None
     initial = read_pose(arguments.initial) if arguments.initial else None
