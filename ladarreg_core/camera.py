@@ -69,6 +69,18 @@ class Camera:
         """Return an ideal camera of one focal length with its principal point in the middle of the picture."""
         return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
 
+    def as_fields(self) -> dict[str, Any]:
+        """Return the fields of the camera JSON."""
+        return {
+            "width": self.width,
+            "height": self.height,
+            "fx": self.fx,
+            "fy": self.fy,
+            "cx": self.cx,
+            "cy": self.cy,
+            "distortion": list(self.distortion),
+        }
+
     @property
     def matrix(self) -> NDArray[np.float64]:
         """K, (3, 3)."""

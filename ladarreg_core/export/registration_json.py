@@ -45,7 +45,7 @@ def registration_document(registration: Registration, *, inputs: Sequence[str | 
         "scanner_from_camera": scanner_from_camera.matrix,
         "scanner_from_camera_is": "the inverse: maps camera points to the scanner; its last column is the camera's "
         "centre in the scanner frame",
-        "camera": camera_document(r.camera),
+        "camera": r.camera.as_fields(),
         "covariance": np.asarray(r.covariance),
         "covariance_is": "of (w, c): R_true = exp([w]x) R (rad), c = true minus estimated camera centre in the "
         "scanner frame (m)",
@@ -109,19 +109,6 @@ def registration_document(registration: Registration, *, inputs: Sequence[str | 
     return ready
 
 
-def camera_document(camera: Camera) -> dict[str, Any]:
-    """Return a camera as the camera JSON has it."""
-    return {
-        "width": camera.width,
-        "height": camera.height,
-        "fx": camera.fx,
-        "fy": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-        "distortion": list(camera.distortion),
-    }
-
-
 def write_registration_json(path: str | Path, document: Mapping[str, Any]) -> None:
     """Write a registration's document as strict JSON: no NaN, no infinity.
 
@@ -162,7 +149,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Sequence | set | frozenset):
         return [_plain(item) for item in value]
     if isinstance(value, Camera):
-        return camera_document(value)
+        return value.as_fields()
     return str(value)
 
 

@@ -55,15 +55,7 @@ def write_camera(path: PathLike, camera: Camera) -> None:
 
 def camera_fields(camera: Camera) -> dict[str, Any]:
     """Return a camera as the fields of its JSON."""
-    return {
-        "width": camera.width,
-        "height": camera.height,
-        "fx": camera.fx,
-        "fy": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-        "distortion": list(camera.distortion),
-    }
+    return camera.as_fields()
 
 
 def camera_from_fields(fields: Mapping[str, Any]) -> Camera:
