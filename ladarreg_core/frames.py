@@ -153,6 +153,17 @@ def rotvec_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(axis / np.linalg.norm(axis) * angle, dtype=np.float64)
 
 
+def look_along(direction: ArrayLike) -> NDArray[np.float64]:
+    """Return the rotation (3, 3), view from scanner, of a camera that looks along `direction` (3,) without roll."""
+    forward = np.asarray(direction, dtype=np.float64)
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) < 1e-6:  # straight up or down: keep the scanner's right
+        right = CAMERA_AXES_FROM_SCANNER[0]
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
 def skew(vector: ArrayLike) -> NDArray[np.float64]:
     """Return [v]x, (3, 3), with [v]x @ p = v x p."""
     x, y, z = np.asarray(vector, dtype=np.float64).reshape(3)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
-from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
+from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.lookup import look_up
 from ladarreg_core.scan import Scan
 
@@ -144,17 +144,6 @@ def native_focal_px(scan: Scan) -> float:
             "the scan's angles or points"
         )
     return float(1 / finest)
-
-
-def look_along(direction: ArrayLike) -> NDArray[np.float64]:
-    """Return the rotation (3, 3), view from scanner, of a camera that looks along `direction` (3,) without roll."""
-    forward = np.asarray(direction, dtype=np.float64)
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    if np.linalg.norm(right) < 1e-6:  # straight up or down: keep the scanner's right
-        right = CAMERA_AXES_FROM_SCANNER[0]
-    right = right / np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward])
 
 
 def _widened(camera: Camera, scan: Scan, view_from_scanner: Rigid) -> Camera:

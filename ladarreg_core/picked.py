@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.frames import look_along
 from ladarreg_core.matches import Matches, Pick
-from ladarreg_core.perspective import look_along
 from ladarreg_core.scan import Scan
 
 _SAMPLES_A_LINE = 9

@@ -12,10 +12,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.frames import Rigid
+from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, register_auto
-from ladarreg_core.perspective import look_along
 from ladarreg_core.photo import Photo
 from ladarreg_core.picked import matches_from_picks
 from ladarreg_core.pose.describe import describe_pose

@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation
+from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.lookup import look_up
-from ladarreg_core.perspective import look_along
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import AzimuthElevation

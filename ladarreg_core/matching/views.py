@@ -6,8 +6,8 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.frames import Rigid
-from ladarreg_core.perspective import View, look_along
+from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.perspective import View
 from ladarreg_core.scan import Scan
 
 _STEP = 0.6

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
-from ladarreg_core.frames import rotation_from_rotvec
-from ladarreg_core.perspective import look_along
+from ladarreg_core.frames import look_along, rotation_from_rotvec
 from ladarreg_core.render import render_scan_colors
 
 
