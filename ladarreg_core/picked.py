@@ -9,15 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import look_along
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.scan import Scan
 
-_SAMPLES_A_LINE = 9
+SAMPLES_PER_LINE = 9
+"""Points taken along a drawn line where nothing else is said."""
+_MOST_SAMPLES = 1000
 _EDGE_FRACTION = 0.04
 
 
-def matches_from_picks(scan: Scan, picks: Sequence[Pick]) -> tuple[Matches, tuple[str, ...]]:
+def matches_from_picks(
+    scan: Scan, picks: Sequence[Pick], *, samples_per_line: int = SAMPLES_PER_LINE
+) -> tuple[Matches, tuple[str, ...]]:
     """Return the matches that a solver eats, and a sentence for everything that had to be left out.
 
     A point takes the range of the surface under it; a line is sampled at constant intervals on both sides. The
@@ -27,14 +32,21 @@ def matches_from_picks(scan: Scan, picks: Sequence[Pick]) -> tuple[Matches, tupl
     Args:
         scan: the scan.
         picks: points and lines; those switched off are skipped.
+        samples_per_line: points along each line, its ends among them.
+
+    Raises:
+        OptionError: if `samples_per_line` is not a whole number from 2 to 1000.
 
     Source: thesis 2.3.1.
     """
+    whole = isinstance(samples_per_line, int) and not isinstance(samples_per_line, bool)
+    if not whole or not 2 <= samples_per_line <= _MOST_SAMPLES:
+        raise OptionError(f"samples_per_line is {samples_per_line!r}; it must be a whole number from 2 to 1000")
     rays, uv, ids, fractions, weights = [], [], [], [], []
     for pick in picks:
         if not pick.on:
             continue
-        count = 1 if pick.kind == "point" else _SAMPLES_A_LINE
+        count = 1 if pick.kind == "point" else samples_per_line
         along = np.zeros(1) if count == 1 else np.linspace(0, 1, count)
         rays.append(_along_line(pick.scan, along))
         uv.append(pick.photo[0] + along[:, None] * (pick.photo[-1] - pick.photo[0]))
@@ -44,12 +56,8 @@ def matches_from_picks(scan: Scan, picks: Sequence[Pick]) -> tuple[Matches, tupl
     if not ids:
         return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))), ("No match is switched on.",)
     all_rays = np.concatenate(rays)
-    ranges = surface_range(scan, all_rays)
+    ranges, edge = _measured(scan, all_rays)
     found = np.isfinite(ranges)
-    notes = tuple(
-        f"Match {name}: {lost} of {total} points have no usable range (no return, or a depth edge) and are left out."
-        for name, lost, total in _losses(ids, found)
-    )
     matches = Matches(
         all_rays,
         np.where(found, ranges, 1),
@@ -58,13 +66,25 @@ def matches_from_picks(scan: Scan, picks: Sequence[Pick]) -> tuple[Matches, tupl
         np.concatenate(fractions),
         np.concatenate(weights),
     )
-    return matches.subset(found), notes
+    return matches.subset(found), _losses(ids, found, edge)
 
 
-def _losses(ids: list[str], found: NDArray[np.bool_]) -> list[tuple[str, int, int]]:
+def _losses(ids: list[str], found: NDArray[np.bool_], edge: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Return a sentence for every pick that lost points, with the cause."""
     total = Counter(ids)
-    lost = Counter(name for name, known in zip(ids, found.tolist(), strict=True) if not known)
-    return [(name, lost[name], total[name]) for name in lost]
+    at_edge = Counter(name for name, lost in zip(ids, (~found & edge).tolist(), strict=True) if lost)
+    empty = Counter(name for name, lost in zip(ids, (~found & ~edge).tolist(), strict=True) if lost)
+    sentences = []
+    for name in dict.fromkeys(ids):
+        causes = [
+            f"{count[name]} {words}"
+            for count, words in ((empty, "without a return"), (at_edge, "at a depth edge"))
+            if count[name]
+        ]
+        if causes:
+            lost = at_edge[name] + empty[name]
+            sentences.append(f"Match {name}: {lost} of {total[name]} points are left out, {' and '.join(causes)}.")
+    return tuple(sentences)
 
 
 def _along_line(ends: FloatArray, along: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -82,6 +102,11 @@ def surface_range(scan: Scan, rays: FloatArray) -> NDArray[np.float64]:
 
     Inside a surface, bilinear in 1/range of the four cells around, which is exact on a plane up to their angles.
     """
+    return _measured(scan, rays)[0]
+
+
+def _measured(scan: Scan, rays: FloatArray) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the range (N,) of `surface_range`, and whether a depth edge (N,) is why there is none."""
     cells = np.asarray(scan.geometry.cell_of(rays), dtype=np.float64)
     height, width = scan.shape
     row, column = cells[:, 0], cells[:, 1]
@@ -95,6 +120,7 @@ def surface_range(scan: Scan, rays: FloatArray) -> NDArray[np.float64]:
     with np.errstate(invalid="ignore"):
         low, high = corners.min(axis=0), corners.max(axis=0)
         smooth = inside & (high - low <= _EDGE_FRACTION * low)
+        edge = inside & (high - low > _EDGE_FRACTION * low)
     weights = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b])
     inverse = (weights / np.where(smooth, corners, 1)).sum(axis=0)
-    return np.where(smooth, 1 / inverse, np.nan)
+    return np.where(smooth, 1 / inverse, np.nan), np.asarray(edge)
