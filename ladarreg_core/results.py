@@ -15,6 +15,8 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
 
 Evidence = Literal["image", "statistics", "none"]
+StageName = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed", "default"]
+"""The columns of thesis Tables 3.2-3.5, and the default method beside them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,6 +90,18 @@ class Registration(PoseResult):
     """The options used, JSON-ready."""
     seed: int = 0
     """The seed used."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """One column of the thesis's tables: what an estimator answered, or why it gave nothing."""
+
+    name: StageName
+    """Which estimator on which matches."""
+    result: PoseResult | None
+    """Its answer with the matches it used; None where it gave none."""
+    note: str = ""
+    """A sentence on what happened, or why there is no answer."""
 
 
 def _moved(pose: Rigid, change: FloatArray) -> Rigid:

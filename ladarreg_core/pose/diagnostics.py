@@ -8,16 +8,17 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
+from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
+from ladarreg_core.pose.stereo import STEREO_AXES_FROM_SCANNER, StereoPairs, rectify, stereo_frame
 
-_STEREO_FROM_SCANNER = np.diag([-1.0, -1.0, 1.0]) @ CAMERA_AXES_FROM_SCANNER  # x left, y up, z forward
 _LEAST_DISPARITY_SIGMA = 3.0
 
 
 def stereo_depth_error(pose: Rigid, matches: Matches, camera: Camera, *, sigma_px: float) -> FloatArray:
-    """Return laser minus stereo depth of every match, in the thesis's stereo frame (depth along the scanner's X).
+    """Return laser minus stereo depth of every match, in the thesis's stereo frame.
 
+    Depth is along the scanner's X, or along the mean ray where the matches lie aside of that; see `stereo_frame`.
     The two stereo depths, by x and by y disparity, are combined with the squares of their disparities as weights.
     That mean does not depend on how both pictures are turned about the optical axis, so the 45 degree rotation of the
     thesis (Eq 2.14-2.16), which keeps either disparity from vanishing, is not needed.
@@ -29,31 +30,33 @@ def stereo_depth_error(pose: Rigid, matches: Matches, camera: Camera, *, sigma_p
         sigma_px: pixel noise, px.
 
     Returns:
-        (M,) m; NaN where the point is beside or behind the scanner's X, or where the disparity is within three
+        (M,) m; NaN where the point is beside or behind, or where the disparity is within three
         sigma_px of zero, as at a baseline of zero.
 
     Source: thesis Eq 2.19-2.21.
     """
-    laser_depth, disparity, numerator = _stereo(pose, matches.points, matches.uv, camera)
-    squared = (disparity * disparity).sum(axis=1)
+    depth, disparity, numerator = _disparities(pose, matches, camera, stereo_frame(matches.rays))
+    squared = (disparity * disparity).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        depth = (disparity * numerator).sum(axis=1) / squared
+        stereo = (disparity * numerator).sum(axis=0) / squared
         known = np.sqrt(squared) * camera.focal_px > _LEAST_DISPARITY_SIGMA * sigma_px
-    return np.where(known, laser_depth - depth, np.nan)
+    return np.where(known, depth - stereo, np.nan)
 
 
-def _stereo(
-    pose: Rigid, points_scanner: FloatArray, uv: FloatArray, camera: Camera
+def _disparities(
+    pose: Rigid, matches: Matches, camera: Camera, frame_from_scanner: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return laser depths (M,), derotated disparities (M, 2) and Z times those (M, 2) by Eq 2.17-2.18; lambda = 1."""
-    points = points_scanner @ _STEREO_FROM_SCANNER.T
-    seen = camera.unproject(uv) @ (pose.rotation @ _STEREO_FROM_SCANNER.T)
-    T = _STEREO_FROM_SCANNER @ pose.centre
+    """Return laser depths (M,), derotated disparities (2, M) and Z times those (2, M) by Eq 2.17-2.18; lambda = 1.
+
+    NaN where the point is beside or behind the frame's X, or the pixel looks backwards once derotated.
+    """
+    pairs = StereoPairs.of(matches, camera, frame_from_scanner=frame_from_scanner)
+    Tx, Ty, Tz, alpha, beta, gamma = pairs.parameters(pose).tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
-        laser_depth = np.where(points[:, 2] > 0, points[:, 2], np.nan)
-        xl = -points[:, :2] / laser_depth[:, None]
-        xc = -seen[:, :2] / np.where(seen[:, 2:] > 0, seen[:, 2:], np.nan)
-    return laser_depth, xc - xl, T[:2] + T[2] * xc
+        rectified = np.stack(rectify(pairs.colour[0], pairs.colour[1], alpha=alpha, beta=beta, gamma=gamma))
+    depth = np.where(pairs.depth > 0, pairs.depth, np.nan)
+    disparity = np.where(pairs.ahead(pose) & (pairs.depth > 0), rectified - pairs.laser, np.nan)
+    return depth, disparity, np.array([[Tx], [Ty]]) + Tz * rectified
 
 
 def diagnose(pose: Rigid, matches: Matches, inliers: BoolArray, camera: Camera, *, sigma_px: float) -> dict[str, Any]:
@@ -65,7 +68,8 @@ def diagnose(pose: Rigid, matches: Matches, inliers: BoolArray, camera: Camera, 
     """
     points, ranges, uv = matches.points[inliers], matches.ranges[inliers], matches.uv[inliers]
     figures: dict[str, Any] = {"matches": len(matches), "inliers": len(points)}
-    left, up, forward = (float(v) for v in _STEREO_FROM_SCANNER @ pose.centre)
+    frame = stereo_frame(matches.rays)
+    left, up, forward = (float(v) for v in STEREO_AXES_FROM_SCANNER @ frame @ pose.centre)
     figures |= {
         "baseline_m": float(np.linalg.norm(pose.centre)),
         "baseline_across_m": float(np.hypot(left, up)),
@@ -79,8 +83,8 @@ def diagnose(pose: Rigid, matches: Matches, inliers: BoolArray, camera: Camera, 
     figures["range_near_m"], figures["range_far_m"] = float(ranges.min()), float(ranges.max())
     spread = np.ptp(uv, axis=0) / camera.size
     figures["spread_of_picture"] = float(np.clip(spread, 0, 1).prod())
-    _, disparity, _ = _stereo(pose, points, uv, camera)
-    length = np.linalg.norm(disparity, axis=1) * camera.focal_px
+    _, disparity, _ = _disparities(pose, matches.subset(inliers), camera, frame)
+    length = np.linalg.norm(disparity, axis=0) * camera.focal_px
     if np.isfinite(length).any():
         median = float(np.nanmedian(length))
         figures["disparity_median_px"] = median

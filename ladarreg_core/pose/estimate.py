@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -36,10 +36,12 @@ from ladarreg_core.pose.gnc import DEFAULT_GNC, GncOptions, graduate, narrow_sca
 from ladarreg_core.pose.linear import linear_covariance, linear_pose
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.ransac import Backend, sample_pose
+from ladarreg_core.pose.sandwich import simplex_covariance
+from ladarreg_core.pose.stereo_simplex import DEFAULT_SIMPLEX, Residual, SimplexOptions, fit_simplex
 from ladarreg_core.pose.verdict import LEAST_INLIERS, chance_agreement, judge
 from ladarreg_core.results import PoseResult
 
-Method = Literal["robust", "linear"]
+Method = Literal["robust", "linear", "stereo_simplex", "epipolar_simplex"]
 
 STATED_SIGMA_PX = 1.0
 """Pixel noise until the data tell, px."""
@@ -59,7 +61,7 @@ class PoseOptions:
     """How a pose is estimated."""
 
     method: Method = "robust"
-    """`robust` (the default of estimation) or `linear` (thesis 2.4.1)."""
+    """`robust`, `linear` (thesis 2.4.1), `stereo_simplex` (Eq 2.21) or `epipolar_simplex` (without its poles)."""
     sigma_px: float | None = None
     """Pixel noise, px; None: 1 px, then as the matches show."""
     sigma_range_m: float | None = None
@@ -81,6 +83,8 @@ class PoseOptions:
     """
     gnc: GncOptions = DEFAULT_GNC
     """How the robust cost closes."""
+    simplex: SimplexOptions = DEFAULT_SIMPLEX
+    """How a simplex walks and rejects; its `residual` is that of `method`."""
     seed: int = 0
     """Of every random choice."""
 
@@ -96,6 +100,8 @@ class PoseOptions:
         for name in ("gate_chi2", "ransac_sigma", "ransac_again_sigma"):
             if not _between(getattr(self, name), 1e-3, 1e6):
                 raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a positive number")
+        if not isinstance(self.simplex, SimplexOptions):
+            raise OptionError(f"simplex is a {type(self.simplex).__name__}; give SimplexOptions")
         for name in ("ransac_iterations", "seed"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value < 2**31:
@@ -123,8 +129,9 @@ def estimate_pose(
         camera: the photo's camera; its lens may distort.
         sigma_px: pixel noise, px; None: estimated from the inliers' scatter where they are enough, else 1 px.
         sigma_range_m: range noise, m; None: likewise, else .015 m.
-        method: `robust` or `linear`.
-        initial: a first guess of the pose, tried beside those that the method finds; `linear` needs none.
+        method: `robust`, `linear`, `stereo_simplex` or `epipolar_simplex`.
+        initial: a first guess of the pose: `robust` tries it beside those that it finds, a simplex starts there,
+            `linear` needs none.
         seed: of every random choice; the same input and seed give the same answer.
 
     Returns:
@@ -134,7 +141,8 @@ def estimate_pose(
         ShapeError: if arrays disagree, or hold what is not finite, not positive (ranges) or not unit (rays, by more
             than 1e-3).
         DegenerateGeometryError: if there are fewer than 4 different matches (7 for `linear`), if the points lie on a
-            line (on a plane, for `linear`), or if no pose agrees with any 4 matches.
+            line (on a plane, for `linear`), if no pose agrees with any 4 matches (`robust`), or if fewer than 4 lie in
+            front of the scanner and within the lens (a simplex).
         OptionError: if a sigma, the method or the seed has no meaning.
         CameraError: if `camera` is none.
     """
@@ -163,6 +171,8 @@ def solve_pose(
     matches = checked_matches(matches, camera, initial)
     if options.method == "linear":
         return _solve_linear(matches, camera, options)
+    if options.method in ("stereo_simplex", "epipolar_simplex"):
+        return _solve_simplex(matches, camera, options, initial)
     return _solve_robust(matches, camera, options, initial)
 
 
@@ -235,6 +245,30 @@ def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions) -> Pos
         sigma_xy=sigma[0] / camera.focal_px / root, sigma_range_m=sigma[1] / root, seed=options.seed,
     )  # fmt: skip
     return _result(fit, matches, camera, options, covariance, sigma, {"stopped": "closed form"})
+
+
+def _solve_simplex(matches: Matches, camera: Camera, options: PoseOptions, initial: Rigid | None) -> PoseResult:
+    residual: Residual = "stereo" if options.method == "stereo_simplex" else "epipolar"
+    sigma_px, sigma_m = options.sigma_px or STATED_SIGMA_PX, options.sigma_range_m or STATED_SIGMA_RANGE_M
+    how = replace(options.simplex, residual=residual)
+    found = fit_simplex(matches, camera, how, initial=initial, sigma_px=sigma_px)
+    pose = found.after.camera_from_scanner
+    measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_m)
+    state, seen = settle(measured, States.of([pose], measured))
+    inliers = found.after.inliers & (seen.s[0] < UNSEEN)
+    if (options.sigma_px is None or options.sigma_range_m is None) and np.count_nonzero(inliers) >= LEAST_INLIERS:
+        fit = _Fit(measured, state, inliers, seen.s[0], True)
+        sigma_px, sigma_m = _noise_shown(fit, matches, camera, options)
+        measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_m)
+        state, seen = settle(measured, States.of([pose], measured))
+    covariance = simplex_covariance(
+        pose, matches, inliers, camera, residual=residual, sigma_px=sigma_px, sigma_range_m=sigma_m
+    )
+    fit = _Fit(measured, state, inliers, seen.s[0], found.stopped == "settled")
+    result = _result(fit, matches, camera, options, covariance, (sigma_px, sigma_m), found.story())
+    if not found.collapsed:
+        return result
+    return replace(result, accepted=False, evidence="none", reasons=(found.in_words(), *result.reasons))
 
 
 def _first_poses(

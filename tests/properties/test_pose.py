@@ -203,7 +203,7 @@ def test_hostile_arrays_are_told(name: str) -> None:
         ({"sigma_px": np.nan}, OptionError),
         ({"sigma_range_m": np.inf}, OptionError),
         ({"sigma_range_m": "1 cm"}, OptionError),
-        ({"method": "stereo_simplex"}, OptionError),
+        ({"method": "simplex"}, OptionError),
         ({"method": "magic"}, OptionError),
         ({"seed": -1}, OptionError),
         ({"seed": 1.5}, OptionError),
