@@ -11,12 +11,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ladarreg_core.errors import OptionError
+from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, register_auto
+from ladarreg_core.matching.thesis import ThesisOptions, ThesisResult, thesis_stages
 from ladarreg_core.photo import Photo
-from ladarreg_core.picked import matches_from_picks
+from ladarreg_core.picked import SAMPLES_PER_LINE, matches_from_picks
 from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
 from ladarreg_core.progress import StepReport
@@ -24,7 +25,7 @@ from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
 
-RegistrationMethod = Literal["auto", "manual"]
+RegistrationMethod = Literal["auto", "thesis", "manual"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +38,15 @@ class RegisterOptions:
     """Of the method `auto`."""
     pose: PoseOptions = field(default_factory=PoseOptions)
     """Of the estimator that solves given matches."""
+    thesis: ThesisOptions = field(default_factory=ThesisOptions)
+    """Of the method `thesis`."""
+    samples_per_line: int = SAMPLES_PER_LINE
+    """Points taken along every line drawn by hand."""
+
+    @property
+    def of_thesis(self) -> ThesisOptions:
+        """Those of `thesis`, with the seed."""
+        return replace(self.thesis, pose=replace(self.thesis.pose, seed=self.seed))
 
     def __post_init__(self) -> None:
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**31:
@@ -58,8 +68,9 @@ def register(
     Args:
         scan: what the laser scanner saw.
         photo: the photograph with its camera.
-        method: `auto` matches the pictures; `manual` solves `picks`. Given picks, `auto` becomes `manual`: what a
-            person put down is not overruled.
+        method: `auto` matches the pictures; `thesis` does so by the chain of the thesis; `manual` solves `picks`. Given
+            picks, `auto` becomes `manual` and `thesis` solves them by its own estimators: what a person put down is
+            not overruled.
         picks: matching points and lines.
         initial: a first guess of `camera_from_scanner`, tried before all others.
         options: seeds and thresholds.
@@ -82,7 +93,7 @@ def register(
     steps = StepLog(report)
     # On several threads BLAS adds up in another order, and the last digits of a pose would depend on the machine.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _register(scan, photo, steps, picks, initial, o)
+        return _register(scan, photo, steps, method, picks, initial, o)
 
 
 def _check_types(scan: object, photo: object, picks: object, initial: object, options: object) -> None:
@@ -106,68 +117,110 @@ def _register(
     scan: Scan,
     photo: Photo,
     steps: StepLog,
+    method: str,
     picks: Sequence[Pick] | None,
     initial: Rigid | None,
     options: RegisterOptions,
 ) -> Registration:
+    if method == "thesis":
+        chain = thesis_stages(
+            scan, photo, steps,
+            picks=picks, initial=initial, options=options.of_thesis, samples_per_line=options.samples_per_line,
+        )  # fmt: skip
+        return _registration(_of_thesis(chain, scan, photo), "thesis", steps, options)
     if picks:
-        return _register_picked(scan, photo, steps, picks, initial, options)
+        return _registration(_solved(scan, photo, steps, picks, initial, options), "manual", steps, options)
     found = register_auto(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
     with steps.step("result"):
-        result = _explained(found, scan, photo)
+        result = _of_auto(found, scan, photo)
         steps.pose, steps.matches = result.camera_from_scanner, result.matches
     return _registration(result, "auto", steps, options)
 
 
-def _register_picked(
+def _solved(
     scan: Scan, photo: Photo, steps: StepLog, picks: Sequence[Pick], initial: Rigid | None, options: RegisterOptions
-) -> Registration:
+) -> PoseResult:
     with steps.step("matches") as note:
-        matches, losses = matches_from_picks(scan, picks)
+        matches, losses = matches_from_picks(scan, picks, samples_per_line=options.samples_per_line)
         note.update(picks=len(picks), matches=len(matches), left_out=list(losses))
         steps.matches = matches
     with steps.step("pose") as note:
         result = solve_pose(matches, photo.camera, replace(options.pose, seed=options.seed), initial=initial)
         note.update(inliers=int(result.inliers.sum()), matches=len(matches))
         steps.matches, steps.pose = matches, result.camera_from_scanner
-    fields = _fields(result)
-    fields["reasons"] = (*result.reasons, *losses)
-    return _registration(PoseResult(**fields), "manual", steps, options)
+    return replace(result, reasons=(*result.reasons, *losses))
 
 
-def _explained(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
-    """Return an automatic result with the figures that every pose has."""
-    pose = found.camera_from_scanner
-    if pose is None:  # nothing was found: the scanner's own place stands in, and is not accepted
-        pose = Rigid(look_along(scan.mean_direction), np.zeros(3))
-    evidence = found.evidence
-    matches = evidence.matches if evidence else Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
-    inliers = evidence.inliers if evidence else np.zeros(0, np.bool_)
-    covariance = evidence.covariance if evidence else np.diag([np.pi**2] * 3 + [100.0**2] * 3)
-    sigma_px = evidence.scatter_px if evidence and np.isfinite(evidence.scatter_px) else STATED_SIGMA_PX
-    described = describe_pose(
-        pose,
-        matches,
-        inliers,
-        photo.camera,
-        sigma_px=sigma_px,
-        sigma_range_m=STATED_SIGMA_RANGE_M,
-        covariance=covariance,
+def _of_thesis(found: ThesisResult, scan: Scan, photo: Photo) -> PoseResult:
+    """Return the last stage's answer with what was foreseen; accepted if the pictures agree, or drawn matches do."""
+    result = found.last
+    if result is None:
+        notes = tuple(dict.fromkeys(stage.note for stage in found.stages))
+        if found.drawn:
+            raise DegenerateGeometryError(notes[-1])
+        return replace(_nowhere(scan, photo), reasons=(*notes, *found.cautions))
+    if found.drawn:
+        return replace(result, reasons=(*result.reasons, *found.cautions))
+    verdict = found.verification
+    if verdict is None:
+        nothing = "The scan has too little that could be compared with the photo."
+        return replace(result, accepted=False, evidence="none", reasons=(nothing, *found.cautions))
+    return replace(
+        result,
+        accepted=verdict.accepted,
+        evidence="image" if verdict.accepted else "none",
+        reasons=(*verdict.reasons, *found.cautions),
+        diagnostics={**result.diagnostics, "verification": verdict.as_dict()},
     )
-    accepted = found.verification is not None and found.verification.accepted
-    fields = _fields(described)
-    fields.update(accepted=accepted, evidence="image" if accepted else "none", reasons=found.reasons)
-    if found.verification is not None:
-        fields["diagnostics"] = {**described.diagnostics, "verification": found.verification.as_dict()}
-    return PoseResult(**fields)
+
+
+def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
+    """Return an automatic result with the figures that every pose has."""
+    if found.camera_from_scanner is None:
+        return replace(_nowhere(scan, photo), reasons=found.reasons)
+    evidence, blocks = found.evidence, found.blocks
+    scatter = blocks.scatter_px if blocks and np.isfinite(blocks.scatter_px) else STATED_SIGMA_PX
+    described = describe_pose(
+        found.camera_from_scanner,
+        blocks.matches if blocks else _NO_MATCHES,
+        blocks.inliers if blocks else np.zeros(0, np.bool_),
+        photo.camera,
+        sigma_px=scatter,
+        sigma_range_m=STATED_SIGMA_RANGE_M,
+        covariance=evidence.covariance if evidence else _UNKNOWN,
+    )
+    verdict = found.verification
+    accepted = verdict is not None and verdict.accepted
+    diagnostics = {**described.diagnostics, "verification": verdict.as_dict()} if verdict else described.diagnostics
+    return replace(
+        described,
+        accepted=accepted,
+        evidence="image" if accepted else "none",
+        reasons=found.reasons,
+        diagnostics=diagnostics,
+    )
+
+
+_NO_MATCHES = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+_UNKNOWN = np.diag([np.pi**2] * 3 + [100.0**2] * 3)
+
+
+def _nowhere(scan: Scan, photo: Photo) -> PoseResult:
+    """Return what stands in where nothing was found: the scanner's own place, unaccepted and known not at all."""
+    return describe_pose(
+        Rigid(look_along(scan.mean_direction), np.zeros(3)),
+        _NO_MATCHES,
+        np.zeros(0, np.bool_),
+        photo.camera,
+        sigma_px=STATED_SIGMA_PX,
+        sigma_range_m=STATED_SIGMA_RANGE_M,
+        covariance=_UNKNOWN,
+    )
 
 
 def _registration(result: PoseResult, method: str, steps: StepLog, options: RegisterOptions) -> Registration:
-    return Registration(**_fields(result), method=method, steps=steps.steps, options=asdict(options), seed=options.seed)
-
-
-def _fields(result: PoseResult) -> dict[str, Any]:
-    return {name: getattr(result, name) for name in PoseResult.__dataclass_fields__}
+    fields = {name: getattr(result, name) for name in PoseResult.__dataclass_fields__}
+    return Registration(**fields, method=method, steps=steps.steps, options=asdict(options), seed=options.seed)
 
 
 class _Facade(ModuleType):

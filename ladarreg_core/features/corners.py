@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -11,10 +12,17 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.errors import OptionError, ShapeError
 
+MaximaOf = Literal["every_pixel", "thresholded"]
+_LARGEST_REACH_PX = 1000
+
 
 @dataclass(frozen=True, slots=True)
 class CornerOptions:
-    """How corners are found."""
+    """How corners are found.
+
+    Raises:
+        OptionError: if a value has no meaning.
+    """
 
     count: int | None = 800
     """Keep the best so many by w; None: all above the thresholds."""
@@ -30,6 +38,35 @@ class CornerOptions:
     """Move each to the peak of a parabola through w."""
     border_px: int = 8
     """No corner nearer to the picture's border."""
+    maxima_of: MaximaOf = "every_pixel"
+    """Which w a corner must exceed: that of `every_pixel` around it, or only of those above the thresholds.
+
+    `thresholded` is the thesis's own order (w* first, then its relative maxima): it also finds corners on the slope of
+    a stronger edge, a little beside their true place.
+    """
+
+    def __post_init__(self) -> None:
+        whole: list[tuple[str, int | None, int]] = [
+            ("count", self.count, 1),
+            ("non_maximum_px", self.non_maximum_px, 1),
+            ("border_px", self.border_px, 0),
+        ]
+        for name, value, least in whole:
+            if name == "count" and value is None:
+                continue
+            sound = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not sound or not least <= int(value or 0) <= (2**31 if name == "count" else _LARGEST_REACH_PX):
+                raise OptionError(f"the corners' {name} is {value!r}; it must be a whole number of at least {least}")
+        if not (_is_number(self.w_min) and self.w_min >= 0):
+            raise OptionError(f"the corners' w_min is {self.w_min!r}; it must be a number of at least 0")
+        if not (_is_number(self.q_min) and 0 <= self.q_min < 1):
+            raise OptionError(f"the corners' q_min is {self.q_min!r}; it must be at least 0 and below 1")
+        if not (_is_number(self.pre_blur_px) and 0 <= self.pre_blur_px <= _LARGEST_REACH_PX):
+            raise OptionError(f"the corners' pre_blur_px is {self.pre_blur_px!r}; it must be a number of at least 0")
+        if self.maxima_of not in get_args(MaximaOf):
+            raise OptionError(
+                f"the corners' maxima_of is {self.maxima_of!r}; it must be one of {', '.join(get_args(MaximaOf))}"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,22 +120,28 @@ def find_corners(
         corners, strongest first; none in a flat picture.
 
     Raises:
-        ShapeError: if the image is not (H, W).
-        OptionError: if a threshold has no meaning.
+        ShapeError: if the image is not (H, W) or holds what is not finite, or `usable` is of another shape.
 
     Source: thesis 2.3.2, steps 1-5.
     """
     o = options or CornerOptions()
-    if o.non_maximum_px < 1 or (o.count is not None and o.count < 1) or not 0 <= o.q_min < 1:
-        raise OptionError(f"corner options {o} have no meaning: non_maximum_px and count from 1 on, q_min in [0, 1)")
-    if image.ndim != 2:
-        raise ShapeError(f"corners are found in a gray picture (H, W); this one has the shape {image.shape}")
+    if np.ndim(image) != 2 or 0 in np.shape(image):
+        raise ShapeError(f"corners are found in a gray picture (H, W); this one has the shape {np.shape(image)}")
+    if usable is not None and np.shape(usable) != np.shape(image):
+        raise ShapeError(
+            f"the mask of usable pixels has the shape {np.shape(usable)}; it must be that of the picture, "
+            f"{np.shape(image)}"
+        )
     gray = np.ascontiguousarray(image, dtype=np.float32)
+    if not np.isfinite(gray).all():
+        raise ShapeError("the gray picture holds NaN or infinity; fill such pixels before corners are looked for")
     if o.pre_blur_px > 0:
         gray = np.asarray(cv2.GaussianBlur(gray, (0, 0), o.pre_blur_px), dtype=np.float32)
     w, q = corner_maps(gray)
     side = 2 * o.non_maximum_px + 1
-    peak = (w >= cv2.dilate(w, np.ones((side, side), np.uint8))) & (w > max(o.w_min, 0.0)) & (q > o.q_min)
+    strong = (w > o.w_min) & (q > o.q_min)
+    rivals = w if o.maxima_of == "every_pixel" else np.where(strong, w, np.float32(0))
+    peak = (w >= cv2.dilate(rivals, np.ones((side, side), np.uint8))) & strong
     border = max(o.border_px, 1)
     peak[:border] = peak[-border:] = False
     peak[:, :border] = peak[:, -border:] = False
@@ -111,6 +154,10 @@ def find_corners(
     if o.sub_pixel and len(uv):
         uv += np.stack([_parabola(w[v, u - 1], w[v, u], w[v, u + 1]), _parabola(w[v - 1, u], w[v, u], w[v + 1, u])], -1)
     return Corners(uv, w[v, u], q[v, u])
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
 def _parabola(before: FloatArray, at: FloatArray, after: FloatArray) -> FloatArray:

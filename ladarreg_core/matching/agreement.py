@@ -13,7 +13,7 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.features.channels import ORIENTATIONS as CHANNELS
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.climb import Target, project_visible
+from ladarreg_core.matching.compared import Target, project_visible
 from ladarreg_core.matching.occlusion import Occluder
 from ladarreg_core.matching.points import ViewPoints
 

@@ -9,7 +9,9 @@ import numpy as np
 
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement, agreement
-from ladarreg_core.matching.climb import ClimbOptions, Target, climb
+from ladarreg_core.matching.block_matches import BlockMatches, block_matches
+from ladarreg_core.matching.climb import ClimbOptions, climb
+from ladarreg_core.matching.compared import Target, compare_blocks
 from ladarreg_core.matching.flow import flow_step
 from ladarreg_core.matching.levels import LEVELS, PhotoLevels, ScanLevels
 from ladarreg_core.matching.occlusion import Occluder
@@ -149,3 +151,13 @@ class Aligner:
         """Verify a finished pose; also return its agreement at levels 1 and 0."""
         coarse, fine = self.look(pose, 1), self.look(pose, 0)
         return verify(coarse, fine, self._gate), coarse, fine
+
+    def block_matches(self, pose: Rigid) -> BlockMatches | None:
+        """Return the sub-pixel point matches of a finished pose, or None where too little is seen."""
+        if self._fine_points is None:
+            return None
+        buffer = self.occluder.depth_buffer(pose)
+        seen = compare_blocks(self._fine_points, self._fine_target, self.occluder, buffer, pose)
+        return (
+            None if seen is None else block_matches(seen, self._fine_points, self.photo.cameras[0], self.photo.source)
+        )

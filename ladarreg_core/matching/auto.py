@@ -13,6 +13,7 @@ import numpy as np
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.aligner import Aligner, Candidate
+from ladarreg_core.matching.block_matches import BlockMatches
 from ladarreg_core.matching.evidence import WindowEvidence, window_evidence
 from ladarreg_core.matching.hypotheses import Hypothesis, hypotheses
 from ladarreg_core.matching.levels import PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
@@ -50,9 +51,11 @@ class AutoResult:
     verification: Verification | None
     """The verdict on it; None where no pose was worth verifying."""
     evidence: WindowEvidence | None
-    """Its measurements."""
+    """How uncertain it is."""
     reasons: tuple[str, ...]
     """The verdict in sentences."""
+    blocks: BlockMatches | None = None
+    """Its sub-pixel point matches."""
 
 
 def register_auto(
@@ -215,7 +218,9 @@ def _finish(aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog
     with steps.step("verify") as note:
         verification, _, fine = aligner.judge(pose)
         evidence = window_evidence(fine, aligner.judged_points, aligner.photo.cameras[0], photo.camera, pose)
+        blocks = aligner.block_matches(pose)
         note.update(verification.as_dict())
-        steps.pose, steps.matches = pose, evidence.matches
+        steps.pose, steps.matches = pose, blocks.matches if blocks else None
     reasons: tuple[Any, ...] = verification.reasons
-    return AutoResult(pose, verification, evidence, reasons if verification.accepted else (*reasons, _ADVICE))
+    advice = () if verification.accepted else (_ADVICE,)
+    return AutoResult(pose, verification, evidence, (*reasons, *advice), blocks)

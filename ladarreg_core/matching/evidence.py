@@ -1,4 +1,4 @@
-"""What an accepted alignment measured: one point match per window, and how uncertain the pose is."""
+"""How uncertain an aligned pose is, by the scatter of the windows that agree."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matches import Matches
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.points import ViewPoints
 from ladarreg_core.pose.jacobian import pose_jacobian
@@ -24,10 +23,8 @@ _PRIOR_ANGLE_RAD, _PRIOR_POSITION_M = np.pi, 100.0
 class WindowEvidence:
     """The windows as measurements."""
 
-    matches: Matches
-    """One per window, in the photo's own pixels."""
-    inliers: BoolArray
-    """(M,) which windows agree."""
+    agreeing: int
+    """Windows that count."""
     covariance: FloatArray
     """(6, 6) of (w, c) as `PoseResult.covariance`."""
     scatter_px: float
@@ -52,31 +49,22 @@ def window_evidence(
     shift, _, border = maps.peaks()
     index = np.array([_middle(points, members) for members in maps.members], dtype=np.intp)
     at = points.points[index].astype(np.float64).reshape(-1, 3)
-    ranges = np.linalg.norm(at, axis=-1)
-    uv_predicted = working.project(pose @ at)
-    uv = camera.project(working.unproject(uv_predicted + shift.reshape(-1, 2)))
+    uv = camera.project(working.unproject(working.project(pose @ at) + shift.reshape(-1, 2)))
     to_photo = camera.focal_px / working.focal_px
     offset = np.hypot(*shift.T) * to_photo if len(shift) else np.zeros(0)
     inliers = (offset <= _TRUSTED_PX * max(1.0, to_photo)) & ~border & np.isfinite(uv).all(axis=-1)
-    finite = np.isfinite(uv).all(axis=-1)
-    matches = Matches(
-        at[finite] / ranges[finite, None],
-        ranges[finite],
-        uv[finite],
-        tuple(f"w{row}.{column}" for row, column in maps.grid[finite]),
-    )
 
     used = np.flatnonzero(inliers)
     prior = np.diag([_PRIOR_ANGLE_RAD**2] * 3 + [_PRIOR_POSITION_M**2] * 3)
     if len(used) < 4:
-        return WindowEvidence(matches, inliers[finite], prior, float("nan"))
+        return WindowEvidence(len(used), prior, float("nan"))
     _, J = pose_jacobian(pose, at[used], camera)
     # From the median: the pose is a robust estimate, which windows that hardly agree do not move.
     scatter = float(_SD_OF_MEDIAN * to_photo * np.median(np.abs(shift[used]))) + _LEAST_SCATTER_PX
     pooled = maps.pooled_blocks[used].astype(np.float64)
     information = np.einsum("n,nip,niq->pq", 1 / pooled, J, J) / scatter**2
     covariance = np.linalg.inv(information + np.linalg.inv(prior))
-    return WindowEvidence(matches, inliers[finite], (covariance + covariance.T) / 2, scatter)
+    return WindowEvidence(len(used), (covariance + covariance.T) / 2, scatter)
 
 
 def _middle(points: ViewPoints, members: IntArray) -> int:

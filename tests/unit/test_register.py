@@ -212,7 +212,7 @@ def test_surface_ranges_are_exact_on_a_plane(room: PaintedRoom) -> None:
 
 
 def test_nonsense_is_refused(room: PaintedRoom) -> None:
-    with pytest.raises(OptionError, match="auto, manual"):
+    with pytest.raises(OptionError, match="auto, thesis, manual"):
         register(room.scan, room.photo, method="magic")
     with pytest.raises(OptionError, match="no matches"):
         register(room.scan, room.photo, method="manual")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import cv2
 import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
@@ -73,8 +76,83 @@ def test_a_flat_picture_has_no_corners(image: np.ndarray) -> None:
     assert len(find_corners(image)) == 0
 
 
-def test_nonsense_is_refused() -> None:
-    with pytest.raises(OptionError):
-        find_corners(squares(), CornerOptions(q_min=1.5))
-    with pytest.raises(ShapeError):
-        find_corners(np.zeros((4, 5, 3)))
+def test_the_thresholds_say_what_is_a_corner() -> None:
+    image = np.random.default_rng(2).uniform(0, 255, (90, 110))
+    w, _ = corner_maps(image)
+    w_min, q_min = float(np.quantile(w, 0.9)), 0.8
+    found = find_corners(image, CornerOptions(count=None, w_min=w_min, q_min=q_min))
+    u, v = found.uv.astype(int).T
+    assert len(found) > 20
+    np.testing.assert_array_equal(found.w, w[v, u])
+    assert found.w.min() > w_min
+    assert found.q.min() > q_min
+    assert len(find_corners(image, CornerOptions(count=None, w_min=float(w.max())))) == 0
+
+
+@pytest.mark.parametrize("maxima_of", ["every_pixel", "thresholded"])
+def test_relative_maxima_are_of_w_or_of_what_the_thresholds_leave(maxima_of: Any) -> None:
+    image = squares(3) + np.random.default_rng(3).normal(0, 3, (120, 160))
+    options = CornerOptions(count=None, q_min=0.5, non_maximum_px=2, border_px=8, maxima_of=maxima_of)
+    w, q = corner_maps(image)
+    left = np.where(q > 0.5, w, 0)
+    rivals = w if maxima_of == "every_pixel" else left
+    expected = np.zeros(w.shape, bool)
+    for v in range(8, 112):
+        for u in range(8, 152):
+            expected[v, u] = left[v, u] > 0 and w[v, u] >= rivals[v - 2 : v + 3, u - 2 : u + 3].max()
+    found = np.zeros_like(expected)
+    u, v = find_corners(image, options).uv.astype(int).T
+    found[v, u] = True
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_the_thesis_order_only_adds_corners() -> None:
+    image = squares(4) + np.random.default_rng(4).normal(0, 3, (120, 160))
+    plain, literal = (
+        {tuple(uv) for uv in find_corners(image, CornerOptions(count=None, maxima_of=m)).uv}
+        for m in ("every_pixel", "thresholded")
+    )
+    assert plain < literal
+
+
+def test_corners_lie_only_where_they_may() -> None:
+    image = np.random.default_rng(5).uniform(0, 255, (60, 80))
+    usable = np.zeros(image.shape, bool)
+    usable[20:40, 30:50] = True
+    u, v = find_corners(image, CornerOptions(count=None), usable=usable).uv.astype(int).T
+    assert len(u) > 5
+    assert usable[v, u].all()
+
+
+def test_corners_turn_with_the_picture() -> None:
+    image = np.kron(np.random.default_rng(6).uniform(0, 255, (20, 30)), np.ones((4, 4)))
+    image = cv2.GaussianBlur(image + np.random.default_rng(7).normal(0, 2, image.shape), (0, 0), 1.0)
+    upright = find_corners(image, CornerOptions(count=None, border_px=3))
+    turned = find_corners(np.rot90(image), CornerOptions(count=None, border_px=3))
+    back = np.column_stack([image.shape[1] - 1 - turned.uv[:, 1], turned.uv[:, 0]])
+    ours, theirs = ({tuple(uv) for uv in pixels} for pixels in (upright.uv, back))
+    assert len(ours & theirs) > 0.98 * len(ours | theirs)
+
+
+BAD_OPTIONS: list[dict[str, Any]] = [
+    {"q_min": 1.5}, {"q_min": -0.1}, {"q_min": np.nan}, {"w_min": -1}, {"w_min": np.inf}, {"w_min": "a"},
+    {"count": 0}, {"count": 2.5}, {"count": True}, {"non_maximum_px": 0}, {"non_maximum_px": None},
+    {"border_px": -1}, {"pre_blur_px": -1}, {"pre_blur_px": np.nan}, {"maxima_of": "all"},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("options", BAD_OPTIONS, ids=str)
+def test_options_without_meaning_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(OptionError, match=next(iter(options))) as caught:
+        CornerOptions(**options)
+    assert "\n" not in str(caught.value)
+
+
+def test_pictures_that_are_none_are_refused() -> None:
+    holed = squares()
+    holed[5, 5] = np.nan
+    for image in (np.zeros((4, 5, 3)), np.zeros((0, 7)), np.zeros(9), holed):
+        with pytest.raises(ShapeError):
+            find_corners(image)
+    with pytest.raises(ShapeError, match="usable"):
+        find_corners(squares(), usable=np.ones((3, 3), bool))

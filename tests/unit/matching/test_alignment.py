@@ -108,7 +108,7 @@ def test_the_evidence_is_as_uncertain_as_it_is_wrong(room: PaintedRoom, aligner:
     pose = aligner.finish(candidate.camera_from_scanner)
     _, _, fine = aligner.judge(pose)
     evidence = window_evidence(fine, aligner.judged_points, aligner.photo.cameras[0], room.photo.camera, pose)
-    assert evidence.inliers.sum() > 30
+    assert evidence.agreeing > 30
     assert evidence.scatter_px < 1.5
     assert room.mahalanobis(pose, evidence.covariance) < 3
     assert np.linalg.eigvalsh(evidence.covariance).min() > 0
