@@ -20,6 +20,12 @@ _MILESTONES = {
     "finish": 0.55,
     "verify": 0.58,
     "matches": 0.3,
+    "corners": 0.2,
+    "unconstrained search": 0.25,
+    "constrained search": 0.3,
+    "lines between matches": 0.35,
+    "simplex": 0.5,
+    "outliers removed": 0.55,
     "pose": 0.58,
     "result": 0.6,
 }

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import textwrap
 import unicodedata
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ladarreg_core.compare import Comparison
+    from ladarreg_core.export.comparison_table import Table
     from ladarreg_core.results import PoseResult
+    from ladarreg_core.scan import Scan
 
 EVIDENCE = {
     "image": "verified on the picture itself",
     "statistics": "by the statistics of its matches",
     "none": "no evidence",
 }
+_HEAD_WIDTH = 16
 
 
 def one_line(text: str) -> str:
@@ -63,3 +68,45 @@ def report(result: PoseResult) -> str:
             f"Matches  {matches(result)}",
         ]
     return "\n".join(lines)
+
+
+def comparison_verdict(comparison: Comparison) -> str:
+    """Return the default's verdict, which is the comparison's."""
+    from ladarreg_core.export.comparison_table import default_of
+
+    default = default_of(comparison)
+    if default is not None and default.stage.result is not None:
+        return verdict(default.stage.result)
+    note = "" if default is None else one_line(default.stage.note)
+    return f"Not accepted: the default gave no pose. {note}".rstrip()
+
+
+def comparison_report(comparison: Comparison, scan: Scan) -> str:
+    """Return the table with what was foreseen above it, and why each stage is judged as it is below."""
+    from ladarreg_core.export.comparison_table import cautions_of, comparison_table, title_of, verdict_of
+
+    lines = [f"Caution  {one_line(caution)}" for caution in cautions_of(comparison)]
+    lines += [aligned(comparison_table(comparison, scan)), ""]
+    for column in comparison.columns:
+        result = column.stage.result
+        reasons = [column.stage.note, *(() if result is None else result.reasons)]
+        lines.append(f"{title_of(column)}: {verdict_of(column)}")
+        lines += [f"  {one_line(reason)}" for reason in reasons if reason]
+    return "\n".join(lines)
+
+
+def aligned(table: Table) -> str:
+    """Return a table for a terminal: names at the left, cells at the right of their columns."""
+    heads = [textwrap.wrap(head, _HEAD_WIDTH) or [""] for head in table.heads]
+    deepest = max(map(len, heads), default=0)
+    raised = [[""] * (deepest - len(head)) + head for head in heads]  # they all end on the lowest line
+    rows = [("", *line) for line in zip(*raised, strict=True)]
+    cells = [*rows, *table.rows]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(table.heads) + 1)]
+
+    def line(row: tuple[str, ...]) -> str:
+        first, *rest = row
+        return "  ".join([first.ljust(widths[0]), *(c.rjust(w) for c, w in zip(rest, widths[1:], strict=True))])
+
+    rule = "-" * (sum(widths) + 2 * len(table.heads))
+    return "\n".join([*(line(row).rstrip() for row in rows), rule, *(line(row).rstrip() for row in table.rows)])

@@ -6,15 +6,16 @@ import contextlib
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from ladarreg_core.errors import ExportError
+from ladarreg_core.export.documents import write_document
 from ladarreg_core.export.files import cannot_write
 from ladarreg_core.export.glb import write_glb
 from ladarreg_core.export.images import write_labels_png, write_registered_png
 from ladarreg_core.export.ply import write_ply
-from ladarreg_core.export.registration_json import registration_document, write_registration_json
+from ladarreg_core.export.registration_json import registration_document
 from ladarreg_core.mesh import scan_mesh
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
@@ -24,6 +25,8 @@ from ladarreg_core.texture import RegisteredTexture, model_picture, texture_scan
 
 FILE_NAMES = ("registration.json", "registered.png", "labels.png", "model.glb", "cloud.ply")
 """What a folder of results holds; all but the first only where the registration is accepted."""
+FileJob = tuple[str, Callable[[Path], None]]
+"""A file's name, and what writes it to a path."""
 
 
 def export_registration(
@@ -39,8 +42,7 @@ def export_registration(
     """Write a registration into a new folder.
 
     `registration.json` always; `registered.png`, `labels.png`, `model.glb` and `cloud.ply` only if the registration is
-    accepted. All is written beside the folder's place and renamed into it at the end, so that an error, an interruption
-    or a `report` that raises leaves what was there before.
+    accepted. The folder is there wholly or not at all, as `write_folder` says.
 
     Args:
         folder: where to; its parents are made if need be.
@@ -55,9 +57,45 @@ def export_registration(
         ExportError: if the folder exists and `force` is off, if it holds the inputs, or if something cannot be
             written.
     """
+    write_folder(
+        folder,
+        lambda: _registration_files(registration, scan, photo, inputs),
+        inputs=inputs,
+        own_names=FILE_NAMES,
+        force=force,
+        report=report,
+    )
+
+
+def write_folder(
+    folder: str | Path,
+    files: Callable[[], Sequence[FileJob]],
+    *,
+    inputs: Sequence[str | Path] = (),
+    own_names: Collection[str] = (),
+    force: bool = False,
+    report: Report | None = None,
+) -> None:
+    """Write files into a new folder that is there wholly or not at all.
+
+    All is written beside the folder's place and renamed into it at the end, so that an error, an interruption or a
+    `report` that raises leaves what was there before.
+
+    Args:
+        folder: where to; its parents are made if need be.
+        files: returns the names and writers; called when the folder can be written.
+        inputs: the files that the results come from; a folder that holds one of them is not replaced.
+        own_names: names that such folders hold themselves: an earlier result may be an input.
+        force: replace an existing folder, with all that is in it.
+        report: told before each file and at the end.
+
+    Raises:
+        ExportError: if the folder exists and `force` is off, if it holds the inputs, or if something cannot be
+            written.
+    """
     target = Path(os.path.abspath(folder))
     check_folder(target, force=force)
-    _keep_inputs(target, inputs)
+    _keep_inputs(target, inputs, own_names)
     made = _missing_parents(target)
     aside: Path | None = None
     temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
@@ -66,7 +104,7 @@ def export_registration(
         try:
             temporary.mkdir(parents=True)
             begun = True
-            _write_all(temporary, registration, scan, photo, inputs, report)
+            _write_all(temporary, files(), report)
             _sync(temporary)
             check_folder(target, force=force)  # it may have appeared meanwhile
             if target.exists():
@@ -108,19 +146,20 @@ def check_folder(folder: str | Path, *, force: bool = False) -> None:
         raise ExportError(f"{path} cannot be made: {home} {reason}; give another place for the results")
 
 
-def _write_all(
-    folder: Path,
-    registration: Registration,
-    scan: Scan,
-    photo: Photo,
-    inputs: Sequence[str | Path],
-    report: Report | None,
-) -> None:
-    jobs: list[tuple[str, Callable[[Path], None]]] = [
-        (
-            "registration.json",
-            lambda path: write_registration_json(path, registration_document(registration, inputs=inputs)),
-        )
+def _write_all(folder: Path, jobs: Sequence[FileJob], report: Report | None) -> None:
+    for done, (name, write) in enumerate(jobs):
+        if report is not None:
+            report(Progress(done, len(jobs), f"writing {name}"))
+        write(folder / name)
+    if report is not None:
+        report(Progress(len(jobs), len(jobs), "written"))
+
+
+def _registration_files(
+    registration: Registration, scan: Scan, photo: Photo, inputs: Sequence[str | Path]
+) -> list[FileJob]:
+    jobs: list[FileJob] = [
+        ("registration.json", lambda path: write_document(path, registration_document(registration, inputs=inputs)))
     ]
     if registration.accepted:
         texture = texture_scan(
@@ -131,15 +170,10 @@ def _write_all(
             covariance=registration.covariance,
         )
         jobs += _shown(scan, texture)
-    for done, (name, write) in enumerate(jobs):
-        if report is not None:
-            report(Progress(done, len(jobs), f"writing {name}"))
-        write(folder / name)
-    if report is not None:
-        report(Progress(len(jobs), len(jobs), "written"))
+    return jobs
 
 
-def _shown(scan: Scan, texture: RegisteredTexture) -> list[tuple[str, Callable[[Path], None]]]:
+def _shown(scan: Scan, texture: RegisteredTexture) -> list[FileJob]:
     return [
         ("registered.png", lambda path: write_registered_png(path, texture)),
         ("labels.png", lambda path: write_labels_png(path, texture)),
@@ -148,10 +182,10 @@ def _shown(scan: Scan, texture: RegisteredTexture) -> list[tuple[str, Callable[[
     ]
 
 
-def _keep_inputs(target: Path, inputs: Sequence[str | Path]) -> None:
+def _keep_inputs(target: Path, inputs: Sequence[str | Path], own_names: Collection[str]) -> None:
     """Refuse to replace the folder that the inputs themselves lie in; an earlier result of ours may be an input."""
     for path in map(Path, inputs):
-        if path.resolve().is_relative_to(target.resolve()) and path.name not in FILE_NAMES:
+        if path.resolve().is_relative_to(target.resolve()) and path.name not in own_names:
             raise ExportError(f"the folder {target} holds the input {path.name}; give another place for the results")
 
 

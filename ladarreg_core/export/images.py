@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ladarreg_core.arrays import ByteArray
 from ladarreg_core.export.files import write_bytes
 from ladarreg_core.texture import Label, RegisteredTexture
 
@@ -28,7 +29,16 @@ def write_registered_png(path: str | Path, texture: RegisteredTexture) -> None:
     Raises:
         ExportError: if the file cannot be written.
     """
-    done, encoded = cv2.imencode(".png", texture.image[..., ::-1])
+    write_png(path, texture.image)
+
+
+def write_png(path: str | Path, picture: ByteArray) -> None:
+    """Write a picture (H, W, 3), uint8 RGB, without loss.
+
+    Raises:
+        ExportError: if the file cannot be written.
+    """
+    done, encoded = cv2.imencode(".png", picture[..., ::-1])
     assert done, "an 8-bit picture can always be encoded"
     write_bytes(path, encoded.tobytes())
 

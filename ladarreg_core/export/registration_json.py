@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
-import platform
-from collections.abc import Mapping, Sequence
-from enum import Enum
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import ladarreg_core
-from ladarreg_core.camera import Camera
-from ladarreg_core.errors import ExportError
-from ladarreg_core.export.files import write_bytes
+from ladarreg_core.export.documents import (
+    CAMERA_FROM_SCANNER_IS,
+    input_document,
+    plain,
+    software_document,
+    thesis_document,
+)
 from ladarreg_core.results import Registration
 from ladarreg_core.texture import Label
 
 _VERSION = 1
-_READ_BYTES = 1 << 20
 
 
 def registration_document(registration: Registration, *, inputs: Sequence[str | Path] = ()) -> dict[str, Any]:
@@ -36,12 +33,10 @@ def registration_document(registration: Registration, *, inputs: Sequence[str | 
     """
     r = registration
     scanner_from_camera = r.camera_from_scanner.inverse
-    thesis = r.thesis_parameters
     document = {
         "version": _VERSION,
         "camera_from_scanner": r.camera_from_scanner.matrix,
-        "camera_from_scanner_is": "maps scanner points (X forward, Y left, Z up, m) to the camera (x right, y down, "
-        "z forward, m): p_camera = camera_from_scanner @ p_scanner",
+        "camera_from_scanner_is": CAMERA_FROM_SCANNER_IS,
         "scanner_from_camera": scanner_from_camera.matrix,
         "scanner_from_camera_is": "the inverse: maps camera points to the scanner; its last column is the camera's "
         "centre in the scanner frame",
@@ -56,16 +51,7 @@ def registration_document(registration: Registration, *, inputs: Sequence[str | 
             "range_m": r.sigma_range_m,
             "chi2_per_dof": r.chi2_per_dof,
         },
-        "thesis_parameters": {
-            "Tx": thesis.Tx,
-            "Ty": thesis.Ty,
-            "Tz": thesis.Tz,
-            "alpha": thesis.alpha,
-            "beta": thesis.beta,
-            "gamma": thesis.gamma,
-            "units": "m, rad",
-            "in_words": thesis.in_words(),
-        },
+        "thesis_parameters": thesis_document(r.thesis_parameters),
         "accepted": bool(r.accepted),
         "evidence": r.evidence,
         "reasons": list(r.reasons),
@@ -96,77 +82,9 @@ def registration_document(registration: Registration, *, inputs: Sequence[str | 
         "diagnostics": r.diagnostics,
         "options": r.options,
         "seed": r.seed,
-        "inputs": [_input_document(Path(path)) for path in inputs],
-        "software": {
-            "name": "ladarreg",
-            "version": ladarreg_core.__version__,
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-        },
+        "inputs": [input_document(Path(path)) for path in inputs],
+        "software": software_document(),
     }
-    ready = _plain(document)
+    ready = plain(document)
     assert isinstance(ready, dict)
     return ready
-
-
-def write_registration_json(path: str | Path, document: Mapping[str, Any]) -> None:
-    """Write a registration's document as strict JSON: no NaN, no infinity.
-
-    Raises:
-        ExportError: if the file cannot be written.
-    """
-    text = json.dumps(_plain(document), indent=1, ensure_ascii=False, allow_nan=False)
-    write_bytes(path, (_short_rows(text) + "\n").encode("utf-8"))
-
-
-def _input_document(path: Path) -> dict[str, Any]:
-    digest, size = hashlib.sha256(), 0
-    try:
-        with open(path, "rb") as file:
-            while block := file.read(_READ_BYTES):
-                digest.update(block)
-                size += len(block)
-    except OSError as error:
-        reason = (error.strerror or type(error).__name__).lower()
-        raise ExportError(f"cannot read the input {path} again: {reason}; keep it until the export is done") from None
-    return {"name": path.name, "size": size, "sha256": digest.hexdigest()}
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON knows it: dicts, lists, strings, finite numbers, None."""
-    if value is None or isinstance(value, (str, bool)):
-        return str(value.value) if isinstance(value, Enum) else value
-    if isinstance(value, Enum):
-        return _plain(value.value)
-    if isinstance(value, np.generic | np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, Sequence | set | frozenset):
-        return [_plain(item) for item in value]
-    if isinstance(value, Camera):
-        return value.as_fields()
-    return str(value)
-
-
-def _short_rows(text: str) -> str:
-    """Put the numbers of a short list on one line, so that a matrix reads as a matrix."""
-    lines, result, k = text.split("\n"), [], 0
-    while k < len(lines):
-        line = lines[k]
-        if line.endswith("["):
-            end = next(
-                (n for n in range(k + 1, min(k + 10, len(lines))) if lines[n].lstrip()[:1] in ("]", "[", "{")), k
-            )
-            inner = [item.strip() for item in lines[k + 1 : end]]
-            if end > k + 1 and lines[end].lstrip().startswith("]") and not any('"' in item for item in inner):
-                result.append(line + " ".join(inner) + lines[end].strip())
-                k = end + 1
-                continue
-        result.append(line)
-        k += 1
-    return "\n".join(result)

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.registration_json import registration_document, write_registration_json
+from ladarreg_core.export.documents import write_document
+from ladarreg_core.export.registration_json import registration_document
 from ladarreg_core.frames import Rigid
 
 PROMISED = {
@@ -19,7 +20,7 @@ def document(tmp_path, registration):
     source = tmp_path / "secret place" / "scan.npz"
     source.parent.mkdir()
     source.write_bytes(b"123" * 1_000_000)
-    write_registration_json(tmp_path / "r.json", registration_document(registration, inputs=[source]))
+    write_document(tmp_path / "r.json", registration_document(registration, inputs=[source]))
     text = (tmp_path / "r.json").read_text(encoding="utf-8")
     return json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
 

@@ -1,0 +1,68 @@
+"""`ladarreg compare SCAN PHOTO -o OUT`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from app.exit_codes import ExitCode
+from app.inputs import input_files, print_notes, read_inputs, read_start
+from app.step_bar import StepBar, step_bar
+from app.thresholds import ThresholdArguments, register_options
+from app.wording import comparison_report, comparison_verdict
+
+if TYPE_CHECKING:
+    from ladarreg_core.compare import Comparison
+    from ladarreg_core.photo import Photo
+    from ladarreg_core.scan import Scan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(ThresholdArguments):
+    """What `compare` is told."""
+
+
+def run(arguments: Arguments) -> ExitCode:
+    """Read, let every stage register, export, and tell the table."""
+    from ladarreg_core.export.comparison_table import default_of, verdict_of
+    from ladarreg_core.export.folder import check_folder
+
+    started = time.perf_counter()
+    check_folder(arguments.out, force=arguments.force)
+    with step_bar(quiet=arguments.quiet) as bar:
+        scan, photo = read_inputs(arguments, bar)
+        comparison = _compare(arguments, scan, photo, bar)
+        names = _export(arguments, comparison, scan, photo, bar)
+    if arguments.quiet:
+        print(comparison_verdict(comparison))
+    else:
+        print_notes(scan, photo)
+        print(comparison_report(comparison, scan))
+        print(f"Wrote    {', '.join(names)} in {arguments.out}")
+        print(f"Took     {time.perf_counter() - started:.1f} s")
+    default = default_of(comparison)
+    accepted = default is not None and verdict_of(default) == "accepted"
+    return ExitCode.ACCEPTED if accepted else ExitCode.NOT_ACCEPTED
+
+
+def _compare(arguments: Arguments, scan: Scan, photo: Photo, bar: StepBar) -> Comparison:
+    from ladarreg_core.compare import compare
+
+    picks, initial = read_start(arguments, scan)
+    return compare(scan, photo, picks=picks, initial=initial, options=register_options(arguments), report=bar.step)
+
+
+def _export(arguments: Arguments, comparison: Comparison, scan: Scan, photo: Photo, bar: StepBar) -> list[str]:
+    from ladarreg_core.export.comparison import export_comparison
+
+    export_comparison(
+        arguments.out,
+        comparison,
+        scan,
+        photo,
+        inputs=input_files(arguments),
+        force=arguments.force,
+        report=bar.progress,
+    )
+    return sorted(path.name for path in arguments.out.iterdir())

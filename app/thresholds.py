@@ -1,0 +1,61 @@
+"""The thesis's thresholds as flags, and the options that they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from app.inputs import InputArguments
+
+if TYPE_CHECKING:
+    from ladarreg_core.register import RegisterOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThresholdArguments(InputArguments):
+    """What is read, and the thesis's thresholds; a flag that is not given leaves the default."""
+
+    t1: Annotated[float | None, tyro.conf.arg(metavar="C")] = None
+    """Thesis: the best correlation must beat the second best by this (.2)."""
+    t2_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
+    """Thesis: largest deviation of a disparity from the median (20)."""
+    culling: Literal["two-sided", "one-sided"] | None = None
+    """Thesis: cull by either side, or by its Step 5 to the letter."""
+    first_pose: Literal["linear", "robust", "linear-only"] | None = None
+    """Thesis: what constrains the second search."""
+    residual: Literal["epipolar", "stereo"] | None = None
+    """Thesis: what the simplex minimises; stereo is its Eq 2.21."""
+    reject_depth_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    """Thesis: a match with a larger stereo depth error is an outlier; else from the data."""
+    samples_per_line: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Points along each line drawn by hand (9)."""
+
+
+def register_options(arguments: ThresholdArguments) -> RegisterOptions:
+    """Return the options of a registration."""
+    from dataclasses import replace
+
+    from ladarreg_core.matching.thesis import ThesisOptions
+    from ladarreg_core.register import RegisterOptions
+
+    default = ThesisOptions()
+    side = _name(arguments.culling)
+    thesis = replace(
+        default,
+        matching=replace(default.matching, **_given(t1=arguments.t1, t2_px=arguments.t2_px, culling=side)),
+        pose=replace(
+            default.pose, simplex=replace(default.pose.simplex, **_given(reject_depth_m=arguments.reject_depth_m))
+        ),
+        **_given(first_pose=_name(arguments.first_pose), residual=arguments.residual),
+    )
+    return RegisterOptions(seed=arguments.seed, thesis=thesis, **_given(samples_per_line=arguments.samples_per_line))
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _name(flag: str | None) -> str | None:
+    return flag.replace("-", "_") if flag else None

@@ -1,0 +1,99 @@
+"""The thesis's stages and the default side by side, as in its Figure 2.22 and Tables 3.2-3.5."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from threadpoolctl import threadpool_limits
+
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Pick
+from ladarreg_core.matching.thesis import thesis_stages
+from ladarreg_core.photo import Photo
+from ladarreg_core.progress import StepReport
+from ladarreg_core.register import RegisterOptions, register
+from ladarreg_core.results import Stage
+from ladarreg_core.scan import Scan
+from ladarreg_core.steps import StepLog
+from ladarreg_core.texture import RegisteredTexture, texture_scan
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Column:
+    """One estimator's answer with the picture that it makes."""
+
+    stage: Stage
+    """Pose, matches and residuals, or why there are none."""
+    texture: RegisteredTexture | None
+    """The photograph on the scan's grid by this pose; None where there is no pose."""
+    seconds: float
+    """Wall time of the estimator."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison:
+    """All columns, in the thesis's order, the default last."""
+
+    columns: tuple[Column, ...]
+    """`linear`, `constrained_linear`, `simplex`, `simplex_outliers_removed`, `default`."""
+    cautions: tuple[str, ...] = ()
+    """What was foreseen before solving (thesis 3.4), in sentences."""
+    seed: int = 0
+    """The seed used."""
+
+
+def compare(
+    scan: Scan,
+    photo: Photo,
+    *,
+    picks: Sequence[Pick] | None = None,
+    initial: Rigid | None = None,
+    options: RegisterOptions | None = None,
+    report: StepReport | None = None,
+) -> Comparison:
+    """Register by every stage of the thesis and by the default method, on the same inputs.
+
+    Args:
+        scan: the scan.
+        photo: the photograph.
+        picks: points and lines drawn by hand; all estimators then solve these.
+        initial: a first guess of `camera_from_scanner`, given to all.
+        options: as of `register`.
+        report: receives every finished step of all; may raise `Cancelled`.
+
+    Returns:
+        Five columns. One without a pose tells why; none is left out.
+
+    Raises:
+        LadarregError: as `register`.
+
+    Source: thesis Figure 2.22, Tables 3.2-3.5.
+    """
+    o = options or RegisterOptions()
+    steps = StepLog(report)
+    default = register(scan, photo, method="auto", picks=picks, initial=initial, options=o, report=report)
+    with threadpool_limits(limits=1, user_api="blas"):
+        found = thesis_stages(
+            scan, photo, steps,
+            picks=picks, initial=initial, options=o.of_thesis, samples_per_line=o.samples_per_line,
+        )  # fmt: skip
+    spent = {step.detail["stage"]: step.seconds for step in steps.steps if "stage" in step.detail}
+    known = default.method == "manual" or default.diagnostics.get("verification") is not None
+    last = Stage(
+        name="default",
+        result=default if known else None,
+        note="" if known else " ".join(default.reasons),
+    )
+    columns = [_column(scan, photo, stage, spent.get(stage.name, 0.0)) for stage in found.stages]
+    columns.append(_column(scan, photo, last, sum(step.seconds for step in default.steps)))
+    return Comparison(columns=tuple(columns), cautions=found.cautions, seed=o.seed)
+
+
+def _column(scan: Scan, photo: Photo, stage: Stage, seconds: float) -> Column:
+    result, texture = stage.result, None
+    if result is not None:
+        texture = texture_scan(
+            scan, photo, result.camera_from_scanner, camera=result.camera, covariance=result.covariance
+        )
+    return Column(stage=stage, texture=texture, seconds=seconds)

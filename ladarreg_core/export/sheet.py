@@ -1,0 +1,249 @@
+"""Blocks of a printed sheet: text, badges and pictures as RGB arrays that are set side by side and below each other."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import ByteArray
+from ladarreg_core.errors import DependencyError
+
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont
+
+Colour = tuple[int, int, int]
+Align = Literal["left", "centre", "right"]
+
+# The look's colours, as in the page's style sheet.
+BACKGROUND: Colour = (0x0F, 0x11, 0x15)
+PANEL: Colour = (0x16, 0x1A, 0x21)
+RAISED: Colour = (0x1C, 0x21, 0x2A)
+LINE: Colour = (0x2A, 0x31, 0x3D)
+INK: Colour = (0xE8, 0xEC, 0xF2)
+DIM: Colour = (0x8F, 0x9B, 0xAD)
+ACCENT: Colour = (0x5C, 0xC8, 0xFF)
+OK: Colour = (0x4C, 0xC3, 0x8A)
+OK_GROUND: Colour = (0x12, 0x24, 0x1C)
+WARN: Colour = (0xF2, 0xB8, 0x4B)
+WARN_GROUND: Colour = (0x2A, 0x22, 0x13)
+BAD: Colour = (0xF2, 0x72, 0x6F)
+BAD_GROUND: Colour = (0x2B, 0x16, 0x17)
+
+_LINE_HEIGHT = 1.36
+_BLOCKS_FROM = 9
+_SPELLED = {"\u2013": "-", "\u2014": "-", "\u2212": "-", "\u00d7": "x", "\u00df": "ss", "\u00b5": "u"}
+
+
+def legible(text: str) -> str:
+    """Return the text in the letters that the font has: accents dropped, what it cannot show as '?'."""
+    shown: list[str] = []
+    for letter in unicodedata.normalize("NFC", " ".join(text.split())):
+        letter = _SPELLED.get(letter, letter)
+        if letter in "\u00b0\u00b7\u00b1\u2026" or letter.isascii():
+            shown.append(letter if letter.isprintable() else "?")
+            continue
+        bare = "".join(c for c in unicodedata.normalize("NFKD", letter) if c.isascii() and c.isprintable()).strip()
+        shown.append(bare or "?")
+    return "".join(shown)
+
+
+def text_width(text: str, *, size: int) -> float:
+    """Return how wide a text is set, pixels."""
+    return float(_font(size).getlength(legible(text)))
+
+
+def shortened(text: str, *, size: int, width: float) -> str:
+    """Return the text, cut and ended by an ellipsis where it is wider than `width` pixels."""
+    text = legible(text)
+    if text_width(text, size=size) <= width:
+        return text
+    low, high = 0, len(text)
+    while low < high:  # the longest beginning that fits
+        middle = (low + high + 1) // 2
+        if text_width(text[:middle].rstrip() + "\u2026", size=size) <= width:
+            low = middle
+        else:
+            high = middle - 1
+    return text[:low].rstrip() + "\u2026"
+
+
+def wrapped(text: str, *, size: int, width: float, lines: int) -> list[str]:
+    """Return at most so many lines that are each at most `width` pixels wide; what does not fit ends in an ellipsis."""
+    words = legible(text).split()
+    result: list[str] = []
+    while words and len(result) < lines - 1:
+        count = len(words)
+        while count > 1 and text_width(" ".join(words[:count]), size=size) > width:
+            count -= 1
+        result.append(shortened(" ".join(words[:count]), size=size, width=width))
+        words = words[count:]
+    if words:
+        result.append(shortened(" ".join(words), size=size, width=width))
+    return result
+
+
+def text_block(
+    text: str,
+    *,
+    size: int,
+    width: int | None = None,
+    lines: int = 1,
+    colour: Colour = INK,
+    ground: Colour = BACKGROUND,
+    weight: float = 0.0,
+    align: Align = "left",
+) -> NDArray[np.uint8]:
+    """Return a text on a flat ground.
+
+    Args:
+        text: what it says.
+        size: of the letters, pixels.
+        width: of the block; the text is wrapped or shortened to it. None: as wide as the text.
+        lines: at most so many.
+        colour: of the letters.
+        ground: behind them.
+        weight: how much bolder than the plain letters, pixels.
+        align: to which side of the block.
+
+    Returns:
+        (H, W, 3) uint8 RGB.
+    """
+    from PIL import Image, ImageDraw
+
+    full = int(np.ceil(text_width(text, size=size) + weight)) if width is None else width
+    rows = wrapped(text, size=size, width=full - weight, lines=lines) or [""]
+    height = round(size * _LINE_HEIGHT)
+    image = Image.new("RGB", (max(full, 1), height * len(rows)), ground)
+    draw, font = ImageDraw.Draw(image), _font(size)
+    for number, row in enumerate(rows):
+        spare = full - weight - text_width(row, size=size)
+        x = {"left": 0.0, "centre": spare / 2, "right": spare}[align]
+        # The baseline, not the letters' own box, so that neighbours stand on one line.
+        y = height * number + height * 0.74
+        for shift in (0.0, weight) if weight else (0.0,):
+            draw.text((x + shift, y), row, font=font, fill=colour, anchor="ls")
+    return np.array(image, dtype=np.uint8)
+
+
+def chip(text: str, *, size: int, colour: Colour, ground: Colour, under: Colour) -> NDArray[np.uint8]:
+    """Return a badge: a text in a rounded box of its colour."""
+    words = text_block(text, size=size, colour=colour, ground=ground, weight=0.4)
+    return boxed(words, pad=(round(size * 0.14), round(size * 0.6)), ground=ground, line=colour, under=under, radius=8)
+
+
+def boxed(
+    block: ByteArray, *, pad: tuple[int, int], ground: Colour, line: Colour, under: Colour, radius: int
+) -> NDArray[np.uint8]:
+    """Return a block within a box with rounded corners, `pad` pixels (vertical, horizontal) wider on every side."""
+    result = padded(block, top=pad[0], bottom=pad[0], left=pad[1], right=pad[1], ground=ground)
+    height, width = result.shape[:2]
+    radius = min(radius, height // 2, width // 2)
+    half = np.array([height, width]) / 2
+    y = np.abs(np.arange(height) + 0.5 - half[0])[:, None] - half[0]
+    x = np.abs(np.arange(width) + 0.5 - half[1])[None] - half[1]
+    middle = slice(radius, height - radius)
+    # Only the strips along the sides hold anything but the ground.
+    for rows, columns in (
+        (slice(0, radius), slice(None)),
+        (slice(height - radius, height), slice(None)),
+        (middle, slice(0, radius)),
+        (middle, slice(width - radius, width)),
+    ):
+        dy, dx = y[rows], x[:, columns]
+        rounded = np.hypot(np.maximum(dy + radius, 0), np.maximum(dx + radius, 0)) - radius
+        outside = np.where((dy > -radius) & (dx > -radius), rounded, np.maximum(dy, dx))  # signed distance, pixels
+        rim, gone = np.clip(outside + 2.0, 0, 1)[..., None], np.clip(outside + 0.5, 0, 1)[..., None]
+        drawn = result[rows, columns] * (1 - rim) + np.array(line) * rim
+        result[rows, columns] = np.rint(drawn * (1 - gone) + np.array(under) * gone)
+    return result
+
+
+def padded(
+    block: ByteArray, *, top: int = 0, bottom: int = 0, left: int = 0, right: int = 0, ground: Colour = BACKGROUND
+) -> NDArray[np.uint8]:
+    """Return a block with margins."""
+    how = cv2.BORDER_CONSTANT
+    return np.asarray(cv2.copyMakeBorder(block, top, bottom, left, right, how, value=ground), dtype=np.uint8)
+
+
+def placed(
+    block: ByteArray,
+    *,
+    width: int,
+    height: int,
+    ground: Colour = BACKGROUND,
+    align: Align = "centre",
+    at_top: float = 0.5,
+) -> NDArray[np.uint8]:
+    """Return a block within a larger field; `at_top` is the share of the spare height above it."""
+    spare = width - block.shape[1]
+    left = {"left": 0, "centre": spare // 2, "right": spare}[align]
+    above = round((height - block.shape[0]) * at_top)
+    return padded(
+        block, top=above, bottom=height - block.shape[0] - above, left=left, right=spare - left, ground=ground
+    )
+
+
+def stacked(blocks: Sequence[ByteArray], *, gap: int = 0, ground: Colour = BACKGROUND) -> NDArray[np.uint8]:
+    """Return blocks below each other, each at the left."""
+    width = max(block.shape[1] for block in blocks)
+    rows = [padded(b, right=width - b.shape[1], bottom=gap, ground=ground) for b in blocks[:-1]]
+    return np.concatenate([*rows, padded(blocks[-1], right=width - blocks[-1].shape[1], ground=ground)])
+
+
+def beside(blocks: Sequence[ByteArray], *, gap: int = 0, ground: Colour = BACKGROUND) -> NDArray[np.uint8]:
+    """Return blocks side by side, each at the top."""
+    height = max(block.shape[0] for block in blocks)
+    columns = [padded(b, bottom=height - b.shape[0], right=gap, ground=ground) for b in blocks[:-1]]
+    last = padded(blocks[-1], bottom=height - blocks[-1].shape[0], ground=ground)
+    return np.concatenate([*columns, last], axis=1)
+
+
+def fit_size(aspect: float, *, width: int, height: int) -> tuple[int, int]:
+    """Return the largest (width, height), pixels, of an aspect (width over height) within a field."""
+    w = min(float(width), height * aspect)
+    return max(1, min(width, round(w))), max(1, min(height, round(w / aspect)))
+
+
+def resized(picture: ByteArray, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return a picture at (width, height) pixels: averaged where it shrinks, its pixels shown where it grows a lot."""
+    growth = min(size[0] / picture.shape[1], size[1] / picture.shape[0])
+    how = cv2.INTER_AREA if growth < 1 else cv2.INTER_CUBIC if growth < _BLOCKS_FROM else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(picture, size, interpolation=how), dtype=np.uint8)
+
+
+def framed(picture: ByteArray, colour: Colour, *, thickness: int = 2) -> NDArray[np.uint8]:
+    """Return a picture whose outermost pixels are a frame."""
+    result = np.array(picture, dtype=np.uint8)
+    for side in (np.s_[:thickness], np.s_[-thickness:], np.s_[:, :thickness], np.s_[:, -thickness:]):
+        result[side] = colour
+    return result
+
+
+def with_mark(picture: ByteArray, mark: ByteArray, *, margin: int = 10) -> NDArray[np.uint8]:
+    """Return a picture with a mark over its lower left corner; it must be larger than the mark."""
+    result = np.array(picture, dtype=np.uint8)
+    bottom = result.shape[0] - margin
+    result[bottom - mark.shape[0] : bottom, margin : margin + mark.shape[1]] = mark
+    return result
+
+
+@lru_cache(maxsize=32)
+def _font(size: int) -> FreeTypeFont:
+    from PIL import ImageFont
+
+    try:
+        font = ImageFont.load_default(size=size)
+    except ImportError:
+        font = None
+    if not hasattr(font, "getlength"):
+        raise DependencyError(
+            "Pillow was built without FreeType; install its wheel: pip install --force-reinstall pillow"
+        )
+    return font  # type: ignore[return-value]
