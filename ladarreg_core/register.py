@@ -152,26 +152,14 @@ def _solved(
 
 
 def _of_thesis(found: ThesisResult, scan: Scan, photo: Photo) -> PoseResult:
-    """Return the last stage's answer with what was foreseen; accepted if the pictures agree, or drawn matches do."""
+    """Return the last stage's answer, with what was foreseen."""
     result = found.last
     if result is None:
         notes = tuple(dict.fromkeys(stage.note for stage in found.stages))
         if found.drawn:
             raise DegenerateGeometryError(notes[-1])
         return replace(_nowhere(scan, photo), reasons=(*notes, *found.cautions))
-    if found.drawn:
-        return replace(result, reasons=(*result.reasons, *found.cautions))
-    verdict = found.verification
-    if verdict is None:
-        nothing = "The scan has too little that could be compared with the photo."
-        return replace(result, accepted=False, evidence="none", reasons=(nothing, *found.cautions))
-    return replace(
-        result,
-        accepted=verdict.accepted,
-        evidence="image" if verdict.accepted else "none",
-        reasons=(*verdict.reasons, *found.cautions),
-        diagnostics={**result.diagnostics, "verification": verdict.as_dict()},
-    )
+    return replace(result, reasons=(*result.reasons, *found.cautions))
 
 
 def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:

@@ -20,7 +20,7 @@ from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.levels import photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.thesis_matches import FoundMatches, ThesisMatchOptions, ThesisSearch
-from ladarreg_core.matching.verify import GateOptions, Verification
+from ladarreg_core.matching.verify import GateOptions
 from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.perspective import perspective_view
 from ladarreg_core.photo import Photo
@@ -65,14 +65,12 @@ class ThesisOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThesisResult:
-    """What each stage answered."""
+    """What each stage answered, judged by the pictures, or by the matches' statistics where they were drawn."""
 
     stages: tuple[Stage, ...]
     """`linear`, `constrained_linear`, `simplex`, `simplex_outliers_removed`, in this order."""
     cautions: tuple[str, ...] = ()
     """What was foreseen before the simplex walked (thesis 3.4), in sentences."""
-    verification: Verification | None = None
-    """The verdict of the pictures on the last pose; None for matches drawn by hand, or without a pose."""
     drawn: bool = False
     """Whether the matches were drawn by hand."""
 
@@ -158,15 +156,34 @@ def register_thesis(
 
     cautions = _foreseen(corners.matches, pose, search, photo.camera, o)
     simplex, removed = solver.simplex(found.matches, pose)
-    result = ThesisResult((linear, constrained, simplex, removed), cautions)
-    if result.last is None:
-        return result
     with steps.step("verify") as note:
         aligner = Aligner(search.scan, search.photo, gate=o.gate, seed=o.pose.seed)
-        verification = aligner.judge(result.last.camera_from_scanner)[0] if aligner.usable else None
-        note.update(verification.as_dict() if verification else {"none": "the scan has too little to compare"})
-        steps.pose = result.last.camera_from_scanner
-    return replace(result, verification=verification)
+        stages = tuple(_judged(stage, aligner) for stage in (linear, constrained, simplex, removed))
+        found_out = ThesisResult(stages, cautions)
+        if found_out.last is not None:
+            steps.pose = found_out.last.camera_from_scanner
+            note.update(found_out.last.diagnostics["verification"])
+    return found_out
+
+
+def _judged(stage: Stage, aligner: Aligner) -> Stage:
+    """Return the stage with the verdict of the pictures: matches found by machine can agree and all be wrong."""
+    result = stage.result
+    if result is None:
+        return stage
+    accepted, told = False, dict[str, Any]()
+    reasons: tuple[str, ...] = ("The scan has too little that could be compared with the photo.",)
+    if aligner.usable:
+        verdict = aligner.judge(result.camera_from_scanner)[0]
+        accepted, reasons, told = verdict.accepted, verdict.reasons, verdict.as_dict()
+    judged = replace(
+        result,
+        accepted=accepted,
+        evidence="image" if accepted else "none",
+        reasons=reasons,
+        diagnostics={**result.diagnostics, "verification": told},
+    )
+    return replace(stage, result=judged)
 
 
 def solve_thesis(

@@ -28,15 +28,16 @@ from ladarreg_core.matching.turned import Turn, seems_turned
 
 DepthEdges = Literal["foreground", "left_out"]
 SecondCulling = Literal["prediction", "disparity"]
+_MANY_CORNERS = CornerOptions(count=1500)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThesisMatchOptions:
     """The thresholds of thesis 2.3.2."""
 
-    scan_corners: CornerOptions = CornerOptions(count=1500)
+    scan_corners: CornerOptions = _MANY_CORNERS
     """Of the intensity picture."""
-    photo_corners: CornerOptions = CornerOptions(count=1500)
+    photo_corners: CornerOptions = _MANY_CORNERS
     """Of the photo."""
     window_px: int = 15
     """Side of the correlated neighbourhoods."""
@@ -54,7 +55,7 @@ class ThesisMatchOptions:
     """Half the side of the window of the second search."""
     first_search_px: float = 80.0
     """Half the side of a larger window that is searched before: what it finds moves the small windows around it, for
-    a rough pose is wrong by more than they reach. As small as `search_px`: only those are searched, as in the thesis."""
+    a rough pose is wrong by more than they reach. As small as `search_px`: only these, as in the thesis."""
     constrained_t1: float = 0.1
     """T1 of the second search, where rivals are few."""
     least_score: float = 0.4
