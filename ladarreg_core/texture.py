@@ -17,6 +17,7 @@ from ladarreg_core.lookup import look_up
 from ladarreg_core.mesh import grid_edges
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
+from ladarreg_core.uncertainty import pixel_sigma
 from ladarreg_core.visibility import ScanProjection, project_scan
 
 BACKGROUND = (48, 48, 48)
@@ -94,7 +95,7 @@ def texture_scan(
         occluded, uncertain, grazing, seen.
 
     Raises:
-        ShapeError: if the camera is not of the photo's size, or the covariance not (6, 6).
+        ShapeError: if the camera is not of the photo's size, or the covariance not (6, 6) and positive.
         OptionError: if the background is no colour.
 
     Source: thesis 2.5.
@@ -129,52 +130,6 @@ def model_picture(scan: Scan, texture: RegisteredTexture) -> ByteArray:
     bright = np.clip((scan.intensity - np.float32(low)) / np.float32(span), 0, 1) * 0.85 + 0.15
     gray = np.rint(bright * (255 * _UNSEEN_BRIGHTNESS)).astype(np.uint8)
     return np.asarray(np.where(texture.coloured[..., None], texture.image, gray[..., None]))
-
-
-def pixel_sigma(points_camera: FloatArray, camera: Camera, rotation: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return how far the pose's uncertainty moves points in the picture: the ellipse's longer half axis, one sigma.
-
-    With R_true = exp([w]x) R and C_true = C + c, a point X of the camera frame moves by w x X - R c.
-
-    Args:
-        points_camera: (..., 3), m.
-        camera: intrinsics.
-        rotation: (3, 3) of `camera_from_scanner`.
-        covariance: (6, 6) of (w, c).
-
-    Returns:
-        sigma_px (...,); NaN behind the camera.
-    """
-    points = np.asarray(points_camera, dtype=np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
-        terms = _variance_terms(points / z, camera, rotation, covariance)
-    return np.sqrt(_longer_axis(terms, 1 / z))
-
-
-def _variance_terms(
-    rays: FloatArray, camera: Camera, rotation: FloatArray, covariance: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the pixel's covariance (uu, uv, vv) at rays (x, y, 1) as three terms (..., 3) of a polynomial in 1/z.
-
-    Turning moves a pixel whatever its depth, shifting moves it by 1/z.
-    """
-    _, by_point = camera.project_with_jacobian(rays)
-    by_turn, by_shift = np.cross(rays[..., None, :], by_point), -by_point @ rotation
-    turns, mixed, shifts = covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:]
-
-    def term(left: FloatArray, matrix: FloatArray, right: FloatArray) -> FloatArray:
-        S = left @ matrix @ right.swapaxes(-1, -2)
-        return np.stack([S[..., 0, 0], (S[..., 0, 1] + S[..., 1, 0]) / 2, S[..., 1, 1]], axis=-1)
-
-    return term(by_turn, turns, by_turn), 2 * term(by_turn, mixed, by_shift), term(by_shift, shifts, by_shift)
-
-
-def _longer_axis(terms: tuple[FloatArray, FloatArray, FloatArray], inverse_depth: FloatArray) -> FloatArray:
-    """Return the larger eigenvalue (...,) of the pixel's covariance, px^2, at inverse depths (..., 1)."""
-    S = terms[0] + inverse_depth * (terms[1] + inverse_depth * terms[2])
-    mean, half = (S[..., 0] + S[..., 2]) / 2, (S[..., 0] - S[..., 2]) / 2
-    return np.asarray(np.maximum(mean + np.sqrt(half * half + S[..., 1] * S[..., 1]), 0))
 
 
 def _labels(
@@ -223,34 +178,24 @@ def _pose_uncertain(
 ) -> BoolArray:
     """Return where the pose's own uncertainty exceeds 2 px; everywhere if the covariance is not finite."""
     visible = projection.visible
-    if not np.isfinite(covariance).all():
+    if not np.isfinite(covariance).all() or not visible.any():
         return visible
-    if not visible.any():
-        return visible
-    # The three terms are smooth over the picture, so a coarse net of them serves all cells.
-    net = [np.linspace(0, n - 1, _NET_NODES) for n in camera.size]
-    rays = camera.unproject(np.stack(np.meshgrid(*net), axis=-1))
-    with np.errstate(invalid="ignore"):
-        terms = _variance_terms(rays / rays[..., 2:], camera, camera_from_scanner.rotation, covariance)
-    limit = _LARGEST_POSE_SIGMA_PX**2
+    rotation = camera_from_scanner.rotation
     # At a pixel the variance is convex in 1/z, so it is largest at the nearest or the farthest depth: if it is small
     # for both all over the picture, as it nearly always is, no cell needs a look.
+    net = [np.linspace(0, n - 1, _NET_NODES) for n in camera.size]
+    rays = camera.unproject(np.stack(np.meshgrid(*net), axis=-1))
     depths = projection.depth_m[visible]
-    ends = [_longer_axis(terms, np.array(1 / depth)) for depth in (depths.min(), depths.max())]
-    if np.nanmax(ends, initial=0.0) < 0.98 * limit and np.isfinite(ends).all():
-        return np.zeros(scan.shape, dtype=np.bool_)
-    at = [
-        np.where(visible, projection.uv[..., k] * np.float32((_NET_NODES - 1) / max(camera.size[k] - 1, 1)), _OUTSIDE)
-        for k in range(2)
+    ends = [
+        pixel_sigma(rays * (depth / rays[..., 2:]), camera, rotation, covariance)
+        for depth in (float(depths.min()), float(depths.max()))
     ]
-    looked_up = [look_up(term.astype(np.float32), at[0], at[1]) for term in terms]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = _longer_axis((looked_up[0], looked_up[1], looked_up[2]), 1 / projection.depth_m[..., None])
-        beside_net = visible & ~np.isfinite(variance)  # where a node's pixel has no ray through the lens
-        points_camera = camera_from_scanner @ scan.points[beside_net].astype(np.float64)
-        sigma = pixel_sigma(points_camera, camera, camera_from_scanner.rotation, covariance)
-        variance[beside_net] = np.square(sigma)
-        return np.asarray(visible & ~(variance <= limit))
+    if np.isfinite(ends).all() and np.max(ends) < 0.99 * _LARGEST_POSE_SIGMA_PX:
+        return np.zeros(scan.shape, dtype=np.bool_)
+    result = np.zeros(scan.shape, dtype=np.bool_)
+    sigma = pixel_sigma(camera_from_scanner @ scan.points[visible], camera, rotation, covariance)
+    result[visible] = ~(sigma <= _LARGEST_POSE_SIGMA_PX)
+    return result
 
 
 def _sampled(
