@@ -33,6 +33,22 @@ class ThresholdArguments(InputArguments):
     """Points along each line drawn by hand (9)."""
 
 
+_OF_THESIS = ("t1", "t2_px", "culling", "first_pose", "residual", "reject_depth_m")
+
+
+def check_method(arguments: ThresholdArguments, method: str) -> None:
+    """Refuse a threshold of the thesis where another method would not look at it.
+
+    Raises:
+        OptionError: naming the flag.
+    """
+    from ladarreg_core.errors import OptionError
+
+    given = [f"--{name.replace('_', '-')}" for name in _OF_THESIS if getattr(arguments, name) is not None]
+    if given and method != "thesis":
+        raise OptionError(f"{', '.join(given)} means something to --method thesis only; the method is {method}")
+
+
 def register_options(arguments: ThresholdArguments) -> RegisterOptions:
     """Return the options of a registration."""
     from dataclasses import replace

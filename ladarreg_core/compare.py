@@ -87,7 +87,7 @@ def compare(
     )
     columns = [_column(scan, photo, stage, spent.get(stage.name, 0.0)) for stage in found.stages]
     columns.append(_column(scan, photo, last, sum(step.seconds for step in default.steps)))
-    return Comparison(columns=tuple(columns), cautions=found.cautions, seed=o.seed)
+    return Comparison(columns=tuple(columns), cautions=(*found.cautions, *found.losses), seed=o.seed)
 
 
 def _column(scan: Scan, photo: Photo, stage: Stage, seconds: float) -> Column:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import look_along
 from ladarreg_core.matches import Matches, Pick
@@ -20,8 +21,15 @@ _MOST_SAMPLES = 1000
 _EDGE_FRACTION = 0.04
 
 
+def check_samples(samples_per_line: object) -> None:
+    """Raise an OptionError if a line cannot be sampled by so many points."""
+    whole = isinstance(samples_per_line, int) and not isinstance(samples_per_line, bool)
+    if not whole or not 2 <= samples_per_line <= _MOST_SAMPLES:  # type: ignore[operator]
+        raise OptionError(f"samples_per_line is {samples_per_line!r}; it must be a whole number from 2 to 1000")
+
+
 def matches_from_picks(
-    scan: Scan, picks: Sequence[Pick], *, samples_per_line: int = SAMPLES_PER_LINE
+    scan: Scan, picks: Sequence[Pick], *, camera: Camera | None = None, samples_per_line: int = SAMPLES_PER_LINE
 ) -> tuple[Matches, tuple[str, ...]]:
     """Return the matches that a solver eats, and a sentence for everything that had to be left out.
 
@@ -31,7 +39,8 @@ def matches_from_picks(
 
     Args:
         scan: the scan.
-        picks: points and lines; those switched off are skipped.
+        picks: points and lines; those switched off are skipped, and lines of no length left out.
+        camera: the photo's; what lies outside its picture is left out.
         samples_per_line: points along each line, its ends among them.
 
     Raises:
@@ -39,12 +48,14 @@ def matches_from_picks(
 
     Source: thesis 2.3.1.
     """
-    whole = isinstance(samples_per_line, int) and not isinstance(samples_per_line, bool)
-    if not whole or not 2 <= samples_per_line <= _MOST_SAMPLES:
-        raise OptionError(f"samples_per_line is {samples_per_line!r}; it must be a whole number from 2 to 1000")
+    check_samples(samples_per_line)
     rays, uv, ids, fractions, weights = [], [], [], [], []
+    refused: list[str] = []
     for pick in picks:
         if not pick.on:
+            continue
+        if pick.kind == "line" and ((pick.scan[0] == pick.scan[1]).all() or (pick.photo[0] == pick.photo[1]).all()):
+            refused.append(f"Match {pick.id} is a line of no length and is left out; draw it again.")
             continue
         count = 1 if pick.kind == "point" else samples_per_line
         along = np.zeros(1) if count == 1 else np.linspace(0, 1, count)
@@ -54,35 +65,45 @@ def matches_from_picks(
         fractions.append(along)
         weights.append(np.full(count, pick.weight / np.sqrt(count)))
     if not ids:
-        return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))), ("No match is switched on.",)
+        nothing = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+        return nothing, tuple(refused) or ("No match is switched on.",)
     all_rays = np.concatenate(rays)
     ranges, edge = _measured(scan, all_rays)
-    found = np.isfinite(ranges)
+    all_uv = np.concatenate(uv)
+    outside = np.zeros(len(ids), np.bool_) if camera is None else ~camera.contains(all_uv, border=-0.5)
+    found = np.isfinite(ranges) & ~outside
     matches = Matches(
         all_rays,
         np.where(found, ranges, 1),
-        np.concatenate(uv),
+        all_uv,
         tuple(ids),
         np.concatenate(fractions),
         np.concatenate(weights),
     )
-    return matches.subset(found), _losses(ids, found, edge)
+    return matches.subset(found), (*refused, *_losses(ids, found, edge & ~outside, outside))
 
 
-def _losses(ids: list[str], found: NDArray[np.bool_], edge: NDArray[np.bool_]) -> tuple[str, ...]:
+def _losses(
+    ids: list[str], found: NDArray[np.bool_], edge: NDArray[np.bool_], outside: NDArray[np.bool_]
+) -> tuple[str, ...]:
     """Return a sentence for every pick that lost points, with the cause."""
     total = Counter(ids)
     at_edge = Counter(name for name, lost in zip(ids, (~found & edge).tolist(), strict=True) if lost)
-    empty = Counter(name for name, lost in zip(ids, (~found & ~edge).tolist(), strict=True) if lost)
+    empty = Counter(name for name, lost in zip(ids, (~found & ~edge & ~outside).tolist(), strict=True) if lost)
+    beyond = Counter(name for name, lost in zip(ids, outside.tolist(), strict=True) if lost)
     sentences = []
     for name in dict.fromkeys(ids):
         causes = [
             f"{count[name]} {words}"
-            for count, words in ((empty, "without a return"), (at_edge, "at a depth edge"))
+            for count, words in (
+                (beyond, "outside the photo"),
+                (empty, "without a return"),
+                (at_edge, "at a depth edge"),
+            )
             if count[name]
         ]
         if causes:
-            lost = at_edge[name] + empty[name]
+            lost = at_edge[name] + empty[name] + beyond[name]
             sentences.append(f"Match {name}: {lost} of {total[name]} points are left out, {' and '.join(causes)}.")
     return tuple(sentences)
 

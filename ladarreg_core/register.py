@@ -17,13 +17,15 @@ from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, register_auto
 from ladarreg_core.matching.thesis import ThesisOptions, ThesisResult, thesis_stages
 from ladarreg_core.photo import Photo
-from ladarreg_core.picked import SAMPLES_PER_LINE, matches_from_picks
+from ladarreg_core.picked import SAMPLES_PER_LINE, check_samples, matches_from_picks
 from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
 from ladarreg_core.progress import StepReport
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
+
+_TOLD_LOSSES = 3
 
 RegistrationMethod = Literal["auto", "thesis", "manual"]
 
@@ -51,6 +53,7 @@ class RegisterOptions:
     def __post_init__(self) -> None:
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**31:
             raise OptionError(f"the seed is {self.seed!r}; it must be a whole number of at least 0")
+        check_samples(self.samples_per_line)
 
 
 def register(
@@ -141,25 +144,38 @@ def _solved(
     scan: Scan, photo: Photo, steps: StepLog, picks: Sequence[Pick], initial: Rigid | None, options: RegisterOptions
 ) -> PoseResult:
     with steps.step("matches") as note:
-        matches, losses = matches_from_picks(scan, picks, samples_per_line=options.samples_per_line)
+        matches, losses = matches_from_picks(
+            scan, picks, camera=photo.camera, samples_per_line=options.samples_per_line
+        )
         note.update(picks=len(picks), matches=len(matches), left_out=list(losses))
         steps.matches = matches
     with steps.step("pose") as note:
-        result = solve_pose(matches, photo.camera, replace(options.pose, seed=options.seed), initial=initial)
+        try:
+            result = solve_pose(matches, photo.camera, replace(options.pose, seed=options.seed), initial=initial)
+        except DegenerateGeometryError as error:
+            raise _with_losses(str(error), losses) from None
         note.update(inliers=int(result.inliers.sum()), matches=len(matches))
         steps.matches, steps.pose = matches, result.camera_from_scanner
     return replace(result, reasons=(*result.reasons, *losses))
 
 
+def _with_losses(text: str, losses: Sequence[str]) -> DegenerateGeometryError:
+    """Return an error that also tells what of the drawn matches was lost before."""
+    more = f" (and {len(losses) - _TOLD_LOSSES} more)" if len(losses) > _TOLD_LOSSES else ""
+    return DegenerateGeometryError(
+        " ".join([text.rstrip(".") + ("." if losses else ""), *losses[:_TOLD_LOSSES]]) + more
+    )
+
+
 def _of_thesis(found: ThesisResult, scan: Scan, photo: Photo) -> PoseResult:
     """Return the last stage's answer, with what was foreseen."""
-    result = found.last
+    result = found.answer
     if result is None:
-        notes = tuple(dict.fromkeys(stage.note for stage in found.stages))
         if found.drawn:
-            raise DegenerateGeometryError(notes[-1])
+            raise _with_losses(found.stages[-1].note, found.losses)
+        notes = tuple(dict.fromkeys(stage.note for stage in found.stages))
         return replace(_nowhere(scan, photo), reasons=(*notes, *found.cautions))
-    return replace(result, reasons=(*result.reasons, *found.cautions))
+    return replace(result, reasons=(*result.reasons, *found.left_behind, *found.cautions, *found.losses))
 
 
 def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from app.exit_codes import ExitCode
 from app.inputs import input_files, print_notes, read_inputs, read_start
 from app.step_bar import StepBar, step_bar
-from app.thresholds import ThresholdArguments, register_options
+from app.thresholds import ThresholdArguments, check_method, register_options
 from app.wording import report, verdict
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ def run(arguments: Arguments) -> ExitCode:
 
     started = time.perf_counter()
     check_folder(arguments.out, force=arguments.force)
+    check_method(arguments, arguments.method)
     with step_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
         result = _register(arguments, scan, photo, bar)

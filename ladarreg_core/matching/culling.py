@@ -11,6 +11,7 @@ from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.errors import OptionError
 
 CullingSide = Literal["two_sided", "one_sided"]
+_LEAST_T2_PX, _MOST_T2_PX = 1e-3, 1e6
 
 
 def disparities(scan_uv: ArrayLike, photo_uv: ArrayLike) -> NDArray[np.float64]:
@@ -57,7 +58,10 @@ def alike(disparity: FloatArray, *, t2_px: float = 20.0, side: CullingSide = "tw
 def check_culling(t2_px: float, side: str) -> None:
     """Raise an OptionError if T2 is not positive or the side is unknown."""
     number = isinstance(t2_px, int | float | np.number) and not isinstance(t2_px, bool)
-    if not (number and np.isfinite(t2_px) and t2_px > 0):
-        raise OptionError(f"the culling threshold T2 is {t2_px!r}; it must be a positive number of pixels")
+    if not (number and _LEAST_T2_PX <= t2_px <= _MOST_T2_PX):
+        raise OptionError(
+            f"the culling threshold T2 is {t2_px!r}; it must be a positive number of pixels "
+            f"({_LEAST_T2_PX:g} to {_MOST_T2_PX:g})"
+        )
     if side not in get_args(CullingSide):
         raise OptionError(f"the culling is {side!r}; it must be one of {', '.join(get_args(CullingSide))}")

@@ -58,6 +58,10 @@ class ThesisOptions:
     """What a pose must show on the pictures to be accepted."""
 
     def __post_init__(self) -> None:
+        parts = (("matching", ThesisMatchOptions), ("pose", PoseOptions), ("gate", GateOptions))
+        for name, wanted in parts:
+            if not isinstance(getattr(self, name), wanted):
+                raise OptionError(f"{name} is {getattr(self, name)!r}; give {wanted.__name__}")
         for name, value, kind in (("first_pose", self.first_pose, FirstPose), ("residual", self.residual, Residual)):
             if value not in get_args(kind):
                 raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(get_args(kind))}")
@@ -74,10 +78,27 @@ class ThesisResult:
     drawn: bool = False
     """Whether the matches were drawn by hand."""
 
+    losses: tuple[str, ...] = ()
+    """What of the drawn matches had to be left out, in sentences."""
+
     @property
     def last(self) -> PoseResult | None:
         """The answer of the last stage that had one."""
         return next((stage.result for stage in reversed(self.stages) if stage.result is not None), None)
+
+    @property
+    def answer(self) -> PoseResult | None:
+        """The last answer that is accepted; without any, the last one."""
+        accepted = (s.result for s in reversed(self.stages) if s.result is not None and s.result.accepted)
+        return next(accepted, self.last)
+
+    @property
+    def left_behind(self) -> tuple[str, ...]:
+        """A sentence where a later stage moved away from the answer and lost its acceptance."""
+        if self.answer is self.last:
+            return ()
+        name = next(stage.name for stage in self.stages if stage.result is self.answer)
+        return (f"This is the answer of the stage '{name.replace('_', ' ')}': those after it were not accepted.",)
 
 
 def thesis_stages(
@@ -105,11 +126,11 @@ def thesis_stages(
     if not picks:
         return register_thesis(scan, photo, steps, initial=initial, options=o)
     with steps.step("matches") as note:
-        matches, losses = matches_from_picks(scan, picks, samples_per_line=samples_per_line)
+        matches, losses = matches_from_picks(scan, picks, camera=photo.camera, samples_per_line=samples_per_line)
         note.update(picks=len(picks), matches=len(matches), left_out=list(losses))
         steps.matches = matches
     found = solve_thesis(matches, photo.camera, steps, initial=initial, options=o)
-    return replace(found, cautions=(*found.cautions, *losses), drawn=True)
+    return replace(found, losses=losses, drawn=True)
 
 
 def register_thesis(
@@ -154,7 +175,8 @@ def register_thesis(
         note.update(matches=len(found))
         steps.matches = found.matches
 
-    cautions = _foreseen(corners.matches, pose, search, photo.camera, o)
+    known = pose if initial is not None or pose is not first or o.first_pose != "linear_only" else None
+    cautions = _foreseen(corners.matches, known, search, photo.camera, o)
     simplex, removed = solver.simplex(found.matches, pose)
     with steps.step("verify") as note:
         aligner = Aligner(search.scan, search.photo, gate=o.gate, seed=o.pose.seed)
@@ -162,7 +184,7 @@ def register_thesis(
         found_out = ThesisResult(stages, cautions)
         if found_out.last is not None:
             steps.pose = found_out.last.camera_from_scanner
-            note.update(found_out.last.diagnostics["verification"])
+            note.update(found_out.last.diagnostics.get("verification", {}))
     return found_out
 
 
@@ -171,6 +193,8 @@ def _judged(stage: Stage, aligner: Aligner) -> Stage:
     result = stage.result
     if result is None:
         return stage
+    if result.diagnostics.get("collapsed"):
+        return stage  # whatever the pictures say of the place, this was not found by its parallax
     accepted, told = False, dict[str, Any]()
     reasons: tuple[str, ...] = ("The scan has too little that could be compared with the photo.",)
     if aligner.usable:
@@ -211,7 +235,8 @@ def solve_thesis(
     o = options or ThesisOptions()
     solver = _Solver(camera, steps, o)
     linear = solver.stage("linear", matches)
-    start = initial or (linear.result.camera_from_scanner if linear.result else None)
+    credible = linear.result is not None and _credible(linear.result)
+    start = initial or (linear.result.camera_from_scanner if linear.result and credible else None)
     cautions = _foreseen(matches, start, None, camera, o)
     simplex, removed = solver.simplex(matches, start)
     drawn = Stage(name="constrained_linear", result=None, note="Drawn matches are not searched again.")
@@ -368,7 +393,8 @@ def _words(result: PoseResult) -> str:
     kept, count = int(result.inliers.sum()), len(result.matches)
     if result.diagnostics.get("collapsed"):
         return result.reasons[0]
-    return f"{kept} of {count} matches count"
+    stopped = ", and the threshold would leave too few" if result.diagnostics.get("stopped") == "too few left" else ""
+    return f"{kept} of {count} matches count{stopped}"
 
 
 def _sentence(text: str) -> str:

@@ -68,6 +68,14 @@ class ThesisMatchOptions:
     """Lines between matches."""
 
     def __post_init__(self) -> None:
+        for name, wanted in (
+            ("scan_corners", CornerOptions),
+            ("photo_corners", CornerOptions),
+            ("densify", DensifyOptions),
+            ("mutual", bool),
+        ):
+            if not isinstance(getattr(self, name), wanted):
+                raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a {wanted.__name__}")
         check_window(self.window_px)
         check_culling(self.t2_px, self.culling)
         check_culling(self.second_t2_px, self.culling)

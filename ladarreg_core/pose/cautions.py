@@ -87,8 +87,8 @@ def _count(matches: Matches) -> str:
     if count >= LEAST_INLIERS:
         return ""
     return (
-        f"There are only {count} different matches with a usable range; with fewer than {LEAST_INLIERS} no mismatch "
-        "stands out. Add matches by hand or detect more corners."
+        f"Different matches with a usable range: {count}. With fewer than {LEAST_INLIERS} no mismatch stands out; add "
+        "matches by hand or detect more corners."
     )
 
 

@@ -18,7 +18,7 @@ LEAST_MATCHES = 4
 _UNIT_TOLERANCE = 1e-3
 _LINE = 1e-3  # extents across over along below this: collinear
 _MOST_RANGE_M, _MOST_PIXEL = 1e7, 1e7
-_LEAST_WEIGHT, _MOST_WEIGHT = 1e-6, 1e6
+_LEAST_WEIGHT, _MOST_WEIGHT = 1e-9, 1e9  # the points of a line divide its weight
 
 
 def checked_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> Matches:
@@ -36,6 +36,8 @@ def checked_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> 
         raise CameraError(f"the camera is a {type(camera).__name__}; give a Camera")
     if initial is not None and not isinstance(initial, Rigid):
         raise OptionError(f"the initial pose is a {type(initial).__name__}; give a Rigid (camera_from_scanner)")
+    if initial is not None and not np.abs(initial.centre).max() <= _MOST_RANGE_M:
+        raise OptionError(f"the initial pose lies more than {_MOST_RANGE_M:g} m away; check its unit")
     assert matches.weights is not None
     count = len(matches)
     if count < LEAST_MATCHES:

@@ -34,6 +34,7 @@ DescentEnd = Literal["settled", "cycle", "round limit", "too few left", "cost be
 LEAST_MATCHES = 4
 _LEAST_KEPT = 6
 _MAD = 1.4826
+_LEAST, _MOST = 1e-15, 1e6
 _NARROW = 0.1  # the simplex of a later round, over the first one
 _DOUBT_OF_DEPTH = 0.05  # stereo depths this far off, of the depth, are no stereo depths
 _DOUBT_SIGMA, _DOUBT_OF_FOCAL = 10.0, 0.01
@@ -84,8 +85,8 @@ class SimplexOptions:
         for name in ("step_m", "step_rad", "tolerance", "stop_cost", "reject_depth_m", "reject_sigma"):
             value = getattr(self, name)
             may_be_none = name in ("step_m", "stop_cost", "reject_depth_m")
-            if not ((value is None and may_be_none) or _positive(value)):
-                raise OptionError(f"{name} is {value!r}; it must be a positive number")
+            if not ((value is None and may_be_none) or (_positive(value) and _LEAST <= value <= _MOST)):
+                raise OptionError(f"{name} is {value!r}; it must be a positive number ({_LEAST:g} to {_MOST:g})")
         for name, least in (("most_iterations", 1), ("most_evaluations", 1), ("restarts", 0), ("reject_rounds", 0)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value < 2**31:

@@ -25,6 +25,7 @@ _MOST_ANGLE_RAD = np.deg2rad(2.0)
 _MOST_POSITION_OF_RANGE = 0.1
 _MOST_LOG10_CHANCE = -3.0
 _FLAT = 0.05
+_LEAST_WIDTH = 0.02  # of the matches in the photo, across over along: below it they lie on one line
 _KEY = np.sqrt([2.0, 3.0, 5.0])
 
 
@@ -78,6 +79,8 @@ def judge(
             f"the matches hardly determine the pose ({_length(position)} and {np.degrees(angle):.2g} deg, 1 sigma); "
             "spread them over the picture and over near and far"
         )
+    if _on_one_line(matches.uv[inliers]):
+        against.append("the matches lie on one line of the photo; add matches beside it")
     if _from_behind(pose, matches.points[inliers]):
         against.append(
             "the camera would see the matches' plane from behind; check that the photo and the scan are not mirrored"
@@ -94,6 +97,15 @@ def judge(
         f"the camera is known to {_length(position)} and {np.degrees(angle):.2g} deg (1 sigma)",
         "no second pose explains the matches",
     )
+
+
+def _on_one_line(uv: FloatArray) -> bool:
+    """Return whether pixels (N, 2) leave the camera free to turn about a line: their noise then passes for a hold."""
+    if len(uv) < 3:
+        return False
+    centred = uv - uv.mean(axis=0)
+    squared = np.linalg.eigvalsh(centred.T @ centred)
+    return bool(squared[0] <= _LEAST_WIDTH**2 * squared[1])
 
 
 def _from_behind(pose: Rigid, points: FloatArray) -> bool:

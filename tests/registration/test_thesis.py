@@ -192,3 +192,34 @@ def test_the_same_inputs_give_the_same_answer(room: PaintedRoom) -> None:
 def test_options_without_meaning_are_refused(options, words: str) -> None:
     with pytest.raises(lr.LadarregError, match=words):
         options()
+
+
+def test_lines_on_one_line_are_never_called_certain(room: PaintedRoom) -> None:
+    """Four pieces of one straight line: the camera may turn about it, whatever the residuals say."""
+    points = room.scan.points.astype(float)[150, 40:400:40]
+    uv = room.photo.camera.project(room.camera_from_scanner @ points)
+    uv = uv[0] + np.linspace(0, 1, len(uv))[:, None] * (uv[-1] - uv[0])
+    rays = points / np.linalg.norm(points, axis=1)[:, None]
+    picks = [lr.Pick(str(k), "line", rays[k : k + 2], uv[k : k + 2]) for k in range(len(points) - 1)]
+    for method in ("manual", "thesis"):
+        try:
+            result = lr.register(room.scan, room.photo, method=method, picks=picks)
+        except lr.LadarregError:
+            continue
+        assert not result.accepted
+
+
+@pytest.mark.parametrize("method", ["manual", "thesis"])
+def test_why_drawn_matches_are_missing_is_told_with_the_error(room: PaintedRoom, method: str) -> None:
+    away = [lr.Pick(p.id, "line", p.scan, p.photo + 5000) for p in drawn_lines(room, 5)]
+    with pytest.raises(lr.LadarregError, match="outside the photo"):
+        lr.register(room.scan, room.photo, method=method, picks=away)
+    same = [lr.Pick(p.id, "line", p.scan[[0, 0]], p.photo[[0, 0]]) for p in drawn_lines(room, 5)]
+    with pytest.raises(lr.LadarregError, match="no length"):
+        lr.register(room.scan, room.photo, method=method, picks=same)
+
+
+@pytest.mark.parametrize("count", [0, 1, 1001, "9"])
+def test_a_number_of_samples_without_meaning_is_refused_at_once(count: object) -> None:
+    with pytest.raises(lr.LadarregError, match="whole number from 2 to 1000"):
+        RegisterOptions(samples_per_line=count)  # type: ignore[arg-type]
