@@ -24,7 +24,8 @@ from tests.processes import hear_ctrl_c
 
 REGISTER_OPTIONS = (
     "--method", "--matches", "--initial", "--camera", "--focal-px", "--focal-mm", "--sensor-mm", "--scan-index",
-    "--seed", "--force", "--quiet", "--debug", "-o",
+    "--seed", "--force", "--quiet", "--debug", "-o", "--t1", "--t2-px", "--culling", "--first-pose", "--residual",
+    "--reject-depth-m", "--samples-per-line",
 )  # fmt: skip
 
 
@@ -51,6 +52,34 @@ def sample(*more: str) -> list[str]:
 
 
 # --- help and arguments ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (("--t1", ".1"), "--t1 means something to --method thesis only"),
+        (("--method", "thesis", "--t1", "3"), "from 0 to 2"),
+        (("--method", "thesis", "--t2-px", "-4"), "positive number of pixels"),
+        (("--method", "thesis", "--reject-depth-m", "nan"), "reject_depth_m"),
+        (("--method", "thesis", "--samples-per-line", "1"), "whole number from 2 to 1000"),
+    ],
+)
+def test_thresholds_without_meaning_are_refused(
+    flags: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(sample("-o", str(tmp_path / "out"), *flags)) == ExitCode.BAD_INPUT
+    assert words in complaint(capsys)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_thresholds_reach_the_chain(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    flags = ("--method", "thesis", "--t1", ".15", "--culling", "one-sided", "--first-pose", "robust", "--quiet")
+    assert main(sample("-o", str(out), *flags)) in (ExitCode.ACCEPTED, ExitCode.NOT_ACCEPTED)
+    options = json.loads((out / "registration.json").read_text())["options"]["thesis"]
+    assert options["matching"]["t1"] == 0.15
+    assert options["matching"]["culling"] == "one_sided"
+    assert options["first_pose"] == "robust"
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
