@@ -7,7 +7,7 @@ import unicodedata
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ladarreg_core.compare import Comparison
+    from ladarreg_core.comparison import Comparison
     from ladarreg_core.export.comparison_table import Table
     from ladarreg_core.results import PoseResult
     from ladarreg_core.scan import Scan

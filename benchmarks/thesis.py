@@ -32,7 +32,7 @@ from benchmarks.pose import (
 )
 from benchmarks.register import errors as scene_errors
 from ladarreg_core.camera import Camera
-from ladarreg_core.compare import Column, Comparison, compare
+from ladarreg_core.comparison import Column, Comparison, compare
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.comparison_table import NOTHING, TITLES, Table, comparison_table, markdown_table
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, rotation_about

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ladarreg_core.camera import Camera as Camera
+    from ladarreg_core.comparison import compare as compare
     from ladarreg_core.errors import Cancelled as Cancelled
     from ladarreg_core.errors import LadarregError as LadarregError
     from ladarreg_core.formats import read_photo as read_photo
@@ -51,6 +52,7 @@ _HOMES = {
     "perspective_view": "perspective",
     "read_photo": "formats",
     "read_scan": "formats",
+    "compare": "comparison",
     "register": "register",
     "estimate_pose": "pose.estimate",
 }

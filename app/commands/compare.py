@@ -13,7 +13,7 @@ from app.thresholds import ThresholdArguments, register_options
 from app.wording import comparison_report, comparison_verdict
 
 if TYPE_CHECKING:
-    from ladarreg_core.compare import Comparison
+    from ladarreg_core.comparison import Comparison
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
 
@@ -47,7 +47,7 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _compare(arguments: Arguments, scan: Scan, photo: Photo, bar: StepBar) -> Comparison:
-    from ladarreg_core.compare import compare
+    from ladarreg_core.comparison import compare
 
     picks, initial = read_start(arguments, scan)
     return compare(scan, photo, picks=picks, initial=initial, options=register_options(arguments), report=bar.step)

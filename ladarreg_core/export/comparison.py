@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.compare import Column, Comparison
+from ladarreg_core.comparison import Column, Comparison
 from ladarreg_core.export.comparison_table import (
     Difference,
     cautions_of,

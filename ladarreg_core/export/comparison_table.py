@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.compare import Column, Comparison
+from ladarreg_core.comparison import Column, Comparison
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.results import PoseResult, StageName
 from ladarreg_core.scan import Scan

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray
 from ladarreg_core.blend import intensity_picture
-from ladarreg_core.compare import Column, Comparison
+from ladarreg_core.comparison import Column, Comparison
 from ladarreg_core.export.comparison_table import (
     NOTHING,
     Difference,

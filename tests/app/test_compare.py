@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import ladarreg_core.compare
+import ladarreg_core.comparison
 from app.cli import main
 from app.exit_codes import ExitCode
 from app.wording import aligned
-from ladarreg_core.compare import Comparison
+from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import Cancelled, DegenerateGeometryError
 from ladarreg_core.export.comparison_table import Table
 from ladarreg_core.formats.pose_file import read_pose
@@ -39,7 +39,7 @@ def answers(monkeypatch: pytest.MonkeyPatch, make: Callable[..., Comparison]) ->
         given["report"](Step("linear", 0.01))
         return make(scan, photo)
 
-    monkeypatch.setattr(ladarreg_core.compare, "compare", compare)
+    monkeypatch.setattr(ladarreg_core.comparison, "compare", compare)
     return calls
 
 

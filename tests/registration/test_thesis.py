@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
-from ladarreg_core.compare import compare
+from ladarreg_core.comparison import compare
 from ladarreg_core.frames import rotation_about
 from ladarreg_core.matching.thesis import ThesisOptions, solve_thesis
 from ladarreg_core.register import RegisterOptions

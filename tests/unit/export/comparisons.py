@@ -8,7 +8,7 @@ from typing import get_args
 
 import numpy as np
 
-from ladarreg_core.compare import Column, Comparison
+from ladarreg_core.comparison import Column, Comparison
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo

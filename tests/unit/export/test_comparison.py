@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.compare import Comparison
+from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import Cancelled, ExportError, ShapeError
 from ladarreg_core.export.comparison import comparison_document, export_comparison, table_text
 from ladarreg_core.export.comparison_table import comparison_table, differences, markdown_table, rms_depth_m, rms_px

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.compare import Comparison
+from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.export import sheet as look
 from ladarreg_core.export.contact_sheet import SHEET_WIDTH, contact_sheet, write_contact_sheet
