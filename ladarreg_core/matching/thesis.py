@@ -77,7 +77,6 @@ class ThesisResult:
     """What was foreseen before the simplex walked (thesis 3.4), in sentences."""
     drawn: bool = False
     """Whether the matches were drawn by hand."""
-
     losses: tuple[str, ...] = ()
     """What of the drawn matches had to be left out, in sentences."""
 
@@ -175,17 +174,18 @@ def register_thesis(
         note.update(matches=len(found))
         steps.matches = found.matches
 
-    known = pose if initial is not None or pose is not first or o.first_pose != "linear_only" else None
-    cautions = _foreseen(corners.matches, known, search, photo.camera, o)
+    guess = linear.result
+    doubted = guess is not None and pose is guess.camera_from_scanner and not _credible(guess)
+    cautions = _foreseen(corners.matches, None if doubted else pose, search, photo.camera, o)
     simplex, removed = solver.simplex(found.matches, pose)
     with steps.step("verify") as note:
         aligner = Aligner(search.scan, search.photo, gate=o.gate, seed=o.pose.seed)
         stages = tuple(_judged(stage, aligner) for stage in (linear, constrained, simplex, removed))
-        found_out = ThesisResult(stages, cautions)
-        if found_out.last is not None:
-            steps.pose = found_out.last.camera_from_scanner
-            note.update(found_out.last.diagnostics.get("verification", {}))
-    return found_out
+        result = ThesisResult(stages, cautions)
+        if result.last is not None:
+            steps.pose = result.last.camera_from_scanner
+            note.update(result.last.diagnostics.get("verification", {}))
+    return result
 
 
 def _judged(stage: Stage, aligner: Aligner) -> Stage:
