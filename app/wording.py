@@ -7,9 +7,11 @@ import unicodedata
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ladarreg_core.assessment import Assessment
     from ladarreg_core.comparison import Comparison
     from ladarreg_core.export.comparison_table import Table
-    from ladarreg_core.results import PoseResult
+    from ladarreg_core.pose.findings import Finding
+    from ladarreg_core.results import PoseResult, Registration
     from ladarreg_core.scan import Scan
 
 EVIDENCE = {
@@ -18,6 +20,11 @@ EVIDENCE = {
     "none": "no evidence",
 }
 _HEAD_WIDTH = 16
+_MOST_FINDINGS = 4
+_IN_THE_VERDICT = {"matches", "inliers", "residuals"}
+_IN_THE_CAUTIONS = {"matches", "spread", "relief", "baseline", "disparity"}
+_CAUSES = {"spread", "depth", "relief"}
+"""Whose consequence the finding `conditioning` is."""
 
 
 def one_line(text: str) -> str:
@@ -68,6 +75,40 @@ def report(result: PoseResult) -> str:
             f"Matches  {matches(result)}",
         ]
     return "\n".join(lines)
+
+
+def assessed(assessment: Assessment, result: Registration) -> list[str]:
+    """Return what an operator should know or do beside the verdict, a few lines: all of it is in registration.json."""
+    lines = []
+    if result.accepted and assessment.uncertainty is not None:
+        lines.append(f"Picture  {assessment.uncertainty.in_words()}")
+    shown = worth_telling(assessment, result)
+    for finding in shown[:_MOST_FINDINGS]:
+        lines.append(f"{finding.level.capitalize():<8} {one_line(f'{finding.sentence} {finding.what_to_do}')}")
+    if len(shown) > _MOST_FINDINGS:
+        lines.append(f"         and {len(shown) - _MOST_FINDINGS} more in registration.json")
+    if result.method == "manual":
+        if assessment.match_to_check:
+            lines.append(f"Check    {one_line(assessment.match_to_check)}")
+        if assessment.advice and (result.accepted or 2 * int(result.inliers.sum()) >= len(result.matches)):
+            lines.append(f"Next     {one_line(assessment.advice[0].in_words())}")
+    return lines
+
+
+def worth_telling(assessment: Assessment, result: Registration) -> list[Finding]:
+    """Return the findings that an operator can act on and that the verdict's reasons do not tell, the worst first."""
+    found = [finding for finding in assessment.findings or () if finding.level != "good"]
+    if result.method == "manual":
+        told = set() if result.accepted else _IN_THE_VERDICT
+    elif not result.accepted:
+        return []  # of a pose that was not found
+    else:  # nobody put these matches down
+        told = {finding.name for finding in found if finding.level == "fair"}
+        told |= _IN_THE_CAUTIONS if result.method == "thesis" else set()
+    found = [finding for finding in found if finding.name not in told]
+    if any(finding.name in _CAUSES for finding in found):
+        found = [finding for finding in found if finding.name != "conditioning"]
+    return sorted(found, key=lambda finding: finding.level != "poor")
 
 
 def comparison_verdict(comparison: Comparison) -> str:

@@ -33,8 +33,8 @@ from ladarreg_core.pose.stereo import StereoPairs, stereo_cost
 from ladarreg_core.pose.stereo_simplex import Residual, SimplexOptions, fit_simplex
 
 ROOM_CAMERA = Camera.from_focal(768, 512, 974.0)
-_WALLS = (np.array([-1.0, -2.4, -1.2]), np.array([5.6, 2.4, 1.5]))
-_BOXES = (
+ROOM_WALLS = (np.array([-1.0, -2.4, -1.2]), np.array([5.6, 2.4, 1.5]))
+ROOM_BOXES = (
     (np.array([2.2, -0.9, -1.2]), np.array([2.7, -0.35, -0.1])),
     (np.array([2.9, 0.3, -1.2]), np.array([3.6, 1.2, 0.15])),
     (np.array([4.3, -1.2, -1.2]), np.array([5.0, -0.2, 0.8])),
@@ -71,8 +71,8 @@ def room_ranges(rays: np.ndarray) -> np.ndarray:
     """The distance (N,) to the first surface of the room along unit rays (N, 3) from its origin."""
     with np.errstate(divide="ignore"):
         inverse = 1 / np.where(np.abs(rays) < 1e-12, 1e-12, rays)
-    ranges = np.maximum(inverse * _WALLS[0], inverse * _WALLS[1]).min(axis=1)
-    for low, high in _BOXES:
+    ranges = np.maximum(inverse * ROOM_WALLS[0], inverse * ROOM_WALLS[1]).min(axis=1)
+    for low, high in ROOM_BOXES:
         near = np.minimum(inverse * low, inverse * high).max(axis=1)
         far = np.maximum(inverse * low, inverse * high).min(axis=1)
         ranges = np.where((near < far) & (near > 0), np.minimum(ranges, near), ranges)

@@ -18,10 +18,10 @@ from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.picked import surface_range
 from ladarreg_core.pose.jacobian import pose_jacobian
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface_range import surface_range
 from ladarreg_core.uncertainty import covariance_factor
 from ladarreg_core.visibility import project_scan
 

@@ -187,6 +187,27 @@ class Camera:
         rays = np.stack([x, y, np.ones_like(x)], axis=-1)
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
+    def intrinsics_jacobian(self, xy: ArrayLike) -> NDArray[np.float64]:
+        """Return the derivative of pixels by (log f, k1, cx, cy), f scaling fx and fy alike.
+
+        Args:
+            xy: (..., 2), ideal picture coordinates (tangents).
+
+        Returns:
+            d uv / d (log f, k1, cx, cy), (..., 2, 4), px; NaN in its first columns beyond the lens.
+        """
+        x, y = np.moveaxis(np.asarray(xy, dtype=np.float64), -1, 0)
+        _, _, _, _, _, k4, k5, k6 = self._coefficients
+        s = x * x + y * y
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            xd, yd = self._distort(x, y) if self.distortion else (x, y)
+            by_k1 = s / (1 + s * (k4 + s * (k5 + s * k6)))
+        J = np.zeros((*x.shape, 2, 4))
+        J[..., 0, 0], J[..., 1, 0] = self.fx * xd, self.fy * yd
+        J[..., 0, 1], J[..., 1, 1] = self.fx * x * by_k1, self.fy * y * by_k1
+        J[..., 0, 2] = J[..., 1, 3] = 1.0
+        return J
+
     @property
     def _coefficients(self) -> tuple[float, ...]:
         return (*self.distortion, *(0.0,) * (8 - len(self.distortion)))

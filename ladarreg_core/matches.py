@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import FloatArray, IntArray, read_only
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import ShapeError
 
 PickKind = Literal["point", "line"]
@@ -71,7 +71,13 @@ class Matches:
     fractions: FloatArray | None = None
     """(M,) where along its pick's line each lies, 0 to 1; 0 for points. None: all points."""
     weights: FloatArray | None = None
-    """(M,) relative weights. None: all 1."""
+    """(M,) relative weights of the whole match. None: all 1."""
+    range_weights: FloatArray | None = None
+    """(M,) relative weights of the ranges alone, beside `weights`: weak returns less, means of many more. None: 1."""
+    directions: FloatArray | None = None
+    """(M, 2) unit vector along the drawn line, photo pixels; 0 for points. None: all points."""
+    across: BoolArray | None = None
+    """(M,) bool: known across its line only, as where the ends were not drawn at the same places. None: none."""
 
     def __post_init__(self) -> None:
         rays = read_only(self.rays, np.float64, (None, 3), "the matches' rays")
@@ -79,10 +85,15 @@ class Matches:
         object.__setattr__(self, "rays", rays)
         object.__setattr__(self, "ranges", read_only(self.ranges, np.float64, (count,), "the matches' ranges"))
         object.__setattr__(self, "uv", read_only(self.uv, np.float64, (count, 2), "the matches' pixels"))
-        for name in ("fractions", "weights"):
+        for name, empty in (("fractions", 0.0), ("weights", 1.0), ("range_weights", 1.0)):
             value: ArrayLike | None = getattr(self, name)
-            filled = np.full(count, float(name == "weights")) if value is None else value
-            object.__setattr__(self, name, read_only(filled, np.float64, (count,), f"the matches' {name}"))
+            filled = np.full(count, empty) if value is None else value
+            words = f"the matches' {name.replace('_', ' ')}"
+            object.__setattr__(self, name, read_only(filled, np.float64, (count,), words))
+        directions = np.zeros((count, 2)) if self.directions is None else self.directions
+        across = np.zeros(count, np.bool_) if self.across is None else self.across
+        object.__setattr__(self, "directions", read_only(directions, np.float64, (count, 2), "the lines' directions"))
+        object.__setattr__(self, "across", read_only(across, np.bool_, (count,), "the matches' 'across'"))
         ids = tuple(map(str, self.pick_ids)) or tuple(str(k + 1) for k in range(count))
         if len(ids) != count:
             raise ShapeError(f"there are {len(ids)} pick ids for {count} matches; give one each, or none")
@@ -102,9 +113,36 @@ class Matches:
         index = np.arange(len(self))[chosen if chosen.size else chosen.astype(np.intp)]
         assert self.fractions is not None
         assert self.weights is not None
+        assert self.range_weights is not None
+        assert self.directions is not None
+        assert self.across is not None
         ids = tuple(self.pick_ids[k] for k in index)
         if not ids:
             return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
         return Matches(
-            self.rays[index], self.ranges[index], self.uv[index], ids, self.fractions[index], self.weights[index]
+            self.rays[index],
+            self.ranges[index],
+            self.uv[index],
+            ids,
+            self.fractions[index],
+            self.weights[index],
+            self.range_weights[index],
+            self.directions[index],
+            self.across[index],
         )
+
+    @property
+    def dimensions(self) -> IntArray:
+        """(M,) how many coordinates each is known in: 2, or 1 across a line."""
+        assert self.across is not None
+        return np.where(self.across, 1, 2)
+
+
+def across_lines(matches: Matches, vectors: FloatArray) -> FloatArray:
+    """Return vectors (M, 2), photo pixels, without the part along its line of what is known across it only."""
+    assert matches.across is not None
+    assert matches.directions is not None
+    if not matches.across.any():
+        return vectors
+    along = (vectors * matches.directions).sum(axis=1, keepdims=True) * matches.directions
+    return np.where(matches.across[:, None], vectors - along, vectors)

@@ -1,24 +1,32 @@
-"""From picks to matches: the scan's range where something was picked, and points along drawn lines."""
+"""From picks to matches: the scan's range where something was picked, and what drawn lines measure."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.drawn_lines import along_line, line_on_scan
 from ladarreg_core.errors import OptionError
-from ladarreg_core.frames import look_along
+from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
+from ladarreg_core.perspective_line import fraction_in_photo, kappa_of
+from ladarreg_core.range_quality import range_quality
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface_range import measured_ranges
 
+LineUse = Literal["ends", "equal", "kappa"]
+"""`ends`: the two ends with the ranges of the whole line; `equal`: samples at constant intervals in both pictures, as
+in the thesis; `kappa`: samples at constant intervals on the scan, and where a pose says that they are in the photo."""
 SAMPLES_PER_LINE = 9
-"""Points taken along a drawn line where nothing else is said."""
+"""Points taken along a drawn line where it is sampled and nothing else is said."""
 _MOST_SAMPLES = 1000
-_EDGE_FRACTION = 0.04
 
 
 def check_samples(samples_per_line: object) -> None:
@@ -28,59 +36,168 @@ def check_samples(samples_per_line: object) -> None:
         raise OptionError(f"samples_per_line is {samples_per_line!r}; it must be a whole number from 2 to 1000")
 
 
+def check_line_use(lines: object) -> None:
+    """Raise an OptionError if lines cannot be used so."""
+    if lines not in get_args(LineUse):
+        raise OptionError(f"the use of lines is {lines!r}; it must be one of {', '.join(get_args(LineUse))}")
+
+
 def matches_from_picks(
-    scan: Scan, picks: Sequence[Pick], *, camera: Camera | None = None, samples_per_line: int = SAMPLES_PER_LINE
+    scan: Scan,
+    picks: Sequence[Pick],
+    *,
+    camera: Camera | None = None,
+    lines: LineUse = "ends",
+    samples_per_line: int = SAMPLES_PER_LINE,
+    pose: Rigid | None = None,
 ) -> tuple[Matches, tuple[str, ...]]:
     """Return the matches that a solver eats, and a sentence for everything that had to be left out.
 
-    A point takes the range of the surface under it; a line is sampled at constant intervals on both sides. The
-    samples of one line are not independent, so each weighs 1 / sqrt of their number. Where the scan has no return, or
-    a depth edge runs, nothing is measured.
+    A point takes the range of the surface under it, and of the straight edge under a line both ends take theirs. A
+    line without such an edge counts by its ends as if they were points. Samples of one line are not independent, so
+    each weighs 1 / sqrt of their number. Where the scan has no return, or a depth edge runs under a point, nothing is
+    measured. Ranges weigh by the light that came back, the angle of the surface and the nearness of depth edges.
 
     Args:
         scan: the scan.
         picks: points and lines; those switched off are skipped, and lines of no length left out.
         camera: the photo's; what lies outside its picture is left out.
-        samples_per_line: points along each line, its ends among them.
+        lines: what of a line is used.
+        samples_per_line: points along each line, its ends among them, where it is sampled.
+        pose: `camera_from_scanner`, which `kappa` needs to place the samples; None: at constant intervals.
 
     Raises:
-        OptionError: if `samples_per_line` is not a whole number from 2 to 1000.
+        OptionError: if `samples_per_line` is not a whole number from 2 to 1000, or `lines` no such use.
 
     Source: thesis 2.3.1.
     """
     check_samples(samples_per_line)
-    rays, uv, ids, fractions, weights = [], [], [], [], []
-    refused: list[str] = []
+    check_line_use(lines)
+    drawn = _Drawn()
     for pick in picks:
         if not pick.on:
             continue
-        if pick.kind == "line" and ((pick.scan[0] == pick.scan[1]).all() or (pick.photo[0] == pick.photo[1]).all()):
-            refused.append(f"Match {pick.id} is a line of no length and is left out; draw it again.")
-            continue
-        count = 1 if pick.kind == "point" else samples_per_line
-        along = np.zeros(1) if count == 1 else np.linspace(0, 1, count)
-        rays.append(_along_line(pick.scan, along))
-        uv.append(pick.photo[0] + along[:, None] * (pick.photo[-1] - pick.photo[0]))
-        ids += [pick.id] * count
-        fractions.append(along)
-        weights.append(np.full(count, pick.weight / np.sqrt(count)))
-    if not ids:
-        nothing = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
-        return nothing, tuple(refused) or ("No match is switched on.",)
-    all_rays = np.concatenate(rays)
-    ranges, edge = _measured(scan, all_rays)
-    all_uv = np.concatenate(uv)
-    outside = np.zeros(len(ids), np.bool_) if camera is None else ~camera.contains(all_uv, border=-0.5)
-    found = np.isfinite(ranges) & ~outside
-    matches = Matches(
-        all_rays,
-        np.where(found, ranges, 1),
-        all_uv,
-        tuple(ids),
-        np.concatenate(fractions),
-        np.concatenate(weights),
-    )
-    return matches.subset(found), (*refused, *_losses(ids, found, edge & ~outside, outside))
+        if pick.kind == "point":
+            drawn.points(scan, pick, np.zeros(1), pick.photo, pick.weight)
+        elif (pick.scan[0] == pick.scan[1]).all() or (pick.photo[0] == pick.photo[1]).all():
+            drawn.notes.append(f"Match {pick.id} is a line of no length and is left out; draw it again.")
+        elif lines != "ends":
+            along = np.linspace(0, 1, samples_per_line)
+            in_photo = fraction_in_photo(along, _kappa(scan, pick, pose)) if lines == "kappa" and pose else along
+            uv = pick.photo[0] + in_photo[:, None] * (pick.photo[1] - pick.photo[0])
+            drawn.points(scan, pick, along, uv, pick.weight / np.sqrt(samples_per_line))
+        else:
+            drawn.line(scan, pick)
+    return drawn.matches(camera)
+
+
+@dataclass(slots=True)
+class _Drawn:
+    """What has been drawn so far, pick by pick."""
+
+    rays: list[FloatArray] = field(default_factory=list)
+    ranges: list[FloatArray] = field(default_factory=list)
+    edges: list[BoolArray] = field(default_factory=list)
+    uv: list[FloatArray] = field(default_factory=list)
+    ids: list[str] = field(default_factory=list)
+    fractions: list[FloatArray] = field(default_factory=list)
+    weights: list[FloatArray] = field(default_factory=list)
+    range_weights: list[FloatArray] = field(default_factory=list)
+    ends: list[FloatArray] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def points(self, scan: Scan, pick: Pick, along: FloatArray, uv: FloatArray, weight: float) -> None:
+        """Add points at fractions of a pick, each with the range of the surface under it."""
+        rays = pick.scan if pick.kind == "point" else along_line(pick.scan, along)
+        found = measured_ranges(scan, rays)
+        self._add(pick, rays, found.ranges, found.edge, uv, along, weight, range_quality(scan, rays))
+
+    def line(self, scan: Scan, pick: Pick) -> None:
+        """Add both ends of a line with the ranges of the edge under it."""
+        edge = line_on_scan(scan, pick.scan)
+        if edge is None:
+            self.notes.append(
+                f"Match {pick.id}: the surface under the line is not straight, or has too few returns; only its ends "
+                "count, as points. Draw along a straight edge."
+            )
+            self.points(scan, pick, np.array([0.0, 1.0]), pick.photo, pick.weight)
+            return
+        nowhere = np.zeros(2, dtype=np.bool_)
+        along = np.array([0.0, 1.0])
+        self._add(pick, edge.rays, edge.ranges, nowhere, pick.photo, along, pick.weight, edge.range_weights)
+
+    def _add(
+        self,
+        pick: Pick,
+        rays: FloatArray,
+        ranges: FloatArray,
+        edge: BoolArray,
+        uv: FloatArray,
+        along: FloatArray,
+        weight: float,
+        range_weights: FloatArray,
+    ) -> None:
+        self.rays.append(rays)
+        self.ranges.append(ranges)
+        self.edges.append(edge)
+        self.uv.append(uv)
+        self.ids += [pick.id] * len(rays)
+        self.fractions.append(along)
+        self.weights.append(np.full(len(rays), weight))
+        self.range_weights.append(range_weights)
+        line = pick.photo if pick.kind == "line" else np.zeros((2, 2))
+        self.ends.append(np.tile(line, (len(rays), 1, 1)))
+
+    def matches(self, camera: Camera | None) -> tuple[Matches, tuple[str, ...]]:
+        """Return what was measured and lies in the photo, and a sentence for every pick that lost points."""
+        if not self.ids:
+            return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))), (
+                tuple(self.notes) or ("No match is switched on.",)
+            )
+        uv, ranges, edge = np.concatenate(self.uv), np.concatenate(self.ranges), np.concatenate(self.edges)
+        outside = np.zeros(len(uv), np.bool_) if camera is None else ~camera.contains(uv, border=-0.5)
+        found = np.isfinite(ranges) & ~outside
+        matches = Matches(
+            np.concatenate(self.rays),
+            np.where(found, ranges, 1),
+            uv,
+            tuple(self.ids),
+            np.concatenate(self.fractions),
+            np.concatenate(self.weights),
+            np.concatenate(self.range_weights),
+            _directions(np.concatenate(self.ends), uv, camera),
+        )
+        return matches.subset(found), (*self.notes, *_losses(self.ids, found, edge & ~outside, outside))
+
+
+def _directions(ends: FloatArray, uv: FloatArray, camera: Camera | None) -> NDArray[np.float64]:
+    """Return the unit directions (M, 2) of lines at their points; 0 for points.
+
+    Args:
+        ends: (M, 2, 2) pixels of each match's line, both the same for a point.
+        uv: (M, 2) the points, pixels.
+        camera: under its distortion a straight edge is curved, and the direction is that of the curve at the point.
+    """
+    along = ends[:, 1] - ends[:, 0]
+    if camera is not None and camera.distortion:
+        ideal = camera.without_distortion()
+        ends_there, here = ideal.project(camera.unproject(ends)), ideal.project(camera.unproject(uv))
+        step = ends_there[:, 1] - ends_there[:, 0]
+        step = step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
+        curved = camera.project(ideal.unproject(here + step)) - camera.project(ideal.unproject(here - step))
+        along = np.where(np.isfinite(curved), curved, along)
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.asarray(np.divide(along, length, out=np.zeros_like(along), where=length > 0))
+
+
+def _kappa(scan: Scan, pick: Pick, pose: Rigid) -> NDArray[np.float64]:
+    """Return kappa (1,) of a line by a pose; 1 where an end has no range."""
+    edge = line_on_scan(scan, pick.scan)
+    if edge is None:
+        return np.ones(1)
+    points = edge.rays * edge.ranges[:, None]
+    forward = look_along(pick.scan.sum(axis=0))[2]
+    return kappa_of((points @ forward)[None], (pose @ points)[None, :, 2])
 
 
 def _losses(
@@ -106,42 +223,3 @@ def _losses(
             lost = at_edge[name] + empty[name] + beyond[name]
             sentences.append(f"Match {name}: {lost} of {total[name]} points are left out, {' and '.join(causes)}.")
     return tuple(sentences)
-
-
-def _along_line(ends: FloatArray, along: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rays (K, 3) at fractions of the straight line that a perspective view shows between two rays."""
-    if len(ends) == 1:
-        return np.asarray(ends, dtype=np.float64)
-    forward = look_along(ends.sum(axis=0))[2]
-    first, last = ends[0] / (ends[0] @ forward), ends[1] / (ends[1] @ forward)
-    rays = first + along[:, None] * (last - first)
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
-
-
-def surface_range(scan: Scan, rays: FloatArray) -> NDArray[np.float64]:
-    """Return the range (N,), m, of the surface that rays (N, 3) meet; NaN without a return or at a depth edge.
-
-    Inside a surface, bilinear in 1/range of the four cells around, which is exact on a plane up to their angles.
-    """
-    return _measured(scan, rays)[0]
-
-
-def _measured(scan: Scan, rays: FloatArray) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the range (N,) of `surface_range`, and whether a depth edge (N,) is why there is none."""
-    cells = np.asarray(scan.geometry.cell_of(rays), dtype=np.float64)
-    height, width = scan.shape
-    row, column = cells[:, 0], cells[:, 1]
-    with np.errstate(invalid="ignore"):
-        inside = (row >= -0.5) & (row <= height - 0.5) & (column >= -0.5) & (column <= width - 0.5)
-    row, column = np.where(inside, row, 0), np.where(inside, column, 0)
-    i = np.clip(np.floor(row).astype(np.intp), 0, height - 2)
-    j = np.clip(np.floor(column).astype(np.intp), 0, width - 2)
-    a, b = np.clip(row - i, 0, 1), np.clip(column - j, 0, 1)
-    corners = np.stack([scan.ranges[i + di, j + dj] for di in (0, 1) for dj in (0, 1)]).astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        smooth = inside & (high - low <= _EDGE_FRACTION * low)
-        edge = inside & (high - low > _EDGE_FRACTION * low)
-    weights = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b])
-    inverse = (weights / np.where(smooth, corners, 1)).sum(axis=0)
-    return np.where(smooth, 1 / inverse, np.nan), np.asarray(edge)

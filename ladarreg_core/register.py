@@ -17,7 +17,8 @@ from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, register_auto
 from ladarreg_core.matching.thesis import ThesisOptions, ThesisResult, thesis_stages
 from ladarreg_core.photo import Photo
-from ladarreg_core.picked import SAMPLES_PER_LINE, check_samples, matches_from_picks
+from ladarreg_core.picked import SAMPLES_PER_LINE, LineUse, check_line_use, check_samples, matches_from_picks
+from ladarreg_core.pose.confirm import confirm
 from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
 from ladarreg_core.progress import StepReport
@@ -26,6 +27,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
 
 _TOLD_LOSSES = 3
+_KAPPA_ROUNDS = 2  # where samples lie along a line in the photo depends on the pose, and settles at once
 
 RegistrationMethod = Literal["auto", "thesis", "manual"]
 
@@ -42,8 +44,10 @@ class RegisterOptions:
     """Of the estimator that solves given matches."""
     thesis: ThesisOptions = field(default_factory=ThesisOptions)
     """Of the method `thesis`."""
+    lines: LineUse = "ends"
+    """What of a line drawn by hand `manual` uses; `thesis` samples it at equal intervals."""
     samples_per_line: int = SAMPLES_PER_LINE
-    """Points taken along every line drawn by hand."""
+    """Points taken along every line drawn by hand, where it is sampled."""
 
     @property
     def of_thesis(self) -> ThesisOptions:
@@ -54,6 +58,7 @@ class RegisterOptions:
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**31:
             raise OptionError(f"the seed is {self.seed!r}; it must be a whole number of at least 0")
         check_samples(self.samples_per_line)
+        check_line_use(self.lines)
 
 
 def register(
@@ -143,20 +148,40 @@ def _register(
 def _solved(
     scan: Scan, photo: Photo, steps: StepLog, picks: Sequence[Pick], initial: Rigid | None, options: RegisterOptions
 ) -> PoseResult:
-    with steps.step("matches") as note:
-        matches, losses = matches_from_picks(
-            scan, picks, camera=photo.camera, samples_per_line=options.samples_per_line
+    def matched(pose: Rigid | None) -> tuple[Matches, tuple[str, ...]]:
+        return matches_from_picks(
+            scan, picks, camera=photo.camera, lines=options.lines, samples_per_line=options.samples_per_line, pose=pose
         )
+
+    with steps.step("matches") as note:
+        matches, losses = matched(initial)
         note.update(picks=len(picks), matches=len(matches), left_out=list(losses))
         steps.matches = matches
     with steps.step("pose") as note:
+        how = replace(options.pose, seed=options.seed)
         try:
-            result = solve_pose(matches, photo.camera, replace(options.pose, seed=options.seed), initial=initial)
+            result = solve_pose(matches, photo.camera, how, initial=initial)
+            for _ in range(_KAPPA_ROUNDS if options.lines == "kappa" else 0):
+                matches, losses = matched(result.camera_from_scanner)
+                result = solve_pose(matches, photo.camera, how, initial=result.camera_from_scanner)
         except DegenerateGeometryError as error:
             raise _with_losses(str(error), losses) from None
         note.update(inliers=int(result.inliers.sum()), matches=len(matches))
         steps.matches, steps.pose = matches, result.camera_from_scanner
+    result = _confirmed(result, steps, how, photo)
     return replace(result, reasons=(*result.reasons, *losses))
+
+
+def _confirmed(result: PoseResult, steps: StepLog, how: PoseOptions, photo: Photo) -> PoseResult:
+    """Return the result as many starts see it; from a better pose that one of them found, once more."""
+    with steps.step("starts") as note:
+        confirmed = confirm(result, seed=how.seed)
+        if confirmed.better is not None:
+            again = solve_pose(result.matches, photo.camera, how, initial=confirmed.better)
+            confirmed = confirm(again, seed=how.seed)
+        note.update(verdict=confirmed.verdict)
+        steps.matches, steps.pose = confirmed.result.matches, confirmed.result.camera_from_scanner
+    return confirmed.result
 
 
 def _with_losses(text: str, losses: Sequence[str]) -> DegenerateGeometryError:

@@ -32,7 +32,9 @@ class PoseResult:
     inliers: BoolArray
     """(M,) bool."""
     residuals_px: FloatArray
-    """(M, 2) photo pixels, observed minus predicted from the measured range; NaN behind the camera."""
+    """(M, 2) photo pixels, observed minus predicted from the measured range; NaN behind the camera.
+
+    Of what is known across a line only, the part across it."""
     residuals_m: FloatArray
     """(M,) errors-in-variables range residual, measured minus adjusted, m; finite at zero baseline."""
     stereo_depth_error_m: FloatArray
@@ -40,7 +42,7 @@ class PoseResult:
     covariance: FloatArray
     """(6, 6) of (w, c): R_true = exp([w]x) R_estimated (rad), c = C_true - C_estimated in the scanner frame (m)."""
     chi2_per_dof: float
-    """Over the inliers, with 2n - 6 degrees of freedom; NaN where there are none."""
+    """Over the inliers, with 2n - 6 degrees of freedom, one less for each known across a line only; NaN: none."""
     sigma_px: float
     """Pixel noise used, given or estimated."""
     sigma_range_m: float

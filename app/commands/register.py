@@ -7,15 +7,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from app.exit_codes import ExitCode
-from app.inputs import input_files, print_notes, read_inputs, read_start
+from app.inputs import input_files, print_notes, read_inputs, read_start, timed
 from app.step_bar import StepBar, step_bar
 from app.thresholds import ThresholdArguments, check_method, register_options
-from app.wording import report, verdict
+from app.wording import assessed, report, verdict
 
 if TYPE_CHECKING:
+    from ladarreg_core.assessment import Assessment
     from ladarreg_core.photo import Photo
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
+    from ladarreg_core.smoothed_scan import SmoothedScan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,10 +26,13 @@ class Arguments(ThresholdArguments):
 
     method: Literal["auto", "thesis", "manual"] = "auto"
     """How to register. With --matches, auto is manual and thesis solves the matches."""
+    smooth: bool = False
+    """Replace range spikes under matches by their stereo range in model.glb and cloud.ply."""
 
 
 def run(arguments: Arguments) -> ExitCode:
     """Read, register, export, and tell the verdict."""
+    from ladarreg_core.assessment import assess
     from ladarreg_core.export.folder import check_folder
 
     started = time.perf_counter()
@@ -36,12 +41,18 @@ def run(arguments: Arguments) -> ExitCode:
     with step_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
         result = _register(arguments, scan, photo, bar)
-        names = _export(arguments, result, scan, photo, bar)
+        assessment = timed("assess", bar, lambda: assess(scan, result))
+        smoothed = _smooth(arguments, result, scan, bar)
+        names = _export(arguments, result, scan, photo, bar, assessment=assessment, smoothed=smoothed)
     if arguments.quiet:
         print(verdict(result))
     else:
         print_notes(scan, photo)
-        print(report(result))
+        print("\n".join([report(result), *assessed(assessment, result)]))
+        if arguments.smooth:
+            print(
+                f"Smooth   {smoothed.sentence if smoothed else 'Left out: only an accepted registration is smoothed.'}"
+            )
         print(f"Wrote    {', '.join(names)} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED if result.accepted else ExitCode.NOT_ACCEPTED
@@ -62,7 +73,24 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: StepBar) -> R
     )
 
 
-def _export(arguments: Arguments, result: Registration, scan: Scan, photo: Photo, bar: StepBar) -> list[str]:
+def _smooth(arguments: Arguments, result: Registration, scan: Scan, bar: StepBar) -> SmoothedScan | None:
+    from ladarreg_core.smoothed_scan import smoothed_scan
+
+    if not arguments.smooth or not result.accepted:
+        return None
+    return timed("smooth", bar, lambda: smoothed_scan(scan, result))
+
+
+def _export(
+    arguments: Arguments,
+    result: Registration,
+    scan: Scan,
+    photo: Photo,
+    bar: StepBar,
+    *,
+    assessment: Assessment,
+    smoothed: SmoothedScan | None,
+) -> list[str]:
     from ladarreg_core.export.folder import export_registration
 
     export_registration(
@@ -70,6 +98,8 @@ def _export(arguments: Arguments, result: Registration, scan: Scan, photo: Photo
         result,
         scan,
         photo,
+        assessment=assessment,
+        smoothed=smoothed,
         inputs=input_files(arguments),
         force=arguments.force,
         report=bar.progress,

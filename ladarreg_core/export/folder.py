@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
+from ladarreg_core.assessment import Assessment, assess
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.documents import write_document
 from ladarreg_core.export.files import cannot_write
@@ -16,14 +17,16 @@ from ladarreg_core.export.glb import write_glb
 from ladarreg_core.export.images import write_labels_png, write_registered_png
 from ladarreg_core.export.ply import write_ply
 from ladarreg_core.export.registration_json import registration_document
+from ladarreg_core.export.uncertainty_png import write_uncertainty_png
 from ladarreg_core.mesh import scan_mesh
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
+from ladarreg_core.smoothed_scan import SmoothedScan
 from ladarreg_core.texture import RegisteredTexture, model_picture, texture_scan
 
-FILE_NAMES = ("registration.json", "registered.png", "labels.png", "model.glb", "cloud.ply")
+FILE_NAMES = ("registration.json", "registered.png", "labels.png", "uncertainty.png", "model.glb", "cloud.ply")
 """What a folder of results holds; all but the first only where the registration is accepted."""
 FileJob = tuple[str, Callable[[Path], None]]
 """A file's name, and what writes it to a path."""
@@ -35,20 +38,24 @@ def export_registration(
     scan: Scan,
     photo: Photo,
     *,
+    assessment: Assessment | None = None,
+    smoothed: SmoothedScan | None = None,
     inputs: Sequence[str | Path] = (),
     force: bool = False,
     report: Report | None = None,
 ) -> None:
     """Write a registration into a new folder.
 
-    `registration.json` always; `registered.png`, `labels.png`, `model.glb` and `cloud.ply` only if the registration is
-    accepted. The folder is there wholly or not at all, as `write_folder` says.
+    `registration.json` always; `registered.png`, `labels.png`, `uncertainty.png`, `model.glb` and `cloud.ply` only if
+    the registration is accepted. The folder is there wholly or not at all, as `write_folder` says.
 
     Args:
         folder: where to; its parents are made if need be.
         registration: the result.
         scan: the scan.
         photo: the photograph.
+        assessment: what there is to say of it; None: it is assessed here.
+        smoothed: the scan that `model.glb` and `cloud.ply` show; None: the scan itself.
         inputs: the files that scan and photo came from, named in `registration.json`.
         force: replace an existing folder, with all that is in it.
         report: told after each file.
@@ -59,7 +66,7 @@ def export_registration(
     """
     write_folder(
         folder,
-        lambda: _registration_files(registration, scan, photo, inputs),
+        lambda: _registration_files(registration, scan, photo, inputs, assessment, smoothed),
         inputs=inputs,
         own_names=FILE_NAMES,
         force=force,
@@ -156,27 +163,45 @@ def _write_all(folder: Path, jobs: Sequence[FileJob], report: Report | None) -> 
 
 
 def _registration_files(
-    registration: Registration, scan: Scan, photo: Photo, inputs: Sequence[str | Path]
+    registration: Registration,
+    scan: Scan,
+    photo: Photo,
+    inputs: Sequence[str | Path],
+    assessment: Assessment | None,
+    smoothed: SmoothedScan | None,
 ) -> list[FileJob]:
-    jobs: list[FileJob] = [
-        ("registration.json", lambda path: write_document(path, registration_document(registration, inputs=inputs)))
-    ]
-    if registration.accepted:
-        texture = texture_scan(
-            scan,
-            photo,
-            registration.camera_from_scanner,
-            camera=registration.camera,
-            covariance=registration.covariance,
-        )
-        jobs += _shown(scan, texture)
-    return jobs
+    found = assess(scan, registration) if assessment is None else assessment
 
+    def write_json(path: Path) -> None:
+        write_document(path, registration_document(registration, assessment=found, smoothed=smoothed, inputs=inputs))
 
-def _shown(scan: Scan, texture: RegisteredTexture) -> list[FileJob]:
-    return [
+    jobs: list[FileJob] = [("registration.json", write_json)]
+    if not registration.accepted:
+        return jobs
+    texture = _textured(registration, scan, photo)
+    jobs += [
         ("registered.png", lambda path: write_registered_png(path, texture)),
         ("labels.png", lambda path: write_labels_png(path, texture)),
+    ]
+    if (uncertainty := found.uncertainty) is not None:
+        jobs.append(("uncertainty.png", lambda path: write_uncertainty_png(path, uncertainty.sigma_px)))
+    if smoothed is None or smoothed.scan is scan:
+        return jobs + _models(scan, texture)
+    return jobs + _models(smoothed.scan, _textured(registration, smoothed.scan, photo))
+
+
+def _textured(registration: Registration, scan: Scan, photo: Photo) -> RegisteredTexture:
+    return texture_scan(
+        scan,
+        photo,
+        registration.camera_from_scanner,
+        camera=registration.camera,
+        covariance=registration.covariance,
+    )
+
+
+def _models(scan: Scan, texture: RegisteredTexture) -> list[FileJob]:
+    return [
         ("model.glb", lambda path: write_glb(path, scan_mesh(scan), model_picture(scan, texture))),
         ("cloud.ply", lambda path: write_ply(path, scan, texture)),
     ]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ladarreg_core.assessment import Assessment
 from ladarreg_core.export.documents import (
     CAMERA_FROM_SCANNER_IS,
     input_document,
@@ -16,16 +17,25 @@ from ladarreg_core.export.documents import (
     thesis_document,
 )
 from ladarreg_core.results import Registration
+from ladarreg_core.smoothed_scan import SmoothedScan
 from ladarreg_core.texture import Label
 
 _VERSION = 1
 
 
-def registration_document(registration: Registration, *, inputs: Sequence[str | Path] = ()) -> dict[str, Any]:
+def registration_document(
+    registration: Registration,
+    *,
+    assessment: Assessment | None = None,
+    smoothed: SmoothedScan | None = None,
+    inputs: Sequence[str | Path] = (),
+) -> dict[str, Any]:
     """Return a registration as a JSON-ready document; a number that does not exist is None.
 
     Args:
         registration: the result.
+        assessment: what there is to say of it; None: that part of the document is empty.
+        smoothed: the scan that the models show, where spikes were looked for.
         inputs: the files it came from; their names, sizes and SHA-256 are kept, not their folders.
 
     Raises:
@@ -65,6 +75,7 @@ def registration_document(registration: Registration, *, inputs: Sequence[str | 
                 "uv": r.matches.uv[k],
                 "ray": r.matches.rays[k],
                 "range_m": r.matches.ranges[k],
+                "influence": _influence(assessment, k),
             }
             for k, pick_id in enumerate(r.matches.pick_ids)
         ],
@@ -80,6 +91,10 @@ def registration_document(registration: Registration, *, inputs: Sequence[str | 
             for step in r.steps
         ],
         "diagnostics": r.diagnostics,
+        **_assessed(assessment),
+        "smoothing": None
+        if smoothed is None
+        else {"cells_replaced": smoothed.cells_replaced, "sentence": smoothed.sentence},
         "options": r.options,
         "seed": r.seed,
         "inputs": [input_document(Path(path)) for path in inputs],
@@ -88,3 +103,42 @@ def registration_document(registration: Registration, *, inputs: Sequence[str | 
     ready = plain(document)
     assert isinstance(ready, dict)
     return ready
+
+
+def _influence(assessment: Assessment | None, k: int) -> dict[str, float] | None:
+    """Return how far the pose moves without match k; None also for numbers where the rest determines no pose."""
+    found = None if assessment is None else assessment.influence
+    if found is None:
+        return None
+    return {name: getattr(found, name)[k] for name in ("position_m", "angle_rad", "pixels", "cook")}
+
+
+def _assessed(assessment: Assessment | None) -> dict[str, Any]:
+    a = assessment
+    uncertainty = None if a is None else a.uncertainty
+    return {
+        "findings": [
+            {
+                "name": finding.name,
+                "level": finding.level,
+                "sentence": finding.sentence,
+                "what_to_do": finding.what_to_do,
+                "values": finding.values,
+            }
+            for finding in (a.findings or () if a is not None else ())
+        ],
+        "uncertainty": None
+        if uncertainty is None
+        else {
+            "median_px": uncertainty.median_px,
+            "p95_px": uncertainty.p95_px,
+            "worst_px": uncertainty.worst_px,
+            "worst_cell": uncertainty.worst_cell,
+            "worst_uv": uncertainty.worst_uv,
+        },
+        "advice": [
+            {"sentence": place.in_words(), "cell": place.cell, "uv": place.uv, "gain": place.gain}
+            for place in (a.advice or () if a is not None else ())
+        ],
+        "not_assessed": {} if a is None else a.absent,
+    }

@@ -15,6 +15,7 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.lookup import look_up
 from ladarreg_core.matching.levels import ScanLevels
+from ladarreg_core.perspective_line import fraction_in_photo, kappa_of
 
 Kappa = Literal["equal", "by_pose"]
 _LINES_AT_A_TIME = 256
@@ -159,20 +160,6 @@ def lines_between(
         fraction=fraction,
         ends=ends,
     )
-
-
-def fraction_in_photo(fraction: FloatArray, kappa: FloatArray) -> NDArray[np.float64]:
-    """Return where along a line in the photo that lies which is at `fraction` of it in the scan's view.
-
-    Args:
-        fraction: (N,) s_scan, 0 to 1.
-        kappa: (N,) (z_b / z_a in the photo's camera) / (z_b / z_a in the view), > 0, z the depths of the line's ends.
-
-    Returns:
-        s_photo (N,), with odds(s_photo) = kappa odds(s_scan), odds(s) = s / (1 - s): the image of a point at t of a
-        line in space has the odds (z_b / z_a) odds(t).
-    """
-    return np.asarray(kappa * fraction / (1 - fraction + kappa * fraction))
 
 
 class _Surface:
@@ -328,10 +315,7 @@ def _kappa(scan_uv: FloatArray, ends: IntArray, surface: _Surface, pose: Rigid) 
     view = surface.view
     points = view.rays_at(scan_uv[ends]) * surface.ranges_at(scan_uv[ends])[..., None]
     in_view, in_photo = (view.view_from_scanner @ points)[..., 2], (pose @ points)[..., 2]
-    ahead = np.asarray((in_photo > 0).all(axis=1))
-    safe = np.where(ahead[:, None], in_photo, 1.0)
-    kappa = (safe[:, 1] / safe[:, 0]) / (in_view[:, 1] / in_view[:, 0])
-    return np.where(ahead, kappa, 1.0)
+    return kappa_of(in_view, in_photo)
 
 
 def _along(uv: FloatArray, ends: IntArray, fraction: FloatArray) -> NDArray[np.float64]:

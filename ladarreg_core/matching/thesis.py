@@ -125,7 +125,9 @@ def thesis_stages(
     if not picks:
         return register_thesis(scan, photo, steps, initial=initial, options=o)
     with steps.step("matches") as note:
-        matches, losses = matches_from_picks(scan, picks, camera=photo.camera, samples_per_line=samples_per_line)
+        matches, losses = matches_from_picks(
+            scan, picks, camera=photo.camera, lines="equal", samples_per_line=samples_per_line
+        )
         note.update(picks=len(picks), matches=len(matches), left_out=list(losses))
         steps.matches = matches
     found = solve_thesis(matches, photo.camera, steps, initial=initial, options=o)

@@ -66,20 +66,33 @@ class Measurements:
 
     @staticmethod
     def of(matches: Matches, camera: Camera, *, sigma_px: float, sigma_range_m: float) -> Measurements:
-        """Return the measurements of matches; a match's weight multiplies its information."""
+        """Return the measurements of matches; a match's weight multiplies its information.
+
+        What is known across its line only has the information of a point-to-line distance, which is of rank 1.
+        """
         assert matches.weights is not None
+        assert matches.range_weights is not None
+        assert matches.across is not None
         rays_camera = camera.unproject(matches.uv)
         ideal = rays_camera / rays_camera[:, 2:]
         _, d_uv = camera.project_with_jacobian(ideal)
         D = np.moveaxis(d_uv[..., :2], 0, -1)  # (2, 2, N) d uv / d xy
-        diagonal = np.where(np.isfinite(D[:, 0]), (D * D).sum(axis=0), 0.0)
-        cross = np.where(np.isfinite(D[:, 0]), D[:, 0] * D[:, 1], 0.0).sum(axis=0, keepdims=True)
+        D = np.where(np.isfinite(D).all(axis=(0, 1)), D, 0.0)
         by_weight = matches.weights / sigma_px**2
-        reach = _FARTHEST_SIGMA * sigma_range_m / np.sqrt(matches.weights)
+        diagonal = (D * D).sum(axis=0)
+        cross = (D[:, 0] * D[:, 1]).sum(axis=0, keepdims=True)
+        if matches.across.any():
+            assert matches.directions is not None
+            u, v = matches.directions.T
+            normal = -v * D[0] + u * D[1]  # (2, N) d (distance across the line) / d xy
+            diagonal = np.where(matches.across, normal * normal, diagonal)
+            cross = np.where(matches.across, normal[:1] * normal[1:], cross)
+        of_range = matches.weights * matches.range_weights
+        reach = _FARTHEST_SIGMA * sigma_range_m / np.sqrt(of_range)
         return Measurements(
             np.ascontiguousarray(matches.rays.T),
             matches.ranges,
-            matches.weights / sigma_range_m**2,
+            of_range / sigma_range_m**2,
             np.ascontiguousarray(ideal[:, :2].T),
             diagonal * by_weight,
             cross * by_weight,

@@ -42,11 +42,15 @@ def checked_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> 
     count = len(matches)
     if count < LEAST_MATCHES:
         raise DegenerateGeometryError(f"there are {count} matches and a pose needs {LEAST_MATCHES}; add matches")
-    finite = np.isfinite(np.column_stack([matches.rays, matches.ranges, matches.uv, matches.weights])).all(axis=1)
+    assert matches.range_weights is not None
+    assert matches.directions is not None
+    numbers = [matches.rays, matches.ranges, matches.uv, matches.weights, matches.range_weights, matches.directions]
+    finite = np.isfinite(np.column_stack(numbers)).all(axis=1)
     if not finite.all():
         raise ShapeError(f"{_these(~finite, matches)} NaN or infinity; remove them or give them a range and a pixel")
-    if not ((matches.weights >= _LEAST_WEIGHT) & (matches.weights <= _MOST_WEIGHT)).all():
-        bad = (matches.weights < _LEAST_WEIGHT) | (matches.weights > _MOST_WEIGHT)
+    both = np.stack([matches.weights, matches.weights * matches.range_weights])
+    bad = ~((both >= _LEAST_WEIGHT) & (both <= _MOST_WEIGHT)).all(axis=0)
+    if bad.any():
         raise ShapeError(
             f"{_these(bad, matches)} a weight outside {_LEAST_WEIGHT:g} to {_MOST_WEIGHT:g}; leave such matches out"
         )
@@ -57,6 +61,11 @@ def checked_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> 
             f"{_these(~good, matches)} a range that is not positive, or a range or pixel beyond "
             f"{_MOST_RANGE_M:g}; ranges are metres along the ray"
         )
+    assert matches.across is not None
+    along = np.abs(np.linalg.norm(matches.directions, axis=1) - 1) <= _UNIT_TOLERANCE
+    astray = matches.across & ~along
+    if astray.any():
+        raise ShapeError(f"{_these(astray, matches)} no direction of their line; give it as a unit vector")
     length = np.linalg.norm(matches.rays, axis=1)
     unit = np.abs(length - 1) <= _UNIT_TOLERANCE
     if not unit.all():

@@ -7,7 +7,7 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matches import Matches
+from ladarreg_core.matches import Matches, across_lines
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, settle
 from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error
 from ladarreg_core.results import PoseResult
@@ -41,13 +41,13 @@ def describe_pose(
         states, seen = settle(measured, States.of([pose], measured))
         s = seen.s[0]
         adjusted = np.where(s < UNSEEN, states.rho[0], np.nan)
-    dof = 2 * int(np.count_nonzero(inliers)) - 6
+    dof = int(matches.dimensions[inliers].sum()) - 6
     return PoseResult(
         camera_from_scanner=pose,
         camera=camera,
         matches=matches,
         inliers=inliers,
-        residuals_px=matches.uv - camera.project(pose @ matches.points),
+        residuals_px=across_lines(matches, matches.uv - camera.project(pose @ matches.points)),
         residuals_m=matches.ranges - adjusted,
         stereo_depth_error_m=stereo_depth_error(pose, matches, camera, sigma_px=sigma_px),
         covariance=covariance,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,23 @@ from ladarreg_core.pose.stereo import STEREO_AXES_FROM_SCANNER, StereoPairs, rec
 _LEAST_DISPARITY_SIGMA = 3.0
 
 
-def stereo_depth_error(pose: Rigid, matches: Matches, camera: Camera, *, sigma_px: float) -> FloatArray:
+@dataclass(frozen=True, slots=True, eq=False)
+class Disparities:
+    """What the stereo equations see of M matches at a pose; NaN beside or behind the frame's X or the camera."""
+
+    frame_from_scanner: FloatArray
+    """(3, 3) of `stereo_frame`."""
+    depth: FloatArray
+    """(M,) laser depth, m."""
+    disparity: FloatArray
+    """(2, M) derotated, tangents."""
+    numerator: FloatArray
+    """(2, M) Z times the disparity by Eq 2.17-2.18, lambda = 1, m."""
+
+
+def stereo_depth_error(
+    pose: Rigid, matches: Matches, camera: Camera, *, sigma_px: float, disparities: Disparities | None = None
+) -> FloatArray:
     """Return laser minus stereo depth of every match, in the thesis's stereo frame.
 
     Depth is along the scanner's X, or along the mean ray where the matches lie aside of that; see `stereo_frame`.
@@ -28,6 +45,7 @@ def stereo_depth_error(pose: Rigid, matches: Matches, camera: Camera, *, sigma_p
         matches: M matches.
         camera: intrinsics.
         sigma_px: pixel noise, px.
+        disparities: those of this pose, where they are known already.
 
     Returns:
         (M,) m; NaN where the point is beside or behind, or where the disparity is within three
@@ -35,31 +53,36 @@ def stereo_depth_error(pose: Rigid, matches: Matches, camera: Camera, *, sigma_p
 
     Source: thesis Eq 2.19-2.21.
     """
-    depth, disparity, numerator = _disparities(pose, matches, camera, stereo_frame(matches.rays))
+    d = disparities or derotated(pose, matches, camera)
+    disparity, numerator = d.disparity, d.numerator
     squared = (disparity * disparity).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         stereo = (disparity * numerator).sum(axis=0) / squared
         known = np.sqrt(squared) * camera.focal_px > _LEAST_DISPARITY_SIGMA * sigma_px
-    return np.where(known, depth - stereo, np.nan)
+    return np.where(known, d.depth - stereo, np.nan)
 
 
-def _disparities(
-    pose: Rigid, matches: Matches, camera: Camera, frame_from_scanner: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return laser depths (M,), derotated disparities (2, M) and Z times those (2, M) by Eq 2.17-2.18; lambda = 1.
-
-    NaN where the point is beside or behind the frame's X, or the pixel looks backwards once derotated.
-    """
+def derotated(pose: Rigid, matches: Matches, camera: Camera) -> Disparities:
+    """Return the disparities of matches at a pose."""
+    frame_from_scanner = stereo_frame(matches.rays)
     pairs = StereoPairs.of(matches, camera, frame_from_scanner=frame_from_scanner)
     Tx, Ty, Tz, alpha, beta, gamma = pairs.parameters(pose).tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         rectified = np.stack(rectify(pairs.colour[0], pairs.colour[1], alpha=alpha, beta=beta, gamma=gamma))
     depth = np.where(pairs.depth > 0, pairs.depth, np.nan)
     disparity = np.where(pairs.ahead(pose) & (pairs.depth > 0), rectified - pairs.laser, np.nan)
-    return depth, disparity, np.array([[Tx], [Ty]]) + Tz * rectified
+    return Disparities(frame_from_scanner, depth, disparity, np.array([[Tx], [Ty]]) + Tz * rectified)
 
 
-def diagnose(pose: Rigid, matches: Matches, inliers: BoolArray, camera: Camera, *, sigma_px: float) -> dict[str, Any]:
+def diagnose(
+    pose: Rigid,
+    matches: Matches,
+    inliers: BoolArray,
+    camera: Camera,
+    *,
+    sigma_px: float,
+    disparities: Disparities | None = None,
+) -> dict[str, Any]:
     """Return the scene's shape and the baseline's figures over the inliers, JSON-ready.
 
     `planarity` is the least over the middle singular value of the centred points (0: flat), `linearity` the middle
@@ -68,8 +91,8 @@ def diagnose(pose: Rigid, matches: Matches, inliers: BoolArray, camera: Camera, 
     """
     points, ranges, uv = matches.points[inliers], matches.ranges[inliers], matches.uv[inliers]
     figures: dict[str, Any] = {"matches": len(matches), "inliers": len(points)}
-    frame = stereo_frame(matches.rays)
-    left, up, forward = (float(v) for v in STEREO_AXES_FROM_SCANNER @ frame @ pose.centre)
+    d = disparities or derotated(pose, matches, camera)
+    left, up, forward = (float(v) for v in STEREO_AXES_FROM_SCANNER @ d.frame_from_scanner @ pose.centre)
     figures |= {
         "baseline_m": float(np.linalg.norm(pose.centre)),
         "baseline_across_m": float(np.hypot(left, up)),
@@ -83,8 +106,7 @@ def diagnose(pose: Rigid, matches: Matches, inliers: BoolArray, camera: Camera, 
     figures["range_near_m"], figures["range_far_m"] = float(ranges.min()), float(ranges.max())
     spread = np.ptp(uv, axis=0) / camera.size
     figures["spread_of_picture"] = float(np.clip(spread, 0, 1).prod())
-    _, disparity, _ = _disparities(pose, matches.subset(inliers), camera, frame)
-    length = np.linalg.norm(disparity, axis=0) * camera.focal_px
+    length = np.linalg.norm(d.disparity[:, inliers], axis=0) * camera.focal_px
     if np.isfinite(length).any():
         median = float(np.nanmedian(length))
         figures["disparity_median_px"] = median

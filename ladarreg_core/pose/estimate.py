@@ -18,8 +18,8 @@ from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matches import Matches
-from ladarreg_core.pose.ambiguity import competing_pose
+from ladarreg_core.matches import Matches, across_lines
+from ladarreg_core.pose.ambiguity import competing_pose, likelihood_scores, mirrored
 from ladarreg_core.pose.bundle import (
     UNSEEN,
     Measurements,
@@ -31,8 +31,9 @@ from ladarreg_core.pose.bundle import (
     settle,
 )
 from ladarreg_core.pose.checks import LEAST_MATCHES, checked_matches
-from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error
+from ladarreg_core.pose.diagnostics import derotated, diagnose, singular_values, stereo_depth_error
 from ladarreg_core.pose.gnc import DEFAULT_GNC, GncOptions, graduate, narrow_scales, truncated_score, wide_scales
+from ladarreg_core.pose.line_ends import repair_ends
 from ladarreg_core.pose.linear import linear_covariance, linear_pose
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.ransac import Backend, sample_pose
@@ -53,6 +54,7 @@ _LEAST_SIGMA, _MOST_SIGMA = 1e-6, 1e6
 _GATE_ROUNDS = 5
 _CLEAR_SHARE = 0.5
 _NOISE_ROUNDS = 3
+_FLAT = 0.25  # least over middle extent: above it only one of the two poses of a plane is left
 _SETTLED_NOISE = 1.1  # a change of the noise below this factor changes neither inliers nor pose
 
 
@@ -190,8 +192,9 @@ class _Fit:
     def count(self) -> int:
         return int(np.count_nonzero(self.inliers))
 
-    def chi2_per_dof(self) -> float:
-        dof = 2 * self.count - 6
+    def chi2_per_dof(self, matches: Matches) -> float:
+        """Return the inliers' sum of s over their degrees of freedom; NaN where there are none."""
+        dof = int(matches.dimensions[self.inliers].sum()) - 6
         return float(self.s[self.inliers].sum() / dof) if dof > 0 else float("nan")
 
 
@@ -204,6 +207,15 @@ def _solve_robust(matches: Matches, camera: Camera, options: PoseOptions, initia
     if not first:
         raise _no_pose(len(matches))
     fit = _fit(measured, _best_of(measured, first, options, wide=initial is not None), options)
+    repaired = repair_ends(
+        matches, fit.inliers, fit.state, camera,
+        gate=options.gate_chi2, sigma_px=sigma_px, sigma_range_m=sigma_m,
+    )  # fmt: skip
+    if repaired.matches is not matches:
+        matches = repaired.matches
+        measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_m)
+        fit = _fit(measured, fit.state, options)
+    fit = _on_its_right_side(measured, fit, options)
     rounds = 0
     while (options.sigma_px is None or options.sigma_range_m is None) and fit.count >= LEAST_INLIERS:
         noise = _noise_shown(fit, matches, camera, options)
@@ -221,9 +233,25 @@ def _solve_robust(matches: Matches, camera: Camera, options: PoseOptions, initia
         raise _no_pose(len(matches))
     covariance = _covariance(information_matrix(measured, fit.state, members=fit.inliers)[0])
     stopped = "settled" if fit.settled else "step limit"
-    return _result(
-        fit, matches, camera, options, covariance, (sigma_px, sigma_m), {"stopped": stopped, "noise_rounds": rounds}
-    )
+    story = {"stopped": stopped, "noise_rounds": rounds}
+    result = _result(fit, matches, camera, options, covariance, (sigma_px, sigma_m), story)
+    return replace(result, reasons=(*result.reasons, *repaired.in_words()))
+
+
+def _on_its_right_side(measured: Measurements, fit: _Fit, options: PoseOptions) -> _Fit:
+    """Return the likelier of a flat scene's two poses, the one found and the mirrored one."""
+    if fit.count < LEAST_MATCHES:
+        return fit
+    points = (measured.rays * fit.state.rho[0])[:, fit.inliers].T
+    extent = singular_values(points)
+    if extent[2] > _FLAT * extent[1]:
+        return fit
+    start = States.of([mirrored(fit.state.pose(), points)], measured)
+    gate = options.gate_chi2
+    turned, _ = graduate(measured, start, narrow_scales(start, gate, options.gnc), gate, options.gnc)
+    if likelihood_scores(measured, turned, gate)[0] >= likelihood_scores(measured, fit.state, gate)[0]:
+        return fit
+    return _fit(measured, turned, options)
 
 
 def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions) -> PoseResult:
@@ -281,6 +309,8 @@ def _first_poses(
     uv = (measured.xy * [[ideal.fx], [ideal.fy]] + [[ideal.cx], [ideal.cy]]).T
     threshold = options.ransac_sigma * sigma_px
     poses: list[Rigid] = []
+    assert matches.across is not None
+    uv[matches.across] = np.nan  # samples are of points
     for _ in range(2):
         pose = sample_pose(
             matches.points, uv, ideal, threshold_px=threshold, iterations=options.ransac_iterations,
@@ -385,7 +415,7 @@ def _result(
     story: dict[str, Any],
 ) -> PoseResult:
     pose, inliers, measured = fit.state.pose(), fit.inliers, fit.measured
-    chi2 = fit.chi2_per_dof()
+    chi2 = fit.chi2_per_dof(matches)
     chance = chance_agreement(measured, matches, fit.state, inliers, camera, gate=options.gate_chi2)
     verdict: dict[str, Any] = {
         "pose": pose, "matches": matches, "inliers": inliers, "chi2_per_dof": chi2, "covariance": covariance,
@@ -397,7 +427,8 @@ def _result(
         rival = competing_pose(measured, fit.state, inliers, s=fit.s, gate=options.gate_chi2, chi2_per_dof=chi2)
         if rival is not None:
             accepted, reasons = judge(**verdict, rival=rival)
-    figures = diagnose(pose, matches, inliers, camera, sigma_px=sigma[0])
+    disparities = derotated(pose, matches, camera)
+    figures = diagnose(pose, matches, inliers, camera, sigma_px=sigma[0], disparities=disparities)
     figures |= {"method": options.method, "log10_chance": chance, "second_minimum": rival is not None, **story}
     seen = fit.s < UNSEEN
     return PoseResult(
@@ -405,9 +436,9 @@ def _result(
         camera=camera,
         matches=matches,
         inliers=inliers,
-        residuals_px=matches.uv - camera.project(pose @ matches.points),
+        residuals_px=across_lines(matches, matches.uv - camera.project(pose @ matches.points)),
         residuals_m=np.where(seen, matches.ranges - fit.state.rho[0], np.nan),
-        stereo_depth_error_m=stereo_depth_error(pose, matches, camera, sigma_px=sigma[0]),
+        stereo_depth_error_m=stereo_depth_error(pose, matches, camera, sigma_px=sigma[0], disparities=disparities),
         covariance=covariance,
         chi2_per_dof=chi2,
         sigma_px=float(sigma[0]),

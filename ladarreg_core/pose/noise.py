@@ -16,7 +16,7 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matches import Matches
+from ladarreg_core.matches import Matches, across_lines
 
 _PARAMETERS = 6
 _LEAST_PX = 0.05
@@ -49,16 +49,20 @@ def estimate_noise(
         fixed_range_m: where it is known, m.
     """
     assert inliers.weights is not None
+    assert inliers.range_weights is not None
     points = pose @ inliers.points
     uv, d_uv = camera.project_with_jacobian(points)
-    root = np.sqrt(inliers.weights)
-    e = (inliers.uv - uv) * root[:, None]
-    j = (d_uv @ (inliers.rays @ pose.rotation.T)[..., None])[..., 0]
+    e: FloatArray = (inliers.uv - uv) * np.sqrt(inliers.weights)[:, None]
+    j: FloatArray = (d_uv @ (inliers.rays @ pose.rotation.T)[..., None])[..., 0] / np.sqrt(inliers.range_weights)[
+        :, None
+    ]
+    e, j = across_lines(inliers, e), across_lines(inliers, j)
     length2 = (j * j).sum(axis=1)
     along2 = np.divide((e * j).sum(axis=1) ** 2, length2, out=np.zeros(len(e)), where=length2 > 0)
     across2 = np.maximum((e * e).sum(axis=1) - along2, 0)
-    n = len(e)
-    fitted = 2 * n / max(2 * n - _PARAMETERS, 1)  # the pose has taken its share of the scatter
+    dof = int(inliers.dimensions.sum())
+    free = dof - len(e)  # coordinates that no wrong range moves
+    fitted = dof / max(dof - _PARAMETERS, 1)  # the pose has taken its share of the scatter
     along2, across2 = along2 * fitted, across2 * fitted
 
     least_range_m = min(stated_range_m, most_range_m) / 30
@@ -68,22 +72,21 @@ def estimate_noise(
     by_range = grid[:, None] ** 2 * length2
     variance = np.full(len(grid), float(fixed_px) ** 2 if fixed_px is not None else 1.0)
     if fixed_px is None:
-        variance = _pixel_variance(along2, across2, by_range, start=(across2.sum() + along2.sum()) / (2 * n))
+        variance = _pixel_variance(along2, across2, by_range, dof=dof)
         variance = np.clip(variance, _LEAST_PX**2, most_px**2)
     total = variance[:, None] + by_range
-    cost = (np.log(total) + along2 / total).sum(axis=1) + n * np.log(variance) + across2.sum() / variance
+    cost = (np.log(total) + along2 / total).sum(axis=1) + free * np.log(variance) + across2.sum() / variance
     cost += (np.log(grid / stated_range_m) / _PRIOR_LOG_SIGMA) ** 2
     best = int(np.argmin(cost))
     return float(np.sqrt(variance[best])), float(grid[best])
 
 
-def _pixel_variance(along2: FloatArray, across2: FloatArray, by_range: FloatArray, *, start: float) -> FloatArray:
+def _pixel_variance(along2: FloatArray, across2: FloatArray, by_range: FloatArray, *, dof: int) -> FloatArray:
     """Return the likeliest pixel variance for each range noise, by its fixed-point iteration."""
-    variance = np.full(len(by_range), max(start, _LEAST_PX**2))
-    n = len(across2)
+    variance = np.full(len(by_range), max((across2.sum() + along2.sum()) / dof, _LEAST_PX**2))
     for _ in range(_ROUNDS):
         # expectation of the pixel's part of the scatter along the line, given the variances of the moment
         share = variance[:, None] / (variance[:, None] + by_range)
         part = share * share * along2 + share * by_range
-        variance = np.maximum((across2.sum() + part.sum(axis=1)) / (2 * n), _LEAST_PX**2)
+        variance = np.maximum((across2.sum() + part.sum(axis=1)) / dof, _LEAST_PX**2)
     return variance

@@ -50,7 +50,9 @@ def judge(
         log10_chance: `chance_agreement` of the inliers.
         rival: another pose that explains them as well; None where none was found.
     """
-    agree, count = distinct(matches.points[inliers], matches.uv[inliers]), len(matches)
+    # an end of a line that is known across it only counts as half a match
+    halves = int(np.count_nonzero(matches.dimensions[inliers] == 1))
+    agree, count = distinct(matches.points[inliers], matches.uv[inliers]) - (halves + 1) // 2, len(matches)
     share = np.count_nonzero(inliers) / count
     against = []
     if agree < LEAST_INLIERS:
@@ -149,12 +151,17 @@ def chance_agreement(
     # det(M - M j j^T M / h) = det M / (sigma_r^2 h)
     determinant = measured.information.prod(axis=0) - measured.cross_information[0] ** 2
     determinant = determinant * measured.range_information / lin.h[0]
-    gate_area = np.pi * gate * camera.fx * camera.fy / np.sqrt(np.median(determinant[inliers]))
-    radius = np.sqrt(gate_area / np.pi)
     low, high = matches.uv.min(axis=0), matches.uv.max(axis=0)
+    full = inliers & (matches.dimensions == 2)
+    if not full.any():
+        return float(log10(max(n, 1)))
+    gate_area = np.pi * gate * camera.fx * camera.fy / np.sqrt(np.median(determinant[full]))
+    radius = np.sqrt(gate_area / np.pi)
     patch = float(np.prod(np.minimum(high - low + 2 * radius, np.maximum(camera.size, high - low))))
     p = float(min(1.0, gate_area / max(patch, 1e-9)))
-    return log10(n - 3) + _log10_choose(n, k) + _log10_choose(k, 3) + (k - 3) * log10(max(p, 1e-12))
+    # a point-to-line distance is met by chance as often as one of the point's two coordinates
+    coordinates = float(matches.dimensions[inliers].sum()) / 2 - 3
+    return log10(n - 3) + _log10_choose(n, k) + _log10_choose(k, 3) + coordinates * log10(max(p, 1e-12))
 
 
 def _log10_choose(n: int, k: int) -> float:

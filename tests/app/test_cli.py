@@ -25,7 +25,7 @@ from tests.processes import hear_ctrl_c
 REGISTER_OPTIONS = (
     "--method", "--matches", "--initial", "--camera", "--focal-px", "--focal-mm", "--sensor-mm", "--scan-index",
     "--seed", "--force", "--quiet", "--debug", "-o", "--t1", "--t2-px", "--culling", "--first-pose", "--residual",
-    "--reject-depth-m", "--samples-per-line",
+    "--reject-depth-m", "--samples-per-line", "--smooth",
 )  # fmt: skip
 
 
@@ -334,7 +334,7 @@ def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.
     shown = capsys.readouterr()
     assert "Accepted" in shown.out
     assert "sigma" in shown.out
-    names = {"registration.json", "registered.png", "labels.png", "model.glb", "cloud.ply"}
+    names = {"registration.json", "registered.png", "labels.png", "uncertainty.png", "model.glb", "cloud.ply"}
     assert {path.name for path in out.iterdir()} == names
     for name in names:
         assert name in shown.out
@@ -347,6 +347,47 @@ def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.
     shown = capsys.readouterr()
     assert shown.err == ""
     assert len(shown.out.splitlines()) == 1
+
+
+def drawn(path: Path, *, count: int, seed: int, spread: float = 1.0) -> Path:
+    """Write matches of the sample as a careful person would draw them, within a part of the photo."""
+    import ladarreg_core as lr
+    from ladarreg_core.formats.pose_file import read_pose
+
+    folder = sample_folder()
+    scan = lr.read_scan(folder / "scan.npz")
+    camera = lr.read_photo(folder / "photo.png", camera=folder / "camera.json").camera
+    rng = np.random.default_rng(seed)
+    cells = np.argwhere(scan.valid)[rng.permutation(np.count_nonzero(scan.valid))[: 60 * count]]
+    uv = camera.project(read_pose(folder / "truth.json") @ scan.points[cells[:, 0], cells[:, 1]].astype(float))
+    uv = uv + rng.normal(size=uv.shape) * 0.7
+    with np.errstate(invalid="ignore"):
+        inside = ((uv > 5) & (uv < np.array(camera.size) * spread - 5)).all(axis=1)
+    rows = np.column_stack([cells, uv])[inside][:count]
+    np.savetxt(path, rows, delimiter=",", header="row,column,u,v", comments="")
+    return path
+
+
+@pytest.mark.parametrize(("count", "spread"), [(40, 1.0), (18, 0.45), (8, 1.0)])
+def test_drawn_matches_get_a_few_lines_of_advice(
+    count: int, spread: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    matches = drawn(tmp_path / "m.csv", count=count, seed=count, spread=spread)
+    code = main(sample("--matches", str(matches), "-o", str(tmp_path / "out"), "--smooth"))
+    lines = capsys.readouterr().out.splitlines()
+    heads = [line[:9].strip() for line in lines]
+    block = [head for head in heads if head in ("Picture", "Poor", "Fair", "Check", "Next", "Smooth")]
+    assert len(block) <= 8
+    assert heads.count("Next") == heads.count("Smooth") == 1
+    assert (code == ExitCode.ACCEPTED) == ("Picture" in block) == (count >= 12)
+    document = json.loads((tmp_path / "out" / "registration.json").read_text())
+    worse = [finding for finding in document["findings"] if finding["level"] != "good"]
+    if spread < 1:
+        assert "spread" in {finding["name"] for finding in worse}
+        assert any(head in ("Poor", "Fair") and "cover" in line for head, line in zip(heads, lines, strict=True))
+    assert document["advice"][0]["sentence"] in "\n".join(lines)
+    assert (document["smoothing"] is None) == (code != ExitCode.ACCEPTED)
+    assert all(match["influence"]["cook"] >= 0 for match in document["matches"])
 
 
 def test_a_gray_picture_is_not_registered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -11,8 +12,11 @@ from hypothesis import strategies as st
 from app.arguments import condensed
 from app.exit_codes import ExitCode
 from app.step_bar import step_bar
-from app.wording import one_line
+from app.wording import assessed, one_line
+from ladarreg_core.assessment import Assessment
+from ladarreg_core.pose.findings import LEVELS, Finding
 from ladarreg_core.progress import Progress, Step
+from tests.unit.export.samples import sample_registration
 
 
 @given(st.text())
@@ -30,6 +34,39 @@ def test_any_box_becomes_one_line(lines: list[str]) -> None:
 
 def test_exit_codes_are_those_of_the_contract() -> None:
     assert (ExitCode.ACCEPTED, ExitCode.BAD_INPUT, ExitCode.NOT_ACCEPTED, ExitCode.INTERRUPTED) == (0, 2, 3, 130)
+
+
+NAMES = ("matches", "inliers", "residuals", "spread", "depth", "relief", "conditioning", "bias", "lens")
+
+
+@given(
+    levels=st.lists(st.sampled_from(LEVELS), min_size=len(NAMES), max_size=len(NAMES)),
+    method=st.sampled_from(["manual", "auto", "thesis"]),
+    accepted=st.booleans(),
+)
+def test_the_worst_comes_first_and_never_more_than_a_few_lines(levels: list[str], method: str, accepted: bool) -> None:
+    found = tuple(
+        Finding(name, level, f"{name}\nis so.", "" if level == "good" else "Do it.")  # type: ignore[arg-type]
+        for name, level in zip(NAMES, levels, strict=True)
+    )
+    result = replace(sample_registration(accepted=accepted), method=method)
+    lines = assessed(Assessment(found, None, None, None), result)
+    assert len(lines) <= 5
+    assert all(len(line.splitlines()) == 1 for line in lines)
+    heads = [line.split()[0] for line in lines]
+    assert "Good" not in heads
+    assert heads == sorted(heads, key=["Poor", "Fair", "and"].index)
+    told = {line.split()[1] for line in lines if line.split()[0] != "and"}
+    if method != "manual":
+        assert not lines or accepted
+        assert "Fair" not in heads
+    elif accepted and levels[-1] == "poor" and levels.count("poor") < 5:
+        assert "lens" in told
+    assert not ("conditioning" in told and told & {"spread", "depth", "relief"})
+
+
+def test_what_was_not_assessed_is_not_told() -> None:
+    assert assessed(Assessment(None, None, None, None), sample_registration()) == []
 
 
 @pytest.mark.parametrize("quiet", [True, False])

@@ -9,7 +9,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.matches import Matches
-from ladarreg_core.picked import surface_range
+from ladarreg_core.surface_range import surface_range
 from ladarreg_core.pose.bundle import Measurements, States, information_matrix
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.scan import Scan

@@ -8,9 +8,10 @@ import pytest
 from ladarreg_core.errors import OptionError
 from ladarreg_core.matches import Pick
 from ladarreg_core.perspective import perspective_view
-from ladarreg_core.picked import matches_from_picks, surface_range
+from ladarreg_core.picked import matches_from_picks
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.surface_range import surface_range
 
 STEP_RAD = np.deg2rad(0.2)
 
@@ -34,7 +35,7 @@ def line(scan: Scan, first: tuple[float, float], last: tuple[float, float], name
 def test_a_line_is_sampled_at_constant_intervals_on_both_sides(count: int) -> None:
     scan = stepped_scan()
     pick = line(scan, (5, 45), (110, 75))
-    matches, notes = matches_from_picks(scan, [pick], samples_per_line=count)
+    matches, notes = matches_from_picks(scan, [pick], lines="equal", samples_per_line=count)
     assert notes == ()
     assert len(matches) == count
     np.testing.assert_allclose(matches.uv, pick.photo[0] + matches.fractions[:, None] * (pick.photo[1] - pick.photo[0]))
@@ -57,7 +58,7 @@ def test_a_hole_and_a_depth_edge_are_told_apart() -> None:
         line(scan, (20, 79), (100, 80), "b"),
         line(scan, (10, 100), (100, 150), "c"),
     )
-    matches, notes = matches_from_picks(scan, [hole, edge, fine], samples_per_line=11)
+    matches, notes = matches_from_picks(scan, [hole, edge, fine], lines="equal", samples_per_line=11)
     assert len(notes) == 2
     assert notes[0].startswith("Match a: 4 of 11 points are left out, 4 without a return.")
     assert notes[1] == "Match b: 10 of 11 points are left out, 10 at a depth edge."

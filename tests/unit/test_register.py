@@ -12,8 +12,9 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import rotation_from_rotvec
-from ladarreg_core.picked import matches_from_picks, surface_range
+from ladarreg_core.picked import matches_from_picks
 from ladarreg_core.register import RegisterOptions, register
+from ladarreg_core.surface_range import surface_range
 from tests.painted_room import PaintedRoom, painted_room
 
 
@@ -181,7 +182,7 @@ def test_lines_are_sampled_on_both_sides(room: PaintedRoom) -> None:
     wall = [np.array([4.5, y, z]) for y, z in ((-1.5, -0.5), (1.5, 1.2))]
     rays = np.array([p / np.linalg.norm(p) for p in wall])
     uv = room.photo.camera.project(room.camera_from_scanner @ np.array(wall))
-    matches, notes = matches_from_picks(room.scan, [lr.Pick("l", "line", rays, uv)])
+    matches, notes = matches_from_picks(room.scan, [lr.Pick("l", "line", rays, uv)], lines="equal")
     assert set(matches.pick_ids) == {"l"}
     assert matches.fractions.min() == 0
     assert matches.fractions.max() == 1

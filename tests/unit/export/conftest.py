@@ -1,5 +1,6 @@
 import pytest
 
+from ladarreg_core.assessment import assess
 from ladarreg_core.texture import texture_scan
 from tests.unit.export.samples import POSE, sample_photo, sample_registration, sample_scan
 
@@ -22,3 +23,8 @@ def registration():
 @pytest.fixture(scope="session")
 def texture(scan, photo):
     return texture_scan(scan, photo, POSE)
+
+
+@pytest.fixture(scope="session")
+def assessment(scan):
+    return assess(scan, sample_registration())

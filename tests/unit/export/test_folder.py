@@ -1,11 +1,15 @@
 import json
 import os
+from dataclasses import replace
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export import folder as folder_module
 from ladarreg_core.export.folder import FILE_NAMES, export_registration
+from ladarreg_core.smoothed_scan import SmoothedScan
 from tests.unit.export.samples import sample_registration
 
 
@@ -28,6 +32,39 @@ def test_what_is_not_accepted_is_never_written_as_registered(tmp_path, scan, pho
     assert json.loads((tmp_path / "out" / "registration.json").read_text(encoding="utf-8"))["accepted"] is False
 
 
+def test_the_uncertainty_stands_on_the_scan_beside_the_labels(tmp_path, registration, scan, photo):
+    export_registration(tmp_path / "out", registration, scan, photo)
+    picture = np.asarray(Image.open(tmp_path / "out" / "uncertainty.png"))[: scan.shape[0], : scan.shape[1]]
+    points = registration.camera_from_scanner @ np.nan_to_num(scan.points, nan=-1.0)
+    within = scan.valid & registration.camera.contains(registration.camera.project(points))
+    assert within.any()
+    np.testing.assert_array_equal((picture == 48).all(axis=-1), ~within)
+
+
+def test_a_smoothed_scan_is_what_the_models_show_and_nothing_else(tmp_path, registration, scan, photo):
+    ranges = np.array(scan.ranges)
+    ranges[14, 20] *= 0.97
+    smoothed = SmoothedScan(replace(scan, ranges=ranges), 1, "One.")
+    unchanged = SmoothedScan(scan, 0, "None.")
+    for name, shown in (("plain", None), ("smooth", smoothed), ("same", unchanged)):
+        export_registration(tmp_path / name, registration, scan, photo, smoothed=shown)
+    for name in FILE_NAMES:
+        plain, smooth, same = ((tmp_path / folder / name).read_bytes() for folder in ("plain", "smooth", "same"))
+        changes = name in ("model.glb", "cloud.ply", "registration.json")
+        assert (smooth != plain) == changes, name
+        assert (same != plain) == (name == "registration.json"), name
+    document = json.loads((tmp_path / "smooth" / "registration.json").read_text(encoding="utf-8"))
+    assert document["smoothing"] == {"cells_replaced": 1, "sentence": "One."}
+
+
+def test_every_picture_is_of_the_camera_that_was_estimated(tmp_path, registration, scan, photo):
+    longer = replace(registration.camera, fx=130.0, fy=131.0)
+    for name, camera in (("given", registration.camera), ("estimated", longer)):
+        export_registration(tmp_path / name, replace(registration, camera=camera), scan, photo)
+    for name in FILE_NAMES:
+        assert (tmp_path / "given" / name).read_bytes() != (tmp_path / "estimated" / name).read_bytes(), name
+
+
 def test_an_existing_folder_is_refused_or_replaced(tmp_path, registration, scan, photo):
     out = tmp_path / "out"
     out.mkdir()
@@ -43,7 +80,7 @@ def test_an_existing_folder_is_refused_or_replaced(tmp_path, registration, scan,
 @pytest.mark.parametrize("stop", [Cancelled, KeyboardInterrupt, MemoryError])
 @pytest.mark.parametrize("at", range(len(FILE_NAMES) + 1))
 @pytest.mark.parametrize("existing", [False, True])
-def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, registration, scan, photo, stop, at, existing):
+def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, registration, assessment, scan, photo, stop, at, existing):
     out = tmp_path / "new" / "out"
     if existing:
         out.mkdir(parents=True)
@@ -54,7 +91,7 @@ def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, registration, scan,
             raise stop
 
     with pytest.raises(stop):
-        export_registration(out, registration, scan, photo, force=True, report=report)
+        export_registration(out, registration, scan, photo, assessment=assessment, force=True, report=report)
     assert names(tmp_path) == (["new"] if existing else [])
     if existing:
         assert names(tmp_path / "new") == ["out"]

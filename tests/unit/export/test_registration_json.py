@@ -1,5 +1,6 @@
 import hashlib
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from ladarreg_core.errors import ExportError
 from ladarreg_core.export.documents import write_document
 from ladarreg_core.export.registration_json import registration_document
 from ladarreg_core.frames import Rigid
+from ladarreg_core.results import Registration
 
 PROMISED = {
     "version", "camera_from_scanner", "camera", "covariance", "sigma", "thesis_parameters", "accepted", "evidence",
@@ -59,6 +61,43 @@ def test_numbers_come_back_exactly_and_absent_ones_as_null(document, registratio
     thesis = document["thesis_parameters"]
     assert thesis["Tx"] == registration.thesis_parameters.Tx
     assert thesis["alpha"] == registration.thesis_parameters.alpha
+
+
+def test_what_there_is_to_say_of_it_is_said(scan, registration, tmp_path):
+    from ladarreg_core.assessment import assess
+
+    inliers = np.array([True] * 5)  # five rays at random places, some behind the camera
+    found = assess(scan, replace(registration, inliers=inliers))
+    write_document(tmp_path / "r.json", registration_document(registration, assessment=found))
+    document = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
+    levels = {finding["name"]: finding["level"] for finding in document["findings"]}
+    assert levels["matches"] == "poor"
+    for finding in document["findings"]:
+        assert finding.keys() == {"name", "level", "sentence", "what_to_do", "values"}
+    assert 0 < document["uncertainty"]["median_px"] <= document["uncertainty"]["p95_px"]
+    assert document["uncertainty"]["p95_px"] <= document["uncertainty"]["worst_px"]
+    assert document["not_assessed"].keys() == found.absent.keys()
+    for place in document["advice"]:
+        assert place["sentence"].startswith("A match near")
+        assert (len(place["cell"]), len(place["uv"])) == (2, 2)
+    for match in document["matches"]:
+        assert (match["influence"] is None) == ("influence" in found.absent)
+    assert document["smoothing"] is None
+
+
+def test_influence_stands_in_every_match(tmp_path):
+    from ladarreg_core.assessment import assess
+    from tests.unit.test_advice import clustered
+
+    room, _, _, pose, _ = clustered(2, count=14)
+    fields = {name: getattr(pose, name) for name in pose.__dataclass_fields__}
+    result = Registration(**fields, method="manual")
+    found = assess(room.scan, result)
+    document = registration_document(result, assessment=found)
+    for k, match in enumerate(document["matches"]):
+        assert match["influence"] == {
+            name: getattr(found.influence, name)[k] for name in ("position_m", "angle_rad", "pixels", "cook")
+        }
 
 
 def test_an_input_that_is_gone_is_named(tmp_path, registration):

@@ -1,0 +1,225 @@
+"""Drawn lines in the room of `benchmarks.pose`: what of them an estimator should use.
+
+Eight straight edges of some 400 px on walls and boxes, drawn in both pictures with 1 px of noise at every end (the scan's side
+counts in photo pixels too), on a scan of 15 mm noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from benchmarks.pose import ROOM_BOXES, ROOM_CAMERA, ROOM_WALLS, difference, room_ranges
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
+from ladarreg_core.matches import Matches, Pick
+from ladarreg_core.picked import matches_from_picks
+from ladarreg_core.pose.estimate import PoseOptions, solve_pose
+from ladarreg_core.results import PoseResult
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner import AzimuthElevation
+
+_STEP_RAD = np.deg2rad(0.11)
+_GEOMETRY = AzimuthElevation(350, 500, _STEP_RAD, _STEP_RAD)
+_LENGTH_PX = (300.0, 500.0)
+_TRIALS, _LOOKED_AT = 400, 10
+
+
+@dataclass(frozen=True)
+class LineCase:
+    """Drawn lines with their truth."""
+
+    scan: Scan
+    picks: tuple[Pick, ...]
+    camera: Camera
+    pose: Rigid
+    sigma_px: float
+    sigma_range_m: float
+
+
+@cache
+def _true_ranges() -> np.ndarray:
+    return room_ranges(_GEOMETRY.rays.reshape(-1, 3)).reshape(_GEOMETRY.shape)
+
+
+def line_case(
+    seed: int,
+    *,
+    lines: int = 8,
+    baseline_m: float = 0.5,
+    sigma_px: float = 1.0,
+    sigma_range_m: float = 0.015,
+    slid: int = 0,
+    swapped: int = 0,
+) -> LineCase:
+    """Lines drawn in the room; some slid along themselves in the photo, some drawn the other way round."""
+    rng = np.random.default_rng([seed, lines, 77])
+    camera = ROOM_CAMERA
+    way = rng.normal(size=3) * [0.3, 1.0, 0.3]
+    centre = way / np.linalg.norm(way) * baseline_m
+    pan = np.arctan2(centre[1], 4.0 - centre[0])
+    turn = rotation_from_rotvec(rng.normal(size=3) * np.deg2rad(3)) @ rotation_from_rotvec([0, -pan, 0])
+    pose = Rigid.from_centre(turn @ CAMERA_AXES_FROM_SCANNER, centre)
+    scan = Scan(
+        _GEOMETRY, _true_ranges() + rng.normal(size=_GEOMETRY.shape) * sigma_range_m, np.ones(_GEOMETRY.shape)
+    )
+    picks: list[Pick] = []
+    edges = _straight_edges(rng, pose, camera, lines)
+    for rays, uv in edges:
+        k = len(picks)
+        if k < slid:  # drawn along the same edge, between other points
+            along = (uv[1] - uv[0]) * rng.uniform(0.05, 0.2, (2, 1)) * [[1.0], [-1.0]]
+            uv = uv + along
+        uv = uv + rng.normal(size=(2, 2)) * sigma_px
+        if slid <= k < slid + swapped:
+            uv = uv[::-1]
+        picks.append(Pick(f"L{k + 1}", "line", rays, uv))
+    return LineCase(scan, tuple(picks), camera, pose, sigma_px, sigma_range_m)
+
+
+def _straight_edges(
+    rng: np.random.Generator, pose: Rigid, camera: Camera, lines: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of rays whose surface between them is straight and in the photo all along, with their pixels."""
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    s = np.linspace(0, 1, 17)[:, None]
+    while len(found) < lines:
+        # boxes and walls in turn, so that there are near edges and far ones
+        on_box = len(found) % 2 == 1
+        low, high = ROOM_BOXES[rng.integers(len(ROOM_BOXES))] if on_box else ROOM_WALLS
+        ends = rng.uniform(low, high, (_TRIALS, 2, 3))
+        axis = int(rng.integers(3))
+        ends[..., axis] = low[axis] if (on_box or axis == 2) else high[axis]  # the side that is seen
+        uv = camera.project(pose @ ends)
+        length = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1)
+        fits = camera.contains(uv).all(axis=1) & (length >= _LENGTH_PX[0]) & (length <= _LENGTH_PX[1])
+        for k in np.flatnonzero(fits)[:_LOOKED_AT].tolist():
+            points = ends[k, 0] + s * (ends[k, 1] - ends[k, 0])
+            ranges = np.linalg.norm(points, axis=1)
+            rays = points / ranges[:, None]
+            if np.abs(room_ranges(rays) - ranges).max() < 1e-6:
+                found.append((rays[[0, -1]], uv[k]))
+                break
+    return found
+
+
+def _solved(case: LineCase, matches: Matches, initial: Rigid | None = None) -> PoseResult | None:
+    options = PoseOptions(sigma_px=case.sigma_px, sigma_range_m=case.sigma_range_m)
+    try:
+        return solve_pose(matches, case.camera, options, initial=initial)
+    except LadarregError:
+        return None
+
+
+def by_ends(case: LineCase) -> PoseResult | None:
+    """The two ends with the ranges of the whole line: what `register` does."""
+    return _solved(case, matches_from_picks(case.scan, case.picks, camera=case.camera)[0])
+
+
+def by_ends_as_points(case: LineCase) -> PoseResult | None:
+    """The two ends, each with the range of its own cell."""
+    points = [
+        Pick(f"{pick.id}{k}", "point", pick.scan[k : k + 1], pick.photo[k : k + 1])
+        for pick in case.picks
+        for k in (0, 1)
+    ]
+    return _solved(case, matches_from_picks(case.scan, points, camera=case.camera)[0])
+
+
+def by_equal_intervals(case: LineCase) -> PoseResult | None:
+    """Samples at constant intervals in both pictures: the thesis."""
+    return _solved(case, matches_from_picks(case.scan, case.picks, camera=case.camera, lines="equal")[0])
+
+
+def by_kappa(case: LineCase) -> PoseResult | None:
+    """Samples placed in the photo by the pose, which is solved again."""
+    result = by_equal_intervals(case)
+    for _ in range(2):
+        if result is None:
+            return None
+        pose = result.camera_from_scanner
+        matches, _ = matches_from_picks(case.scan, case.picks, camera=case.camera, lines="kappa", pose=pose)
+        result = _solved(case, matches, pose)
+    return result
+
+
+def by_distances(case: LineCase, *, ends: bool) -> PoseResult | None:
+    """Samples by their distance to the photo's line, weighing 1 / sqrt of their number, with or without the ends."""
+    start = by_equal_intervals(case)
+    if start is None:
+        return None
+    sampled, _ = matches_from_picks(
+        case.scan, case.picks, camera=case.camera, lines="kappa", pose=start.camera_from_scanner
+    )
+    full = np.isin(sampled.fractions, (0.0, 1.0)) if ends else np.zeros(len(sampled), np.bool_)
+    assert sampled.weights is not None
+    matches = Matches(
+        sampled.rays, sampled.ranges, sampled.uv, sampled.pick_ids, sampled.fractions,
+        np.where(full, 1.0, sampled.weights), sampled.range_weights, sampled.directions, ~full,
+    )  # fmt: skip
+    options = PoseOptions(sigma_px=case.sigma_px, sigma_range_m=case.sigma_range_m, ransac_iterations=0)
+    try:
+        return solve_pose(matches, case.camera, options, initial=start.camera_from_scanner)
+    except LadarregError:
+        return None
+
+
+USES = {
+    "equal intervals (thesis)": by_equal_intervals,
+    "placed by kappa, iterated": by_kappa,
+    "distances to the line alone": lambda case: by_distances(case, ends=False),
+    "distances, and the ends": lambda case: by_distances(case, ends=True),
+    "ends as points": by_ends_as_points,
+    "ends, ranges of the line (default)": by_ends,
+}
+
+
+@dataclass(frozen=True)
+class LineFigures:
+    """What a use of lines reached over many seeds."""
+
+    position_mm: float
+    """Median."""
+    p95_mm: float
+    consistency: float
+    """RMS Mahalanobis distance / sqrt 6 of the reported covariance, without the worst 2 %."""
+    accepted: float
+
+
+def line_figures(use: str, cases: list[LineCase]) -> LineFigures:
+    """Measure a use of lines."""
+    position, distance, accepted = [], [], 0
+    for case in cases:
+        result = USES[use](case)
+        if result is None:
+            position.append(np.inf)
+            continue
+        step = difference(case.pose, result.camera_from_scanner)
+        position.append(1000 * float(np.linalg.norm(step[3:])))
+        distance.append(float(step @ np.linalg.solve(result.covariance, step)))
+        accepted += result.accepted
+    kept = np.sort(distance)[: max(1, int(0.98 * len(distance)))]
+    return LineFigures(
+        float(np.median(position)), float(np.percentile(position, 95)), float(np.sqrt(np.mean(kept) / 6)),
+        accepted / len(cases),
+    )  # fmt: skip
+
+
+def report_lines(seeds: int) -> None:
+    """Print the line table."""
+    print(f"eight drawn lines, {seeds} seeds: median mm, 95th percentile, consistency, accepted")
+    settings: tuple[tuple[str, dict[str, float]], ...] = (
+        ("baseline .5 m", {"baseline_m": 0.5}),
+        ("baseline .94 m", {"baseline_m": 0.94}),
+        (".5 m, three slid along themselves", {"baseline_m": 0.5, "slid": 3}),
+        (".5 m, two the other way round", {"baseline_m": 0.5, "swapped": 2}),
+    )
+    for name, setting in settings:
+        cases = [line_case(seed, **setting) for seed in range(seeds)]  # type: ignore[arg-type]
+        print(f"  {name}")
+        for use in USES:
+            f = line_figures(use, cases)
+            print(f"    {use:36} {f.position_mm:8.2f} {f.p95_mm:8.1f} {f.consistency:6.2f} {f.accepted:6.2f}")

@@ -1,0 +1,366 @@
+"""Matches held out as the judge: whether what was fitted to the others foretells them better.
+
+The picks are dealt into folds, the matches of one pick into the same; each fold is foretold by a fit to the others. Two
+cameras are compared by min(s, gate), so that mismatches cost both the same.
+
+Source: Stone, Cross-validatory choice and assessment of statistical predictions (1974).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.pose import bundle
+from ladarreg_core.pose.bundle import Measurements, States, settle
+from ladarreg_core.pose.checks import LEAST_MATCHES
+from ladarreg_core.pose.intrinsics import (
+    PARAMETERS,
+    Descent,
+    Intrinsics,
+    IntrinsicsFit,
+    Noise,
+    estimate_intrinsics,
+    foreseen_gains,
+    intrinsic,
+)
+
+FOLDS = 5
+"""How many folds the picks are dealt into."""
+LOOK_SIGMA = 3.7
+"""How sure a score test must be that intrinsics are wrong before they are estimated at all: 1 in 10,000 by chance."""
+KEEP_SIGMA = 3.0
+"""How many of its own standard deviations an intrinsic must move to be kept."""
+CLEAR_GAIN_SIGMA = 2.0
+"""How many standard errors held-out matches must gain for an intrinsic to be kept."""
+
+_WIDE = 9.0  # of the gate: a wrong camera puts true matches beyond it
+_WORTH_WIDENING = 1.05
+_MOST_S = 1e6
+_STEPS = 10
+_SETTLED_SIGMA = 0.1
+_LADDER: dict[Intrinsics, tuple[Intrinsics, ...]] = {
+    "fixed": (),
+    "focal": ("focal",),
+    "focal_k1": ("focal", "focal_k1"),
+    "focal_k1_centre": ("focal", "focal_k1", "focal_k1_centre"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """By how much held-out matches cost less under one model than under another."""
+
+    total: float
+    """Sum over the matches, in units of s; positive: better."""
+    sigma: float
+    """Its standard error, over picks."""
+
+    @property
+    def clear(self) -> bool:
+        """Whether the gain is more than chance."""
+        return self.total > CLEAR_GAIN_SIGMA * self.sigma
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """One step up the ladder of intrinsics."""
+
+    fit: IntrinsicsFit
+    """The fit with the noise of the model before."""
+    gain: Gain | None
+    """Of held-out matches, against the model before; None where the fit is not worth asking them."""
+    shift_sigma: float
+    """How far the new intrinsic moved, in its own standard deviations by the scatter that the fit leaves."""
+    kept: bool
+    """Whether it was kept."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IntrinsicsChoice:
+    """Which intrinsics the matches ask for."""
+
+    given: Camera
+    """The camera that was given."""
+    fit: IntrinsicsFit | None
+    """The fit that was kept; None: the camera stays as given."""
+    trials: tuple[Trial, ...]
+    """What was tried, in order; empty where nothing asked for it."""
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """What was kept."""
+        return "fixed" if self.fit is None else self.fit.intrinsics
+
+    def in_words(self) -> tuple[str, ...]:
+        """Return the outcome in sentences; empty where nothing asked for other intrinsics."""
+        if self.fit is not None:
+            return intrinsics_in_words(self.fit, self.given)
+        if not self.trials:
+            return ()
+        last = self.trials[-1].fit
+        changes = " and ".join(_estimates(last))
+        why = "do not determine them" if not last.determined else "foretell held-out matches no better with them"
+        return (
+            f"The matches suggest other intrinsics ({changes}), but {why}; the camera was kept as given. Give the "
+            "camera file, or add matches near and far and all over the picture.",
+        )
+
+
+def intrinsics_in_words(fit: IntrinsicsFit, given: Camera) -> tuple[str, ...]:
+    """Return what was estimated beside the pose, in sentences.
+
+    Args:
+        fit: the fit.
+        given: the camera that it started from.
+    """
+    names = {"focal_px": "focal length", "k1": "lens's k1", "cx": "principal point's u", "cy": "principal point's v"}
+    said = []
+    for name, value in fit.values.items():
+        unit = "" if name == "k1" else " px"
+        before, sigma = intrinsic(given, name), fit.sigmas[name]
+        digits = 3 if name == "k1" else 0 if sigma >= 2 else 1
+        said.append(
+            f"The {names[name]} was estimated: {value:.{digits}f} +- {sigma:.{digits}f}{unit} instead of "
+            f"{before:.{digits}f}{unit}."
+        )
+    if said and not fit.determined:
+        said.append("The matches do not determine the focal length; give the camera file, or add matches near and far.")
+    return tuple(said)
+
+
+def _estimates(fit: IntrinsicsFit) -> list[str]:
+    words = {"focal_px": "focal length", "k1": "k1", "cx": "cx", "cy": "cy"}
+    return [
+        f"{words[name]} {value:.3f} +- {fit.sigmas[name]:.3f}"
+        if name == "k1"
+        else f"{words[name]} {value:.0f} +- {fit.sigmas[name]:.0f} px"
+        for name, value in fit.values.items()
+    ]
+
+
+def choose_intrinsics(
+    matches: Matches,
+    camera: Camera,
+    pose: Rigid,
+    inliers: BoolArray,
+    *,
+    sigma_px: float,
+    sigma_range_m: float,
+    gate_chi2: float = 9.21,
+    most: Intrinsics = "focal_k1",
+    noise: Noise | None = None,
+    seed: int = 0,
+) -> IntrinsicsChoice:
+    """Estimate those intrinsics, and only those, without which the matches disagree.
+
+    A score test asks first whether anything is wrong, which costs less than the pose did. Then each step of the ladder
+    (focal, k1, centre) is kept only if held-out matches get clearly better, if the intrinsic moved by more than 3 of
+    its own sigmas, and if the matches determine the focal length to 2 %.
+
+    Args:
+        matches: M matches, mismatches among them.
+        camera: as given.
+        pose: camera_from_scanner, fitted with that camera.
+        inliers: (M,) the matches that agree with it.
+        sigma_px: pixel noise used, px.
+        sigma_range_m: range noise used, m.
+        gate_chi2: largest s of an inlier.
+        most: the last step of the ladder.
+        noise: what noise a fit shows, where it is not known; None: as stated.
+        seed: of the deal.
+    """
+    ladder = _LADDER[most]
+    model = _Model(camera, pose, inliers, 0)
+    judge = _Judge.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
+    kept: IntrinsicsFit | None = None
+    trials: list[Trial] = []
+    if not judge.misses(model, ladder):
+        return IntrinsicsChoice(camera, None, ())
+    for step in ladder:
+        if kept is not None and not judge.misses(model, (step,)):
+            continue
+        fit = judge.fit(model, step)
+        tried, shift, gain = _Model.of(fit), _shift_sigma(fit, camera, step), None
+        if fit.determined and shift > KEEP_SIGMA:
+            gain = judge.gain(*(np.minimum(judge.held_out(m), gate_chi2) for m in (model, tried)))
+        good = gain is not None and gain.clear
+        trials.append(Trial(fit, gain, shift, good))
+        if not fit.determined:
+            break  # with more intrinsics free it is less so
+        if good:
+            kept = judge.fit(tried, step, noise) if noise else fit
+            model, judge = _Model.of(kept), replace(judge, sigma_px=kept.sigma_px, sigma_range_m=kept.sigma_range_m)
+    return IntrinsicsChoice(camera, kept, tuple(trials))
+
+
+def _shift_sigma(fit: IntrinsicsFit, given: Camera, step: Intrinsics) -> float:
+    """Return how far the intrinsics that a step adds moved, the furthest of them, in standard deviations."""
+    new = {"focal": ("focal_px",), "focal_k1": ("k1",), "focal_k1_centre": ("cx", "cy")}[step]
+    scatter = np.sqrt(max(1.0, fit.chi2_per_dof)) if fit.dof > 0 else np.inf
+    return float(max(abs(fit.values[name] - intrinsic(given, name)) / fit.sigmas[name] for name in new) / scatter)
+
+
+def worse_when_held_out(
+    matches: Matches,
+    camera: Camera,
+    start: Rigid,
+    refined: Rigid,
+    inliers: BoolArray,
+    *,
+    sigma_px: float,
+    sigma_range_m: float,
+    gate_chi2: float = 9.21,
+    seed: int = 0,
+) -> bool:
+    """Return whether a pose fitted to the matches foretells held-out ones worse than the pose it started from.
+
+    It is so, too, where the matches are too few to hold any out: then nothing speaks for the fit.
+
+    Args:
+        matches: M matches, mismatches among them.
+        camera: intrinsics.
+        start: camera_from_scanner, from elsewhere: these matches had no part in it.
+        refined: camera_from_scanner, fitted to the matches.
+        inliers: (M,) the matches that agree with it.
+        sigma_px: pixel noise, px.
+        sigma_range_m: range noise, m.
+        gate_chi2: largest s of an inlier.
+        seed: of the deal.
+    """
+    judge = _Judge.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
+    measured = judge.measured(camera)
+    _, seen = settle(measured, States.of([start], measured))
+    before, after = _growing(seen.s[0], gate_chi2), judge.held_out(_Model(camera, refined, inliers, 0))
+    unknown = np.maximum(before, _growing(np.array(gate_chi2), gate_chi2))
+    after = np.where(np.isfinite(after), _growing(after, gate_chi2), unknown)
+    return not judge.gain(before, after).total > 0
+
+
+def _growing(s: FloatArray, gate: float) -> FloatArray:
+    """Return a cost that still grows beyond the gate: where noise was stated too small all poses would look alike.
+
+    Source: Black and Anandan, The robust estimation of multiple motions (1996), the Lorentzian.
+    """
+    return np.asarray(gate * np.log1p(np.minimum(s, _MOST_S) / gate))
+
+
+def deal(pick_ids: Sequence[str], *, folds: int = FOLDS, seed: int = 0) -> tuple[IntArray, IntArray]:
+    """Deal picks into folds of like size.
+
+    Args:
+        pick_ids: (M,) the pick of each match.
+        folds: at most so many; never more than there are picks.
+        seed: of the deal.
+
+    Returns:
+        The number of each match's pick, and its fold, both (M,).
+    """
+    number: dict[str, int] = {}
+    group = np.array([number.setdefault(name, len(number)) for name in pick_ids], dtype=np.intp)
+    order = np.random.default_rng(seed).permutation(len(number))
+    return group, (order % max(min(folds, len(number)), 1))[group]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Model:
+    """What is put to the test."""
+
+    camera: Camera
+    pose: Rigid
+    inliers: BoolArray
+    count: int
+    """How many of (log f, k1, cx, cy) are free."""
+
+    @staticmethod
+    def of(fit: IntrinsicsFit) -> _Model:
+        return _Model(fit.camera, fit.pose, fit.inliers, len(PARAMETERS[fit.intrinsics]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judge:
+    """All matches, dealt into folds."""
+
+    matches: Matches
+    sigma_px: float
+    sigma_range_m: float
+    gate: float
+    group: IntArray
+    fold: IntArray
+
+    @staticmethod
+    def of(matches: Matches, sigma_px: float, sigma_range_m: float, gate: float, seed: int) -> _Judge:
+        return _Judge(matches, sigma_px, sigma_range_m, gate, *deal(matches.pick_ids, seed=seed))
+
+    def measured(self, camera: Camera) -> Measurements:
+        return Measurements.of(self.matches, camera, sigma_px=self.sigma_px, sigma_range_m=self.sigma_range_m)
+
+    def fit(self, model: _Model, step: Intrinsics, noise: Noise | None = None) -> IntrinsicsFit:
+        return estimate_intrinsics(
+            self.matches, model.camera, model.pose, step,
+            sigma_px=self.sigma_px, sigma_range_m=self.sigma_range_m, gate_chi2=self.gate, noise=noise,
+        )  # fmt: skip
+
+    def descent(self, model: _Model) -> Descent:
+        return Descent.start(
+            self.matches, model.camera, model.pose, model.count,
+            sigma_px=self.sigma_px, sigma_range_m=self.sigma_range_m,
+        )  # fmt: skip
+
+    def misses(self, model: _Model, ladder: Sequence[Intrinsics]) -> bool:
+        """Return whether a score test misses any of the steps."""
+        if not ladder:
+            return False
+        descent = self.descent(model)
+        counts = [len(PARAMETERS[step]) for step in ladder]
+        if max(foreseen_gains(descent, model.inliers, counts)) > LOOK_SIGMA:
+            return True
+        wide = descent.seen.s[0] <= _WIDE * self.gate
+        more = np.count_nonzero(wide) > _WORTH_WIDENING * np.count_nonzero(model.inliers)
+        return bool(more and max(foreseen_gains(descent, wide, counts)) > LOOK_SIGMA)
+
+    def gain(self, before: FloatArray, after: FloatArray) -> Gain:
+        by_pick = np.bincount(self.group, before - after)
+        n = len(by_pick)
+        return Gain(float(by_pick.sum()), float(by_pick.std(ddof=1) * np.sqrt(n)) if n > 1 else float("inf"))
+
+    def held_out(self, model: _Model) -> FloatArray:
+        """Return s (M,) of every match under the fit to the inliers of the other folds.
+
+        Where those are too few for a fit it is infinite: a fit that they do not hold would still know the held-out
+        ones, from which it starts.
+        """
+        folds = np.arange(self.fold.max() + 1)
+        training = model.inliers & (self.fold != folds[:, None])  # (B, M)
+        enough = training @ self.matches.dimensions > 6 + model.count
+        enough &= np.count_nonzero(training, axis=1) >= LEAST_MATCHES
+        s = self._free(model, training) if model.count else self._fixed(model, training)
+        own = s[self.fold, np.arange(len(self.matches))]
+        return np.where(enough[self.fold], own, np.inf)
+
+    def _fixed(self, model: _Model, training: BoolArray) -> FloatArray:
+        """Return s (B, M) under the poses fitted to each of the memberships (B, M)."""
+        measured = self.measured(model.camera)
+        counts = training.astype(np.float64)
+        descent = bundle.Descent.start(measured, States.of([model.pose] * len(training), measured))
+        for _ in range(_STEPS):
+            descent.step(lambda s: counts, lambda s: np.asarray((s * counts).sum(axis=1)))
+            if (descent.moved_sigma < _SETTLED_SIGMA).all():
+                break
+        return settle(measured, descent.states)[1].s
+
+    def _free(self, model: _Model, training: BoolArray) -> FloatArray:
+        """Return s (B, M) under the poses and cameras fitted to each of the memberships (B, M)."""
+        found = []
+        start = self.descent(model)
+        for members in training:
+            descent = replace(start)
+            descent.least_squares(members, steps=_STEPS, tolerance_sigma=_SETTLED_SIGMA)
+            found.append(settle(descent.measured, descent.state)[1].s[0])
+        return np.stack(found)

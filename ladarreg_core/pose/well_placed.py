@@ -1,0 +1,161 @@
+"""What the matches of a pose tell of it, beside what as many would tell if they were well placed.
+
+Well placed is: evenly over the photo, and from near to far as in a room. Both are told by the Fisher information, so
+that the comparison holds for any camera, any noise and any number of matches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, information_matrix, residuals
+from ladarreg_core.pose.checks import LEAST_MATCHES
+from ladarreg_core.pose.jacobian import pose_jacobian
+from ladarreg_core.results import PoseResult
+
+FAR_OVER_NEAR = 2.8
+"""Of well-placed matches: nine tenths of them then span a factor of 2.5, as those of a room 2 to 6 m deep do."""
+_REFERENCE = 192
+_R3 = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+_UNDETERMINED = 1e-12  # of the largest eigenvalue: below it rounding alone speaks
+_TAKES_PART = 0.5  # of the largest component
+_MOTIONS = (
+    "tilting up or down",
+    "turning about the vertical",
+    "rolling",
+    "moving sideways",
+    "moving up or down",
+    "moving forward or backward",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """How much the places of the matches cost."""
+
+    position_cost: float
+    """Standard deviation of the camera's place over that by well-placed matches; infinite where undetermined."""
+    picture_cost: float
+    """The same of the picture, median over the photo."""
+    ratio: float
+    """Standard deviation of the worst determined motion over that of the best, lengths in mean ranges (rad)."""
+    well_placed_ratio: float
+    """The same of well-placed matches: 1 is out of reach, since turning aside resembles stepping aside."""
+    worst_motion: str
+    """The worst determined motion in the photo's axes: 'moving forward or backward', or two that hide each other."""
+
+
+def placement(result: PoseResult) -> Placement | None:
+    """Return what the places of the inliers cost; None where fewer than 4 of them are seen, or the photo sees nothing.
+
+    Args:
+        result: a pose with its matches, their noise and inliers.
+    """
+    camera, pose = result.camera, result.camera_from_scanner
+    if np.count_nonzero(result.inliers) < LEAST_MATCHES:
+        return None
+    matches = result.matches.subset(result.inliers)
+    measured = Measurements.of(matches, camera, sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m)
+    seen = residuals(measured, States.of([pose], measured)).s[0] < UNSEEN
+    if np.count_nonzero(seen) < LEAST_MATCHES:
+        return None
+    matches = matches.subset(seen)
+    reach = float(np.median(np.linalg.norm(pose @ matches.points, axis=1)))
+    well = _well_placed(matches, camera, pose, reach)
+    if len(well) < LEAST_MATCHES:
+        return None
+    _, J = pose_jacobian(pose, well.points, camera)
+    J = J[np.isfinite(J).all(axis=(1, 2))]
+    here, there = (_Determined.by(some, result, reach) for some in (matches, well))
+    return Placement(
+        here.position / there.position,
+        here.picture(J) / there.picture(J),
+        here.ratio,
+        there.ratio,
+        here.worst_motion(),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Determined:
+    """The motions that matches determine, from the worst to the best: (w, R c / reach), rad."""
+
+    sigmas: FloatArray
+    """(6,) falling."""
+    motions: FloatArray
+    """(6, 6) one a column."""
+    to_pose: FloatArray
+    """(6, 6) to (w, c)."""
+
+    @staticmethod
+    def by(matches: Matches, result: PoseResult, reach: float) -> _Determined:
+        """Return what the matches determine at the result's pose."""
+        measured = Measurements.of(matches, result.camera, sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m)
+        H = information_matrix(measured, States.of([result.camera_from_scanner], measured))[0]
+        to_pose = np.eye(6)
+        to_pose[3:, 3:] = reach * result.camera_from_scanner.rotation.T
+        values, motions = np.linalg.eigh(to_pose.T @ H @ to_pose)
+        known = values > _UNDETERMINED * values[-1]
+        sigmas = np.where(known, 1 / np.sqrt(np.where(known, values, 1.0)), np.inf)
+        return _Determined(sigmas, motions, to_pose)
+
+    @property
+    def position(self) -> float:
+        """Standard deviation of the camera's place, m."""
+        return self._spread(self.to_pose[3:])
+
+    @property
+    def ratio(self) -> float:
+        """Worst over best."""
+        return float(self.sigmas[0] / self.sigmas[-1])
+
+    def picture(self, J: FloatArray) -> float:
+        """Return the median over pixels with derivatives J (N, 2, 6) of the root mean square error, px."""
+        if not np.isfinite(self.sigmas).all():
+            return float("inf")
+        by_motion = J @ (self.to_pose @ self.motions * self.sigmas)
+        return float(np.sqrt(np.median((by_motion * by_motion).sum(axis=(1, 2)))))
+
+    def worst_motion(self) -> str:
+        """Return the worst motion in words."""
+        parts = np.abs(self.motions[:, 0])
+        chosen = [k for k in np.argsort(-parts).tolist() if parts[k] >= _TAKES_PART * parts.max()][:2]
+        return " together with ".join(_MOTIONS[k] for k in sorted(chosen, reverse=True))
+
+    def _spread(self, rows: FloatArray) -> float:
+        if not np.isfinite(self.sigmas).all():
+            return float("inf")
+        parts = rows @ self.motions * self.sigmas
+        return float(np.sqrt((parts * parts).sum()))
+
+
+def _well_placed(matches: Matches, camera: Camera, pose: Rigid, reach: float) -> Matches:
+    """Return matches all over the photo, around the same distance and of the same information in all.
+
+    Many that weigh little: a few at random places would be well placed by luck only.
+    """
+    assert matches.weights is not None
+    assert matches.range_weights is not None
+    # Roberts' sequence for three dimensions: even, and the same at every call.
+    even = np.mod(0.5 + np.arange(1, _REFERENCE + 1)[:, None] * _R3, 1)
+    uv = even[:, :2] * camera.size - 0.5
+    rays = camera.unproject(uv)
+    at = pose.inverse @ (rays * (reach * FAR_OVER_NEAR ** (even[:, 2:] - 0.5)))
+    ranges = np.linalg.norm(at, axis=1)
+    usable = np.isfinite(ranges) & (ranges > 0)
+    at, ranges, uv = at[usable], ranges[usable], uv[usable]
+    count = len(at)
+    total = float((matches.weights * matches.dimensions / 2).sum())
+    return Matches(
+        at / ranges[:, None],
+        ranges,
+        uv,
+        weights=np.full(count, total / max(count, 1)),
+        range_weights=np.full(count, float(np.average(matches.range_weights, weights=matches.weights))),
+    )
