@@ -30,7 +30,9 @@ class ThresholdArguments(InputArguments):
     reject_depth_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
     """Thesis: a match with a larger stereo depth error is an outlier; else from the data."""
     samples_per_line: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Points along each line drawn by hand (9)."""
+    """Thesis: points along each line drawn by hand (9)."""
+    intrinsics: Literal["auto", "fixed", "focal", "focal-k1", "focal-k1-centre"] | None = None
+    """Drawn matches: what of the camera is estimated too; auto: what matches held out of the fit ask for."""
 
 
 _OF_THESIS = ("t1", "t2_px", "culling", "first_pose", "residual", "reject_depth_m")
@@ -47,6 +49,8 @@ def check_method(arguments: ThresholdArguments, method: str) -> None:
     given = [f"--{name.replace('_', '-')}" for name in _OF_THESIS if getattr(arguments, name) is not None]
     if given and method != "thesis":
         raise OptionError(f"{', '.join(given)} means something to --method thesis only; the method is {method}")
+    if arguments.intrinsics is not None and (method == "thesis" or arguments.matches is None):
+        raise OptionError("--intrinsics means something to drawn matches only (--matches), and not to --method thesis")
 
 
 def register_options(arguments: ThresholdArguments) -> RegisterOptions:
@@ -66,7 +70,10 @@ def register_options(arguments: ThresholdArguments) -> RegisterOptions:
         ),
         **_given(first_pose=_name(arguments.first_pose), residual=arguments.residual),
     )
-    return RegisterOptions(seed=arguments.seed, thesis=thesis, **_given(samples_per_line=arguments.samples_per_line))
+    pose = replace(RegisterOptions().pose, **_given(intrinsics=_name(arguments.intrinsics)))
+    return RegisterOptions(
+        seed=arguments.seed, thesis=thesis, pose=pose, **_given(samples_per_line=arguments.samples_per_line)
+    )
 
 
 def _given(**values: Any) -> dict[str, Any]:

@@ -6,6 +6,8 @@ half a metre between scanner and camera.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from benchmarks.case import Case
@@ -71,3 +73,34 @@ def room_case(
     return Case(
         rays, ranges + rng.normal(size=count) * sigma_range_m, uv, camera, pose, ~wrong, sigma_px, sigma_range_m
     )
+
+
+def plane_case(
+    seed: int,
+    *,
+    extent_m: float,
+    distance_m: float,
+    count: int = 40,
+    sigma_px: float = 1.0,
+    sigma_range_m: float = 0.002,
+) -> Case:
+    """Matches on a square plane of twice the extent, turned by half a radian, 30 cm between scanner and camera."""
+    rng = np.random.default_rng([seed, count, 17])
+    flat = np.column_stack([np.zeros(count), rng.uniform(-extent_m, extent_m, (count, 2))])
+    points = flat @ rotation_from_rotvec([0, 0, 0.5]).T + [distance_m, 0, 0]
+    pose = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, [0.0, 0.3, 0.0])
+    ranges = np.linalg.norm(points, axis=1)
+    uv = ROOM_CAMERA.project(pose @ points) + rng.normal(size=(count, 2)) * sigma_px
+    measured = ranges + rng.normal(size=count) * sigma_range_m
+    everyone = np.ones(count, dtype=np.bool_)
+    return Case(points / ranges[:, None], measured, uv, ROOM_CAMERA, pose, everyone, sigma_px, sigma_range_m)
+
+
+def repeated_case(seed: int, *, share: float, count: int = 60, spacing_m: float = 0.9) -> Case:
+    """A room where a share of the matches leads to the next of two like things, as if the camera stood beside itself."""
+    case = room_case(seed, count=count)
+    beside = Rigid.from_centre(case.pose.rotation, case.pose.centre + np.array([0, spacing_m, 0]))
+    astray = np.arange(count) < round(share * count)
+    noise = case.uv - case.camera.project(case.pose @ case.matches.points)
+    uv = np.where(astray[:, None], case.camera.project(beside @ case.matches.points) + noise, case.uv)
+    return replace(case, uv=uv, true=~astray)

@@ -160,7 +160,8 @@ def _solved(
     with steps.step("pose") as note:
         how = replace(options.pose, seed=options.seed)
         try:
-            result = solve_pose(matches, photo.camera, how, initial=initial)
+            # a pose that somebody gave had nothing to do with these matches, and can be judged by them
+            result = solve_pose(matches, photo.camera, replace(how, keep_better_start=True), initial=initial)
             for _ in range(_KAPPA_ROUNDS if options.lines == "kappa" else 0):
                 matches, losses = matched(result.camera_from_scanner)
                 result = solve_pose(matches, photo.camera, how, initial=result.camera_from_scanner)

@@ -42,11 +42,14 @@ class PoseResult:
     covariance: FloatArray
     """(6, 6) of (w, c): R_true = exp([w]x) R_estimated (rad), c = C_true - C_estimated in the scanner frame (m)."""
     chi2_per_dof: float
-    """Over the inliers, with 2n - 6 degrees of freedom, one less for each known across a line only; NaN: none."""
+    """Over the inliers, with 2n - 6 degrees of freedom, less what is known across lines only and what
+    of the camera is estimated; NaN: none."""
     sigma_px: float
     """Pixel noise used, given or estimated."""
     sigma_range_m: float
     """Range noise used, given or estimated."""
+    camera_sigmas: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations of the intrinsics that were estimated: `focal_px`, `k1`, `cx`, `cy`; empty: all as given."""
     accepted: bool = False
     """Whether there is enough evidence to show this as registered."""
     evidence: Evidence = "none"

@@ -51,6 +51,7 @@ def registration_document(
         "scanner_from_camera_is": "the inverse: maps camera points to the scanner; its last column is the camera's "
         "centre in the scanner frame",
         "camera": r.camera.as_fields(),
+        "camera_sigmas": dict(r.camera_sigmas),
         "covariance": np.asarray(r.covariance),
         "covariance_is": "of (w, c): R_true = exp([w]x) R (rad), c = true minus estimated camera centre in the "
         "scanner frame (m)",

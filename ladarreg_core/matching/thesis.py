@@ -318,7 +318,8 @@ class _Solver:
         start: Rigid | None = None,
         options: PoseOptions | None = None,
     ) -> Stage:
-        how = replace(options or self.options.pose, method=method)
+        # the thesis has its camera calibrated
+        how = replace(options or self.options.pose, method=method, intrinsics="fixed")
         try:
             result = solve_pose(matches, self.camera, how, initial=start)
         except (DegenerateGeometryError, ShapeError) as error:

@@ -201,7 +201,7 @@ def made(rng: np.random.Generator, kinds: dict[str, Any]) -> Problem:
     noisier = (pick["sigma_px"] or 1) < STATED_PX or (pick["sigma_range_m"] or 1) < STATED_M
     honest = (
         camera == lens and not noisier and ranged in ("noisy", "exact", "one wild") and pick["weights"] in ("one", "least")
-        and pick["spoilt"] == "no" and np.mean(unseen) < 0.1
+        and pick["spoilt"] == "no" and np.count_nonzero(unseen) <= 0.1 * n
     )  # fmt: skip
     initial = {
         None: None,

@@ -1,0 +1,78 @@
+"""How good a solver's poses are over many cases, against the Cramer-Rao bound."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.case import Case, difference
+from benchmarks.peers import Solver
+
+SUCCESS_SIGMAS = 6.0
+"""Mahalanobis distance to the truth, by the bound, that still counts as a success."""
+_RESAMPLED = 400
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a solver reached over many seeds."""
+
+    success: float
+    """Share within `SUCCESS_SIGMAS` of the truth."""
+    efficiency: float
+    """Bound / empirical variance, mean of the six parameters, over the successes."""
+    efficiency_error: float
+    """Its standard error, by resampling the cases."""
+    consistency: float
+    """RMS Mahalanobis distance / sqrt 6 by the reported covariance, over the successes; NaN where none is reported."""
+    position_mm: float
+    """Median over all cases."""
+    milliseconds: float
+    """Median."""
+
+
+def measure(solver: Solver, cases: Sequence[Case]) -> Figures:
+    """Success, efficiency and consistency over the cases, and the time."""
+    squares, bounds, distances, position, seconds = [], [], [], [], []
+    for case in cases:
+        start = time.perf_counter()
+        found = solver(case)
+        seconds.append(time.perf_counter() - start)
+        if found is None:
+            position.append(np.inf)
+            continue
+        step, H = difference(case.pose, found[0]), case.bound()
+        position.append(float(np.linalg.norm(step[3:])))
+        if step @ H @ step > SUCCESS_SIGMAS**2:
+            continue
+        squares.append(step**2)
+        bounds.append(np.diag(np.linalg.inv(H)))
+        if found[1] is not None:
+            distances.append(step @ np.linalg.solve(found[1], step))
+    efficiency, error = _efficiency(np.array(squares), np.array(bounds))
+    return Figures(
+        len(squares) / len(cases),
+        efficiency,
+        error,
+        float(np.sqrt(np.mean(distances) / 6)) if distances else np.nan,
+        1000 * float(np.median(position)),
+        1000 * float(np.median(seconds)),
+    )
+
+
+def _efficiency(squares: np.ndarray, bounds: np.ndarray) -> tuple[float, float]:
+    """Efficiency and its standard error from squared errors and bounds, (N, 6) each."""
+    count = len(squares)
+    if count < 2:
+        return np.nan, np.nan
+    again = np.random.default_rng(0).integers(count, size=(_RESAMPLED, count))
+    resampled = (bounds[again].mean(axis=1) / squares[again].mean(axis=1)).mean(axis=1)
+    return float(np.mean(bounds.mean(axis=0) / squares.mean(axis=0))), float(resampled.std(ddof=1))
+
+
+def length_in_sigmas(step: np.ndarray, covariance: np.ndarray) -> float:
+    """The length of a step (6,) by a covariance (6, 6)."""
+    return float(np.sqrt(step @ np.linalg.solve(covariance, step)))

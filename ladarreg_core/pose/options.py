@@ -1,0 +1,89 @@
+"""How a pose is estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from ladarreg_core.errors import OptionError
+from ladarreg_core.pose.gnc import DEFAULT_GNC, GncOptions
+from ladarreg_core.pose.intrinsics import Intrinsics
+from ladarreg_core.pose.ransac import Backend
+from ladarreg_core.pose.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
+
+Method = Literal["robust", "linear", "stereo_simplex", "epipolar_simplex"]
+
+STATED_SIGMA_PX = 1.0
+"""Pixel noise until the data tell, px."""
+STATED_SIGMA_RANGE_M = 0.015
+"""Range noise until the data tell, m."""
+
+_LEAST_SIGMA, _MOST_SIGMA = 1e-6, 1e6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseOptions:
+    """How a pose is estimated."""
+
+    method: Method = "robust"
+    """`robust`, `linear` (thesis 2.4.1), `stereo_simplex` (Eq 2.21) or `epipolar_simplex` (without its poles)."""
+    sigma_px: float | None = None
+    """Pixel noise, px; None: 1 px, then as the matches show."""
+    sigma_range_m: float | None = None
+    """Range noise, m; None: .015 m, then as the matches show."""
+    gate_chi2: float = 9.21
+    """Largest s of an inlier: 99 % of chi-squared with two degrees of freedom."""
+    ransac_sigma: float = 6.0
+    """Threshold of the first RANSAC, in sigma_px."""
+    ransac_again_sigma: float = 3.0
+    """Threshold of the second RANSAC, in sigmas of the pixel with the range's noise propagated into it."""
+    ransac_iterations: int = 5000
+    """Samples at most; 0: none, and a first pose must be given."""
+    ransac_backend: Backend = "auto"
+    """`poselib`, `opencv`, or whichever is installed."""
+    wide_below_share: float = 0.25
+    """A wide start is tried beside the narrow one without RANSAC, or where that finds fewer inliers than this share.
+
+    After RANSAC the narrow start lost none of 200 runs up to 80 % of mismatches; the wide one is for where it failed.
+    """
+    gnc: GncOptions = DEFAULT_GNC
+    """How the robust cost closes."""
+    simplex: SimplexOptions = DEFAULT_SIMPLEX
+    """How a simplex walks and rejects; its `residual` is that of `method`."""
+    intrinsics: Intrinsics | Literal["auto"] = "auto"
+    """What of the camera `robust` estimates with the pose; `auto`: what held-out matches ask for."""
+    keep_better_start: bool = False
+    """Whether `robust` returns to a first guess that foretells held-out matches better than the pose fitted to them."""
+    seed: int = 0
+    """Of every random choice."""
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(Method):
+            raise OptionError(f"the pose method is {self.method!r}; it must be one of {', '.join(get_args(Method))}")
+        for name, unit in (("sigma_px", "pixels"), ("sigma_range_m", "metres")):
+            sigma = getattr(self, name)
+            if sigma is not None and not _between(sigma, _LEAST_SIGMA, _MOST_SIGMA):
+                raise OptionError(
+                    f"{name} is {sigma!r}; it must be a positive number of {unit} ({_LEAST_SIGMA:g} to {_MOST_SIGMA:g})"
+                )
+        for name in ("gate_chi2", "ransac_sigma", "ransac_again_sigma"):
+            if not _between(getattr(self, name), 1e-3, 1e6):
+                raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a positive number")
+        if not isinstance(self.simplex, SimplexOptions):
+            raise OptionError(f"simplex is a {type(self.simplex).__name__}; give SimplexOptions")
+        if self.intrinsics not in ("auto", *get_args(Intrinsics)):
+            known = ", ".join(("auto", *get_args(Intrinsics)))
+            raise OptionError(f"intrinsics is {self.intrinsics!r}; it must be one of {known}")
+        for name in ("ransac_iterations", "seed"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value < 2**31:
+                raise OptionError(f"{name} is {value!r}; it must be a whole number of at least 0")
+
+
+def _between(value: Any, low: float, high: float) -> bool:
+    try:
+        return not isinstance(value, bool) and low <= float(value) <= high
+    except (TypeError, ValueError):
+        return False
