@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -130,6 +131,21 @@ class Matches:
             self.directions[index],
             self.across[index],
         )
+
+    @staticmethod
+    def joined(parts: Sequence[Matches]) -> Matches:
+        """Return the matches of all parts in one, as drawn lines and points beside corners found by machine."""
+        if not parts:
+            return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+        ids = tuple(name for part in parts for name in part.pick_ids)
+        columns = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("fractions", "weights", "range_weights", "directions", "across")
+        )
+        rays, ranges, uv = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("rays", "ranges", "uv")
+        )
+        return Matches(rays, ranges, uv, ids, *columns)
 
     @property
     def dimensions(self) -> IntArray:

@@ -17,22 +17,21 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
-from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation
+from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.ambiguity import APART_SIGMA, LIKELY, likelihood_scores, mirrored, orbits, steps_from
 from ladarreg_core.pose.bundle import (
-    Descent,
     Measurements,
     States,
     information_matrix,
-    linearise,
-    normal_equations,
     residuals,
     rotations_from_rotvecs,
     settle,
 )
 from ladarreg_core.pose.checks import LEAST_MATCHES
 from ladarreg_core.pose.diagnostics import singular_values
-from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, narrow_scales, truncated_score
+from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, narrow_scales
+from ladarreg_core.pose.many_descents import descended, gathered, joined, near_pairs
+from ladarreg_core.pose.planar_poses import generalised, towards_mirrored
 from ladarreg_core.pose.ransac import sample_pose
 from ladarreg_core.results import PoseResult
 
@@ -45,16 +44,10 @@ _LEVELS_OF_DISTANCE = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # .25, .5, 1 and 2 m where 
 _LEAST_STARTS, _MOST_STARTS = 8, 4096
 _HARDLY = 0.25  # of the nearest starts
 _SAMPLE, _MOST_SAMPLE = 40, 160  # among the matches that agree, and in all
-_STEPS, _FIRST_STEPS = 20, 2  # starts are gathered after the first
-_SETTLED_SIGMA = 1.0  # on a sample; the places are settled on all matches later
-_NEAR_RAD, _NEAR_OF_DISTANCE = np.deg2rad(0.5), 0.01  # starts so near to each other go on as one
 _SAME_RAD, _SAME_OF_DISTANCE = np.deg2rad(4.0), 0.1  # one place is no larger, however little the matches say
 _MOST_PLACES = 8
 _ON_ALL = replace(DEFAULT_GNC, last_steps=8)
 _FLAT = 0.3  # least over middle extent of points that may have a mirrored pose
-_WIDEST, _ALMOST = 1e9, 1.5  # as in `gnc`
-_ON_THE_WAY = (0.25, 0.5, 0.75, 1.0)
-_GENERALISED_STEPS, _MOST_TURN_RAD = 6, 0.3
 _RANSAC_SIGMA = 6.0
 _RANSAC_ITERATIONS = 500
 _RIVAL_SHARE, _LEAST_RIVAL = 0.5, 5
@@ -197,7 +190,7 @@ def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi
     level_of = np.sort(np.arange(starts) % len(_LEVELS_DEG))
     perturbed = _perturbed(pose, few, level_of, reach=reach, rng=rng)
     around = States.of(orbits(pose, members), few)
-    ends, end_of = _descended(few, _joined(perturbed, around), gate=gate, reach=reach)
+    ends, end_of = descended(few, joined(perturbed, around), gate=gate, reach=reach)
     worth = _worth_a_look(few, ends, gate=gate)
 
     candidates = [pose, *_pose_of_the_others(result, measured, ~agree, seed=seed)]
@@ -233,79 +226,6 @@ def _perturbed(pose: Rigid, few: Measurements, level_of: IntArray, *, reach: flo
     )
 
 
-def _joined(a: States, b: States) -> States:
-    return States(*(np.concatenate([getattr(a, name), getattr(b, name)]) for name in ("rotations", "centres", "rho")))
-
-
-def _descended(few: Measurements, starts: States, *, gate: float, reach: float) -> tuple[States, IntArray]:
-    """Return where starts end on a sample, and in which of those ends each start (B,) does.
-
-    Starts that have come near to each other go on as one.
-    """
-    descent = Descent.start(few, starts)
-    mu = np.maximum(_typical(descent.seen.s), DEFAULT_GNC.narrow * gate)[:, None]
-    end_of: IntArray = np.arange(len(mu))
-
-    def weigh(s: FloatArray) -> FloatArray:
-        ratio = mu / (mu + s)
-        return np.asarray(ratio * ratio)
-
-    def cost(s: FloatArray) -> FloatArray:
-        return np.asarray((mu * (s / (mu + s))).sum(axis=-1))
-
-    for k in range(_STEPS):
-        descent.step(weigh, cost)
-        if k >= _FIRST_STEPS and len(mu) > 1:
-            near = _near(descent.states, _NEAR_RAD, _NEAR_OF_DISTANCE * reach)
-            label, leaders = _gathered(near, truncated_score(descent.seen.s, gate))
-            if len(leaders) < len(mu):
-                end_of, mu = label[end_of], mu[leaders]
-                descent = _of_some(descent, leaders)
-        if (mu <= gate).all() and (descent.moved_sigma < _SETTLED_SIGMA).all():
-            break
-        # as `graduate` closes, and at once where the data already fit better than that
-        mu = np.minimum(mu / DEFAULT_GNC.divide_by, _typical(descent.seen.s)[:, None])
-        mu = np.where(mu < _ALMOST * gate, gate, mu)
-    return descent.states, end_of
-
-
-def _typical(s: FloatArray) -> FloatArray:
-    """Return the scale (B,) that counts most matches."""
-    middle = s.shape[1] // 2
-    return np.asarray(np.minimum(DEFAULT_GNC.wide * np.partition(s, middle, axis=1)[:, middle], _WIDEST))
-
-
-def _of_some(descent: Descent, starts: IntArray) -> Descent:
-    """Return the descent of some of the starts, where it stands."""
-    some = Descent.start(descent.measured, descent.states.subset(starts))
-    some.damping, some.moved_sigma = descent.damping[starts], descent.moved_sigma[starts]
-    return some
-
-
-def _near(states: States, angle_rad: float, distance_m: float) -> BoolArray:
-    """Return which states (B, B) are no further apart than this."""
-    R = states.rotations.reshape(-1, 9)
-    apart = states.centres[:, None] - states.centres
-    near = np.cos(angle_rad) <= (R @ R.T - 1) / 2
-    return np.asarray(near & ((apart * apart).sum(axis=-1) <= distance_m**2))
-
-
-def _gathered(near: BoolArray, scores: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the group (B,) of each state, and the leaders (G,): the best gathers what is near it, then the next.
-
-    Args:
-        near: (B, B) which states belong to each as its leader.
-        scores: (B,) lower is better; groups are in this order.
-    """
-    group = np.full(len(scores), -1)
-    leaders: list[int] = []
-    for k in np.argsort(scores, kind="stable").tolist():
-        if group[k] < 0:
-            group[near[k] & (group < 0)] = group[k] = len(leaders)
-            leaders.append(k)
-    return group, np.array(leaders, dtype=np.intp)
-
-
 def _settled(
     measured: Measurements, candidates: list[Rigid], ends: States, members: FloatArray, *, gate: float
 ) -> States:
@@ -319,44 +239,8 @@ def _settled(
     settled, _ = graduate(measured, full, narrow_scales(full, gate), gate, _ON_ALL)
     if not flat:
         return settled
-    valley, _ = settle(measured, States.of(_towards_mirrored(settled.pose(), members), measured))
-    return _joined(_joined(settled, _generalised(measured, settled, gate)), valley)
-
-
-def _towards_mirrored(pose: Rigid, points: FloatArray) -> list[Rigid]:
-    """Return poses on the way to the mirrored one, which keep the points' middle where it is seen.
-
-    Where a plane is seen nearly face on both poses may have grown together to one minimum with a wide floor. They need
-    not be minima to tell: six sigma away by the information, and no worse by the likelihood, is another place.
-    """
-    centroid = points.mean(axis=0)
-    seen = pose @ centroid
-    turn = rotvec_from_rotation(mirrored(pose, points).rotation @ pose.rotation.T)
-    turned = [rotation_from_rotvec(share * turn) @ pose.rotation for share in _ON_THE_WAY]
-    return [Rigid(R, seen - R @ centroid) for R in turned]
-
-
-def _generalised(measured: Measurements, states: States, gate: float) -> States:
-    """Return where generalised least squares leads from states: the ranges as measured, their noise in the pixels.
-
-    The errors-in-variables minimum of a small plane may lie degrees beside the likelihood's, since it gains by seeing
-    the ranges' noise across (`likelihood_scores`); here nothing is gained by that.
-    """
-    members = (residuals(measured, states).s <= gate).astype(np.float64)
-    moving = states
-    for _ in range(_GENERALISED_STEPS):
-        moving = moving.seeing(measured)
-        seen = residuals(measured, moving)
-        H, g = normal_equations(measured, seen, linearise(measured, moving, seen), members)
-        diagonal = np.einsum("bii->bi", H)
-        diagonal += 1e-9 * diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300
-        step = np.nan_to_num(np.linalg.solve(H, g[..., None])[..., 0])
-        length = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
-        step = step * np.minimum(1, _MOST_TURN_RAD / np.maximum(length, 1e-300))
-        moving = States(
-            rotations_from_rotvecs(step[:, :3]) @ moving.rotations, moving.centres + step[:, 3:], moving.rho
-        )
-    return settle(measured, moving.seeing(measured))[0]
+    valley, _ = settle(measured, States.of(towards_mirrored(settled.pose(), members), measured))
+    return joined(joined(settled, generalised(measured, settled, gate)), valley)
 
 
 def _worth_a_look(few: Measurements, ends: States, *, gate: float) -> IntArray:
@@ -419,9 +303,9 @@ def _places(measured: Measurements, settled: States, *, gate: float, reach: floa
     H = information_matrix(measured, settled.subset(best), members=s[best[0]] <= gate)[0]
     noise = _noise(s[best[0]], gate)
     step = np.stack([steps_from(settled.pose(k), settled)[0] for k in range(len(scores))])
-    near = _near(settled, _SAME_RAD, _SAME_OF_DISTANCE * reach)
+    near = near_pairs(settled, _SAME_RAD, _SAME_OF_DISTANCE * reach)
     near &= ((step @ H) * step).sum(axis=-1) <= APART_SIGMA**2 * noise
-    place_of, leaders = _gathered(near, scores)
+    place_of, leaders = gathered(near, scores)
     return _Found(settled.subset(leaders), scores[leaders], s[leaders] <= gate, H, noise, place_of)
 
 

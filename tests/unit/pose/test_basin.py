@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.pose import ROOM_CAMERA, difference, room_case, start_near
+from benchmarks.case import difference, start_near
+from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.errors import DegenerateGeometryError, LadarregError, OptionError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches

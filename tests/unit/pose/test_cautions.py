@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.pose import room_case
+from benchmarks.room import room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.frames import Rigid, rotation_about

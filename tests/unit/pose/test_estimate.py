@@ -5,18 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.pose import (
-    APPLE_READINGS,
-    ROOM_CAMERA,
-    apple_case,
-    apple_error_percent,
-    apple_figures,
-    default,
-    difference,
-    known_inliers,
-    measure,
-    room_case,
-)
+from benchmarks.accuracy import measure
+from benchmarks.apple import APPLE_READINGS, apple_case, apple_error_percent
+from benchmarks.case import difference
+from benchmarks.peers import default, known_inliers
+from benchmarks.room import ROOM_CAMERA, room_case
+from benchmarks.table_3_1 import apple_figures
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches

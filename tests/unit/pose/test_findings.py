@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.pose import ROOM_CAMERA, room_case
+from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
@@ -25,7 +25,8 @@ WIDE = Camera(768, 512, 420.0, 421.0, 380.0, 250.0, (-0.12, 0.03, 1e-3, -5e-4))
 def solved(case, *, camera=None, **options):
     stated = options or {"sigma_px": case.sigma_px, "sigma_range_m": case.sigma_range_m}
     initial = case.pose if "simplex" in options.get("method", "") else None
-    return solve_pose(case.matches, camera or case.camera, PoseOptions(**stated), initial=initial)
+    how = PoseOptions(intrinsics="fixed", **stated)
+    return solve_pose(case.matches, camera or case.camera, how, initial=initial)
 
 
 def part(case, chosen):

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.pose import ROOM_CAMERA, room_case, start_near
+from benchmarks.case import start_near
+from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
@@ -20,7 +21,7 @@ def scaled(factor):
 
 
 def chosen(case, given, *, stated=True, **options):
-    result = solve_pose(case.matches, given, PoseOptions(**(SIGMA if stated else {})))
+    result = solve_pose(case.matches, given, PoseOptions(intrinsics="fixed", **(SIGMA if stated else {})))
 
     def noise(pose, camera, inliers):
         return estimate_noise(
@@ -34,7 +35,7 @@ def chosen(case, given, *, stated=True, **options):
 
 
 def rolled_back(case, start, **options):
-    result = solve_pose(case.matches, case.camera, PoseOptions(**SIGMA), initial=start)
+    result = solve_pose(case.matches, case.camera, PoseOptions(intrinsics="fixed", **SIGMA), initial=start)
     return worse_when_held_out(
         case.matches, case.camera, start, result.camera_from_scanner, result.inliers, **SIGMA, **options
     )
@@ -111,7 +112,7 @@ def test_what_is_suggested_but_not_determined_is_said_and_not_used():
         uv = ROOM_CAMERA.project(pose @ points) + rng.normal(size=(80, 2))
         matches = Matches(points / ranges[:, None], ranges, uv)
         given = scaled(1.5)
-        result = solve_pose(matches, given, PoseOptions(**SIGMA))
+        result = solve_pose(matches, given, PoseOptions(intrinsics="fixed", **SIGMA))
         choice = choose_intrinsics(matches, given, result.camera_from_scanner, result.inliers, **SIGMA)
         if choice.fit is not None:
             assert choice.fit.determined

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.pose import difference, room_case
+from benchmarks.case import difference
+from benchmarks.room import room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.matches import Matches

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import f, norm
 
-from benchmarks.pose import ROOM_CAMERA, difference, room_case
+from benchmarks.case import difference
+from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
@@ -31,7 +32,7 @@ def with_k1(camera, k1):
 
 
 def fitted(case, given, intrinsics, **options):
-    result = solve_pose(case.matches, given, PoseOptions(**SIGMA))
+    result = solve_pose(case.matches, given, PoseOptions(intrinsics="fixed", **SIGMA))
     return estimate_intrinsics(case.matches, given, result.camera_from_scanner, intrinsics, **SIGMA, **options)
 
 
@@ -102,7 +103,7 @@ def test_the_answer_does_not_depend_on_the_focal_length_given(seed, factor):
 
 def test_fixed_is_the_pose_alone():
     case = room_case(8, outliers=0.2)
-    result = solve_pose(case.matches, case.camera, PoseOptions(**SIGMA))
+    result = solve_pose(case.matches, case.camera, PoseOptions(intrinsics="fixed", **SIGMA))
     fit = fitted(case, case.camera, "fixed")
     assert fit.camera == case.camera
     assert fit.values == fit.sigmas == {}
@@ -115,12 +116,12 @@ def test_the_noise_is_estimated_anew():
     """With a wrong focal length the noise looks twice as large as it is."""
     case = room_case(13, outliers=0.2)
     given = scaled(ROOM_CAMERA, 1.03)
-    result = solve_pose(case.matches, given, PoseOptions())
+    result = solve_pose(case.matches, given, PoseOptions(intrinsics="fixed"))
     calls = []
 
     def noise(pose, camera, inliers):
         calls.append(camera)
-        return solve_pose(case.matches, camera, PoseOptions(), initial=pose).sigma_px, 0.015
+        return solve_pose(case.matches, camera, PoseOptions(intrinsics="fixed"), initial=pose).sigma_px, 0.015
 
     fit = estimate_intrinsics(
         case.matches, given, result.camera_from_scanner, "focal",

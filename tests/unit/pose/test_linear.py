@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.pose import difference, room_case
+from benchmarks.case import difference
+from benchmarks.room import room_case
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import estimate_pose

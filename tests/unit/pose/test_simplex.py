@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.optimize import minimize, rosen
 
-from benchmarks.pose import room_case
+from benchmarks.room import room_case
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
 from ladarreg_core.pose.simplex import nelder_mead, start_simplex
 from ladarreg_core.pose.stereo import StereoPairs, stereo_cost

@@ -9,16 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.pose import (
-    THESIS_START,
-    Case,
-    apple_case,
-    default,
-    difference,
-    picture_difference_px,
-    room_case,
-    start_near,
-)
+from benchmarks.apple import THESIS_START, apple_case
+from benchmarks.case import Case, difference, picture_difference_px, start_near
+from benchmarks.peers import default
+from benchmarks.room import room_case
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches

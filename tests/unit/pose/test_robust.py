@@ -1,0 +1,119 @@
+"""What the default estimator does beside the pose: the camera, the ends of lines, a better start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.lines import line_case
+from benchmarks.room import room_case, room_ranges
+from ladarreg_core.errors import OptionError
+from ladarreg_core.frames import Rigid, rotation_from_rotvec
+from ladarreg_core.matches import Matches
+from ladarreg_core.picked import matches_from_picks
+from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
+from ladarreg_core.register import RegisterOptions
+
+STATED = {"sigma_px": 1.0, "sigma_range_m": 0.015}
+
+
+@pytest.mark.parametrize("stated", [STATED, {}])
+@pytest.mark.parametrize("error", [0.03, -0.05])
+def test_a_wrong_focal_length_is_found_and_a_right_one_left_alone(stated, error):
+    case = room_case(11, outliers=0.2)
+    given = replace(case.camera, fx=case.camera.fx * (1 + error), fy=case.camera.fy * (1 + error))
+    found = estimate_pose(case.rays, case.ranges, case.uv, given, **stated)
+    assert found.accepted
+    assert abs(found.camera.fx - case.camera.fx) < 4 * found.camera_sigmas["focal_px"]
+    assert found.camera_sigmas["focal_px"] < 0.01 * case.camera.fx
+    assert found.camera_from_scanner.distance_to(case.pose) < 0.02
+    assert any("focal length" in reason for reason in found.reasons)
+
+    right = estimate_pose(case.rays, case.ranges, case.uv, case.camera, **stated)
+    assert right.camera is case.camera
+    assert right.camera_sigmas == {}
+
+    fixed = estimate_pose(case.rays, case.ranges, case.uv, given, intrinsics="fixed", **stated)
+    assert fixed.camera is given
+    assert fixed.camera_from_scanner.distance_to(case.pose) > 0.05
+
+
+def test_estimated_intrinsics_take_their_degrees_of_freedom():
+    case = room_case(3)
+    fixed = solve_pose(case.matches, case.camera, PoseOptions(**STATED))
+    free = solve_pose(case.matches, case.camera, PoseOptions(**STATED, intrinsics="focal_k1"))
+    assert set(free.camera_sigmas) == {"focal_px", "k1"}
+    n = int(free.inliers.sum())
+    np.testing.assert_array_equal(free.inliers, fixed.inliers)
+    assert free.chi2_per_dof * (2 * n - 8) <= fixed.chi2_per_dof * (2 * n - 6) + 1e-6
+    assert (np.diag(free.covariance) > 0.99 * np.diag(fixed.covariance)).all()
+    assert free.sigma_position_m > fixed.sigma_position_m
+
+
+def test_a_better_start_is_kept_only_when_that_is_asked_for():
+    case = room_case(5, count=6, sigma_px=4.0)
+    good = Rigid.from_centre(rotation_from_rotvec([1e-4, 0, 0]) @ case.pose.rotation, case.pose.centre)
+    stated = {"sigma_px": 4.0, "sigma_range_m": 0.015}
+    free = solve_pose(case.matches, case.camera, PoseOptions(**stated), initial=good)
+    kept = solve_pose(case.matches, case.camera, PoseOptions(**stated, keep_better_start=True), initial=good)
+    assert free.camera_from_scanner.distance_to(case.pose) > 0.02
+    assert kept.camera_from_scanner.distance_to(good) < 1e-12
+    assert any("kept" in reason for reason in kept.reasons)
+    many = room_case(5, count=100)
+    poor = Rigid.from_centre(rotation_from_rotvec([0.1, 0, 0]) @ case.pose.rotation, case.pose.centre + 0.2)
+    found = solve_pose(many.matches, many.camera, PoseOptions(**STATED, keep_better_start=True), initial=poor)
+    assert found.camera_from_scanner.distance_to(many.pose) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_slid_and_swapped_ends_cost_little(seed):
+    errors = {}
+    for name, kind in (("plain", {}), ("slid", {"slid": 3}), ("swapped", {"swapped": 3})):
+        case = line_case(seed, lines=10, **kind)
+        matches, notes = matches_from_picks(case.scan, case.picks, camera=case.camera)
+        assert notes == ()
+        result = solve_pose(matches, case.camera, PoseOptions(**STATED))
+        assert result.accepted
+        step = result.camera_from_scanner
+        errors[name] = step.distance_to(case.pose)
+        assert errors[name] < 5 * result.sigma_position_m
+        if name == "swapped":
+            assert result.inliers.mean() > 0.9
+            assert any("L1, L2, L3 were drawn the other way round" in reason for reason in result.reasons)
+        if name == "slid":
+            assert result.inliers.mean() > 0.9
+            assert result.matches.across.sum() >= 4
+            assert any("across the line only" in reason for reason in result.reasons)
+    assert max(errors.values()) < 0.08
+
+
+def test_lines_and_points_are_solved_in_one_cost():
+    lines, points = line_case(4, lines=6), room_case(4, count=30, outliers=0.2)
+    drawn, _ = matches_from_picks(lines.scan, lines.picks, camera=lines.camera)
+    # the same room seen from the lines' camera
+    ranges = points.ranges[points.true]
+    seen = lines.camera.project(
+        lines.pose @ (points.rays[points.true] * room_ranges(points.rays[points.true])[:, None])
+    )
+    inside = lines.camera.contains(seen)
+    uv = seen + np.random.default_rng(4).normal(size=seen.shape)
+    found = Matches(points.rays[points.true][inside], ranges[inside], uv[inside])
+    both = Matches.joined([drawn, found])
+    assert len(both) == len(drawn) + len(found)
+    assert both.pick_ids == drawn.pick_ids + found.pick_ids
+    results = [solve_pose(m, lines.camera, PoseOptions(**STATED)) for m in (drawn, found, both)]
+    sigmas = [result.sigma_position_m for result in results]
+    assert sigmas[2] < min(sigmas[:2])
+    together = sum(np.linalg.inv(result.covariance) for result in results[:2])
+    np.testing.assert_allclose(np.diag(np.linalg.inv(together)), np.diag(results[2].covariance), rtol=0.15)
+    assert results[2].camera_from_scanner.distance_to(lines.pose) < 4 * sigmas[2]
+
+
+@pytest.mark.parametrize("bad", ["f", None, 3, "auto "])
+def test_intrinsics_without_meaning_are_refused(bad):
+    with pytest.raises(OptionError, match="intrinsics is"):
+        PoseOptions(intrinsics=bad)
+    with pytest.raises(OptionError, match="use of lines"):
+        RegisterOptions(lines=bad)
