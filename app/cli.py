@@ -18,6 +18,7 @@ COMMANDS = {
     "register": "Register a scan with a photograph: pose, registered picture, textured model.",
     "compare": "Set the thesis's stages and the default side by side: table and contact sheet.",
     "info": "Tell what a scan, photograph or camera file holds.",
+    "selftest": "Try what to expect of a scan and a camera, on photographs made from the scan itself.",
     "simulate": "Write a synthetic scan and photograph with their true pose.",
     "demo": "Register the embedded sample and look at it in the browser.",
 }

@@ -17,8 +17,12 @@ _MILESTONES = {
     "channels": 0.4,
     "hypothesis": 0.35,
     "climb": 0.45,
+    "turn": 0.4,
+    "places": 0.42,
     "finish": 0.55,
     "verify": 0.58,
+    "camera": 0.585,
+    "evidence": 0.59,
     "matches": 0.3,
     "corners": 0.2,
     "unconstrained search": 0.25,
@@ -27,7 +31,10 @@ _MILESTONES = {
     "simplex": 0.5,
     "outliers removed": 0.55,
     "pose": 0.58,
+    "starts": 0.59,
     "result": 0.6,
+    "assess": 0.6,
+    "smooth": 0.6,
 }
 """How far the work has come after a step, as a share of the usual time; a search may take many climbs."""
 _EXPORTS_FROM = 0.6

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ladarreg_core.pose.findings import Finding
     from ladarreg_core.results import PoseResult, Registration
     from ladarreg_core.scan import Scan
+    from ladarreg_core.self_test.report import SelfTest
 
 EVIDENCE = {
     "image": "verified on the picture itself",
@@ -151,3 +152,30 @@ def aligned(table: Table) -> str:
 
     rule = "-" * (sum(widths) + 2 * len(table.heads))
     return "\n".join([*(line(row).rstrip() for row in rows), rule, *(line(row).rstrip() for row in table.rows)])
+
+
+def self_test_report(found: SelfTest) -> str:
+    """Return what to expect, what was tried, and what to do."""
+    lines = [found.in_words()]
+    right, wrong = found.of("right"), found.of("wrong")
+    if right:
+        missed = sum(not t.accepted for t in right)
+        astray = sum(t.accepted and not t.right for t in right)
+        lines.append(
+            f"  {len(right)} photographs made from the scan, without a guess: {sum(t.right for t in right)} right "
+            f"(median {found.picture_px:.2g} px), {missed} not accepted, {astray} accepted and wrong"
+        )
+    by_level: dict[float, list[bool]] = {}
+    for trial in found.of("start"):
+        by_level.setdefault(trial.off_deg, []).append(trial.right)
+    levels = [f"{sum(ends)} of {len(ends)} from {level:g} deg off" for level, ends in sorted(by_level.items())]
+    if levels:
+        lines.append(f"  starts that are off, one climb each: {', '.join(levels)} came home")
+    if wrong:
+        lines.append(f"  pictures of other places: {sum(t.accepted for t in wrong)} of {len(wrong)} accepted")
+    if found.trials:
+        lines.append(f"  {sum(t.seconds for t in found.trials) / len(found.trials):.1f} s each")
+    if found.advice():
+        lines.append(found.advice())
+    lines.append("Real photographs, of a scene in which things have moved, do no better than this.")
+    return "\n".join(lines)

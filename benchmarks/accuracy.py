@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.case import Case, difference
-from benchmarks.peers import Solver
+from benchmarks.peers import Answer, Solver
 
 SUCCESS_SIGMAS = 6.0
 """Mahalanobis distance to the truth, by the bound, that still counts as a success."""
@@ -31,16 +31,37 @@ class Figures:
     position_mm: float
     """Median over all cases."""
     milliseconds: float
-    """Median."""
+    """Median, of the processor's time."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What a solver said of some cases."""
+
+    found: tuple[Answer | None, ...]
+    milliseconds: np.ndarray
+    """(N,) the processor's time."""
+
+
+def ask(solver: Solver, cases: Sequence[Case]) -> Answers:
+    """Solve every case."""
+    found, spent = [], []
+    for case in cases:
+        start = time.process_time()
+        found.append(solver(case))
+        spent.append(1000 * (time.process_time() - start))
+    return Answers(tuple(found), np.array(spent))
 
 
 def measure(solver: Solver, cases: Sequence[Case]) -> Figures:
     """Success, efficiency and consistency over the cases, and the time."""
-    squares, bounds, distances, position, seconds = [], [], [], [], []
-    for case in cases:
-        start = time.perf_counter()
-        found = solver(case)
-        seconds.append(time.perf_counter() - start)
+    return figures_of(ask(solver, cases), cases)
+
+
+def figures_of(answers: Answers, cases: Sequence[Case]) -> Figures:
+    """The figures of answers to cases."""
+    squares, bounds, distances, position = [], [], [], []
+    for case, found in zip(cases, answers.found, strict=True):
         if found is None:
             position.append(np.inf)
             continue
@@ -59,7 +80,7 @@ def measure(solver: Solver, cases: Sequence[Case]) -> Figures:
         error,
         float(np.sqrt(np.mean(distances) / 6)) if distances else np.nan,
         1000 * float(np.median(position)),
-        1000 * float(np.median(seconds)),
+        float(np.median(answers.milliseconds)),
     )
 
 

@@ -1,7 +1,7 @@
 """The apple: Table 3.1 of the thesis in three readings.
 
-"Radius one" contradicts "ranges from two to eight", hence three: A has radius 1 and depth 4 to 6 at f = 256 px, B radius 3 and
-depth 2 to 8 at f = 128 px, C radius 3 at f = 256 px with all spikes +-3.
+"Radius one" contradicts "ranges from two to eight", hence three: A has radius 1 and depth 4 to 6 at f = 256 px, B
+radius 3 and depth 2 to 8 at f = 128 px, C radius 3 at f = 256 px with all spikes +-3.
 """
 
 from __future__ import annotations

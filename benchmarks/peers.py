@@ -1,4 +1,4 @@
-"""Who estimates a pose from matches with mismatches among them: the default in its variants, and the usual libraries."""
+"""Who estimates a pose from matches, mismatches among them: the default in its variants, and the usual libraries."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ MOST_ITERATIONS = 5000
 THRESHOLD_SIGMA = 6.0
 
 
-def default(case: Case, *, matches: Matches | None = None, initial: Rigid | None = None, **options: object) -> Answer | None:
+def default(
+    case: Case, *, matches: Matches | None = None, initial: Rigid | None = None, **options: object
+) -> Answer | None:
     chosen = PoseOptions(sigma_px=case.sigma_px, sigma_range_m=case.sigma_range_m, **options)  # type: ignore[arg-type]
     try:
         result = solve_pose(matches or case.matches, case.camera, chosen, initial=initial)

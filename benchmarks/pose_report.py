@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from platform import python_version
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,9 @@ from ladarreg_core.export.comparison_table import Table, markdown_table
 
 LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "poselib")
 NOTHING = "-"
+_PAGE_WIDTH = 115
 _BEGIN, _END = "<!-- pose: written by `python -m benchmarks.pose --page` -->", "<!-- pose: end -->"
+_SECTION, _CLOSED = "<!-- section: ", " -->"
 
 
 @dataclass(frozen=True)
@@ -49,14 +52,14 @@ class Bar:
         value = number(self.value, self.digits)
         if self.error is not None and math.isfinite(self.error):
             value += f" ± {number(self.error, self.digits)}"
-        least, most = (None if bound is None else f"{bound:,.4g}" for bound in (self.least, self.most))
+        least, most = (None if bound is None else f"{bound:,g}" for bound in (self.least, self.most))
         held = f"{least} to {most}" if least and most else f">= {least}" if least else f"<= {most}"
         return self.name, value, held, self.verdict
 
 
 @dataclass(frozen=True)
 class Section:
-    """One question and its answer."""
+    """A question and its answer."""
 
     key: str
     """Of the JSON."""
@@ -89,7 +92,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
 
 def as_text(section: Section) -> str:
     """A section for a terminal."""
-    lines = [section.title, f"  {section.note}"]
+    lines = [section.title, fill(section.note, _PAGE_WIDTH, initial_indent="  ", subsequent_indent="  ")]
     for caption, of_cells in section.tables:
         lines += [f"  {caption}"] if caption else []
         lines += _aligned(("", *of_cells.heads), of_cells.rows)
@@ -100,7 +103,8 @@ def as_text(section: Section) -> str:
 def _aligned(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads))]
     return [
-        "    " + "  ".join(cell.rjust(w) if k else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))
+        "    "
+        + "  ".join(cell.rjust(w) if k else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))
         for row in (heads, *rows)
     ]
 
@@ -109,12 +113,16 @@ def _bar_rows(section: Section) -> list[tuple[str, str, str, str]]:
     return [bar.cells() for bar in section.bars]
 
 
-def as_markdown(section: Section) -> str:
+def as_markdown(section: Section, *, seeds: Sequence[int]) -> str:
     """A section for a page."""
-    parts = [f"### {section.title}\n", f"{section.note}\n"]
+    parts = [f"### {section.title}\n", f"{fill(section.note, _PAGE_WIDTH)}\n"]
     for caption, of_cells in section.tables:
         parts += [f"{caption}\n"] if caption else []
         parts.append(markdown_table(of_cells))
+    if section.bars:
+        parts.append(markdown_table(table(("figure", "held to", ""), _bar_rows(section))))
+    ran = ", ".join(f"{name} {of}" for name, of in versions().items())
+    parts.append(f"{len(seeds)} seeds ({seeds[0]} to {seeds[-1]}), one core; {ran}.\n")
     return "\n".join(parts)
 
 
@@ -158,20 +166,20 @@ def write_json(path: Path, sections: Sequence[Section], *, seeds: Sequence[int])
 
 
 def write_page(path: Path, sections: Sequence[Section], *, seeds: Sequence[int]) -> None:
-    """Put the sections between their two markers of a page; a page without markers gets them at its end."""
+    """Put sections between the two markers of a page, in place of what it says of them; all else stays.
+
+    A page without markers gets them at its end.
+    """
     page = path.read_text(encoding="utf-8") if path.exists() else "# Benchmarks\n"
-    body = _page_body(sections, seeds=seeds)
     before, begin, rest = page.partition(_BEGIN)
-    _, end, after = rest.partition(_END)
+    inside, end, after = rest.partition(_END)
     if not (begin and end):
-        before, after = page.rstrip("\n") + "\n\n", "\n"
-    path.write_text(f"{before}{_BEGIN}\n{body}{_END}{after}", encoding="utf-8")
-
-
-def _page_body(sections: Sequence[Section], *, seeds: Sequence[int]) -> str:
-    ran = ", ".join(f"{name} {of}" for name, of in versions().items())
-    parts = [f"{len(seeds)} seeds ({seeds[0]} to {seeds[-1]}), one core; {ran}.\n"]
-    rows = [row for section in sections for row in _bar_rows(section)]
-    if rows:
-        parts += ["### What the code is held to\n", markdown_table(table(("figure", "held to", ""), rows))]
-    return "\n" + "\n".join([*parts, *(as_markdown(section) for section in sections)]) + "\n"
+        before, inside, after = page.rstrip("\n") + "\n\n", "", "\n"
+    of_key: dict[str, str] = {}
+    for block in inside.split(_SECTION)[1:]:
+        key, _, words = block.partition(_CLOSED)
+        of_key[key] = words.strip("\n")
+    for section in sections:
+        of_key[section.key] = as_markdown(section, seeds=seeds).strip("\n")
+    blocks = [f"{_SECTION}{key}{_CLOSED}\n{words}\n" for key, words in of_key.items()]
+    path.write_text("\n".join([f"{before}{_BEGIN}", *blocks, f"{_END}{after}"]), encoding="utf-8")

@@ -1,7 +1,7 @@
 """The room: matches on the walls, the floor and three boxes of a room, 2 to 6 m away.
 
-They lie in the view of a 768 x 512 camera with f = 974 px (50 degrees across the diagonal), with 1 px and 15 mm of noise and
-half a metre between scanner and camera.
+They lie in the view of a 768 x 512 camera with f = 974 px (50 degrees across the diagonal), with 1 px and 15 mm of
+noise and half a metre between scanner and camera.
 """
 
 from __future__ import annotations
@@ -97,10 +97,11 @@ def plane_case(
 
 
 def repeated_case(seed: int, *, share: float, count: int = 60, spacing_m: float = 0.9) -> Case:
-    """A room where a share of the matches leads to the next of two like things, as if the camera stood beside itself."""
+    """A room where a share of the matches leads to the next of like things, as if the camera stood elsewhere."""
     case = room_case(seed, count=count)
     beside = Rigid.from_centre(case.pose.rotation, case.pose.centre + np.array([0, spacing_m, 0]))
     astray = np.arange(count) < round(share * count)
-    noise = case.uv - case.camera.project(case.pose @ case.matches.points)
-    uv = np.where(astray[:, None], case.camera.project(beside @ case.matches.points) + noise, case.uv)
+    points = case.rays * room_ranges(case.rays)[:, None]
+    noise = case.uv - case.camera.project(case.pose @ points)
+    uv = np.where(astray[:, None], case.camera.project(beside @ points) + noise, case.uv)
     return replace(case, uv=uv, true=~astray)

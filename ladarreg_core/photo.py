@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ladarreg_core.arrays import ByteArray, read_only
+from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, ShapeError
 
@@ -16,7 +16,8 @@ class Photo:
     """A picture with its intrinsics; read-only.
 
     Raises:
-        ShapeError: if the picture has not the camera's size, or values that are no whole numbers from 0 to 255.
+        ShapeError: if the picture has not the camera's size, or values that are no whole numbers from 0 to 255, or the
+            temperatures have not the picture's size.
         CameraError: if there is no camera.
     """
 
@@ -28,6 +29,8 @@ class Photo:
     """What to call it."""
     notes: tuple[str, ...] = field(default=())
     """What an operator should know of the file, e.g. where the focal length came from."""
+    temperature_k: FloatArray | None = None
+    """(H, W) float32, of a thermal picture: apparent temperature, K; `pixels` are then gray levels to look at."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
@@ -39,5 +42,8 @@ class Photo:
                 f"the photo is {width} x {height} pixels, its camera {self.camera.width} x {self.camera.height}; "
                 "give the camera of this picture size"
             )
+        if self.temperature_k is not None:
+            kelvin = read_only(self.temperature_k, np.float32, (height, width), "the photo's temperatures")
+            object.__setattr__(self, "temperature_k", kelvin)
         object.__setattr__(self, "pixels", pixels)
         object.__setattr__(self, "notes", tuple(self.notes))

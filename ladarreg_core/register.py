@@ -14,7 +14,8 @@ from threadpoolctl import threadpool_limits
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
-from ladarreg_core.matching.auto import AutoOptions, AutoResult, register_auto
+from ladarreg_core.matching.auto import AutoOptions, AutoResult
+from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.thesis import ThesisOptions, ThesisResult, thesis_stages
 from ladarreg_core.photo import Photo
 from ladarreg_core.picked import SAMPLES_PER_LINE, LineUse, check_line_use, check_samples, matches_from_picks
@@ -138,7 +139,7 @@ def _register(
         return _registration(_of_thesis(chain, scan, photo), "thesis", steps, options)
     if picks:
         return _registration(_solved(scan, photo, steps, picks, initial, options), "manual", steps, options)
-    found = register_auto(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
+    found = register_by_modality(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
     with steps.step("result"):
         result = _of_auto(found, scan, photo)
         steps.pose, steps.matches = result.camera_from_scanner, result.matches
@@ -214,7 +215,7 @@ def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
         found.camera_from_scanner,
         blocks.matches if blocks else _NO_MATCHES,
         blocks.inliers if blocks else np.zeros(0, np.bool_),
-        photo.camera,
+        found.camera or photo.camera,
         sigma_px=scatter,
         sigma_range_m=STATED_SIGMA_RANGE_M,
         covariance=evidence.covariance if evidence else _UNKNOWN,
@@ -224,6 +225,7 @@ def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
     diagnostics = {**described.diagnostics, "verification": verdict.as_dict()} if verdict else described.diagnostics
     return replace(
         described,
+        camera_sigmas=found.camera_sigmas,
         accepted=accepted,
         evidence="image" if accepted else "none",
         reasons=found.reasons,

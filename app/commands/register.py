@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from app.exit_codes import ExitCode
 from app.inputs import input_files, print_notes, read_inputs, read_start, timed
@@ -28,6 +31,10 @@ class Arguments(ThresholdArguments):
     """How to register. With --matches, auto is manual and thesis solves the matches."""
     smooth: bool = False
     """Replace range spikes under matches by their stereo range in model.glb and cloud.ply."""
+    carry: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Carry the pose over from this registration.json of a camera on the same mount; needs --offset."""
+    offset: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Pose JSON that means this camera from that one; may hold sigma_angle_rad and sigma_position_m."""
 
 
 def run(arguments: Arguments) -> ExitCode:
@@ -38,6 +45,7 @@ def run(arguments: Arguments) -> ExitCode:
     started = time.perf_counter()
     check_folder(arguments.out, force=arguments.force)
     check_method(arguments, arguments.method)
+    _check_carry(arguments)
     with step_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
         result = _register(arguments, scan, photo, bar)
@@ -58,9 +66,25 @@ def run(arguments: Arguments) -> ExitCode:
     return ExitCode.ACCEPTED if result.accepted else ExitCode.NOT_ACCEPTED
 
 
+def _check_carry(arguments: Arguments) -> None:
+    """Refuse half of what carrying over needs, and what it would ignore."""
+    from ladarreg_core.errors import OptionError
+
+    if (arguments.carry is None) != (arguments.offset is None):
+        raise OptionError("--carry and --offset go together; give both or neither")
+    if arguments.carry and (arguments.matches or arguments.initial or arguments.method != "auto"):
+        raise OptionError("--carry takes the pose as it is; leave out --matches, --initial and --method")
+
+
 def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: StepBar) -> Registration:
     import ladarreg_core as lr
 
+    if arguments.carry and arguments.offset:
+        from ladarreg_core.carried import carry_over
+        from ladarreg_core.formats.registration_file import read_offset, read_registration
+
+        first, offset = read_registration(arguments.carry), read_offset(arguments.offset)
+        return timed("carry over", bar, lambda: carry_over(first, offset, photo))
     picks, initial = read_start(arguments, scan)
     return lr.register(
         scan,
@@ -100,7 +124,7 @@ def _export(
         photo,
         assessment=assessment,
         smoothed=smoothed,
-        inputs=input_files(arguments),
+        inputs=[*input_files(arguments), *(path for path in (arguments.carry, arguments.offset) if path)],
         force=arguments.force,
         report=bar.progress,
     )

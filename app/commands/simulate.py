@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,10 +19,16 @@ class Arguments:
     """What to build."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
     """Folder to write; it must not exist, see --force."""
-    set: Literal["standard", "hard", "wide", "rotated", "identical", "thermal"] = "standard"
-    """How hard it is to register."""
+    set: Literal["standard", "hard", "wide", "rotated", "identical", "thermal", "gamma"] = "standard"
+    """How hard it is to register; the last two are other instruments."""
     seed: int = 0
     """Of the scene, its noise and the camera's place."""
+    k1: float = 0.0
+    """Radial distortion of the real lens."""
+    k1_error: float = 0.0
+    """How much the k1 in camera.json is above the real one."""
+    focal_error: float = 0.0
+    """How much the focal length in camera.json is above the real one, relative: .05 is 5 percent."""
     force: bool = False
     """Replace the folder if it exists."""
     debug: bool = False
@@ -33,21 +37,20 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Simulate and write `scan.npz`, `photo.png`, `camera.json` and `truth.json`."""
-    from ladarreg_core.export.folder import check_folder
-    from ladarreg_core.simulate import simulate_case, write_case
+    from ladarreg_core.export.folder import check_folder, write_folder
+    from ladarreg_core.simulate import simulate_case
+    from ladarreg_core.simulate.case_files import case_files
 
-    check_folder(arguments.out, force=arguments.force)
-    case = simulate_case(arguments.scene, set_name=arguments.set, seed=arguments.seed)
-    out = arguments.out.absolute()
-    out.parent.mkdir(parents=True, exist_ok=True)
-    # Beside the target, so that the rename that publishes it stays on one disk.
-    with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as aside:
-        made = Path(aside) / "case"
-        made.mkdir()
-        write_case(case, made)
-        names = sorted(path.name for path in made.iterdir())
-        if out.exists():
-            shutil.move(out, Path(aside) / "replaced")
-        made.rename(out)
+    check_folder(arguments.out, force=arguments.force)  # before the work, not after it
+    case = simulate_case(
+        arguments.scene,
+        set_name=arguments.set,
+        seed=arguments.seed,
+        k1=arguments.k1,
+        k1_error=arguments.k1_error,
+        focal_error=arguments.focal_error,
+    )
+    write_folder(arguments.out, lambda: case_files(case), force=arguments.force)
+    names = sorted(path.name for path in arguments.out.iterdir())
     print(f"Wrote {', '.join(names)} in {arguments.out}")
     return ExitCode.ACCEPTED

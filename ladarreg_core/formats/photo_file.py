@@ -7,6 +7,9 @@ import numbers
 from collections.abc import Mapping
 from typing import Any
 
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.formats.boundary import PathLike, one_line, reading
@@ -14,6 +17,9 @@ from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.exif import focal_from_exif, orientation_of, upright
 from ladarreg_core.formats.image_file import as_rgb, read_image
 from ladarreg_core.photo import Photo
+from ladarreg_core.thermal import kelvin_of, thermal_photo
+
+_FREEZING_K = 273.15
 
 
 def read_photo(
@@ -29,7 +35,8 @@ def read_photo(
     The camera is the one given, or a distortion-free one of the focal length given, or of the one in EXIF.
 
     Args:
-        path: a PNG, JPEG, TIFF, WebP or BMP; gray and 16-bit pictures become 8-bit RGB.
+        path: a PNG, JPEG, TIFF, WebP or BMP; gray and 16-bit pictures become 8-bit RGB, but for a gray picture of 16
+            bits in centikelvin or of floating point in kelvin (`kelvin_of`), which is a thermal one.
         camera: a camera, or a file of one. Its size then says whether it was calibrated on raw or on turned pixels.
         focal_px: focal length in pixels of this picture.
         focal_mm: focal length, mm; needs `sensor_mm`.
@@ -44,7 +51,8 @@ def read_photo(
     given = camera if camera is None or isinstance(camera, Camera) else read_camera(camera)
     with reading(path) as file:
         image = read_image(file)
-        values, depth_note = as_rgb(image.values)
+        kelvin = kelvin_of(image.values)
+        values, depth_note = as_rgb(image.values) if kelvin is None else (kelvin, _thermal_note(kelvin))
         notes = [depth_note] if depth_note else []
         orientation = orientation_of(image.exif)
         raw_height, raw_width = values.shape[:2]
@@ -57,14 +65,25 @@ def read_photo(
                     else f"EXIF orientation {orientation} was not applied: the camera has the size of the raw pixels"
                 )
             pixels = upright(values, orientation) if turned else values
-            return Photo(pixels, given, name=file.stem, notes=tuple(notes))
+            return _photo(pixels, given, file.stem, notes)
         focal, note = _focal(image.exif, raw_width, raw_height, focal_px, focal_mm, sensor_mm)
         pixels = upright(values, orientation)
         if orientation != 1:
             notes.append(f"EXIF orientation {orientation} was applied")
         notes.append(note)
         height, width = pixels.shape[:2]
-        return Photo(pixels, Camera.from_focal(width, height, focal), name=file.stem, notes=tuple(notes))
+        return _photo(pixels, Camera.from_focal(width, height, focal), file.stem, notes)
+
+
+def _photo(values: NDArray[Any], camera: Camera, name: str, notes: list[str]) -> Photo:
+    if values.ndim == 2:
+        return thermal_photo(values, camera, name=name, notes=tuple(notes))
+    return Photo(values, camera, name=name, notes=tuple(notes))
+
+
+def _thermal_note(kelvin: FloatArray) -> str:
+    low, high = (float(v) - _FREEZING_K for v in (kelvin.min(), kelvin.max()))
+    return f"taken as a thermal picture, {low:.1f} to {high:.1f} C"
 
 
 def _check_options(camera: object, focal_px: float | None, focal_mm: float | None, sensor_mm: float | None) -> None:

@@ -10,23 +10,27 @@ from ladarreg_core.frames import Rigid
 POSE_FIELD = "camera_from_scanner"
 
 
-def read_pose(path: PathLike) -> Rigid:
-    """Read `camera_from_scanner`.
+def read_pose(path: PathLike, *, field: str = POSE_FIELD) -> Rigid:
+    """Read `camera_from_scanner`, or another transform.
+
+    Args:
+        path: the file.
+        field: what the transform is called there.
 
     Raises:
         FormatError: if it is no JSON with that field, or the field is no rigid transform.
     """
     with reading(path) as file:
-        rows = read_json_object(file, "a pose file").get(POSE_FIELD)
+        rows = read_json_object(file, "a pose file").get(field)
         if rows is None:
-            raise FormatError(f"the field {POSE_FIELD!r} is missing; a pose file holds it as 4 rows of 4 numbers")
+            raise FormatError(f"the field {field!r} is missing; a pose file holds it as 4 rows of 4 numbers")
         if not (isinstance(rows, list) and len(rows) == 4 and all(isinstance(r, list) and len(r) == 4 for r in rows)):
-            raise FormatError(f"{POSE_FIELD!r} is {one_line(repr(rows), 60)}; it must be 4 rows of 4 numbers")
-        matrix = [[number({POSE_FIELD: value}, POSE_FIELD) for value in row] for row in rows]
+            raise FormatError(f"{field!r} is {one_line(repr(rows), 60)}; it must be 4 rows of 4 numbers")
+        matrix = [[number({field: value}, field) for value in row] for row in rows]
         try:
             return Rigid.from_matrix(matrix)
         except (DegenerateGeometryError, ShapeError) as error:
-            raise FormatError(f"{POSE_FIELD!r} is no rigid transform: {error}") from error
+            raise FormatError(f"{field!r} is no rigid transform: {error}") from error
 
 
 def write_pose(path: PathLike, camera_from_scanner: Rigid) -> None:

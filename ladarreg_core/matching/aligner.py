@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,8 +10,10 @@ import numpy as np
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement, agreement
 from ladarreg_core.matching.block_matches import BlockMatches, block_matches
+from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
 from ladarreg_core.matching.climb import ClimbOptions, climb
-from ladarreg_core.matching.compared import Target, compare_blocks
+from ladarreg_core.matching.compared import BlockComparison, Target, compare_blocks
+from ladarreg_core.matching.evidence import RegionEvidence, region_evidence
 from ladarreg_core.matching.flow import flow_step
 from ladarreg_core.matching.levels import LEVELS, PhotoLevels, ScanLevels
 from ladarreg_core.matching.occlusion import Occluder
@@ -23,8 +25,10 @@ _FINISH = ClimbOptions(tau_px=3, iterations=6)
 _FINE = ClimbOptions(tau_px=2, iterations=8)
 _FINE_POINTS = _JUDGED_POINTS = 20_000
 _RADIUS = {0: 6, 1: 6, 2: 8}
+_DAMPING = 3.0
 _SURE_FRACTION = 0.8
 _FINISH_ROUNDS = 5
+_REFOCUS_ROUNDS = 3
 _STILL_PX = 0.05
 
 
@@ -51,8 +55,8 @@ class Aligner:
     def __init__(self, scan: ScanLevels, photo: PhotoLevels, *, gate: GateOptions, seed: int) -> None:
         self.scan = scan
         self.photo = photo
-        self._gate = gate
-        self._seed = seed
+        self.gate = gate
+        self.seed = seed
         self.points: dict[int, ViewPoints] = {}
         for level in LEVELS:
             found = select_points(scan, scan.channels[level], level=level, seed=seed)
@@ -84,7 +88,7 @@ class Aligner:
             self.scan,
             self.scan.fine_channels,
             level=0,
-            seed=self._seed,
+            seed=self.seed,
             count=_FINE_POINTS,
             away_from_edges=True,
         )
@@ -92,7 +96,7 @@ class Aligner:
     @cached_property
     def judged_points(self) -> ViewPoints:
         """The level-0 points of the verdict: more of them than a climb needs, so that a window's peak is its own."""
-        found = select_points(self.scan, self.scan.channels[0], level=0, seed=self._seed, count=_JUDGED_POINTS)
+        found = select_points(self.scan, self.scan.channels[0], level=0, seed=self.seed, count=_JUDGED_POINTS)
         assert found is not None, "an aligner without points must not be asked to judge"
         return found
 
@@ -108,7 +112,7 @@ class Aligner:
             if best is None or best.fraction >= _SURE_FRACTION:
                 break
             maps = best.coarse if level == 1 else self.look(best.camera_from_scanner, level)
-            pulled = flow_step(self.points[level], self.targets[level], maps, seed=self._seed)
+            pulled = flow_step(self.points[level], self.targets[level], maps, seed=self.seed)
             if pulled is None:
                 continue
             again = self._climb_from(pulled, (2, 1) if level == 2 else (1,))
@@ -124,40 +128,78 @@ class Aligner:
                 return None
             pose = result.camera_from_scanner
         coarse = self.look(pose, 1)
-        return Candidate(pose, coarse, verify(coarse, None, self._gate))
+        return Candidate(pose, coarse, verify(coarse, None, self.gate))
 
     def finish(self, start: Rigid) -> Rigid:
         """Refine at level 0, then on intensity alone, until the pose stops moving."""
-        result = climb(self.points[0], self.targets[0], self.occluder, start, _FINISH)
-        pose = result.camera_from_scanner if result else start
-        if self._fine_points is None:
-            return pose
-        for _ in range(_FINISH_ROUNDS):
-            result = climb(self._fine_points, self._fine_target, self.occluder, pose, _FINE)
+        return self.finish_free(start, free=0)[0]
+
+    def refocus(self, start: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
+        """Climb at level 1 with the first `free` of (log f, k1) free, damped, until the pose stops moving."""
+        pose, change = start, AS_STATED
+        options = replace(_CLIMB[1], free=free, damping=_DAMPING)
+        for _ in range(_REFOCUS_ROUNDS):
+            result = climb(self.points[1], self.targets[1], self.occluder, pose, options, change=change)
             if result is None:
                 break
-            before, pose = pose, result.camera_from_scanner
-            if self._moved(before, pose) < _STILL_PX:
+            pose, change = result.camera_from_scanner, result.change
+            if result.motion_px < _STILL_PX:
                 break
-        return pose
+        return pose, change
 
-    def _moved(self, first: Rigid, second: Rigid) -> float:
-        """Return the median displacement of the level-0 points between two poses, working pixels."""
+    def finish_free(self, start: Rigid, *, free: int, change: CameraChange = AS_STATED) -> tuple[Rigid, CameraChange]:
+        """Finish with the first `free` of (log f, k1) free.
+
+        Args:
+            start: the pose, climbed to.
+            free: 0, 1 or 2.
+            change: how the camera differs from the stated one at the start.
+        """
+        pose = start
+        rounds = [(self.points[0], self.targets[0], replace(_FINISH, free=free))]
+        if self._fine_points is not None:
+            rounds += [(self._fine_points, self._fine_target, replace(_FINE, free=free))] * _FINISH_ROUNDS
+        for number, (points, target, options) in enumerate(rounds):
+            result = climb(points, target, self.occluder, pose, options, change=change)
+            if result is None:
+                if number:
+                    break
+                continue
+            before, changed = pose, change
+            pose, change = result.camera_from_scanner, result.change
+            if number and self._moved(before, changed, pose, change) < _STILL_PX:
+                break
+        return pose, change
+
+    def _moved(self, first: Rigid, before: CameraChange, second: Rigid, after: CameraChange) -> float:
+        """Return the median displacement of the level-0 points between two poses and cameras, working pixels."""
         camera, points = self.photo.cameras[0], self.points[0].points
-        shift = camera.project(first @ points) - camera.project(second @ points)
+        shift = before.applied(camera).project(first @ points) - after.applied(camera).project(second @ points)
         return float(np.nanmedian(np.hypot(shift[:, 0], shift[:, 1])))
 
     def judge(self, pose: Rigid) -> tuple[Verification, Agreement, Agreement]:
         """Verify a finished pose; also return its agreement at levels 1 and 0."""
         coarse, fine = self.look(pose, 1), self.look(pose, 0)
-        return verify(coarse, fine, self._gate), coarse, fine
+        return verify(coarse, fine, self.gate), coarse, fine
+
+    def regions(self, pose: Rigid, *, free: int, change: CameraChange = AS_STATED) -> RegionEvidence | None:
+        """Return what the regions say of a finished pose, and of the first `free` of (log f, k1)."""
+        seen = self._fine_blocks(pose, change)
+        if seen is None or self._fine_points is None:
+            return None
+        camera = change.applied(self.photo.cameras[0])
+        return region_evidence(seen, self._fine_points, camera, pose, replace(_FINE, free=free))
 
     def block_matches(self, pose: Rigid) -> BlockMatches | None:
         """Return the sub-pixel point matches of a finished pose, or None where too little is seen."""
+        seen = self._fine_blocks(pose, AS_STATED)
+        if seen is None or self._fine_points is None:
+            return None
+        return block_matches(seen, self._fine_points, self.photo.cameras[0], self.photo.source)
+
+    def _fine_blocks(self, pose: Rigid, change: CameraChange) -> BlockComparison | None:
         if self._fine_points is None:
             return None
         buffer = self.occluder.depth_buffer(pose)
-        seen = compare_blocks(self._fine_points, self._fine_target, self.occluder, buffer, pose)
-        return (
-            None if seen is None else block_matches(seen, self._fine_points, self.photo.cameras[0], self.photo.source)
-        )
+        target = self._fine_target.seen_by(change.applied(self.photo.cameras[0]))
+        return compare_blocks(self._fine_points, target, self.occluder, buffer, pose)

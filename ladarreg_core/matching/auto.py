@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matches import Matches
 from ladarreg_core.matching.aligner import Aligner, Candidate
+from ladarreg_core.matching.alike import Places, alike_in_words
 from ladarreg_core.matching.block_matches import BlockMatches
 from ladarreg_core.matching.evidence import WindowEvidence, window_evidence
-from ladarreg_core.matching.hypotheses import Hypothesis, hypotheses
-from ladarreg_core.matching.levels import PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.free_camera import FreeCamera, check_free_camera, finished, with_camera_free
+from ladarreg_core.matching.levels import ChannelSet, photo_levels, working_camera
+from ladarreg_core.matching.search import ViewSearch
+from ladarreg_core.matching.turned import Turn
 from ladarreg_core.matching.verify import GateOptions, Verification
-from ladarreg_core.matching.views import towards_seen, viewing_directions
-from ladarreg_core.perspective import View, perspective_view
+from ladarreg_core.matching.views import rolled, viewing_directions
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
 
 log = logging.getLogger(__name__)
+_MOST_TURNED, _MOST_FROM_EVERYWHERE = 2, 3
 _RANGE_M = (1e-6, 1e7)  # generous, for millimetres taken for metres; the estimator of matches ends there, too
 
 
@@ -40,6 +42,13 @@ class AutoOptions:
     """A best climb below this is not worth finishing."""
     gate: GateOptions = field(default_factory=GateOptions)
     """What a pose must show."""
+    intrinsics: FreeCamera = "auto"
+    """What of the camera may be estimated with the pose."""
+    channel_set: ChannelSet = "both"
+    """What of the scan the photo is compared with."""
+
+    def __post_init__(self) -> None:
+        check_free_camera(self.intrinsics)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +65,10 @@ class AutoResult:
     """The verdict in sentences."""
     blocks: BlockMatches | None = None
     """Its sub-pixel point matches."""
+    camera: Camera | None = None
+    """The camera that was estimated with it; None: as stated."""
+    camera_sigmas: Mapping[str, float] = field(default_factory=dict)
+    """The standard deviations of what was estimated, as in `PoseResult`."""
 
 
 def register_auto(
@@ -64,7 +77,10 @@ def register_auto(
     """Find the photo's pose from the pictures alone.
 
     Channels, points, hypotheses, climbs, finish and verification, in that order; the first climb that convinces ends
-    the search. Views are tried one after the other where the scan is much wider than the photo.
+    the search. Where nothing does, the photo is taken to be turned about its axis, if its corners say so, and then
+    compared as a whole from a grid of places. The scan's view is what is rolled, so that all pixels stay the photo's.
+    Views are tried one after the other where the scan is much wider than the photo, and all of them: a photo that is
+    verified at two places is not accepted.
 
     Args:
         scan: the scan.
@@ -92,71 +108,132 @@ def register_auto(
         reason = f"The scan's median range is {median:.3g} m, which no laser measures: check its unit and scale."
         return AutoResult(initial, None, None, (reason,))
 
-    best: tuple[float, Aligner, Candidate] | None = None
-    last = AutoResult(initial, None, None, ())
-    for number, direction in enumerate(viewing_directions(scan, working, initial=initial)):
-        with steps.step("channels") as note:
-            view = perspective_view(scan, working, view_from_scanner=direction)
-            aligner = Aligner(_with_channels(scan, view, photo_side), photo_side, gate=o.gate, seed=o.seed)
-            note.update(view=number, points={level: len(p) for level, p in aligner.points.items()})
-        if not aligner.usable:
+    search = ViewSearch(
+        scan,
+        photo_side,
+        steps,
+        gate=o.gate,
+        good_fraction=o.good_fraction,
+        seed=o.seed,
+        channel_set=o.channel_set,
+    )
+    found = _Findings(search, photo, Places(scan, photo.camera), steps, o)
+    _look_everywhere(search, found, viewing_directions(scan, working, initial=initial), initial)
+    return found.answer(initial)
+
+
+class _Findings:
+    """What the views gave: the verified poses, and the best of what was not verified."""
+
+    def __init__(self, search: ViewSearch, photo: Photo, places: Places, steps: StepLog, options: AutoOptions) -> None:
+        self.places = places
+        self._search = search
+        self._photo = photo
+        self._steps = steps
+        self._options = options
+        self._accepted: AutoResult | None = None
+        self._alike: tuple[Rigid, Rigid] | None = None
+        self._refused: AutoResult | None = None
+        self._unfinished: Candidate | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether two places are known to look alike, so that no further view can change the answer."""
+        return self._alike is not None
+
+    def consider(self, aligner: Aligner, candidate: Candidate | None) -> None:
+        """Finish and judge the best climb of a view, if it is worth it."""
+        if candidate is None:
+            return
+        if candidate.fraction < self._options.least_fraction:
+            if self._unfinished is None or candidate.fraction > self._unfinished.fraction:
+                self._unfinished = candidate
+            return
+        aligner, candidate = self._search.seen_whole(aligner, candidate)
+        result = _finish(aligner, candidate, self._photo, self._steps, self._options.intrinsics)
+        pose = result.camera_from_scanner
+        if result.verification is None or not result.verification.accepted or pose is None:
+            if self._refused is None or _fraction(result) > _fraction(self._refused):
+                self._refused = result
+            return
+        other = self.places.other_than(pose)
+        if other is not None:
+            self._alike = (other, pose)
+        self.places.add(pose)
+        if self._accepted is None or _fraction(result) > _fraction(self._accepted):
+            self._accepted = result
+
+    def answer(self, initial: Rigid | None) -> AutoResult:
+        """Return the result."""
+        if self._accepted is not None:
+            return self._accepted if self._alike is None else _undecided(self._accepted, *self._alike)
+        if self._refused is not None:
+            return self._refused
+        if self._unfinished is None:
+            reason = "No start could be found: too few features of the scan and the photo look alike."
+            return AutoResult(initial, None, None, (reason, _ADVICE))
+        best = self._unfinished
+        reason = f"The best start found agrees in only {best.fraction:.0%} of the picture."
+        return AutoResult(best.camera_from_scanner, best.first_look, None, (reason, _ADVICE))
+
+
+def _look_everywhere(search: ViewSearch, found: _Findings, directions: Sequence[Rigid], initial: Rigid | None) -> None:
+    """Look upright in every view; then rolled, where corners speak for a roll; then from everywhere.
+
+    One verified pose ends the search where the scan has one view. Where it has several the others are looked at, too:
+    what looks alike elsewhere would be verified there as well.
+    """
+    upright = directions[0 if initial is None else 1 :]
+    several = len(upright) > 1
+    turns: list[tuple[Turn, Rigid]] = []
+    for number, direction in enumerate(directions):
+        given = initial if number == 0 else None
+        aligner = search.view(direction, name=number)
+        if aligner is None:
             continue
-        candidate = _search(aligner, steps, initial=initial if number == 0 else None, options=o)
-        if candidate is None or candidate.fraction < o.least_fraction:
-            if candidate is not None and (best is None or candidate.fraction > best[0]):
-                best = (candidate.fraction, aligner, candidate)
-            continue
-        aligner, candidate = _seen_whole(scan, aligner, candidate, steps, o)
-        result = _finish(aligner, candidate, photo, steps)
-        if result.verification is not None and result.verification.accepted:
-            return result
-        if last.verification is None or _fraction(result) > _fraction(last):
-            last = result
-    if last.verification is not None:
-        return last
-    if best is None:
-        reason = "No start could be found: too few features of the scan and the photo look alike."
-        return AutoResult(initial, None, None, (reason, _ADVICE))
-    fraction, _, candidate = best
-    reason = f"The best start found agrees in only {fraction:.0%} of the picture."
-    return AutoResult(candidate.camera_from_scanner, candidate.first_look, None, (reason, _ADVICE))
+        found.consider(aligner, search.from_corners(aligner, found.places, given=given))
+        if given is not None and not found.places:
+            found.consider(aligner, search.from_places(aligner, found.places, around=given))
+        # Which of alike places is meant is told by a pose that was given.
+        if found.settled or (found.places and (given is not None or not several)):
+            return
+        turn = None if found.places else search.turn(aligner)
+        if turn is not None:
+            turns.append((turn, direction))
+    if found.places:
+        return
+
+    turns.sort(key=lambda item: -item[0].matches)
+    likely = [rolled(direction, turn.angle_rad) for turn, direction in turns[:_MOST_TURNED]]
+    others = [rolled(direction, turns[0][0].angle_rad) for direction in upright if several and likely]
+    _compare(search, found, "rolled", likely, others, search.from_corners)
+    if not found.places:
+        likely, others = list(upright[:_MOST_FROM_EVERYWHERE]), list(upright[_MOST_FROM_EVERYWHERE:])
+        _compare(search, found, "again", likely, others, search.from_places)
 
 
-def _seen_whole(
-    scan: Scan, aligner: Aligner, candidate: Candidate, steps: StepLog, options: AutoOptions
-) -> tuple[Aligner, Candidate]:
-    """Return the pair as seen in a view of all that the photo sees, where the present view shows only part of it."""
-    photo_side, pose = aligner.photo, candidate.camera_from_scanner
-    turn = towards_seen(scan, photo_side.cameras[0], pose, view=aligner.scan.view)
-    if turn is None:
-        return aligner, candidate
-    with steps.step("channels") as note:
-        view = perspective_view(scan, photo_side.cameras[0], view_from_scanner=turn)
-        whole = Aligner(_with_channels(scan, view, photo_side), photo_side, gate=options.gate, seed=options.seed)
-        note.update(view="what the photo sees", points={level: len(p) for level, p in whole.points.items()})
-    if not whole.usable:
-        return aligner, candidate
-    with steps.step("climb") as note:
-        again = whole.approach(pose)
-        note["start"] = "the pose found in another view"
-        if again is not None:
-            note.update(again.first_look.as_dict())
-            steps.pose = again.camera_from_scanner
-    if again is None or again.first_look.agreeing <= candidate.first_look.agreeing:
-        return aligner, candidate
-    return whole, again
+def _compare(
+    search: ViewSearch,
+    found: _Findings,
+    name: str,
+    likely: Sequence[Rigid],
+    others: Sequence[Rigid],
+    find: Callable[[Aligner, Places], Candidate | None],
+) -> None:
+    """Look in the likely views, and after a verified pose in all others for what looks alike."""
+    for number, direction in enumerate([*likely, *others]):
+        if found.settled or (number >= len(likely) and not found.places):
+            return
+        aligner = search.view(direction, name=f"{name} {number}")
+        if aligner is not None:
+            found.consider(aligner, find(aligner, found.places))
 
 
-def _with_channels(scan: Scan, view: View, photo_side: PhotoLevels) -> ScanLevels:
-    """Return the scan's levels with the channels of both sides made, on two cores where there are two."""
-    with ThreadPoolExecutor(1) as other_core:
-        of_photo = other_core.submit(lambda: (photo_side.channels, photo_side.fine_channels))
-        levels = scan_levels(scan, view)
-        of_geometry = other_core.submit(lambda: levels.geometry_channels)
-        _ = levels.intensity_channels, levels.fine_channels
-        of_photo.result()
-        of_geometry.result()
-    return levels
+def _undecided(result: AutoResult, first: Rigid, second: Rigid) -> AutoResult:
+    """Return a verified result as not accepted, since another place was verified as well."""
+    assert result.verification is not None, "only what was verified can look alike"
+    reasons = (alike_in_words(first, second), _ADVICE)
+    return replace(result, verification=replace(result.verification, accepted=False, reasons=reasons), reasons=reasons)
 
 
 _ADVICE = "Draw a few matching lines by hand, or give a rough pose."
@@ -166,61 +243,31 @@ def _fraction(result: AutoResult) -> float:
     return result.verification.fraction if result.verification is not None else -1.0
 
 
-def _search(aligner: Aligner, steps: StepLog, *, initial: Rigid | None, options: AutoOptions) -> Candidate | None:
-    """Climb from each hypothesis until one convinces; return the best."""
-    best: Candidate | None = None
-    stream = _starts(aligner, steps, initial, options.seed)
-    for source, start in stream:
-        with steps.step("climb") as note:
-            candidate = aligner.approach(start)
-            note["start"] = source
-            if candidate is not None:
-                note.update(candidate.first_look.as_dict())
-                steps.pose = candidate.camera_from_scanner
-        if candidate is None:
-            continue
-        if best is None or candidate.fraction > best.fraction:
-            best = candidate
-        if candidate.fraction >= options.good_fraction and candidate.first_look.accepted:
-            break
-    return best
-
-
-def _starts(aligner: Aligner, steps: StepLog, initial: Rigid | None, seed: int) -> Iterator[tuple[str, Rigid]]:
-    if initial is not None:
-        yield "the given pose", initial
-    found = hypotheses(aligner.scan, aligner.photo, seed=seed)
-    while True:
-        with steps.step("hypothesis") as note:
-            item = next(found, None)
-            if isinstance(item, Hypothesis):
-                note.update(source=item.source, matches=len(item.points), inliers=item.inliers)
-                steps.matches, steps.pose = _as_matches(item, aligner), item.camera_from_scanner
-            else:
-                note["none"] = item or "no further hypotheses"
-        if item is None:
-            return
-        if isinstance(item, Hypothesis):
-            yield item.source, item.camera_from_scanner
-
-
-def _as_matches(hypothesis: Hypothesis, aligner: Aligner) -> Matches:
-    ranges = (hypothesis.points**2).sum(axis=-1) ** 0.5
-    camera = aligner.photo.source
-    uv = camera.project(aligner.photo.cameras[0].unproject(hypothesis.uv))
-    return Matches(hypothesis.points / ranges[:, None], ranges, uv)
-
-
-def _finish(aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog) -> AutoResult:
+def _finish(aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog, intrinsics: FreeCamera) -> AutoResult:
+    start = candidate.camera_from_scanner
     with steps.step("finish"):
-        pose = aligner.finish(candidate.camera_from_scanner)
+        pose = aligner.finish(start)
         steps.pose = pose
     with steps.step("verify") as note:
-        verification, _, fine = aligner.judge(pose)
-        evidence = window_evidence(fine, aligner.judged_points, aligner.photo.cameras[0], photo.camera, pose)
+        found = finished(aligner, photo.camera, pose)
+        note.update(found.verification.as_dict())
+    if intrinsics != "fixed":
+        with steps.step("camera") as note:
+            found = with_camera_free(found, photo, start, intrinsics)
+            note.update(estimated=bool(found.free), focal_px=round(found.camera.focal_px, 3))
+            note.update(found.verification.as_dict())
+            steps.pose = found.camera_from_scanner
+    with steps.step("evidence"):
+        aligner, camera, pose = found.aligner, found.camera, found.camera_from_scanner
+        evidence = window_evidence(found.fine, aligner.judged_points, aligner.photo.cameras[0], camera, pose)
+        if found.regions is not None:
+            evidence = replace(evidence, covariance=found.regions.covariance[:6, :6])
         blocks = aligner.block_matches(pose)
-        note.update(verification.as_dict())
         steps.pose, steps.matches = pose, blocks.matches if blocks else None
+    verification = found.verification
     reasons: tuple[Any, ...] = verification.reasons
     advice = () if verification.accepted else (_ADVICE,)
-    return AutoResult(pose, verification, evidence, (*reasons, *advice), blocks)
+    return AutoResult(
+        pose, verification, evidence, (*reasons, *found.in_words(photo.camera), *advice), blocks,
+        camera if found.free else None, found.camera_sigmas,
+    )  # fmt: skip

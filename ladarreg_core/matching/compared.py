@@ -28,6 +28,10 @@ class Target:
         self.usable = usable
         self._values = channels.reshape(-1, channels.shape[-1])
 
+    def seen_by(self, camera: Camera) -> Target:
+        """Return the same picture, taken for that of another camera of its size."""
+        return Target(camera, self.channels, self.usable)
+
     def sample(self, uv: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return channels and their derivatives by u and v, each (N, 8), at pixels (N, 2) inside the picture.
 
@@ -57,9 +61,11 @@ def project_visible(
     points_camera = pose @ points.points
     camera = target.camera
     depth = np.where(points_camera[:, 2] > 0.05, points_camera[:, 2], 1)[:, None]
-    uv = points_camera[:, :2] / depth * np.array([camera.fx, camera.fy], np.float32) + np.array(
-        [camera.cx, camera.cy], np.float32
-    )
+    xy = points_camera[:, :2] / depth
+    if camera.distortion:  # the change of a lens, where it is being estimated
+        uv = camera.project(np.column_stack([xy, np.ones(len(xy), np.float32)]))
+    else:
+        uv = xy * np.array([camera.fx, camera.fy], np.float32) + np.array([camera.cx, camera.cy], np.float32)
     visible = camera.contains(uv, border=border) & occluder.visible(points_camera, buffer)
     near = np.rint(np.where(visible[:, None], uv, 0)).astype(np.intp)
     visible &= target.usable[near[:, 1], near[:, 0]]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.features.corners import CornerOptions, find_corners
@@ -68,15 +69,28 @@ class _Described:
     """Descriptor matching; the photo's side and the corners are shared by both attempts."""
 
     def __init__(self, scan: ScanLevels, photo: PhotoLevels) -> None:
-        usable = np.isfinite(scan.ranges)
-        self._scan_uv = find_corners(scan.gray_planes[0], _DESCRIPTOR_CORNERS, usable=usable).uv
-        self._photo_uv = find_corners(photo.gray, _DESCRIPTOR_CORNERS, usable=photo.usable[0]).uv
+        self._scan_uv, self._photo_uv = described_corners(scan, photo)
         self._photo = describe(photo.channels[0], self._photo_uv)
 
     def matches(self, channels: FloatArray) -> tuple[FloatArray, FloatArray]:
         score = describe(channels, self._scan_uv) @ self._photo.T
         first, second, _ = unique_matches(score, margin=_DESCRIPTOR_MARGIN)
         return self._scan_uv[first], self._photo_uv[second]
+
+
+def described_corners(scan: ScanLevels, photo: PhotoLevels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the corners, pixels (N, 2) of the view and (M, 2) of the photo, that descriptors are taken at."""
+    usable = np.isfinite(scan.ranges)
+    return (
+        find_corners(scan.gray_planes[0], _DESCRIPTOR_CORNERS, usable=usable).uv,
+        find_corners(photo.gray, _DESCRIPTOR_CORNERS, usable=photo.usable[0]).uv,
+    )
+
+
+def points_at(scan: ScanLevels, uv: FloatArray) -> FloatArray:
+    """Return the scan's points (N, 3), scanner frame, m, at pixels (N, 2) of the view; NaN where it has no return."""
+    pixel = np.rint(uv).astype(np.intp)
+    return np.asarray(scan.view.rays_at(uv) * scan.ranges[pixel[:, 1], pixel[:, 0], None])
 
 
 def _correlated(scan: ScanLevels, photo: PhotoLevels) -> tuple[FloatArray, FloatArray]:
@@ -99,10 +113,9 @@ def _solve(
 ) -> Hypothesis | None:
     if len(scan_uv) < needed:
         return None
-    pixel = np.rint(scan_uv).astype(np.intp)
-    ranges = scan.ranges[pixel[:, 1], pixel[:, 0]]
-    known = np.isfinite(ranges)
-    points = scan.view.rays_at(scan_uv[known]) * ranges[known, None]
+    points = points_at(scan, scan_uv)
+    known = np.isfinite(points).all(axis=-1)
+    points = points[known]
     result = ransac_pose(
         points, photo_uv[known], photo.cameras[0], threshold_px=_RANSAC_PX, iterations=_RANSAC_ITERATIONS, seed=seed
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -21,7 +21,10 @@ from ladarreg_core.perspective import View, native_focal_px
 from ladarreg_core.photo import Photo
 from ladarreg_core.range_gate import fill_from_nearest, gate_spikes, median_range
 from ladarreg_core.scan import Scan
+from ladarreg_core.thermal import thermal_gray
 
+ChannelSet = Literal["both", "geometry", "intensity"]
+"""What of the scan a photo is compared with: laser intensity, normals and log range, or the sum of both."""
 LEVELS = (0, 1, 2)
 """Level L has 1 / 2^L of the working resolution."""
 _MOST_PIXELS = 1_000_000
@@ -49,6 +52,8 @@ def working_camera(scan: Scan, camera: Camera) -> Camera:
 
     A small photo is enlarged, up to twice, as far as the scan is finer: regions are of a fixed number of pixels, and
     few regions cannot tell. A coarse scan is never interpolated so: what was not measured must not count as agreeing.
+    (Enlarged more, the regions of a soft picture hold no detail: of a thermal one 320 pixels wide, enlarged 1.44 times,
+    twice the share agrees as of one enlarged to the scan's resolution.)
     """
     pixels = camera.width * camera.height
     enlarged = min(max(1.0, float(np.sqrt(_FEW_PIXELS / pixels))), _MOST_ENLARGED)
@@ -66,13 +71,15 @@ class PhotoLevels:
     cameras: tuple[Camera, ...]
     """The ideal camera of each level."""
     planes: tuple[list[FloatArray], ...]
-    """R, G and B of each level, float32, 0 to 255."""
+    """R, G and B of each level, float32, 0 to 255; of a thermal picture one, gray levels around 0."""
     usable: tuple[BoolArray, ...]
     """Where each level's picture shows something: an undistorted picture has empty corners."""
 
     @cached_property
     def gray(self) -> FloatArray:
         """(h, w) float32, level 0."""
+        if len(self.planes[0]) == 1:
+            return self.planes[0][0]
         red, green, blue = self.planes[0]
         return np.asarray(0.299 * red + 0.587 * green + 0.114 * blue, dtype=np.float32)
 
@@ -100,11 +107,12 @@ def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
         working: the ideal camera to work in, of the photo's shape.
     """
     scaled = photo.camera.resized(*working.size)
-    pixels: NDArray[Any] = photo.pixels
+    kelvin = photo.temperature_k
+    pixels: NDArray[Any] = photo.pixels if kelvin is None else thermal_gray(kelvin)[..., None]
     if scaled.size != photo.camera.size:
         smaller = scaled.width <= photo.camera.width
         how = cv2.INTER_AREA if smaller else cv2.INTER_CUBIC
-        pixels = np.asarray(cv2.resize(pixels, scaled.size, interpolation=how))
+        pixels = np.atleast_3d(np.asarray(cv2.resize(pixels, scaled.size, interpolation=how)))
     usable = np.ones((working.height, working.width), np.bool_)
     if scaled.distortion or abs(scaled.fx - scaled.fy) > 1e-3 * scaled.fx:
         v, u = np.mgrid[: working.height, : working.width].astype(np.float32)
@@ -112,8 +120,8 @@ def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
         source = scaled.project(np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32))
         usable = scaled.contains(source)
         source = np.nan_to_num(source, nan=-1e4)
-        pixels = look_up(pixels, source[..., 0], source[..., 1])
-    planes = [np.ascontiguousarray(pixels[..., k], dtype=np.float32) for k in range(3)]
+        pixels = np.atleast_3d(look_up(pixels, source[..., 0], source[..., 1]))
+    planes = [np.ascontiguousarray(pixels[..., k], dtype=np.float32) for k in range(pixels.shape[-1])]
     cameras, all_planes, masks = [working], [planes], [usable]
     for level in LEVELS[1:]:
         cameras.append(working.scaled(0.5**level))
@@ -139,6 +147,8 @@ class ScanLevels:
     """(h, w) float32 m, level 0: spike-gated and median-filtered, the foreground at depth edges; NaN = no return."""
     edge: BoolArray
     """(h, w) bool, level 0: within three pixels of a depth edge or a hole."""
+    channel_set: ChannelSet = "both"
+    """What `channels` are made of."""
 
     @cached_property
     def _raw_intensity(self) -> FloatArray:
@@ -169,17 +179,26 @@ class ScanLevels:
 
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 8) of each level, from intensity and geometry, each normalised alone."""
+        """(h, w, 8) of each level: of intensity and geometry, each normalised alone, or of what the set names."""
+        if self.channel_set != "both":
+            return self.geometry_channels if self.channel_set == "geometry" else self.intensity_channels
         return tuple(map(add_channels, self.intensity_channels, self.geometry_channels))
 
     @cached_property
     def fine_channels(self) -> FloatArray:
-        """(h, w, 8), level 0, intensity alone, sharper: for the last pixel fractions."""
-        return normalised_channels(self._raw_intensity * self._near_returns[0], **_FINE)
+        """(h, w, 8), level 0, sharper: for the last pixel fractions. Of intensity, unless the set has none."""
+        raw = raw_channels(self.geometry_planes[0]) if self.channel_set == "geometry" else self._raw_intensity
+        return normalised_channels(raw * self._near_returns[0], **_FINE)
 
 
-def scan_levels(scan: Scan, view: View) -> ScanLevels:
-    """Return the scan as the matcher sees it in one view."""
+def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> ScanLevels:
+    """Return the scan as the matcher sees it in one view.
+
+    Args:
+        scan: the scan.
+        view: the view.
+        channel_set: what it is compared by.
+    """
     gated = gate_spikes(scan.ranges)
     gray = _laser_gray(scan, gated)
     gray = look_up(gray, view.cells[..., 0], view.cells[..., 1])  # beyond the grid its border goes on
@@ -211,6 +230,7 @@ def scan_levels(scan: Scan, view: View) -> ScanLevels:
         tuple(geometries),
         np.where(valid, surface, np.nan).astype(np.float32),
         edge,
+        channel_set,
     )
 
 

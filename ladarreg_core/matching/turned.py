@@ -1,23 +1,22 @@
-"""Recognise a photo that is turned about its optical axis before a pose is looked for.
+"""Recognise a photo that is turned about its optical axis, from either picture's corners, before a pose is known.
 
-Correlation windows bear some 15 degrees of roll. Beyond that hardly any correct match is found (thesis 3.4, Figure
-3.20), and what is found looks no different from the few matches of a difficult pair. So the photo's windows are turned
-too: at the right angle the matches agree on where the one picture lies in the other.
+Correlation windows and descriptors bear some 15 degrees of roll. Beyond that hardly any correct match is found (thesis
+3.4, Figure 3.20), and what is found looks no different from the few matches of a difficult pair. So the photo's
+descriptors are turned too: at the right angle the matches agree on where the one picture lies in the other.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.features.descriptors import unit_rows
-from ladarreg_core.lookup import look_up
-from ladarreg_core.matching.correlation import check_window, edge_picture, unique_matches
+from ladarreg_core.features.channels import normalised_channels, raw_channels
+from ladarreg_core.matching.correlation import check_window, unique_matches
+from ladarreg_core.matching.rotated import describe_turned, turned_by
 
 ANGLES = 24
 """So many turns are tried, evenly spaced."""
@@ -25,10 +24,11 @@ _STEP_RAD = 2 * np.pi / ANGLES
 _MARGIN = 0.02
 _MOST_CORNERS = 500
 _APART_PX = 3
-_BLUR_PX, _SPACING_PX = 1.0, 2.0  # a turned window shares no fine detail, and a larger one tells more
+_SPACING_PX, _WINDOW_PX = 6.0, 15
 _ALIKE_PX = 40.0  # parallax spreads the displacements of one scene
 _LEAST_MATCHES = 10
 _STANDS_OUT = 1.5
+_BORNE_RAD = 1.5 * _STEP_RAD
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +54,25 @@ class Turn:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TurnedMatches:
+    """A roll with the matches that were found at it."""
+
+    turn: Turn
+    """The roll."""
+    scan_uv: NDArray[np.float64]
+    """(K, 2) pixels of the view."""
+    photo_uv: NDArray[np.float64]
+    """(K, 2) pixels of the photo as it is."""
+
+
 def seems_turned(
     scan_gray: ArrayLike,
     scan_uv: ArrayLike,
     photo_gray: ArrayLike,
     photo_uv: ArrayLike,
     *,
-    window_px: int = 15,
+    window_px: int = _WINDOW_PX,
     margin: float = _MARGIN,
 ) -> Turn | None:
     """Return by how much the photo seems rolled against the scan's view.
@@ -70,7 +82,7 @@ def seems_turned(
         scan_uv: (N, 2) its corners, pixels, the strongest first.
         photo_gray: (h, w) gray levels of the photo, at the same focal length.
         photo_uv: (M, 2) its corners, pixels, the strongest first.
-        window_px: side of the compared windows in samples, which lie two pixels apart; odd.
+        window_px: side of the windows that the corners are else compared by, odd; the descriptors grow with it.
         margin: C1 - C2 must exceed it. Far less than for matches that a pose is to be solved from: which of them are
             right is told by their agreement.
 
@@ -84,53 +96,61 @@ def seems_turned(
     Source: thesis 3.4, Figure 3.20, where this is what fails.
     """
     check_window(window_px)
-    scan, photo = _Side.of(scan_gray, scan_uv, "scan"), _Side.of(photo_gray, photo_uv, "photo")
-    scan_rows = scan.rows(0.0, window_px)
+    sides = ((scan_gray, scan_uv, "scan"), (photo_gray, photo_uv, "photo"))
+    (scan, scan_at), (photo, photo_at) = (_channels_and_corners(*side) for side in sides)
+    spacing = _SPACING_PX * window_px / _WINDOW_PX
+    found = turn_between(scan, scan_at, photo, photo_at, margin=margin, spacing_px=spacing)
+    return None if found is None or abs(found.turn.angle_rad) < _BORNE_RAD else found.turn
+
+
+def turn_between(
+    scan_channels: FloatArray,
+    scan_uv: NDArray[np.float64],
+    photo_channels: FloatArray,
+    photo_uv: NDArray[np.float64],
+    *,
+    margin: float = _MARGIN,
+    spacing_px: float = _SPACING_PX,
+) -> TurnedMatches | None:
+    """Return the roll that the matches of turned descriptors agree on.
+
+    Args:
+        scan_channels: (H, W, 8) normalised channels of the view.
+        scan_uv: (N, 2) its corners, pixels, the strongest first.
+        photo_channels: (h, w, 8) those of the photo, at the same focal length.
+        photo_uv: (M, 2) its corners, pixels, the strongest first.
+        margin: C1 - C2 must exceed it.
+        spacing_px: between a descriptor's samples.
+
+    Returns:
+        the roll, of half a step of 15 degrees or more; None where upright fits best, or no angle stands out.
+    """
+    scan_at, photo_at = _apart(scan_uv), _apart(photo_uv)
+    described = describe_turned(scan_channels, scan_at, 0.0, spacing_px=spacing_px)
     counts: list[int] = []
+    matched = []
     for angle in np.arange(ANGLES) * _STEP_RAD:
-        score = scan_rows @ photo.rows(angle, window_px).T / 2
+        score = described @ describe_turned(photo_channels, photo_at, angle, spacing_px=spacing_px).T
         first, second, _ = unique_matches(score, margin=margin)
-        counts.append(_agreeing(scan.uv[first], photo.uv[second], angle))
+        matched.append((scan_at[first], photo_at[second]))
+        counts.append(_agreeing(*matched[-1], angle))
     best = int(np.argmax(counts))
     others = [counts[k] for k in set(range(ANGLES)).difference(_within_a_step(best))]
-    if best in _within_a_step(0) or counts[best] < max(_LEAST_MATCHES, _STANDS_OUT * max(others)):
+    if best == 0 or counts[best] < max(_LEAST_MATCHES, _STANDS_OUT * max(others)):
         return None
-    # The photo's windows were turned clockwise to where the scan's are: the camera was turned the other way.
+    # The photo's descriptors were turned clockwise to where the scan's are: the camera was turned the other way.
     clockwise = _STEP_RAD * (best + _peak(*(counts[k] for k in _within_a_step(best))))
     angle = (np.pi - clockwise) % (2 * np.pi) - np.pi
-    return Turn(angle_rad=float(angle), matches=counts[best], upright_matches=counts[0])
+    turn = Turn(angle_rad=float(angle), matches=counts[best], upright_matches=counts[0])
+    return TurnedMatches(turn, *matched[best])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Side:
-    """One picture's responses and its corners."""
-
-    responses: tuple[FloatArray, FloatArray]
-    """Gray level and edge, (H, W) float32."""
-    uv: NDArray[np.float64]
-    """(N, 2) pixels, apart from each other."""
-
-    @staticmethod
-    def of(gray: ArrayLike, uv: ArrayLike, name: str) -> _Side:
-        picture = read_only(gray, np.float32, (None, None), f"the {name}'s gray picture")
-        corners = read_only(uv, np.float64, (None, 2), f"the {name}'s corners")
-        if not picture.size or not (np.isfinite(picture).all() and np.isfinite(corners).all()):
-            raise ShapeError(
-                f"the {name}'s gray picture or corners are empty or hold NaN or infinity; give finite ones"
-            )
-        smooth = np.asarray(cv2.GaussianBlur(picture, (0, 0), _BLUR_PX), dtype=np.float32)
-        return _Side((smooth, edge_picture(smooth)), _apart(corners))
-
-    def rows(self, angle: float, side: int) -> FloatArray:
-        """Return the normalised windows (N, 2 side^2) of both responses, turned by an angle, rad, clockwise."""
-        reach = (np.arange(side) - side // 2) * _SPACING_PX
-        dv, du = np.meshgrid(reach, reach, indexing="ij")
-        offsets = np.stack([du.ravel(), dv.ravel()], axis=-1) @ _rotation(angle).T
-        u, v = (self.uv[:, k, None] + offsets[:, k] for k in (0, 1))
-        if not len(u):
-            return np.zeros((0, 2 * side * side), np.float32)
-        u, v = u.astype(np.float32), v.astype(np.float32)
-        return np.hstack([unit_rows(look_up(response, u, v)) for response in self.responses])
+def _channels_and_corners(gray: ArrayLike, uv: ArrayLike, name: str) -> tuple[FloatArray, NDArray[np.float64]]:
+    picture = read_only(gray, np.float32, (None, None), f"the {name}'s gray picture")
+    corners = read_only(uv, np.float64, (None, 2), f"the {name}'s corners")
+    if not picture.size or not (np.isfinite(picture).all() and np.isfinite(corners).all()):
+        raise ShapeError(f"the {name}'s gray picture or corners are empty or hold NaN or infinity; give finite ones")
+    return normalised_channels(raw_channels([picture])), corners
 
 
 def _apart(uv: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -148,7 +168,7 @@ def _agreeing(scan_uv: NDArray[np.float64], photo_uv: NDArray[np.float64], angle
     """Return how many matches have displacements that are alike, the scan's picture turned by the angle."""
     if not len(scan_uv):
         return 0
-    displacement = photo_uv - scan_uv @ _rotation(angle).T
+    displacement = photo_uv - turned_by(scan_uv, angle)
     between = displacement[:, None] - displacement[None]
     return int((np.hypot(between[..., 0], between[..., 1]) <= _ALIKE_PX).sum(axis=1).max())
 
@@ -160,12 +180,6 @@ def _peak(before: int, at: int, after: int) -> float:
     """
     curvature = 2 * at - before - after
     return 0.5 * (after - before) / curvature if curvature > 0 else 0.0
-
-
-def _rotation(angle: float) -> NDArray[np.float64]:
-    """Return the rotation (2, 2) of pixels (u right, v down) by an angle, rad, clockwise on the screen."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
 
 
 def _within_a_step(k: int) -> tuple[int, int, int]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.frames import Rigid, look_along, rotation_about
 from ladarreg_core.perspective import View
 from ladarreg_core.scan import Scan
 
@@ -57,6 +57,11 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
         scored.append((abs(turn), Rigid(look_along(direction), np.zeros(3))))
     scored.sort(key=lambda item: item[0])
     return [*found, *(view for _, view in scored)] or [first]
+
+
+def rolled(view_from_scanner: Rigid, angle_rad: float) -> Rigid:
+    """Return the rotation (view from scanner) rolled clockwise, seen from behind the view, by an angle, rad."""
+    return Rigid(rotation_about("z", -angle_rad), np.zeros(3)) @ view_from_scanner
 
 
 def towards_seen(scan: Scan, camera: Camera, pose: Rigid, *, view: View | None = None) -> Rigid | None:

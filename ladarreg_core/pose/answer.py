@@ -12,11 +12,14 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.matches import Matches, across_lines
 from ladarreg_core.pose.ambiguity import competing_pose
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States
-from ladarreg_core.pose.diagnostics import derotated, diagnose, stereo_depth_error
+from ladarreg_core.pose.diagnostics import derotated, diagnose, singular_values, stereo_depth_error
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.pose.verdict import chance_agreement, judge
 from ladarreg_core.results import PoseResult
+
+_MANY = 40
+_FLAT = 0.3  # least over middle extent
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +93,7 @@ def answer(
     }  # fmt: skip
     accepted, reasons = judge(**verdict)
     rival = None
-    if accepted:  # what is refused already need not be searched for rivals
+    if accepted and _may_have_rivals(matches.points[inliers]):  # and what is refused already need not be searched
         rival = competing_pose(measured, fit.state, inliers, s=fit.s, gate=options.gate_chi2, chi2_per_dof=chi2)
         if rival is not None:
             accepted, reasons = judge(**verdict, rival=rival)
@@ -115,3 +118,12 @@ def answer(
         reasons=reasons,
         diagnostics=figures,
     )
+
+
+def _may_have_rivals(points: FloatArray) -> bool:
+    """Return whether inliers (N, 3) are so few or so flat that another pose may explain them too.
+
+    Known points off their plane leave a calibrated camera no second pose; what noise may do is a matter of few points.
+    """
+    extent = singular_values(points)
+    return len(points) < _MANY or bool(extent[2] <= _FLAT * extent[1])

@@ -6,6 +6,7 @@ import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,20 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import range_from_counts
+from ladarreg_core.simulate.gamma import GAMMA_CAMERA, take_gamma_image
 from ladarreg_core.simulate.ladar import DR_M, GEOMETRY, R0_M, scan_world
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.scenes import SCENES, build_scene
+from ladarreg_core.simulate.thermal import THERMAL_CAMERA, take_thermal_image
+from ladarreg_core.simulate.world import World
+from ladarreg_core.thermal import CENTIKELVIN_K, centikelvin, thermal_photo
 
 CAMERA = Camera.from_focal(768, 512, 974.0)
 """A 35 mm lens before a small frame."""
+
+Instrument = Literal["colour", "thermal", "gamma"]
+_CAMERAS: dict[Instrument, Camera] = {"colour": CAMERA, "thermal": THERMAL_CAMERA, "gamma": GAMMA_CAMERA}
 
 
 @dataclass(frozen=True)
@@ -42,6 +50,8 @@ class CaseSet:
     speckle: float = 0.06
     noise: float = 1.0
     lighting: Lighting = field(default_factory=Lighting)
+    instrument: Instrument = "colour"
+    """What takes the photograph."""
 
 
 SETS = {
@@ -56,6 +66,8 @@ SETS = {
     "wide": CaseSet(baseline_m=(1.4, 2.2), toe_in_limit_deg=26.0),
     "rotated": CaseSet(rolls_deg=(30.0, 90.0, 180.0, -90.0, -30.0)),
     "identical": CaseSet(baseline_m=(0.0, 0.0), other_axes_m=0.0, toe_in_limit_deg=0.0, tilt_deg=0.0),
+    "thermal": CaseSet(instrument="thermal"),
+    "gamma": CaseSet(instrument="gamma"),
 }
 """The sets by name."""
 
@@ -75,6 +87,8 @@ class SimulatedCase:
     """(H, W), the scan as the instrument stores it."""
     intensity: NDArray[np.uint16]
     """(H, W), as the instrument stores it."""
+    hot_spots_m: NDArray[np.float64] | None = None
+    """(K, 3), of the set `gamma`: where the sources lie, scanner frame."""
 
 
 def simulate_case(
@@ -91,7 +105,7 @@ def simulate_case(
 
     Args:
         scene: boxes, desk, office or people.
-        set_name: standard, hard, wide, rotated or identical.
+        set_name: standard, hard, wide, rotated, identical, thermal or gamma.
         seed: not negative; every seed is another room and another pose.
         k1: radial distortion of the real lens.
         k1_error: how much the stated k1 is above the real one.
@@ -118,21 +132,16 @@ def simulate_case(
         return tell
 
     stage(0, 15, "building the room")
-    world = build_scene(scene, layout=layout, independent_inks=case_set.independent_inks)
+    world = build_scene(
+        scene,
+        layout=layout,
+        independent_inks=case_set.independent_inks,
+        heated=case_set.instrument == "thermal",
+    )
     caster = RayCaster(world.triangles)
     camera_from_scanner = _pose(case_set, seed, world.focus_m, pose_rng)
-    true_camera = replace(CAMERA, distortion=(k1, 0, 0, 0))
+    true_camera = replace(_CAMERAS[case_set.instrument], distortion=(k1, 0, 0, 0))
     images = scan_world(world, caster, rng=scan_rng, speckle=case_set.speckle, report=stage(15, 45, "scanning"))
-    pixels = take_photograph(
-        world,
-        caster,
-        true_camera,
-        camera_from_scanner,
-        lighting=case_set.lighting,
-        rng=photo_rng,
-        noise=case_set.noise,
-        report=stage(60, 40, "photographing"),
-    )
     name = f"{scene}-{set_name}-{seed}"
     scan = Scan(
         geometry=GEOMETRY,
@@ -146,14 +155,57 @@ def simulate_case(
         fy=true_camera.fy * (1 + focal_error),
         distortion=(k1 + k1_error, 0, 0, 0),
     )
+    photo, hot_spots_m = _photographed(
+        world,
+        caster,
+        case_set,
+        true_camera,
+        stated,
+        camera_from_scanner,
+        name,
+        photo_rng,
+        stage(60, 40, "photographing"),
+    )
     return SimulatedCase(
         scan=scan,
-        photo=Photo(pixels=pixels, camera=stated, name=name),
+        photo=photo,
         camera_from_scanner=camera_from_scanner,
         true_camera=true_camera,
         counts=images.counts,
         intensity=images.intensity,
+        hot_spots_m=hot_spots_m,
     )
+
+
+def _photographed(
+    world: World,
+    caster: RayCaster,
+    case_set: CaseSet,
+    true_camera: Camera,
+    stated: Camera,
+    pose: Rigid,
+    name: str,
+    rng: np.random.Generator,
+    report: Callable[[float], None],
+) -> tuple[Photo, NDArray[np.float64] | None]:
+    """Return what the set's instrument gives, with the camera as it is stated, and the sources that it shows."""
+    if case_set.instrument == "thermal":
+        kelvin = take_thermal_image(world, caster, true_camera, pose, rng=rng, noise=case_set.noise, report=report)
+        return thermal_photo(centikelvin(kelvin) * np.float32(CENTIKELVIN_K), stated, name=name), None
+    if case_set.instrument == "gamma":
+        image = take_gamma_image(world, caster, true_camera, pose, rng=rng)
+        return Photo(np.repeat(image.counts[..., None], 3, axis=-1), stated, name=name), image.hot_spots_m
+    pixels = take_photograph(
+        world,
+        caster,
+        true_camera,
+        pose,
+        lighting=case_set.lighting,
+        rng=rng,
+        noise=case_set.noise,
+        report=report,
+    )
+    return Photo(pixels=pixels, camera=stated, name=name), None
 
 
 def _checked(scene: str, set_name: str, seed: int, lens: tuple[float, ...]) -> CaseSet:

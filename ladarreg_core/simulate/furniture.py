@@ -8,8 +8,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.simulate.textures import Printer
+from ladarreg_core.simulate.textures import SKIN_K, Printer
 from ladarreg_core.simulate.world import Placement, Texture, WorldBuilder
+
+# Over the air, K: what a thermal camera sees of electronics, lamps, clothes on people, and hot water.
+_CASE_K, _SHADE_K = 6.0, 22.0
+_SHIRT_K, _TROUSERS_K, _SHOES_K = 7.0, 5.5, 2.5
+_PIPE_K, _PIPE_RADIUS_M = 18.0, 0.022
 
 
 @dataclass(frozen=True)
@@ -18,6 +23,8 @@ class Workshop:
 
     builder: WorldBuilder
     printer: Printer
+    heated: bool = False
+    """Heating pipes are laid."""
 
     @property
     def rng(self) -> np.random.Generator:
@@ -233,7 +240,7 @@ def monitor(shop: Workshop, at: Placement) -> None:
     p, b = shop.printer, shop.builder
     w = float(shop.rng.uniform(0.48, 0.68))
     h = w * 0.58
-    case = p.plain(p.inks.dark(), gloss=0.2)
+    case = p.plain(p.inks.dark(), gloss=0.2, excess_k=_CASE_K)
     b.box(at.on(0, 0, 0), (0.18, 0.24, 0.015), case)
     b.box(at.on(0.03, 0, 0.015), (0.03, 0.05, 0.2), case)
     b.box(at.on(0, 0, 0.12), (0.035, w, h), case)
@@ -276,7 +283,7 @@ def lamp(shop: Workshop, at: Placement) -> None:
     elbow, head = [0.05, float(rng.uniform(-0.12, 0.12)), 0.24], [-0.12, float(rng.uniform(-0.12, 0.12)), 0.42]
     shop.limb(at.points([0, 0, 0.02]), at.points(elbow), (0.01, 0.01), steel)
     shop.limb(at.points(elbow), at.points(head), (0.01, 0.01), steel)
-    shade = p.plain(p.inks.vivid(), gloss=0.3, glow=0.15)
+    shade = p.plain(p.inks.vivid(), gloss=0.3, glow=0.15, excess_k=_SHADE_K)
     shop.cylinder(at.on(head[0] - 0.03, head[1], head[2] - 0.1), 0.09, 0.12, shade, top_radius_m=0.04)
 
 
@@ -338,9 +345,10 @@ def person(shop: Workshop, at: Placement, *, height_m: float) -> None:
     rng, p = shop.rng, shop.printer
     k = height_m / 1.75
     skin_ink = p.inks.skin()
-    skin, shirt, trousers = p.plain(skin_ink), p.fabric(1.0, 0.6), p.fabric(0.5, 0.8)
-    sleeve = Texture(np.ascontiguousarray(shirt.picture[: len(shirt.picture) // 3]), gloss=0.0)
-    shoe, hand_side = p.plain(p.inks.dark(), gloss=0.2), float(rng.choice([-1.0, 1.0]))
+    skin = p.plain(skin_ink, excess_k=SKIN_K)
+    shirt, trousers = p.fabric(1.0, 0.6, excess_k=_SHIRT_K), p.fabric(0.5, 0.8, excess_k=_TROUSERS_K)
+    sleeve = Texture(np.ascontiguousarray(shirt.picture[: len(shirt.picture) // 3]), excess_k=_SHIRT_K)
+    shoe, hand_side = p.plain(p.inks.dark(), gloss=0.2, excess_k=_SHOES_K), float(rng.choice([-1.0, 1.0]))
 
     def q(x: float, y: float, z: float) -> NDArray[np.float64]:
         return at.points(np.array([x, y, z]) * k)
@@ -369,3 +377,15 @@ def person(shop: Workshop, at: Placement, *, height_m: float) -> None:
     shop.limb(q(0.01, 0, 1.42), q(0, 0, 1.54), (0.055 * k, 0.05 * k), skin)
     head = Placement.at(q(-0.01, 0, 1.5), at.yaw_rad + float(rng.uniform(-0.5, 0.5)))
     shop.ball(head, 0.098 * k, p.face(skin_ink), stretch=1.27)
+
+
+def heating(shop: Workshop, *, depth_m: float, floor_z: float, half_width_m: float) -> None:
+    """Add a pair of heating pipes along the far wall above its board, and the risers that feed them."""
+    rng, p = shop.rng, shop.printer
+    hot = p.plain(p.inks.bright(), gloss=0.1, excess_k=_PIPE_K)
+    cooler = p.plain(p.inks.bright(), gloss=0.1, excess_k=0.7 * _PIPE_K)
+    x, riser = depth_m - 0.05, float(rng.uniform(-0.8, 0.8)) * half_width_m
+    for k, pipe in enumerate((hot, cooler)):
+        z, y = floor_z + 0.16 + 0.1 * k, riser + 0.12 * k
+        shop.limb((x, -half_width_m, z), (x, half_width_m, z), (_PIPE_RADIUS_M, _PIPE_RADIUS_M), pipe)
+        shop.limb((x, y, z), (x, y, floor_z + 3.0), (_PIPE_RADIUS_M, _PIPE_RADIUS_M), pipe)

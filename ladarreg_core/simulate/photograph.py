@@ -17,7 +17,9 @@ from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.rays import SampleGrid, differs_from_neighbours, in_strips
 from ladarreg_core.simulate.world import Surface, Viewpoint, World
 
-_SUPERSAMPLES = np.array([[-0.25, -0.25], [-0.25, 0.25], [0.25, -0.25], [0.25, 0.25]])  # v, u, px
+SUPERSAMPLES = np.array([[-0.25, -0.25], [-0.25, 0.25], [0.25, -0.25], [0.25, 0.25]])
+"""The samples of a pixel: v, u, px."""
+
 _BLUR_PX = 0.6
 _SHOT_NOISE = 0.012  # of full scale, at full scale
 _READ_NOISE = 0.002
@@ -64,7 +66,34 @@ def take_photograph(
     Returns:
         (height, width, 3) uint8 RGB.
     """
-    centre = camera_from_scanner.centre
+    grid = cast_pixels(world, caster, camera, camera_from_scanner)
+    viewpoint = Viewpoint(world, camera_from_scanner.centre)
+    lamps = [np.asarray(world.lights[i]) for i in range(len(lighting.strength))]
+    lit = [_lit_samples(world, caster, viewpoint, grid, lamp) for lamp in lamps]
+    linear = np.zeros((camera.height, camera.width, 3), np.float32)
+
+    def strip(part: slice) -> None:
+        shape = (part.stop - part.start, camera.width, 3)
+        for k in range(len(SUPERSAMPLES)):
+            directions = grid.directions(k, part).reshape(-1, 3)
+            hit = viewpoint.meet(grid.faces(k, part).ravel(), directions)
+            light = [lit[i][k][part].ravel() for i in range(len(lamps))]
+            linear[part] += _shade(hit, directions, lamps, light, lighting, world.focus_m).reshape(shape)
+        linear[part] /= len(SUPERSAMPLES)
+
+    in_strips(camera.height, strip, report)
+    return _develop(linear, rng, noise)
+
+
+def cast_pixels(world: World, caster: RayCaster, camera: Camera, camera_from_scanner: Rigid) -> SampleGrid:
+    """Return which face every sample of every pixel of a camera meets.
+
+    Args:
+        world: what is there.
+        caster: its ray caster.
+        camera: the camera as it really is, with its lens.
+        camera_from_scanner: where it really stands.
+    """
     R = camera_from_scanner.rotation
 
     def rays_at(step: FloatArray, rows: slice) -> FloatArray:
@@ -76,23 +105,8 @@ def take_photograph(
             rays[..., i] = R[0, i] * x + R[1, i] * y + R[2, i] * z
         return rays
 
-    grid = SampleGrid.cast(world, caster, centre, (camera.height, camera.width), rays_at, _SUPERSAMPLES)
-    viewpoint = Viewpoint(world, centre)
-    lamps = [np.asarray(world.lights[i]) for i in range(len(lighting.strength))]
-    lit = [_lit_samples(world, caster, viewpoint, grid, lamp) for lamp in lamps]
-    linear = np.zeros((camera.height, camera.width, 3), np.float32)
-
-    def strip(part: slice) -> None:
-        shape = (part.stop - part.start, camera.width, 3)
-        for k in range(len(_SUPERSAMPLES)):
-            directions = grid.directions(k, part).reshape(-1, 3)
-            hit = viewpoint.meet(grid.faces(k, part).ravel(), directions)
-            light = [lit[i][k][part].ravel() for i in range(len(lamps))]
-            linear[part] += _shade(hit, directions, lamps, light, lighting, world.focus_m).reshape(shape)
-        linear[part] /= len(_SUPERSAMPLES)
-
-    in_strips(camera.height, strip, report)
-    return _develop(linear, rng, noise)
+    centre = camera_from_scanner.centre
+    return SampleGrid.cast(world, caster, centre, (camera.height, camera.width), rays_at, SUPERSAMPLES)
 
 
 def _lit_samples(
@@ -122,7 +136,7 @@ def _lit_samples(
     again = np.flatnonzero(grid.mixed | differs_from_neighbours(centre))
     every = slice(0, shape[0])
     out = []
-    for k in range(len(_SUPERSAMPLES)):
+    for k in range(len(SUPERSAMPLES)):
         sample = centre.copy()
         faces, rays = grid.faces(k, every).reshape(-1)[again], grid.directions(k, every).reshape(-1, 3)[again]
         sample.reshape(-1)[again] = reached(faces, rays)

@@ -14,15 +14,19 @@ from ladarreg_core.simulate.textures import Printer
 from ladarreg_core.simulate.world import Placement, World, WorldBuilder
 
 
-def build_scene(scene: str, *, layout: np.random.Generator, independent_inks: bool = False) -> World:
+def build_scene(
+    scene: str, *, layout: np.random.Generator, independent_inks: bool = False, heated: bool = False
+) -> World:
     """Return the world of a scene.
 
     Args:
         scene: a name in `SCENES`.
         layout: decides everything about it.
         independent_inks: the laser's albedo has nothing to do with the colour.
+        heated: heating pipes run along the far wall.
     """
-    shop = Workshop(WorldBuilder(), Printer(layout, InkWell(layout, independent=independent_inks)))
+    inks = InkWell(layout, independent=independent_inks)
+    shop = Workshop(WorldBuilder(), Printer(layout, inks), heated=heated)
     return SCENES[scene](shop)
 
 
@@ -179,6 +183,8 @@ def _decorate(shop: Workshop, depth_m: float, floor_z: float, *, count: int) -> 
 
 def _finish(shop: Workshop, depth_m: float, floor_z: float, *, focus_m: float) -> World:
     rng = shop.rng
+    if shop.heated:
+        make.heating(shop, depth_m=depth_m, floor_z=floor_z, half_width_m=2.8)
     ceiling = floor_z + 2.45
     side = float(rng.choice([-1.0, 1.0]))
     lights = [

@@ -12,6 +12,10 @@ PITCH_M = 0.0016
 """Texel size of things; below a pixel of either sensor at 2 m."""
 COARSE_M = 0.004
 """Texel size of floors and walls."""
+SKIN_K = 12.0
+"""How much warmer skin is than a room of 21 C."""
+
+_SCREEN_K, _LEAVES_K, _COLD_GLASS_K = 13.0, -1.2, -4.0  # over the air: lit, transpiring, winter outside
 
 _FONTS = (cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_COMPLEX, cv2.FONT_HERSHEY_TRIPLEX, cv2.FONT_HERSHEY_SIMPLEX)
 _SYLLABLES = tuple("ba co de fi gu ha jo ka le mi no pa ri su ta ve wi xo yu za lor men tis ral".split())  # noqa: SIM905
@@ -200,7 +204,7 @@ class Printer:
             picture[:, x - bar // 2 : x + bar // 2] = frame
         picture[h // 3 - bar // 2 : h // 3 + bar // 2] = frame
         cv2.rectangle(picture, (0, 0), (w - 1, h - 1), frame, 3 * bar)
-        return Texture(picture, glow=0.35)
+        return Texture(picture, glow=0.35, excess_k=_COLD_GLASS_K)
 
     # -- print -------------------------------------------------------------------------------------------------
 
@@ -332,12 +336,14 @@ class Printer:
         board = np.ascontiguousarray(board if w >= h else board.T).view(np.uint8).reshape(h, w, 4)
         return Texture(self.grain(board, 0.04), gloss=0.1)
 
-    def plain(self, ink: Ink, *, metal: float = 0.0, gloss: float = 0.0, glow: float = 0.0) -> Texture:
+    def plain(
+        self, ink: Ink, *, metal: float = 0.0, gloss: float = 0.0, glow: float = 0.0, excess_k: float = 0.0
+    ) -> Texture:
         """Return one ink, faintly worn."""
         picture = self.grain(np.full((48, 48, 4), ink, np.uint8), 0.03, cells=12)
-        return Texture(picture, metal=metal, gloss=gloss, glow=glow)
+        return Texture(picture, metal=metal, gloss=gloss, glow=glow, excess_k=excess_k)
 
-    def fabric(self, width_m: float, height_m: float, *, pitch_m: float = 0.003) -> Texture:
+    def fabric(self, width_m: float, height_m: float, *, pitch_m: float = 0.003, excess_k: float = 0.0) -> Texture:
         """Return cloth: plain, striped, checked or with a print on its front."""
         base, other = self.inks.muted() if self.rng.random() < 0.5 else self.inks.vivid(), self.inks.any()
         picture = self.sheet(width_m, height_m, base, pitch_m=pitch_m)
@@ -357,7 +363,7 @@ class Printer:
             chest[:] = other
             self.shapes(picture, (w // 2 - s // 2, h // 5, s, t), 4)
             self.write(picture, self.word(), (w // 2 - s // 2, h // 5 + t, s, t // 2), other)
-        return Texture(self.grain(picture, 0.07, cells=7))
+        return Texture(self.grain(picture, 0.07, cells=7), excess_k=excess_k)
 
     def screen(self, width_m: float, height_m: float) -> Texture:
         """Return a lit screen with windows of text and a diagram."""
@@ -376,7 +382,7 @@ class Printer:
                 self.shapes(pane, (s // 2, t // 4, s // 2, t * 3 // 4), 5)
         # A laser meets the glass, not what is shown behind it.
         picture[..., 3] = int(self.rng.integers(12, 90))
-        return Texture(picture, gloss=0.3, glow=0.35)
+        return Texture(picture, gloss=0.3, glow=0.35, excess_k=_SCREEN_K)
 
     def keys(self, width_m: float, height_m: float) -> Texture:
         """Return a keyboard."""
@@ -421,7 +427,7 @@ class Printer:
             axes = (int(self.rng.integers(3, 9)), int(self.rng.integers(2, 4)))
             ink = tones[int(self.rng.integers(4))]
             cv2.ellipse(picture, centre, axes, float(self.rng.uniform(0, 180)), 0, 360, ink, -1)
-        return Texture(picture)
+        return Texture(picture, excess_k=_LEAVES_K)
 
     def face(self, skin: Ink) -> Texture:
         """Return a head: eyes, brows, mouth in front, hair on top and behind."""
@@ -438,7 +444,7 @@ class Printer:
         cv2.ellipse(picture, (160, 108), (14, 4), 0, 0, 360, self.inks.of((150, 60, 60)), -1)
         if self.rng.random() < 0.3:
             picture[112:135, 120:200] = hair
-        return Texture(picture)
+        return Texture(picture, excess_k=SKIN_K)
 
 
 def _hair(rng: np.random.Generator) -> tuple[int, int, int]:

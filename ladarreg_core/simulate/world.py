@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray, IntArray
 
+_EMISSIVITY, _METAL_REFLECTS = 0.94, 0.6
 _CLEARANCE_M = 0.003  # above a surface, so that a shadow ray does not meet the face that it leaves
 
 Picture = NDArray[np.uint8]
@@ -28,6 +29,13 @@ class Texture:
     """0..1: a coat of lacquer."""
     glow: float = 0.0
     """Light of its own, in units of its colour; screens and windows."""
+    excess_k: float = 0.0
+    """How much warmer than the air it is; a thermal camera alone sees that."""
+
+    @property
+    def emissivity(self) -> float:
+        """Of thermal radiation, seen face on: paint and paper nearly 1, bare metal a mirror."""
+        return _EMISSIVITY - _METAL_REFLECTS * self.metal
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +58,10 @@ class World:
     """(2, F): width and height of the face's texture."""
     finish: NDArray[np.float32]
     """(3, F): metal, gloss, glow."""
+    heat: NDArray[np.float32]
+    """(2, F): excess over the air, K, and emissivity."""
+    body_of_face: NDArray[np.int32]
+    """(F,): which body the face belongs to; a body has one temperature."""
     curve_of_face: NDArray[np.int32]
     """(F,): the row of `curves`, or -1 for what is flat."""
     curves: NDArray[np.float32]
@@ -106,9 +118,15 @@ class WorldBuilder:
         self._face_textures: list[NDArray[np.int64]] = []
         self._face_curves: list[NDArray[np.int64]] = []
         self._curves: list[NDArray[np.float64]] = []
+        self._bodies: list[int] = []
+        self._body = 0
 
     def quad(self, top_left: ArrayLike, right: ArrayLike, down: ArrayLike, texture: Texture) -> None:
         """Add a parallelogram, seen from where `right` is right and `down` is down; all (3,), scanner frame, m."""
+        self._body += 1
+        self._sheet(top_left, right, down, texture)
+
+    def _sheet(self, top_left: ArrayLike, right: ArrayLike, down: ArrayLike, texture: Texture) -> None:
         origin, u, v = (np.asarray(a, dtype=np.float64) for a in (top_left, right, down))
         h, w = texture.picture.shape[:2]
         corners = np.stack([origin, origin + u, origin + v, origin + u + v])
@@ -132,8 +150,9 @@ class WorldBuilder:
             "top": ((a, b, c), (0, -2 * b, 0), (-2 * a, 0, 0)),
             "bottom": ((-a, b, 0), (0, -2 * b, 0), (2 * a, 0, 0)),
         }
+        self._body += 1
         for name, (origin, u, v) in faces.items():
-            self.quad(at.points(origin), at.vectors(u), at.vectors(v), sides.get(name, texture))
+            self._sheet(at.points(origin), at.vectors(u), at.vectors(v), sides.get(name, texture))
 
     def lathe(
         self,
@@ -157,6 +176,7 @@ class WorldBuilder:
             sectors: facets around.
             front: (3,), a direction that is not along the axis.
         """
+        self._body += 1
         axis = np.asarray(tip, dtype=np.float64) - np.asarray(base, dtype=np.float64)
         axis /= np.linalg.norm(axis)
         ahead = np.asarray(front, dtype=np.float64)
@@ -206,6 +226,7 @@ class WorldBuilder:
         self._corners.append(corners)
         self._texels.append(texels)
         self._face_textures.append(np.full(len(corners), self._texture_id[key]))
+        self._bodies += [self._body] * len(corners)
         self._face_curves.append(np.full(len(corners), -1 if curve is None else len(self._curves) - 1))
 
     def finish(self, *, focus_m: float, lights: ArrayLike) -> World:
@@ -223,6 +244,7 @@ class WorldBuilder:
         starts = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))])
         bytes_ = np.concatenate([np.ascontiguousarray(t.picture).reshape(-1) for t in self._textures])
         finish = np.array([[t.metal, t.gloss, t.glow] for t in self._textures], dtype=np.float32)
+        heat = np.array([[t.excess_k, t.emissivity] for t in self._textures], dtype=np.float32)
         which = np.concatenate(self._face_textures)
 
         faces = np.arange(1, len(corners) + 1)
@@ -239,6 +261,8 @@ class WorldBuilder:
             texel_start=np.concatenate([[starts[-1]], starts[which]]).astype(np.int64),
             texture_size=np.concatenate([[[1, 1]], sizes[which]]).T.astype(np.int64),
             finish=np.concatenate([np.zeros((1, 3), np.float32), finish[which]]).T.copy(),
+            heat=np.concatenate([np.array([[0, 1]], np.float32), heat[which]]).T.copy(),
+            body_of_face=np.array([0, *self._bodies], dtype=np.int32),
             curve_of_face=np.concatenate([[-1], *self._face_curves]).astype(np.int32),
             curves=np.array(self._curves, dtype=np.float32).reshape(-1, 3, 4),
             texels=np.concatenate([bytes_.view(np.uint32), np.zeros(1, np.uint32)]),

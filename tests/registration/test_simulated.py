@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
+from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.simulate import SimulatedCase, simulate_case
 
 SCENES = ("boxes", "desk", "office", "people")
@@ -30,6 +31,38 @@ def displacement_px(made: SimulatedCase, pose: lr.Rigid) -> float:
 def test_the_standard_set(scene: str, seed: int) -> None:
     made = case(scene, seed)
     result = lr.register(made.scan, made.photo)
+    assert result.accepted, result.reasons
+    assert displacement_px(made, result.camera_from_scanner) < 0.6
+
+
+@pytest.mark.parametrize(("scene", "seed"), [("boxes", 105), ("people", 107), ("office", 108)])
+def test_a_camera_that_was_rolled(scene: str, seed: int) -> None:
+    made = simulate_case(scene, set_name="rotated", seed=seed)
+    result = lr.register(made.scan, made.photo)
+    assert result.accepted, result.reasons
+    assert displacement_px(made, result.camera_from_scanner) < 0.6
+    # What is reported lies in the photo as it was given.
+    off = result.camera.project(result.camera_from_scanner @ result.matches.points) - result.matches.uv
+    assert np.median(np.hypot(*off[result.inliers].T)) < 1
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_photo_turned_by_quarters_gives_the_same_place(quarters: int) -> None:
+    made = case("desk", 101)
+    pixels = np.ascontiguousarray(np.rot90(made.photo.pixels, quarters))
+    camera = lr.Camera.from_focal(pixels.shape[1], pixels.shape[0], made.photo.camera.focal_px)
+    result = lr.register(made.scan, lr.Photo(pixels, camera))
+    assert result.accepted, result.reasons
+    assert result.camera_from_scanner.distance_to(made.camera_from_scanner) < 0.012
+
+
+@pytest.mark.parametrize("scene", ["boxes", "desk"])
+def test_a_rough_pose_is_enough(scene: str) -> None:
+    made = case(scene, 202)
+    truth = made.camera_from_scanner
+    turn = rotation_from_rotvec(np.deg2rad([3.0, -3.5, 2.0]))
+    rough = lr.Rigid.from_centre(turn @ truth.rotation, truth.centre + np.array([0.12, -0.2, 0.18]))
+    result = lr.register(made.scan, made.photo, initial=rough)
     assert result.accepted, result.reasons
     assert displacement_px(made, result.camera_from_scanner) < 0.6
 

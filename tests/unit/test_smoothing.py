@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.pose import ROOM_CAMERA, apple_case, apple_points, room_case
+from benchmarks.apple import apple_case, apple_points
+from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, LadarregError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec

@@ -80,7 +80,7 @@ def test_a_photo_turned_by_quarters_is_recognised(room: PaintedRoom, quarters: i
         assert turn.matches > turn.upright_matches
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(angle_deg=st.floats(-180, 180), seed=st.integers(0, 9))
 def test_any_roll_is_told_with_its_sign(angle_deg: float, seed: int) -> None:
     rng = np.random.default_rng(seed)

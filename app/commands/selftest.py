@@ -1,0 +1,70 @@
+"""`ladarreg selftest SCAN --camera FILE`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from app.exit_codes import ExitCode
+from app.inputs import timed
+from app.step_bar import step_bar
+from app.wording import self_test_report
+
+if TYPE_CHECKING:
+    from ladarreg_core.camera import Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """What `selftest` is told."""
+
+    scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
+    """Scan: E57, PCD, NPZ or a descriptor JSON."""
+    camera: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """Camera of the photographs to come: JSON, OpenCV YAML or ROS camera_info."""
+    photos: int = 20
+    """Photographs that are registered without a guess."""
+    starts: int = 9
+    """Photographs that are registered from a start that is off by 3, 6 or 12 degrees."""
+    wrong: int = 10
+    """Pictures of other places, which must be refused."""
+    seconds: float = 120.0
+    """End after this time; the kinds of trials take turns."""
+    scan_index: int = 0
+    """Which scan of a file with several."""
+    seed: int = 0
+    """Of every random draw."""
+    quiet: bool = False
+    """No progress, and the expectation in one line."""
+    debug: bool = False
+    """Log, and a trace back where something fails."""
+
+
+def run(arguments: Arguments) -> ExitCode:
+    """Make photographs of the scan, register them, and tell what to expect; 3 where a wrong pose was accepted."""
+    import ladarreg_core as lr
+    from ladarreg_core.self_test.report import self_test
+    from ladarreg_core.self_test.trials import SelfTestOptions
+
+    options = SelfTestOptions(
+        photos=arguments.photos,
+        starts=arguments.starts,
+        wrong=arguments.wrong,
+        seconds=arguments.seconds,
+        seed=arguments.seed,
+    )
+    with step_bar(quiet=arguments.quiet) as bar:
+        camera = _camera(arguments.camera)
+        scan = timed("read scan", bar, lambda: lr.read_scan(arguments.scan, scan_index=arguments.scan_index))
+        found = self_test(scan, camera, options, report=bar.progress)
+    print(found.in_words() if arguments.quiet else self_test_report(found))
+    return ExitCode.NOT_ACCEPTED if found.accepted_wrongly else ExitCode.ACCEPTED
+
+
+def _camera(path: Path) -> Camera:
+    from ladarreg_core.formats.camera_file import read_camera
+
+    return read_camera(path)

@@ -1,0 +1,170 @@
+"""Photographs of a scan from another place, in another light and with other inks, whose pose is known exactly.
+
+They show the scan's own surface, so that no scene has to be invented; what a laser cannot know, how bright its ink is
+to a camera and where the lamps hang, is made up anew for every picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
+from ladarreg_core.photo import Photo
+from ladarreg_core.render import render_scan_colors
+from ladarreg_core.scan import Scan
+
+_AMBIENT = (0.35, 0.6)
+_KNOTS = 5
+_NOISE = (1.0, 4.0)  # of 255
+_NORMAL_BLUR = 3.0
+_LATERAL = (0.06, 0.25)  # of the median range
+_OTHER_AXES = 0.04
+_TILT_RAD = np.deg2rad(2.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MadePhoto:
+    """A photograph with its truth."""
+
+    photo: Photo
+    """The photograph."""
+    camera_from_scanner: Rigid
+    """Where it was taken."""
+    covered: float
+    """Which share of it shows the scan, 0 to 1."""
+
+
+def random_pose(scan: Scan, camera: Camera, rng: np.random.Generator) -> Rigid:
+    """Return a pose beside the scanner that looks at a part of the scan.
+
+    Args:
+        scan: the scan.
+        camera: its field of view decides how far aside of the scan's middle it may look.
+        rng: of the draw.
+    """
+    reach = float(np.nanmedian(scan.ranges))
+    aim, scatter = scan.mean_direction, scan.sampled_directions
+    if float(np.median(scatter @ aim)) < np.cos(camera.width / 2 / camera.fx):  # wider than the photo: any part of it
+        aim = scatter[rng.integers(len(scatter))]
+    axes = look_along(aim)  # rows: right, down, forward
+    aside = rng.choice([-1.0, 1.0]) * rng.uniform(*_LATERAL)
+    centre = reach * (np.array([aside, *rng.uniform(-_OTHER_AXES, _OTHER_AXES, 2)]) @ axes)
+    towards = reach * aim - centre
+    tilt = rotation_from_rotvec(rng.uniform(-_TILT_RAD, _TILT_RAD, 3))
+    return Rigid.from_centre(tilt @ look_along(towards / np.linalg.norm(towards)), centre)
+
+
+def made_photo(scan: Scan, camera: Camera, pose: Rigid, rng: np.random.Generator) -> MadePhoto:
+    """Photograph a scan.
+
+    Args:
+        scan: the scan; its own colour is used where it has one, else its intensity.
+        camera: the camera.
+        pose: `camera_from_scanner`.
+        rng: of light, inks and noise.
+    """
+    rgb, covered = render_scan_colors(scan, camera, pose, picture=_painted(scan, rng), supersample=2)
+    filled = _filled(rgb, covered)
+    noise = rng.normal(size=filled.shape).astype(np.float32) * rng.uniform(*_NOISE)
+    pixels = np.clip(np.rint(filled + noise * np.sqrt(np.maximum(filled, 1) / 128)), 0, 255).astype(np.uint8)
+    return MadePhoto(Photo(pixels, camera, name="made from the scan"), pose, float(covered.mean()))
+
+
+def another_place(photo: Photo, number: int) -> Photo:
+    """Return a picture of no place that the scan saw: mirrored, or cut up and put together in another order.
+
+    Args:
+        photo: a photograph.
+        number: which of the ways.
+    """
+    pixels: NDArray[Any] = np.asarray(photo.pixels)
+    if number % 2 == 0:
+        pixels = pixels[:, ::-1]
+    else:
+        parts = [p for row in np.array_split(pixels, 3) for p in np.array_split(row, 4, axis=1)]
+        order = np.random.default_rng(number).permutation(len(parts))
+        height, width = (min(p.shape[axis] for p in parts) for axis in (0, 1))
+        rows = [np.hstack([parts[k][:height, :width] for k in order[4 * r : 4 * r + 4]]) for r in range(3)]
+        pixels = cv2.resize(np.vstack(rows), photo.camera.size, interpolation=cv2.INTER_LINEAR)
+    return Photo(np.ascontiguousarray(pixels), photo.camera, name="of another place")
+
+
+def _painted(scan: Scan, rng: np.random.Generator) -> ByteArray:
+    """Return the scan's picture (H, W, 3) in another light and other inks."""
+    ink = _ink(scan)
+    shade = _shade(scan, rng)
+    painted = np.empty((*scan.shape, 3), dtype=np.float32)
+    for c in range(3):
+        painted[..., c] = 255 * _tone(ink[..., c] / 255, rng) * shade
+    return np.clip(np.rint(painted), 0, 255).astype(np.uint8)
+
+
+def _ink(scan: Scan) -> NDArray[np.float32]:
+    """Return (H, W, 3) float32, 0 to 255: the scan's colour, or its intensity without the fall with range."""
+    if scan.color is not None:
+        return np.asarray(scan.color, dtype=np.float32)
+    signal = np.maximum(scan.intensity, 0).astype(np.float32)
+    if scan.intensity_is == "raw":
+        median = float(np.nanmedian(scan.ranges))
+        ratio = np.nan_to_num(scan.ranges / median, nan=1.0)
+        signal = signal * np.clip(ratio, 0.4, 4.0) ** 2
+    signal = np.sqrt(signal)
+    low, high = np.percentile(signal[scan.valid], (1, 99.5))
+    gray = np.clip((signal - low) * (255 / max(float(high - low), 1e-9)), 0, 255)
+    return np.repeat(gray[..., None].astype(np.float32), 3, axis=2)
+
+
+def _tone(values: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return values 0 to 1 through a curve of its own, which may fall as well as rise: inks differ by wavelength."""
+    steps = rng.uniform(-0.35, 1.0, _KNOTS - 1)
+    knots = np.concatenate([[0.0], np.cumsum(steps)])
+    knots = 0.08 + 0.84 * (knots - knots.min()) / max(float(np.ptp(knots)), 1e-6)
+    return np.asarray(np.interp(values, np.linspace(0, 1, _KNOTS), knots), dtype=np.float32)
+
+
+def _shade(scan: Scan, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Return how bright a lamp somewhere makes each cell (H, W), 0 to about 1."""
+    points = np.nan_to_num(np.asarray(scan.points, dtype=np.float32))
+    right, down = (cv2.Sobel(points, cv2.CV_32F, dx, 1 - dx, ksize=3) for dx in (1, 0))
+    normals = cv2.GaussianBlur(np.cross(right, down), (0, 0), _NORMAL_BLUR)
+    length = np.linalg.norm(normals, axis=2, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    facing = np.where((normals * points).sum(axis=2, keepdims=True) > 0, -1.0, 1.0)
+    lamp = rng.normal(size=3) * float(np.nanmedian(scan.ranges)) * 0.7
+    to_lamp = lamp.astype(np.float32) - points
+    to_lamp /= np.maximum(np.linalg.norm(to_lamp, axis=2, keepdims=True), 1e-6)
+    ambient = float(rng.uniform(*_AMBIENT))
+    lit = np.maximum((facing * normals * to_lamp).sum(axis=2), 0)
+    return np.asarray(ambient + (1 - ambient) * lit, dtype=np.float32)
+
+
+def _filled(rgb: ByteArray, covered: BoolArray) -> NDArray[np.float32]:
+    """Return the picture (H, W, 3) float32 with what the scan did not see filled in from around.
+
+    A constant colour there would print the outline of the scan's own holes into the photograph.
+    """
+    values, weight = rgb.astype(np.float32) * covered[..., None], covered.astype(np.float32)
+    return _pulled(values, weight)
+
+
+def _pulled(values: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return weighted values with the gaps taken from a picture of half the size, and so on."""
+    height, width = weight.shape
+    known = values / np.maximum(weight, 1e-6)[..., None]
+    if min(height, width) <= 2:
+        total = max(float(weight.sum()), 1e-6)
+        mean = values.reshape(-1, 3).sum(axis=0) / total
+        return np.where((weight > 0)[..., None], known, mean).astype(np.float32)
+    half = (max(1, width // 2), max(1, height // 2))
+    fewer, lighter = (cv2.resize(plane, half, interpolation=cv2.INTER_AREA) for plane in (values, weight))
+    smaller = _pulled(np.asarray(fewer, dtype=np.float32), np.asarray(lighter, dtype=np.float32))
+    coarse = cv2.resize(smaller, (width, height), interpolation=cv2.INTER_LINEAR)
+    share = np.clip(weight, 0, 1)[..., None]
+    return np.asarray(known * share + coarse * (1 - share), dtype=np.float32)

@@ -1,0 +1,79 @@
+"""Thermal pictures: apparent temperature, as files hold it and as people and the matcher see it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import ShapeError
+from ladarreg_core.photo import Photo
+
+CENTIKELVIN_K = 0.01
+"""What one step of a 16-bit thermal picture is worth, K."""
+
+_SCALE_K, _GRAY_PER_UNIT = 0.5, 60.0
+_PLAUSIBLE_K = (220.0, 620.0)  # what uncooled cameras measure
+_CENTRE_GRAY, _SHOWN = 128.0, 0.5
+
+
+def thermal_gray(temperature_k: FloatArray) -> NDArray[np.float32]:
+    """Return a thermal picture as gray levels (H, W) around 0: 60 asinh((T - median) / .5 K).
+
+    Small differences between walls keep their contrast beside people, lamps and pipes.
+
+    Args:
+        temperature_k: (H, W) apparent temperature, K.
+    """
+    median = np.float32(np.median(temperature_k))
+    scaled = (np.asarray(temperature_k, dtype=np.float32) - median) / np.float32(_SCALE_K)
+    return np.asarray(np.float32(_GRAY_PER_UNIT) * np.arcsinh(scaled), dtype=np.float32)
+
+
+def thermal_photo(
+    temperature_k: ArrayLike, camera: Camera, *, name: str = "photo", notes: tuple[str, ...] = ()
+) -> Photo:
+    """Return a thermal picture as a photograph, with gray pixels to look at.
+
+    Args:
+        temperature_k: (H, W) apparent temperature, K.
+        camera: its intrinsics.
+        name: what to call it.
+        notes: what an operator should know of it.
+
+    Raises:
+        ShapeError: if it is no picture of positive temperatures, or has not the camera's size.
+    """
+    kelvin = np.asarray(temperature_k, dtype=np.float32)
+    if kelvin.ndim != 2 or not kelvin.size or not (np.isfinite(kelvin).all() and (kelvin > 0).all()):
+        raise ShapeError("the thermal picture is not (H, W) of finite temperatures above 0 K; give kelvin")
+    shown = np.clip(np.rint(_CENTRE_GRAY + _SHOWN * thermal_gray(kelvin)), 0, 255).astype(np.uint8)
+    return Photo(np.repeat(shown[..., None], 3, axis=-1), camera, name=name, notes=notes, temperature_k=kelvin)
+
+
+def centikelvin(temperature_k: FloatArray) -> NDArray[np.uint16]:
+    """Return temperatures as 16-bit thermal pictures hold them: steps of .01 K above absolute zero."""
+    steps = np.rint(np.asarray(temperature_k, dtype=np.float64) / CENTIKELVIN_K)
+    return np.clip(steps, 0, np.iinfo(np.uint16).max).astype(np.uint16)
+
+
+def kelvin_of(values: NDArray[Any]) -> NDArray[np.float32] | None:
+    """Return the temperatures (H, W), K, that a decoded picture's values are; None where it is no thermal picture.
+
+    Thermal are gray pictures of 16 bits in centikelvin and of floating point in kelvin, told by their values alone:
+    all between 220 and 620 K (-53 to 347 C). A photograph of 16 bits has darker and brighter pixels than that.
+
+    Args:
+        values: (H, W) or (H, W, 3), as they stand in the file.
+    """
+    if values.ndim != 2 or not values.size or values.dtype.kind not in "uf" or values.dtype == np.uint8:
+        return None
+    unit = CENTIKELVIN_K if values.dtype.kind == "u" else 1.0
+    kelvin = values.astype(np.float64) * unit
+    low, high = _PLAUSIBLE_K
+    if not (np.isfinite(kelvin).all() and low <= kelvin.min() and kelvin.max() <= high):
+        return None
+    return kelvin.astype(np.float32)
