@@ -27,7 +27,9 @@ _FREE: Mapping[FreeCamera, int] = {"auto": 2, "fixed": 0, "focal": 1, "focal_k1"
 _LOOK_SIGMA = 3.0
 _KEEP_SIGMA = 3.0
 _REFUSE_SIGMA = 5.0
-_WRONG_CAMERA = "The picture speaks against the stated focal length or lens, and no other was found that fits; give the camera file."
+_WRONG_CAMERA = (
+    "The picture speaks against the stated focal length or lens, and none was found that fits; give the camera file."
+)
 _MOST_SIGMA_OF_FOCAL = 0.02
 _ROUNDS = 4
 _SETTLED_LOG_FOCAL, _SETTLED_K1 = 0.003, 0.02
