@@ -32,7 +32,7 @@ class ThresholdArguments(InputArguments):
     samples_per_line: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Thesis: points along each line drawn by hand (9)."""
     intrinsics: Literal["auto", "fixed", "focal", "focal-k1", "focal-k1-centre"] | None = None
-    """Drawn matches: what of the camera is estimated too; auto: what matches held out of the fit ask for."""
+    """What of the camera is estimated too; auto: what the picture, or matches held out of the fit, ask for."""
 
 
 _OF_THESIS = ("t1", "t2_px", "culling", "first_pose", "residual", "reject_depth_m")
@@ -49,8 +49,10 @@ def check_method(arguments: ThresholdArguments, method: str) -> None:
     given = [f"--{name.replace('_', '-')}" for name in _OF_THESIS if getattr(arguments, name) is not None]
     if given and method != "thesis":
         raise OptionError(f"{', '.join(given)} means something to --method thesis only; the method is {method}")
-    if arguments.intrinsics is not None and (method == "thesis" or arguments.matches is None):
-        raise OptionError("--intrinsics means something to drawn matches only (--matches), and not to --method thesis")
+    if arguments.intrinsics is not None and method == "thesis":
+        raise OptionError("--intrinsics means nothing to --method thesis, which takes its camera as calibrated")
+    if arguments.intrinsics == "focal-k1-centre" and arguments.matches is None:
+        raise OptionError("--intrinsics focal-k1-centre needs drawn matches (--matches)")
 
 
 def register_options(arguments: ThresholdArguments) -> RegisterOptions:
@@ -70,9 +72,12 @@ def register_options(arguments: ThresholdArguments) -> RegisterOptions:
         ),
         **_given(first_pose=_name(arguments.first_pose), residual=arguments.residual),
     )
-    pose = replace(RegisterOptions().pose, **_given(intrinsics=_name(arguments.intrinsics)))
+    free = _name(arguments.intrinsics)
+    options = RegisterOptions()
+    pose = replace(options.pose, **_given(intrinsics=free))
+    auto = options.auto if free == "focal_k1_centre" else replace(options.auto, **_given(intrinsics=free))
     return RegisterOptions(
-        seed=arguments.seed, thesis=thesis, pose=pose, **_given(samples_per_line=arguments.samples_per_line)
+        seed=arguments.seed, thesis=thesis, pose=pose, auto=auto, **_given(samples_per_line=arguments.samples_per_line)
     )
 
 

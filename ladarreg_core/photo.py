@@ -29,6 +29,8 @@ class Photo:
     """What to call it."""
     notes: tuple[str, ...] = field(default=())
     """What an operator should know of the file, e.g. where the focal length came from."""
+    calibrated: bool = False
+    """Whether the camera comes from a calibration: then a change of a few per cent is not believed of it."""
     temperature_k: FloatArray | None = None
     """(H, W) float32, of a thermal picture: apparent temperature, K; `pixels` are then gray levels to look at."""
 

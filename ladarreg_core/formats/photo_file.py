@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from numpy.typing import NDArray
@@ -65,20 +66,20 @@ def read_photo(
                     else f"EXIF orientation {orientation} was not applied: the camera has the size of the raw pixels"
                 )
             pixels = upright(values, orientation) if turned else values
-            return _photo(pixels, given, file.stem, notes)
+            return _photo(pixels, given, file.stem, notes, calibrated=True)
         focal, note = _focal(image.exif, raw_width, raw_height, focal_px, focal_mm, sensor_mm)
         pixels = upright(values, orientation)
         if orientation != 1:
             notes.append(f"EXIF orientation {orientation} was applied")
         notes.append(note)
         height, width = pixels.shape[:2]
-        return _photo(pixels, Camera.from_focal(width, height, focal), file.stem, notes)
+        return _photo(pixels, Camera.from_focal(width, height, focal), file.stem, notes, calibrated=False)
 
 
-def _photo(values: NDArray[Any], camera: Camera, name: str, notes: list[str]) -> Photo:
+def _photo(values: NDArray[Any], camera: Camera, name: str, notes: list[str], *, calibrated: bool) -> Photo:
     if values.ndim == 2:
-        return thermal_photo(values, camera, name=name, notes=tuple(notes))
-    return Photo(values, camera, name=name, notes=tuple(notes))
+        return replace(thermal_photo(values, camera, name=name, notes=tuple(notes)), calibrated=calibrated)
+    return Photo(values, camera, name=name, notes=tuple(notes), calibrated=calibrated)
 
 
 def _thermal_note(kelvin: FloatArray) -> str:

@@ -6,7 +6,8 @@ pose has its peaks at zero shift all over the picture; a wrong one has them anyw
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import comb
 
 import numpy as np
 
@@ -23,6 +24,7 @@ LEAST_WINDOWS = 12
 """Fewer windows than this say nothing."""
 _NEAR_PX, _FAR_PX = 3.0, 7.0
 _NO_CORRELATION = 1e-9
+_DRAWN_BY_CLIMB = 0.25  # the most that was seen of the blocks of climbed wrong poses; by their area 9 of 169
 _EACH_CHANNEL = np.eye(CHANNELS, dtype=np.float32)
 
 
@@ -46,6 +48,8 @@ class Agreement:
     """(N, 2) level pixels of all points at this pose."""
     visible: BoolArray
     """(N,) bool."""
+    block_maps: FloatArray = field(default_factory=lambda: np.zeros((0, 1, 1)))
+    """(B, 2r+1, 2r+1) correlation of every block alone, less its mean: what the windows pool."""
 
     @property
     def windows(self) -> int:
@@ -73,12 +77,35 @@ class Agreement:
         return shift, height, border
 
     def agreeing(self, tolerance_px: float) -> BoolArray:
-        """Return which windows (W,) peak within `tolerance_px` photo pixels of zero shift."""
-        shift = np.stack(self._shifts(), axis=-1).reshape(-1, 2)
-        if not len(self.maps):
-            return np.zeros(0, np.bool_)
-        best = self.maps.reshape(len(self.maps), -1).argmax(axis=1)
-        return np.asarray(np.hypot(*shift[best].T) <= tolerance_px * self._scale + 1e-9)
+        """Return which windows (W,) peak within `tolerance_px` working pixels of zero shift."""
+        return np.asarray(self._peak_distances(self.maps) <= tolerance_px * self._scale + 1e-9)
+
+    def false_alarm(self, tolerance_px: float) -> float:
+        """Return a bound on how probably so many blocks agree by accident: single ones, which share no pixels.
+
+        How probably one does is taken from the pair itself, for a repeated pattern agrees at many shifts: it is the
+        largest share of blocks that agree with any one far shift. A climb also draws some blocks to zero where it ends.
+
+        Source: the binomial distribution's upper tail.
+        """
+        count = len(self.block_maps)
+        if not count:
+            return 1.0
+        near = tolerance_px * self._scale + 1e-9
+        agreeing = int((self._peak_distances(self.block_maps) <= near).sum())
+        u, v = (shift.reshape(-1) for shift in self._shifts())
+        best = self.block_maps.reshape(count, -1).argmax(axis=1)
+        far = np.hypot(u, v) > 2 * near
+        apart = np.hypot(u[far, None] - u[best], v[far, None] - v[best])
+        p = max(_DRAWN_BY_CLIMB, float((apart <= near).mean(axis=1).max(initial=0.0)))
+        return float(sum(comb(count, k) * p**k * (1 - p) ** (count - k) for k in range(agreeing, count + 1)))
+
+    def _peak_distances(self, maps: FloatArray) -> FloatArray:
+        """Return how far from zero shift each map (n, 2r+1, 2r+1) peaks, (n,), level pixels."""
+        if not len(maps):
+            return np.zeros(0)
+        u, v = self._shifts()
+        return np.hypot(u, v).reshape(-1)[maps.reshape(len(maps), -1).argmax(axis=1)]
 
     def contrast(self) -> float:
         """Return zb: by how many standard deviations of the far shifts the near ones stand out, mean over windows."""
@@ -138,7 +165,7 @@ def agreement(
     judged = np.flatnonzero(neighbours >= _LEAST_NEIGHBOURS)
     ends = np.append(starts[1:], len(kept))
     members = tuple(kept[starts[k] : ends[k]] for k in judged)
-    return Agreement(level, radius, pooled[judged], grid[judged], neighbours[judged], members, uv, visible)
+    return Agreement(level, radius, pooled[judged], grid[judged], neighbours[judged], members, uv, visible, rho)
 
 
 def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target: Target, radius: int) -> FloatArray:

@@ -175,7 +175,9 @@ class Aligner:
         """Return the median displacement of the level-0 points between two poses and cameras, working pixels."""
         camera, points = self.photo.cameras[0], self.points[0].points
         shift = before.applied(camera).project(first @ points) - after.applied(camera).project(second @ points)
-        return float(np.nanmedian(np.hypot(shift[:, 0], shift[:, 1])))
+        length = np.hypot(shift[:, 0], shift[:, 1])
+        known = np.isfinite(length)
+        return float(np.median(length[known])) if known.any() else np.inf
 
     def judge(self, pose: Rigid) -> tuple[Verification, Agreement, Agreement]:
         """Verify a finished pose; also return its agreement at levels 1 and 0."""

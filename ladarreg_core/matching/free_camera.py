@@ -36,6 +36,8 @@ _SETTLED_LOG_FOCAL, _SETTLED_K1 = 0.003, 0.02
 _SAME_VIEW = 0.04
 _SURE = 0.6
 _LEAST_FINE_FRACTION = 0.5
+_BEYOND_CALIBRATION = 0.025  # of the distance from the picture's middle
+_MIDDLE = 0.3
 _PROMISING, _HEADWAY = 0.5, 0.05  # of the windows at level 1
 
 
@@ -136,7 +138,8 @@ def with_camera_free(fixed: Finished, photo: Photo, start: Rigid, intrinsics: Fr
             best = found
         if best is not None and (best.verification.fine_fraction or 0) >= _SURE:
             break
-    if best is None or (intrinsics == "auto" and not _convinces(best, fixed)):
+    believed = best is not None and (intrinsics != "auto" or _convinces(best, fixed, calibrated=photo.calibrated))
+    if best is None or not believed:
         lost = best is None or not best.verification.accepted
         return _less_certain(_refused(fixed) if lost and doubt > _REFUSE_SIGMA else fixed, pose)
     return best
@@ -172,8 +175,13 @@ def _rank(found: Finished) -> tuple[bool, float]:
     return found.verification.accepted, found.verification.fine_fraction or 0.0
 
 
-def _convinces(found: Finished, stated: Finished) -> bool:
-    """Return whether regions agree on other intrinsics, and the picture agrees better with them."""
+def _convinces(found: Finished, stated: Finished, *, calibrated: bool) -> bool:
+    """Return whether regions agree on other intrinsics, and the picture agrees better with them.
+
+    A little of it may always be the scan's own distortion, so that a calibration is overruled by a large change only.
+    """
+    if calibrated and _largest_shift(stated.camera, found.camera) < _BEYOND_CALIBRATION:
+        return False
     if not found.verification.accepted or found.regions is None:
         return False
     if np.sqrt(found.regions.covariance[6, 6]) > _MOST_SIGMA_OF_FOCAL:
@@ -185,6 +193,17 @@ def _convinces(found: Finished, stated: Finished) -> bool:
     if found.regions.deviate(moved) < _KEEP_SIGMA:
         return False
     return (found.verification.fine_fraction or 0.0) >= (stated.verification.fine_fraction or 0.0)
+
+
+def _largest_shift(before: Camera, after: Camera) -> float:
+    """Return how far pixels move from one camera to the other, over their distance from the middle, at most."""
+    u, v = np.meshgrid(np.linspace(0, before.width - 1, 9), np.linspace(0, before.height - 1, 9))
+    uv = np.stack([u, v], axis=-1).reshape(-1, 2)
+    away = np.linalg.norm(uv - (before.cx, before.cy), axis=1)
+    shift = np.linalg.norm(after.project(before.unproject(uv)) - uv, axis=1)
+    ratio = shift / np.maximum(away, 1.0)
+    known = np.isfinite(ratio) & (away > _MIDDLE * away.max())
+    return float(ratio[known].max()) if known.any() else np.inf
 
 
 def _k1(camera: Camera) -> float:

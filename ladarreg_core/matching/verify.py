@@ -27,6 +27,12 @@ class GateOptions:
     """Share needed with few windows."""
     few_contrast: float = 2.5
     """Contrast needed with few windows."""
+    false_alarm: float = 1e-6
+    """With fewer still, as of a coarse scan: largest bound on so much agreement by accident, level 1 times level 0..."""
+    fewest_fraction: float = 0.8
+    """...and this share..."""
+    fewest_contrast: float = 2.5
+    """...and this contrast."""
     fine_fraction: float = 0.35
     """Least share of windows that agree at level 0, where the tolerance is half as large."""
 
@@ -45,6 +51,8 @@ class Verification:
     """zb."""
     fine_fraction: float | None
     """f at level 0; None: not looked at."""
+    false_alarm: float
+    """A bound on so much agreement of single regions by accident, at all levels looked at."""
     accepted: bool
     """Whether the gate is passed."""
     reasons: tuple[str, ...]
@@ -58,6 +66,7 @@ class Verification:
             "fraction": round(self.fraction, 4),
             "contrast": round(self.contrast, 3),
             "fine_fraction": None if self.fine_fraction is None else round(self.fine_fraction, 4),
+            "false_alarm": float(f"{self.false_alarm:.3g}"),
         }
 
 
@@ -74,10 +83,15 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
     a = int(coarse.agreeing(NEAR_PX[1]).sum())
     f, zb = a / max(n, 1), coarse.contrast()
     f0 = None if fine is None else float(fine.agreeing(NEAR_PX[0]).sum() / max(fine.windows, 1))
+    # Level 0 stands for half of the digits, and is missing where a climb is only looked at.
+    alarm = coarse.false_alarm(NEAR_PX[1]) * (1.0 if fine is None else fine.false_alarm(NEAR_PX[0]))
+    bound = o.false_alarm if fine is not None else o.false_alarm**0.5
+    beyond_accident = alarm <= bound and f >= o.fewest_fraction and zb >= o.fewest_contrast
     reasons = []
-    if n < LEAST_WINDOWS:
+    if n < LEAST_WINDOWS and not (n and beyond_accident):
         reasons.append(
-            f"Only {n} regions of the picture hold enough structure of the scan to compare; {LEAST_WINDOWS} are needed."
+            f"Only {n} regions of the picture hold enough structure of the scan to compare; {LEAST_WINDOWS} are needed, "
+            "or fewer that nearly all agree."
         )
     else:
         if f < o.fraction:
@@ -87,11 +101,12 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
                 f"The agreement hardly stands out against shifted pictures ({zb:.1f} standard deviations; "
                 f"{o.contrast:.1f} are needed)."
             )
-        enough = a >= o.many or (a >= o.few and f >= o.few_fraction and zb >= o.few_contrast)
+        enough = a >= o.many or (a >= o.few and f >= o.few_fraction and zb >= o.few_contrast) or beyond_accident
         if not enough and f >= o.fraction:
             reasons.append(
-                f"Too few regions agree to be sure: {a}; {o.many} are needed, or {o.few} that agree at "
-                f"{o.few_fraction:.0%} and {o.few_contrast:.1f} standard deviations."
+                f"Too few regions agree to be sure: {a}; {o.many} are needed, or fewer that agree at "
+                f"{min(o.few_fraction, o.fewest_fraction):.0%} and {o.few_contrast:.1f} standard deviations and cannot "
+                "do so by accident."
             )
         if f0 is not None and f0 < o.fine_fraction:
             reasons.append(
@@ -101,4 +116,4 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
     accepted = not reasons
     if accepted:
         reasons.append(f"{a} of {n} regions of the picture agree with the scan ({f:.0%}).")
-    return Verification(n, a, f, zb, f0, accepted, tuple(reasons))
+    return Verification(n, a, f, zb, f0, alarm, accepted, tuple(reasons))

@@ -74,7 +74,7 @@ def made_photo(scan: Scan, camera: Camera, pose: Rigid, rng: np.random.Generator
     filled = _filled(rgb, covered)
     noise = rng.normal(size=filled.shape).astype(np.float32) * rng.uniform(*_NOISE)
     pixels = np.clip(np.rint(filled + noise * np.sqrt(np.maximum(filled, 1) / 128)), 0, 255).astype(np.uint8)
-    return MadePhoto(Photo(pixels, camera, name="made from the scan"), pose, float(covered.mean()))
+    return MadePhoto(Photo(pixels, camera, name="made from the scan", calibrated=True), pose, float(covered.mean()))
 
 
 def another_place(photo: Photo, number: int) -> Photo:
@@ -93,7 +93,7 @@ def another_place(photo: Photo, number: int) -> Photo:
         height, width = (min(p.shape[axis] for p in parts) for axis in (0, 1))
         rows = [np.hstack([parts[k][:height, :width] for k in order[4 * r : 4 * r + 4]]) for r in range(3)]
         pixels = cv2.resize(np.vstack(rows), photo.camera.size, interpolation=cv2.INTER_LINEAR)
-    return Photo(np.ascontiguousarray(pixels), photo.camera, name="of another place")
+    return Photo(np.ascontiguousarray(pixels), photo.camera, name="of another place", calibrated=True)
 
 
 def _painted(scan: Scan, rng: np.random.Generator) -> ByteArray:

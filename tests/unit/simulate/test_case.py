@@ -164,7 +164,7 @@ def test_the_stated_camera_may_be_wrong_on_purpose(monkeypatch: pytest.MonkeyPat
     [
         ({"scene": "garden"}, "boxes, desk, office, people"),
         ({"scene": ""}, "boxes"),
-        ({"set_name": "thermal"}, "standard, hard, wide, rotated, identical"),
+        ({"set_name": "tropical"}, "standard, hard, wide, rotated, identical"),
         ({"seed": -1}, "not negative"),
         ({"seed": True}, "whole number"),
         ({"seed": 1.5}, "whole number"),
