@@ -170,7 +170,7 @@ def self_test_report(found: SelfTest) -> str:
         by_level.setdefault(trial.off_deg, []).append(trial.right)
     levels = [f"{sum(ends)} of {len(ends)} from {level:g} deg off" for level, ends in sorted(by_level.items())]
     if levels:
-        lines.append(f"  starts that are off, one climb each: {', '.join(levels)} came home")
+        lines.append(f"  looked for near a start that is off: {', '.join(levels)} found")
     if wrong:
         lines.append(f"  pictures of other places: {sum(t.accepted for t in wrong)} of {len(wrong)} accepted")
     if found.trials:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from ladarreg_core.camera import Camera
+from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner, Candidate
 from ladarreg_core.matching.alike import Places, alike_in_words
 from ladarreg_core.matching.block_matches import BlockMatches
+from ladarreg_core.matching.density import density_in
 from ladarreg_core.matching.evidence import WindowEvidence, window_evidence
 from ladarreg_core.matching.free_camera import FreeCamera, check_free_camera, finished, with_camera_free
 from ladarreg_core.matching.levels import ChannelSet, photo_levels, working_camera
@@ -26,6 +28,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
 
 log = logging.getLogger(__name__)
+Reach = Literal["everywhere", "near_start"]
 _MOST_TURNED, _MOST_FROM_EVERYWHERE = 2, 3
 _RANGE_M = (1e-6, 1e7)  # generous, for millimetres taken for metres; the estimator of matches ends there, too
 
@@ -46,9 +49,13 @@ class AutoOptions:
     """What of the camera may be estimated with the pose."""
     channel_set: ChannelSet = "both"
     """What of the scan the photo is compared with."""
+    reach: Reach = "everywhere"
+    """How far the photo's place is looked for; `near_start` needs a first pose, and takes a fraction of the time."""
 
     def __post_init__(self) -> None:
         check_free_camera(self.intrinsics)
+        if self.reach not in get_args(Reach):
+            raise OptionError(f"the reach is {self.reach!r}; it must be one of {', '.join(get_args(Reach))}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,8 +125,9 @@ def register_auto(
         channel_set=o.channel_set,
     )
     found = _Findings(search, photo, Places(scan, photo.camera), steps, o)
-    _look_everywhere(search, found, viewing_directions(scan, working, initial=initial), initial)
-    return found.answer(initial)
+    directions = viewing_directions(scan, working, initial=initial)
+    _look_everywhere(search, found, directions, initial)
+    return _told_if_sparse(found.answer(initial), scan, photo, [*directions, *([initial] if initial else [])])
 
 
 class _Findings:
@@ -175,6 +183,28 @@ class _Findings:
         best = self._unfinished
         reason = f"The best start found agrees in only {best.fraction:.0%} of the picture."
         return AutoResult(best.camera_from_scanner, best.first_look, None, (reason, _ADVICE))
+
+
+def _told_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequence[Rigid]) -> AutoResult:
+    """Return a refusal with the scan's want of points as its first reason, and the only one where nothing was tried."""
+    if result.verification is not None and result.verification.accepted:
+        return result
+    density = density_in(scan, photo.camera, poses)
+    if density is None or not density.too_sparse:
+        return result
+    if result.verification is None:
+        return replace(result, reasons=(density.in_words(), _ADVICE))
+    return replace(result, reasons=(density.in_words(), *result.reasons))
+
+
+def _look_near(search: ViewSearch, found: _Findings, direction: Rigid, initial: Rigid) -> None:
+    """Look from the given pose, and from places around it."""
+    aligner = search.view(direction, name="the given pose")
+    if aligner is None:
+        return
+    found.consider(aligner, search.from_start(aligner, found.places, initial))
+    if not found.places:
+        found.consider(aligner, search.from_places(aligner, found.places, around=initial))
 
 
 def _look_everywhere(search: ViewSearch, found: _Findings, directions: Sequence[Rigid], initial: Rigid | None) -> None:

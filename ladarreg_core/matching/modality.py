@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
-from ladarreg_core.matching.auto import AutoOptions, AutoResult, register_auto
+from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
 from ladarreg_core.matching.levels import ChannelSet
 from ladarreg_core.matching.verify import GateOptions, Verification
 from ladarreg_core.photo import Photo
@@ -80,8 +80,10 @@ def register_by_modality(
     for channel_set in get_args(ChannelSet):
         if len(found) == 2 and not any(map(_leads_somewhere, found.values())):
             break  # intensity alone has never found what neither the sum nor geometry had an inkling of
+        # what one set of channels has found need only be looked at by the others
+        reach: Reach = o.reach if start is initial else "near_start"
         found[channel_set] = register_auto(
-            scan, photo, steps, initial=start, options=replace(o, channel_set=channel_set)
+            scan, photo, steps, initial=start, options=replace(o, channel_set=channel_set, reach=reach)
         )
         if _accepted(found[channel_set]) and not thermal:
             break

@@ -70,6 +70,10 @@ class ViewSearch:
         """Return whether a climb ended where no other start needs to be tried."""
         return candidate.fraction >= self._good_fraction and candidate.first_look.accepted
 
+    def from_start(self, aligner: Aligner, known: Places, start: Rigid) -> Candidate | None:
+        """Climb from the given pose alone."""
+        return self._best(aligner, [("the given pose", start)], known)
+
     def from_corners(self, aligner: Aligner, known: Places, *, given: Rigid | None = None) -> Candidate | None:
         """Climb from the given pose and from hypotheses until one convinces; return the best."""
         return self._best(aligner, self._starts(aligner, given), known)

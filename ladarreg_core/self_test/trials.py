@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import Cancelled, DegenerateGeometryError, OptionError
+from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
+from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress, Report, Step
+from ladarreg_core.progress import Progress, Report
 from ladarreg_core.register import RegisterOptions, register
 from ladarreg_core.scan import Scan
 from ladarreg_core.self_test.made_photo import MadePhoto, another_place, made_photo, random_pose
@@ -67,9 +67,9 @@ class Trial:
     """One registration of a made photograph."""
 
     kind: TrialKind
-    """`right`: no guess; `start`: from a start that is off; `wrong`: a picture of another place."""
+    """`right`: no guess; `start`: looked for near a start that is off; `wrong`: a picture of another place."""
     accepted: bool
-    """Whether it was called registered; of a start, whether its own climb came home."""
+    """Whether it was called registered."""
     error_px: float
     """Median displacement of what the photo sees, px; NaN without a pose, and of another place."""
     error_mm: float
@@ -177,8 +177,6 @@ def _tried(
     seen = photo.camera.contains(uv)
     shift = np.linalg.norm(photo.camera.project(pose @ points[seen]) - uv[seen], axis=1)
     error_px = float(np.median(np.where(np.isfinite(shift), shift, np.inf))) if seen.any() else float("inf")
-    if kind == "start":
-        accepted = error_px <= _RIGHT_PX
     return Trial(
         kind, accepted, error_px, 1000 * pose.distance_to(truth), float(np.degrees(pose.angle_to(truth))), off_deg,
         seconds,
@@ -192,25 +190,8 @@ def _off(truth: Rigid, degrees: float, reach: float, rng: np.random.Generator) -
     return Rigid.from_centre(rotation_from_rotvec(axis * angle) @ truth.rotation, truth.centre + angle * reach * way)
 
 
-@dataclass(slots=True)
-class _FirstClimb:
-    """Listens to a registration and ends it once the given start has been climbed from."""
-
-    pose: Rigid | None = None
-
-    def __call__(self, step: Step) -> None:
-        if step.name == "climb":
-            self.pose = step.pose
-            raise Cancelled
-
-
 def _registered(scan: Scan, photo: Photo, start: Rigid | None) -> tuple[bool, Rigid | None]:
-    """Return whether a photograph was accepted, and the pose; of a start, where its own climb ended."""
-    options = replace(RegisterOptions(), seed=0)
-    if start is None:
-        result = register(scan, photo, options=options)
-        return result.accepted, result.camera_from_scanner
-    listener = _FirstClimb()
-    with contextlib.suppress(Cancelled):
-        register(scan, photo, initial=start, options=options, report=listener)
-    return False, listener.pose
+    """Return whether a photograph was accepted, and the pose; with a start, near that alone."""
+    auto = AutoOptions(reach="everywhere" if start is None else "near_start")
+    result = register(scan, photo, initial=start, options=RegisterOptions(auto=auto))
+    return result.accepted, result.camera_from_scanner
