@@ -105,7 +105,7 @@ class Agreement:
         if not len(maps):
             return np.zeros(0)
         u, v = self._shifts()
-        return np.hypot(u, v).reshape(-1)[maps.reshape(len(maps), -1).argmax(axis=1)]
+        return np.asarray(np.hypot(u, v).reshape(-1)[maps.reshape(len(maps), -1).argmax(axis=1)])
 
     def contrast(self) -> float:
         """Return zb: by how many standard deviations of the far shifts the near ones stand out, mean over windows."""

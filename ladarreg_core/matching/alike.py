@@ -43,6 +43,10 @@ class Places:
         """Return a kept pose that puts the photo elsewhere; None where all are this place."""
         return next((other for other in self._poses if self._apart_px(other, pose) > _SAME_PLACE_PX), None)
 
+    def apart(self, first: Rigid, second: Rigid) -> bool:
+        """Return whether two poses put the photo at different places."""
+        return self._apart_px(first, second) > _SAME_PLACE_PX
+
     def _apart_px(self, first: Rigid, second: Rigid) -> float:
         """Return the median distance in the photo of what the first pose sees; infinite where the second sees none."""
         uv = self._camera.project(first @ self._points)

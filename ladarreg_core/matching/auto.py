@@ -20,8 +20,10 @@ from ladarreg_core.matching.evidence import WindowEvidence, window_evidence
 from ladarreg_core.matching.free_camera import FreeCamera, check_free_camera, finished, with_camera_free
 from ladarreg_core.matching.levels import ChannelSet, photo_levels, working_camera
 from ladarreg_core.matching.search import ViewSearch
+from ladarreg_core.matching.second_minimum import second_minimum
 from ladarreg_core.matching.turned import Turn
 from ladarreg_core.matching.verify import GateOptions, Verification
+from ladarreg_core.matching.verify_finished import judged_by_precision, regions_of
 from ladarreg_core.matching.views import rolled, viewing_directions
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
@@ -126,7 +128,10 @@ def register_auto(
     )
     found = _Findings(search, photo, Places(scan, photo.camera), steps, o)
     directions = viewing_directions(scan, working, initial=initial)
-    _look_everywhere(search, found, directions, initial)
+    if initial is not None and o.reach == "near_start":
+        _look_near(search, found, directions[0], initial)
+    else:
+        _look_everywhere(search, found, directions, initial)
     return _told_if_sparse(found.answer(initial), scan, photo, [*directions, *([initial] if initial else [])])
 
 
@@ -140,6 +145,7 @@ class _Findings:
         self._steps = steps
         self._options = options
         self._accepted: AutoResult | None = None
+        self._accepted_by: Aligner | None = None
         self._alike: tuple[Rigid, Rigid] | None = None
         self._refused: AutoResult | None = None
         self._unfinished: Candidate | None = None
@@ -158,7 +164,7 @@ class _Findings:
                 self._unfinished = candidate
             return
         aligner, candidate = self._search.seen_whole(aligner, candidate)
-        result = _finish(aligner, candidate, self._photo, self._steps, self._options.intrinsics)
+        result, aligner = _finish(aligner, candidate, self._photo, self._steps, self._options.intrinsics)
         pose = result.camera_from_scanner
         if result.verification is None or not result.verification.accepted or pose is None:
             if self._refused is None or _fraction(result) > _fraction(self._refused):
@@ -169,11 +175,13 @@ class _Findings:
             self._alike = (other, pose)
         self.places.add(pose)
         if self._accepted is None or _fraction(result) > _fraction(self._accepted):
-            self._accepted = result
+            self._accepted, self._accepted_by = result, aligner
 
     def answer(self, initial: Rigid | None) -> AutoResult:
         """Return the result."""
         if self._accepted is not None:
+            if self._alike is None and initial is None:  # which of alike places is meant, a given pose tells
+                self._alike = self._second_minimum()
             return self._accepted if self._alike is None else _undecided(self._accepted, *self._alike)
         if self._refused is not None:
             return self._refused
@@ -183,6 +191,17 @@ class _Findings:
         best = self._unfinished
         reason = f"The best start found agrees in only {best.fraction:.0%} of the picture."
         return AutoResult(best.camera_from_scanner, best.first_look, None, (reason, _ADVICE))
+
+    def _second_minimum(self) -> tuple[Rigid, Rigid] | None:
+        """Return the accepted pose and another one near it that is verified, too."""
+        pose = self._accepted.camera_from_scanner if self._accepted is not None else None
+        if pose is None or self._accepted_by is None:
+            return None
+        with self._steps.step("second minimum") as note:
+            other = second_minimum(self._accepted_by, pose, self.places)
+            note.update(found=other is not None)
+            self._steps.pose = pose
+        return None if other is None else (pose, other)
 
 
 def _told_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequence[Rigid]) -> AutoResult:
@@ -273,7 +292,10 @@ def _fraction(result: AutoResult) -> float:
     return result.verification.fraction if result.verification is not None else -1.0
 
 
-def _finish(aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog, intrinsics: FreeCamera) -> AutoResult:
+def _finish(
+    aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog, intrinsics: FreeCamera
+) -> tuple[AutoResult, Aligner]:
+    """Return the finished and judged pose, and the pair as its camera sees it."""
     start = candidate.camera_from_scanner
     with steps.step("finish"):
         pose = aligner.finish(start)
@@ -294,10 +316,12 @@ def _finish(aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog
             evidence = replace(evidence, covariance=found.regions.covariance[:6, :6])
         blocks = aligner.block_matches(pose)
         steps.pose, steps.matches = pose, blocks.matches if blocks else None
-    verification = found.verification
+    points = aligner.judged_points.points[found.fine.visible]
+    verification = judged_by_precision(found.verification, points, camera, pose, evidence.covariance)
+    verification = replace(verification, regions=regions_of(found.fine, aligner.photo.cameras[0], camera))
     reasons: tuple[Any, ...] = verification.reasons
     advice = () if verification.accepted else (_ADVICE,)
     return AutoResult(
         pose, verification, evidence, (*reasons, *found.in_words(photo.camera), *advice), blocks,
         camera if found.free else None, found.camera_sigmas,
-    )  # fmt: skip
+    ), aligner  # fmt: skip

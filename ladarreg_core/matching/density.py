@@ -12,7 +12,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 
 NEEDED_POINTS = 25_000
-"""Returns in a whole picture from which the method finds a pose: what is sampled, not the photo's pixels, is compared."""
+"""Returns in a whole picture from which the method works: it compares at the scan's resolution, not the photo's."""
 _SAMPLES = 200_000
 _TILES = (16, 10)
 

@@ -28,7 +28,7 @@ class GateOptions:
     few_contrast: float = 2.5
     """Contrast needed with few windows."""
     false_alarm: float = 1e-6
-    """With fewer still, as of a coarse scan: largest bound on so much agreement by accident, level 1 times level 0..."""
+    """With fewer still: largest bound on so much agreement by accident, level 1 times level 0..."""
     fewest_fraction: float = 0.8
     """...and this share..."""
     fewest_contrast: float = 2.5
@@ -57,6 +57,10 @@ class Verification:
     """Whether the gate is passed."""
     reasons: tuple[str, ...]
     """Why, in sentences."""
+    by_few: bool = False
+    """Whether it is accepted only since so few regions cannot agree by accident."""
+    regions: tuple[tuple[float, float, bool], ...] = ()
+    """(u, v, agrees) of regions of a finished pose, photo pixels, spread over the photo; for showing."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures, JSON-ready."""
@@ -87,11 +91,12 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
     alarm = coarse.false_alarm(NEAR_PX[1]) * (1.0 if fine is None else fine.false_alarm(NEAR_PX[0]))
     bound = o.false_alarm if fine is not None else o.false_alarm**0.5
     beyond_accident = alarm <= bound and f >= o.fewest_fraction and zb >= o.fewest_contrast
+    enough = n >= LEAST_WINDOWS and (a >= o.many or (a >= o.few and f >= o.few_fraction and zb >= o.few_contrast))
     reasons = []
     if n < LEAST_WINDOWS and not (n and beyond_accident):
         reasons.append(
-            f"Only {n} regions of the picture hold enough structure of the scan to compare; {LEAST_WINDOWS} are needed, "
-            "or fewer that nearly all agree."
+            f"Only {n} regions of the picture hold enough structure of the scan to compare; {LEAST_WINDOWS} are "
+            "needed, or fewer that nearly all agree."
         )
     else:
         if f < o.fraction:
@@ -101,8 +106,7 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
                 f"The agreement hardly stands out against shifted pictures ({zb:.1f} standard deviations; "
                 f"{o.contrast:.1f} are needed)."
             )
-        enough = a >= o.many or (a >= o.few and f >= o.few_fraction and zb >= o.few_contrast) or beyond_accident
-        if not enough and f >= o.fraction:
+        if not (enough or beyond_accident) and f >= o.fraction:
             reasons.append(
                 f"Too few regions agree to be sure: {a}; {o.many} are needed, or fewer that agree at "
                 f"{min(o.few_fraction, o.fewest_fraction):.0%} and {o.few_contrast:.1f} standard deviations and cannot "
@@ -116,4 +120,4 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
     accepted = not reasons
     if accepted:
         reasons.append(f"{a} of {n} regions of the picture agree with the scan ({f:.0%}).")
-    return Verification(n, a, f, zb, f0, alarm, accepted, tuple(reasons))
+    return Verification(n, a, f, zb, f0, alarm, accepted, tuple(reasons), by_few=accepted and not enough)

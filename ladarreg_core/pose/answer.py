@@ -15,7 +15,9 @@ from ladarreg_core.pose.bundle import UNSEEN, Measurements, States
 from ladarreg_core.pose.diagnostics import derotated, diagnose, singular_values, stereo_depth_error
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
-from ladarreg_core.pose.verdict import chance_agreement, judge
+from ladarreg_core.pose.others import rival_of_the_others
+from ladarreg_core.pose.single_hold import single_hold
+from ladarreg_core.pose.verdict import MOST_ANGLE_RAD, MOST_POSITION_OF_RANGE, chance_agreement, judge
 from ladarreg_core.results import PoseResult
 
 _MANY = 40
@@ -93,8 +95,17 @@ def answer(
     }  # fmt: skip
     accepted, reasons = judge(**verdict)
     rival = None
-    if accepted and _may_have_rivals(matches.points[inliers]):  # and what is refused already need not be searched
-        rival = competing_pose(measured, fit.state, inliers, s=fit.s, gate=options.gate_chi2, chi2_per_dof=chi2)
+    if accepted:
+        held_by = single_hold(
+            measured, matches, fit.state, inliers,
+            most_angle_rad=MOST_ANGLE_RAD, most_position_m=MOST_POSITION_OF_RANGE * float(np.median(matches.ranges)),
+        )  # fmt: skip
+        if held_by is not None:
+            accepted, reasons = judge(**verdict, held_by=held_by)
+    if accepted:  # what is refused already need not be searched for rivals
+        rival = rival_of_the_others(matches, measured, inliers, camera, sigma_px=sigma[0], gate=options.gate_chi2)
+        if rival is None and _may_have_rivals(matches.points[inliers]):
+            rival = competing_pose(measured, fit.state, inliers, s=fit.s, gate=options.gate_chi2, chi2_per_dof=chi2)
         if rival is not None:
             accepted, reasons = judge(**verdict, rival=rival)
     disparities = derotated(pose, matches, camera)

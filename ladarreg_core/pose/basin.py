@@ -31,8 +31,8 @@ from ladarreg_core.pose.checks import LEAST_MATCHES
 from ladarreg_core.pose.diagnostics import singular_values
 from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, narrow_scales
 from ladarreg_core.pose.many_descents import descended, gathered, joined, near_pairs
+from ladarreg_core.pose.others import least_rival, pose_of_the_others
 from ladarreg_core.pose.planar_poses import generalised, towards_mirrored
-from ladarreg_core.pose.ransac import sample_pose
 from ladarreg_core.results import PoseResult
 
 BasinVerdict = Literal["unique", "ambiguous", "failed"]
@@ -48,9 +48,6 @@ _SAME_RAD, _SAME_OF_DISTANCE = np.deg2rad(4.0), 0.1  # one place is no larger, h
 _MOST_PLACES = 8
 _ON_ALL = replace(DEFAULT_GNC, last_steps=8)
 _FLAT = 0.3  # least over middle extent of points that may have a mirrored pose
-_RANSAC_SIGMA = 6.0
-_RANSAC_ITERATIONS = 500
-_RIVAL_SHARE, _LEAST_RIVAL = 0.5, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +190,10 @@ def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi
     ends, end_of = descended(few, joined(perturbed, around), gate=gate, reach=reach)
     worth = _worth_a_look(few, ends, gate=gate)
 
-    candidates = [pose, *_pose_of_the_others(result, measured, ~agree, seed=seed)]
+    another = pose_of_the_others(
+        result.matches, measured, ~agree, result.camera, sigma_px=result.sigma_px, seed=seed
+    )  # fmt: skip
+    candidates = [pose] if another is None else [pose, another]
     settled = _settled(measured, candidates, ends.subset(worth), members, gate=gate)
     found = _places(measured, settled, gate=gate, reach=reach)
     there = np.full(len(ends.centres), -1)
@@ -257,25 +257,6 @@ def _noise(s: FloatArray, gate: float) -> float:
     """Return chi^2/dof of the matches that agree, where it exceeds 1: by it differences of scores are judged."""
     inside = s[s <= gate]
     return max(1.0, float(inside.sum()) / max(2 * len(inside) - 6, 1))
-
-
-def _pose_of_the_others(result: PoseResult, measured: Measurements, others: BoolArray, *, seed: int) -> list[Rigid]:
-    """Return the pose that matches (N,) which disagree have in common, where they are enough to matter."""
-    count = int(np.count_nonzero(others))
-    if count < _least_rival(len(others) - count):
-        return []
-    ideal = result.camera.without_distortion()
-    uv = (measured.xy[:, others] * [[ideal.fx], [ideal.fy]] + [[ideal.cx], [ideal.cy]]).T
-    pose = sample_pose(
-        result.matches.points[others], uv, ideal, threshold_px=_RANSAC_SIGMA * result.sigma_px,
-        iterations=_RANSAC_ITERATIONS, seed=seed,
-    )  # fmt: skip
-    return [] if pose is None else [pose]
-
-
-def _least_rival(agree: int) -> int:
-    """Return how many other matches must agree on another pose to be no chance beside these."""
-    return max(_LEAST_RIVAL, int(np.ceil(_RIVAL_SHARE * agree)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -347,7 +328,7 @@ def _judged(
     else:
         beside = np.count_nonzero(found.agree & ~found.agree[home], axis=1)
         rivals = (found.scores < found.scores[home] + margin) | (
-            beside >= _least_rival(int(np.count_nonzero(found.agree[home])))
+            beside >= least_rival(int(np.count_nonzero(found.agree[home])))
         )
         rivals[home] = False
         if rivals.any():

@@ -241,13 +241,15 @@ def _second_threshold_px(
     seen = residuals(measured, state)
     squared = (seen.e[0] ** 2).sum(axis=0) * (camera.fx * camera.fy)
     near = (squared < gate_px**2) & (seen.s[0] < UNSEEN)
-    if not near.any():
+    trace = measured.information.sum(axis=0)
+    determinant = measured.information.prod(axis=0) - measured.cross_information[0] ** 2
+    full = determinant > 1e-9 * trace * trace  # what is known across a line only has no pixel noise along it
+    if not (near & full).any():
         return float("nan"), 0.0
     lin = linearise(measured, state, seen)
-    determinant = measured.information.prod(axis=0) - measured.cross_information[0] ** 2
-    own = measured.information.sum(axis=0) / 2 / np.maximum(determinant, 1e-300)
+    own = trace / 2 / np.where(full, determinant, np.inf)
     by_range = (lin.j[0] ** 2).sum(axis=0) / measured.range_information
-    sigma = float(np.sqrt(np.median((own + by_range)[near])) * camera.focal_px)
+    sigma = float(np.sqrt(np.median((own + by_range)[near & full])) * camera.focal_px)
     return options.ransac_again_sigma * sigma, float(np.mean(near))
 
 

@@ -21,10 +21,12 @@ from ladarreg_core.pose.bundle import Measurements, States, linearise, residuals
 LEAST_INLIERS = 12
 LEAST_SHARE = 0.5
 MOST_CHI2_PER_DOF = 3.0
-_MOST_ANGLE_RAD = np.deg2rad(2.0)
-_MOST_POSITION_OF_RANGE = 0.1
+MOST_ANGLE_RAD = np.deg2rad(2.0)
+MOST_POSITION_OF_RANGE = 0.1
 _MOST_LOG10_CHANCE = -3.0
 _FLAT = 0.05
+_MOSTLY = 0.7
+_PLANES = 200  # of three points each; nine of ten hold none where 70 % lie on one plane: (1 - .7^3)^200 is nothing
 _LEAST_WIDTH = 0.02  # of the matches in the photo, across over along: below it they lie on one line
 _KEY = np.sqrt([2.0, 3.0, 5.0])
 
@@ -38,6 +40,7 @@ def judge(
     covariance: FloatArray,
     log10_chance: float,
     rival: Rigid | None = None,
+    held_by: str | None = None,
 ) -> tuple[bool, tuple[str, ...]]:
     """Return whether the pose is accepted by `statistics`, and why or why not.
 
@@ -49,11 +52,13 @@ def judge(
         covariance: (6, 6) of (w, c).
         log10_chance: `chance_agreement` of the inliers.
         rival: another pose that explains them as well; None where none was found.
+        held_by: the pick without which the others hardly determine the pose; None where there is none.
     """
     # an end of a line that is known across it only counts as half a match
     halves = int(np.count_nonzero(matches.dimensions[inliers] == 1))
     agree, count = distinct(matches.points[inliers], matches.uv[inliers]) - (halves + 1) // 2, len(matches)
-    share = np.count_nonzero(inliers) / count
+    # what is known across its line agrees more easily, and says nothing of where along it
+    share = np.count_nonzero(inliers & (matches.dimensions == 2)) / count
     against = []
     if agree < LEAST_INLIERS:
         against.append(
@@ -76,7 +81,7 @@ def judge(
     angle = float(np.sqrt(np.trace(covariance[:3, :3])))
     position = float(np.sqrt(np.trace(covariance[3:, 3:])))
     reach = float(np.median(matches.ranges))
-    if not (angle <= _MOST_ANGLE_RAD and position <= _MOST_POSITION_OF_RANGE * reach):
+    if not (angle <= MOST_ANGLE_RAD and position <= MOST_POSITION_OF_RANGE * reach):
         against.append(
             f"the matches hardly determine the pose ({_length(position)} and {np.degrees(angle):.2g} deg, 1 sigma); "
             "spread them over the picture and over near and far"
@@ -86,6 +91,11 @@ def judge(
     if _from_behind(pose, matches.points[inliers]):
         against.append(
             "the camera would see the matches' plane from behind; check that the photo and the scan are not mirrored"
+        )
+    if held_by is not None:
+        against.append(
+            f"match {held_by} alone holds the pose, which the others would hardly determine; check it, or add matches "
+            "near it"
         )
     if rival is not None:
         against.append(
@@ -111,16 +121,36 @@ def _on_one_line(uv: FloatArray) -> bool:
 
 
 def _from_behind(pose: Rigid, points: FloatArray) -> bool:
-    """Return whether points (N, 3) are flat and lie between scanner and camera: a mirrored picture fits them so."""
+    """Return whether most of the points (N, 3) lie on a plane between scanner and camera: a mirrored picture fits so.
+
+    A few off it prove nothing: those near the picture's middle are seen there from either side.
+    """
     if len(points) < 3:
         return False
-    centroid = points.mean(axis=0)
-    centred = points - centroid
-    squared, axes = np.linalg.eigh(centred.T @ centred)
-    normal = axes[:, 0]
-    if squared[0] > _FLAT**2 * squared[1]:
+    plane = _common_plane(points)
+    if plane is None:
         return False
+    centroid, normal = plane
     return bool((centroid @ normal) * ((centroid - pose.centre) @ normal) < 0)
+
+
+def _common_plane(points: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return a point and the normal of the plane that most of the points (N, 3) lie on; None where there is none."""
+    rng = np.random.default_rng(0)
+    a, b, c = points[rng.integers(0, len(points), (3, _PLANES))]
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    off = np.where(length > 0, np.abs(points @ normals.T - (a * normals).sum(axis=1)).T, np.inf)
+    width = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T, bias=True))[1], 0))
+    on_plane = off <= 2 * _FLAT * width
+    best = int(np.argmax(np.count_nonzero(on_plane, axis=1)))
+    members = points[on_plane[best]]
+    if len(members) < max(3, _MOSTLY * len(points)):
+        return None
+    centroid = members.mean(axis=0)
+    centred = members - centroid
+    return centroid, np.linalg.eigh(centred.T @ centred)[1][:, 0]
 
 
 def distinct(points: FloatArray, uv: FloatArray) -> int:

@@ -9,11 +9,11 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.matches import Matches
-from ladarreg_core.surface_range import surface_range
 from ladarreg_core.pose.bundle import Measurements, States, information_matrix
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.surface_range import surface_range
 from ladarreg_core.visibility import project_scan
 from tests.painted_room import shoot
 

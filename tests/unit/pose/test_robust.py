@@ -111,6 +111,22 @@ def test_lines_and_points_are_solved_in_one_cost():
     assert results[2].camera_from_scanner.distance_to(lines.pose) < 4 * sigmas[2]
 
 
+@pytest.mark.parametrize("stated", [STATED, {}])
+@pytest.mark.parametrize("share", [0.5, 0.42])
+def test_two_poses_that_share_the_matches_are_not_told_apart(share, stated):
+    case = room_case(8, count=120)
+    turn = rotation_from_rotvec([0, 0.12, 0])
+    elsewhere = Rigid.from_centre(turn @ case.pose.rotation, case.pose.centre + np.array([0, 0.4, 0]))
+    seen = case.camera.project(elsewhere @ (case.rays * room_ranges(case.rays)[:, None]))
+    rng = np.random.default_rng(8)
+    kept = np.flatnonzero(case.camera.contains(seen))[:60]
+    other = rng.permutation(60) < round(share * 60)
+    uv = np.where(other[:, None], seen[kept] + rng.normal(size=(60, 2)), case.uv[kept])
+    result = estimate_pose(case.rays[kept], case.ranges[kept], uv, case.camera, **stated)
+    assert not result.accepted
+    assert any("second pose" in reason or "needed" in reason for reason in result.reasons)
+
+
 @pytest.mark.parametrize("bad", ["f", None, 3, "auto "])
 def test_intrinsics_without_meaning_are_refused(bad):
     with pytest.raises(OptionError, match="intrinsics is"):
