@@ -222,7 +222,9 @@ def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
     )
     verdict = found.verification
     accepted = verdict is not None and verdict.accepted
-    diagnostics = {**described.diagnostics, "verification": verdict.as_dict()} if verdict else described.diagnostics
+    diagnostics = dict(described.diagnostics)
+    if verdict:
+        diagnostics["verification"] = {**verdict.as_dict(), "regions": [list(region) for region in verdict.regions]}
     return replace(
         described,
         camera_sigmas=found.camera_sigmas,

@@ -131,7 +131,8 @@ def _gauss_newton_step(
     g = (weight[:, None] * (along_a - rho[:, None] * along_b)).sum(axis=0)
     H, g = H.astype(np.float64), g.astype(np.float64)
     H[range(6, len(H)), range(6, len(H))] += options.damping
-    scale = np.sqrt(np.diag(H)) + 1e-12
+    # what is projected off may leave a diagonal of rounding alone, on either side of zero
+    scale = np.sqrt(np.maximum(np.diag(H), 0)) + 1e-12
     try:
         delta = np.linalg.solve(H / np.outer(scale, scale) + 1e-6 * np.eye(len(H)), g / scale) / scale
     except np.linalg.LinAlgError:

@@ -19,7 +19,9 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
 
-COARSE_GATE = GateOptions(contrast=2.1, many=35, few=35, few_contrast=2.1, few_fraction=0.5, fine_fraction=0.30)
+COARSE_GATE = GateOptions(
+    contrast=2.1, many=35, few=35, few_contrast=2.1, few_fraction=0.5, fine_fraction=0.30, false_alarm=0.0
+)
 """What a thermal pose must show: in fewer regions than one in colour, for the picture is small; it is called coarse."""
 
 _SHOWN_AS: dict[ChannelSet, str] = {

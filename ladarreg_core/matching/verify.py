@@ -71,6 +71,7 @@ class Verification:
             "contrast": round(self.contrast, 3),
             "fine_fraction": None if self.fine_fraction is None else round(self.fine_fraction, 4),
             "false_alarm": float(f"{self.false_alarm:.3g}"),
+            "by_few": self.by_few,
         }
 
 
