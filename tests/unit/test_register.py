@@ -60,7 +60,7 @@ def test_the_result_is_complete(registration: lr.Registration) -> None:
     np.testing.assert_allclose(registration.residuals_px, registration.matches.uv - predicted)
     names = [step.name for step in registration.steps]
     assert names[:2] == ["photo", "channels"]
-    assert names[-5:] == ["finish", "verify", "camera", "evidence", "result"]
+    assert names[-6:] == ["finish", "verify", "camera", "evidence", "second minimum", "result"]
     assert registration.options["auto"]["gate"]["fraction"] == 0.5
 
 
