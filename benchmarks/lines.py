@@ -28,7 +28,7 @@ from ladarreg_core.scanner import AzimuthElevation
 _STEP_RAD = np.deg2rad(0.11)
 _GEOMETRY = AzimuthElevation(350, 500, _STEP_RAD, _STEP_RAD)
 _LENGTH_PX = (300.0, 500.0)
-_TRIALS, _LOOKED_AT = 400, 10
+_TRIALS, _LOOKED_AT, _PATIENCE = 400, 10, 40
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,11 @@ def _straight_edges(
     """Pairs of rays whose surface between them is straight and in the photo all along, with their pixels."""
     found: list[tuple[np.ndarray, np.ndarray]] = []
     s = np.linspace(0, 1, 17)[:, None]
+    tries = 0
     while len(found) < lines:
-        # boxes and walls in turn, so that there are near edges and far ones
-        on_box = len(found) % 2 == 1
+        # boxes and walls in turn, so that edges are near and far; the others where a camera hardly sees these
+        on_box = (len(found) + tries // _PATIENCE) % 2 == 1
+        tries += 1
         low, high = ROOM_BOXES[rng.integers(len(ROOM_BOXES))] if on_box else ROOM_WALLS
         ends = rng.uniform(low, high, (_TRIALS, 2, 3))
         axis = int(rng.integers(3))
@@ -103,6 +105,7 @@ def _straight_edges(
             rays = points / ranges[:, None]
             if np.abs(room_ranges(rays) - ranges).max() < 1e-6:
                 found.append((rays[[0, -1]], uv[k]))
+                tries = 0
                 break
     return found
 

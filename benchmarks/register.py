@@ -18,12 +18,12 @@ import ladarreg_core as lr
 from ladarreg_core.matching.densify import DensifyOptions
 from ladarreg_core.matching.thesis import ThesisOptions
 from ladarreg_core.matching.thesis_matches import ThesisMatchOptions
-from ladarreg_core.picked import surface_range
 from ladarreg_core.pose.estimate import PoseOptions
 from ladarreg_core.pose.ransac import ransac_pose
 from ladarreg_core.pose.stereo_simplex import SimplexOptions
 from ladarreg_core.register import RegisterOptions
 from ladarreg_core.simulate import SCENES, SETS, SimulatedCase, simulate_case
+from ladarreg_core.surface_range import surface_range
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 Each finding has a level. `fair`: the standard deviation of the camera's place or of the picture is 1.4 times what 48
 well-placed matches would give, as if half of them were missing. `poor`: it is twice that, as if three of four were, or
 an error of that size is not in it, or the method that was used fails there. The factors beside the thresholds are
-medians over 40 rooms of `benchmarks.pose`.
+medians over 40 rooms of `benchmarks.room`.
 
 Source: thesis 3.4 for what its methods fail on.
 """

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from benchmarks.accuracy import Answers, ask, measure
 from benchmarks.case import Case
+from benchmarks.lines import line_case
 from benchmarks.peers import Answer, default
 from benchmarks.pose_accuracy import backends_apart, mismatches_section
 from benchmarks.pose_report import Bar, Section, as_text, table, write_json, write_page
-from benchmarks.room import plane_case, repeated_case, room_case
+from benchmarks.room import plane_case, repeated_case, room_case, room_ranges
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 
 
@@ -118,3 +119,14 @@ def test_repeated_structure_fits_two_places(share):
     assert np.mean(~case.true) == share
     plane = plane_case(1, extent_m=1.0, distance_m=5.0)
     assert np.linalg.svd(plane.matches.points - plane.matches.points.mean(axis=0))[1][2] < 0.02
+
+
+@pytest.mark.parametrize(("seed", "baseline_m"), [(0, 0.5), (45, 0.5), (3, 0.94)])
+def test_lines_lie_on_what_both_see(seed, baseline_m):
+    """The camera of seed 45 hardly sees a box that is long enough."""
+    case = line_case(seed, baseline_m=baseline_m)
+    assert len(case.picks) == 8
+    for pick in case.picks:
+        points = pick.scan * room_ranges(pick.scan)[:, None]
+        assert np.abs(case.camera.project(case.pose @ points) - pick.photo).max() < 5  # 1 px of noise
+        assert 290 < np.linalg.norm(np.diff(pick.photo, axis=0)) < 510
