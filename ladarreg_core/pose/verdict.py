@@ -26,7 +26,7 @@ MOST_POSITION_OF_RANGE = 0.1
 _MOST_LOG10_CHANCE = -3.0
 _FLAT = 0.05
 _MOSTLY = 0.7
-_PLANES = 200  # of three points each; nine of ten hold none where 70 % lie on one plane: (1 - .7^3)^200 is nothing
+_PLANES = 80  # of three points each: (1 - .7^3)^80 misses a plane of 70 % never
 _LEAST_WIDTH = 0.02  # of the matches in the photo, across over along: below it they lie on one line
 _KEY = np.sqrt([2.0, 3.0, 5.0])
 
