@@ -80,6 +80,12 @@ class Assessment:
         return self.influence.in_words() if worth else ""
 
 
+def _findings(result: PoseResult) -> tuple[Finding, ...]:
+    if len(result.matches) == 0 and result.accepted:
+        raise DegenerateGeometryError("the pose has no matches of its own to be judged by, as one that was carried over has none")
+    return findings(result)
+
+
 def assess(scan: Scan, result: PoseResult) -> Assessment:
     """Return what there is to say of a registration, accepted or not.
 
@@ -100,7 +106,7 @@ def assess(scan: Scan, result: PoseResult) -> Assessment:
         return None
 
     return Assessment(
-        part("findings", lambda: findings(result)),
+        part("findings", lambda: _findings(result)),
         part("influence", lambda: influence(result)),
         part("uncertainty", lambda: _uncertainty(scan, result)),
         part("advice", lambda: _advice(scan, result)),

@@ -87,6 +87,19 @@ def test_what_cannot_be_told_is_absent_with_its_reason() -> None:
         assert isinstance(found.match_to_check, str)
 
 
+def test_a_carried_pose_is_not_blamed_for_having_no_matches() -> None:
+    room, *_, result, _ = clustered(0)
+    none = np.zeros(0)
+    carried = replace(
+        result, accepted=True, matches=Matches(np.zeros((0, 3)), none, np.zeros((0, 2))),
+        inliers=none.astype(bool), residuals_px=np.zeros((0, 2)), residuals_m=none, stereo_depth_error_m=none,
+    )  # fmt: skip
+    told = assess(room.scan, carried)
+    assert told.findings is None
+    assert "carried over" in told.absent["findings"]
+    assert told.uncertainty is not None
+
+
 def test_the_smoothed_scan_says_what_was_done() -> None:
     beside = ((5, 5), (50, 80), (10, 20), (20, 60), (40, 10), (55, 50))
     scan, result = stepped_scan(), matched((*SPIKES[:2], *beside))
