@@ -82,7 +82,9 @@ class Assessment:
 
 def _findings(result: PoseResult) -> tuple[Finding, ...]:
     if len(result.matches) == 0 and result.accepted:
-        raise DegenerateGeometryError("the pose has no matches of its own to be judged by, as one that was carried over has none")
+        raise DegenerateGeometryError(
+            "the pose has no matches of its own to be judged by, as one that was carried over has none"
+        )
     return findings(result)
 
 
