@@ -91,7 +91,9 @@ class _Lines(_Silence):
     def step(self, step: Step) -> None:
         """Print the step, its time and its numbers."""
         detail = "  ".join(
-            f"{key} {value}" for key, value in step.detail.items() if isinstance(value, str | int | float)
+            f"{key} {value}"
+            for key, value in step.detail.items()
+            if isinstance(value, str | int | float) and not isinstance(value, bool)
         )
         print(f"{step.name:<16} {step.seconds:6.2f} s  {detail}".rstrip(), file=self._out, flush=True)
 

@@ -30,6 +30,7 @@ from ladarreg_core.pose.bundle import (
 from ladarreg_core.pose.checks import LEAST_MATCHES
 from ladarreg_core.pose.diagnostics import singular_values
 from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, narrow_scales
+from ladarreg_core.pose.in_words import length_in_words
 from ladarreg_core.pose.many_descents import descended, gathered, joined, near_pairs
 from ladarreg_core.pose.others import least_rival, pose_of_the_others
 from ladarreg_core.pose.planar_poses import generalised, towards_mirrored
@@ -130,7 +131,8 @@ class Basin:
     def in_words(self) -> str:
         """Return a sentence on what was found and what to do."""
         if self.other is not None:
-            where = f"{_length(self.pose.distance_to(self.other))} and {np.degrees(self.pose.angle_to(self.other)):.2g}"
+            far, turned = self.pose.distance_to(self.other), np.degrees(self.pose.angle_to(self.other))
+            where = f"{length_in_words(far)} and {turned:.2g}"
             if self.verdict == "ambiguous":
                 return (
                     f"Two places explain the matches: a second pose lies {where} deg away "
@@ -364,8 +366,4 @@ def _judged(
 
 
 def _far(level: BasinLevel) -> str:
-    return f"{np.degrees(level.angle_rad):.0f} deg and {_length(level.distance_m)}"
-
-
-def _length(metres: float) -> str:
-    return f"{metres * 1000:.2g} mm" if metres < 0.0995 else f"{metres:.2g} m"
+    return f"{np.degrees(level.angle_rad):.0f} deg and {length_in_words(level.distance_m)}"

@@ -28,6 +28,7 @@ from ladarreg_core.pose.bundle import (
     settle,
 )
 from ladarreg_core.pose.checks import LEAST_MATCHES
+from ladarreg_core.pose.in_words import length_in_words
 from ladarreg_core.pose.jacobian import pose_jacobian
 from ladarreg_core.results import PoseResult
 
@@ -75,7 +76,9 @@ class Influence:
         name = self.pick_ids[k]
         if not np.isfinite(self.cook[k]):
             return f"Match {name} alone holds the pose: without it the others do not determine one. Add matches."
-        shift = f"the camera by {_length(float(self.position_m[k]))} and {np.degrees(self.angle_rad[k]):.2g} deg"
+        shift = (
+            f"the camera by {length_in_words(float(self.position_m[k]))} and {np.degrees(self.angle_rad[k]):.2g} deg"
+        )
         where = f"{self.pixels[k]:.2g} px in the photo"
         if self.cook[k] >= WORTH_A_CHECK:
             return f"Match {name} moves {shift} ({where}) when left out: check it."
@@ -176,7 +179,3 @@ def _median_shift_px(result: PoseResult, state: States, measured: Measurements, 
         du, dv = some @ J[:, 0].T, some @ J[:, 1].T
         squared[first : first + _CHUNK] = np.median(du * du + dv * dv, axis=1)
     return np.sqrt(squared)
-
-
-def _length(metres: float) -> str:
-    return f"{metres * 1000:.2g} mm" if metres < 0.0995 else f"{metres:.2f} m"
