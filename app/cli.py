@@ -20,7 +20,8 @@ COMMANDS = {
     "info": "Tell what a scan, photograph or camera file holds.",
     "selftest": "Try what to expect of a scan and a camera, on photographs made from the scan itself.",
     "simulate": "Write a synthetic scan and photograph with their true pose.",
-    "demo": "Register the embedded sample and look at it in the browser.",
+    "serve": "Open the workbench in the browser: on a project, on a scan and photographs, or on the last project.",
+    "demo": "Open the workbench on the embedded sample.",
 }
 """Every command and its summary; its code is `app.commands.<name>`."""
 

@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
 
 from app.exit_codes import ExitCode
+
+if TYPE_CHECKING:
+    from app.workbench import Workbench
+
+_NAME = "Sample"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -12,17 +21,54 @@ class Arguments:
     """What `demo` is told."""
 
     port: int = 8080
-    """Port on this machine; a busy one is replaced by the next."""
+    """Port on this machine; a busy one is replaced by the next, 0 is any."""
     no_browser: bool = False
     """Only print the address."""
-    quiet: bool = False
-    """No progress."""
+    project: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Where to keep the work on the sample."""
+    fresh: bool = False
+    """Begin anew; earlier work on the sample stays in the history."""
     debug: bool = False
     """Log, and a trace back where something fails."""
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Register the sample, show it until Ctrl-C."""
-    from app.demo import run_demo
+    """Open the workbench on the embedded sample and register it before everybody's eyes."""
+    from app.gateway.door import new_token
+    from app.gateway.options import GatewayOptions
+    from app.gateway.serving import serve_until_interrupted
+    from app.serve import open_workbench
+    from app.viser_server import close_server, open_locked_server
+    from ladarreg_core.simulate import sample_folder
 
-    return run_demo(port=arguments.port, browser=not arguments.no_browser, quiet=arguments.quiet)
+    folder = sample_folder()
+    server, address = open_locked_server(label="ladarreg")
+    try:
+        workbench = open_workbench(
+            (folder / "scan.npz", next(folder.glob("photo.*"))),
+            camera=folder / "camera.json",
+            project=arguments.project,
+            name=_NAME,
+            viser=server,
+        )
+        try:
+            _begin(workbench, fresh=arguments.fresh)
+            options = GatewayOptions(port=arguments.port)
+            serve_until_interrupted(
+                workbench, address, token=new_token(), options=options, browser=not arguments.no_browser
+            )
+        finally:
+            workbench.close()
+    finally:
+        close_server(server)
+    return ExitCode.ACCEPTED
+
+
+def _begin(workbench: Workbench, *, fresh: bool) -> None:
+    """Let a newcomer see what an answer looks like; work that is there already is left as it was."""
+    shown = workbench.shown
+    assert shown is not None, "the sample has a photograph"
+    if fresh:
+        workbench.start_over(shown.id)
+    if fresh or (not shown.picks and not shown.poses):
+        workbench.jobs.run("auto", shown.id, "")

@@ -41,6 +41,7 @@ def export_registration(
     assessment: Assessment | None = None,
     smoothed: SmoothedScan | None = None,
     inputs: Sequence[str | Path] = (),
+    more: Sequence[FileJob] = (),
     force: bool = False,
     report: Report | None = None,
 ) -> None:
@@ -57,6 +58,7 @@ def export_registration(
         assessment: what there is to say of it; None: it is assessed here.
         smoothed: the scan that `model.glb` and `cloud.ply` show; None: the scan itself.
         inputs: the files that scan and photo came from, named in `registration.json`.
+        more: further files, as the matches that were drawn.
         force: replace an existing folder, with all that is in it.
         report: told after each file.
 
@@ -66,9 +68,9 @@ def export_registration(
     """
     write_folder(
         folder,
-        lambda: _registration_files(registration, scan, photo, inputs, assessment, smoothed),
+        lambda: [*_registration_files(registration, scan, photo, inputs, assessment, smoothed), *more],
         inputs=inputs,
-        own_names=FILE_NAMES,
+        own_names=(*FILE_NAMES, *(name for name, _ in more)),
         force=force,
         report=report,
     )

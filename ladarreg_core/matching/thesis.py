@@ -29,6 +29,7 @@ from ladarreg_core.pose.cautions import stereo_cautions
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, Method, PoseOptions, solve_pose
 from ladarreg_core.pose.stereo_simplex import Residual
 from ladarreg_core.pose.verdict import LEAST_INLIERS, distinct
+from ladarreg_core.progress import StepReport
 from ladarreg_core.results import PoseResult, Stage, StageName
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
@@ -402,3 +403,23 @@ def _words(result: PoseResult) -> str:
 
 def _sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+def search_of(
+    scan: Scan,
+    photo: Photo,
+    options: ThesisMatchOptions | None = None,
+    *,
+    initial: Rigid | None = None,
+    report: StepReport | None = None,
+) -> ThesisSearch:
+    """Return the thesis's search for a pair, to be gone through step by step.
+
+    Args:
+        scan: the scan.
+        photo: the photograph.
+        options: thresholds.
+        initial: a rough pose; the search is then made in the view of what it sees.
+        report: receives the steps that lead to it; may raise `Cancelled`.
+    """
+    return _search(scan, photo, StepLog(report), initial, ThesisOptions(matching=options or ThesisMatchOptions()))

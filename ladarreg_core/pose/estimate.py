@@ -13,8 +13,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.answer import Fit, answer, noise_shown
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, settle
+from ladarreg_core.pose.answer import Fit, answer
+from ladarreg_core.pose.bundle import Measurements, States, settle
 from ladarreg_core.pose.checks import checked_matches
 from ladarreg_core.pose.intrinsics import Intrinsics
 from ladarreg_core.pose.linear import linear_covariance, linear_pose
@@ -23,9 +23,8 @@ from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M as STATED_SIGMA_RANG
 from ladarreg_core.pose.options import Method as Method
 from ladarreg_core.pose.options import PoseOptions as PoseOptions
 from ladarreg_core.pose.robust import solve_robust
-from ladarreg_core.pose.sandwich import simplex_covariance
+from ladarreg_core.pose.simplex_answer import simplex_answer
 from ladarreg_core.pose.stereo_simplex import Residual, fit_simplex
-from ladarreg_core.pose.verdict import LEAST_INLIERS
 from ladarreg_core.results import PoseResult
 
 
@@ -126,23 +125,6 @@ def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions) -> Pos
 
 def _solve_simplex(matches: Matches, camera: Camera, options: PoseOptions, initial: Rigid | None) -> PoseResult:
     residual: Residual = "stereo" if options.method == "stereo_simplex" else "epipolar"
-    sigma_px, sigma_m = options.sigma_px or STATED_SIGMA_PX, options.sigma_range_m or STATED_SIGMA_RANGE_M
     how = replace(options.simplex, residual=residual)
-    found = fit_simplex(matches, camera, how, initial=initial, sigma_px=sigma_px)
-    pose = found.after.camera_from_scanner
-    measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_m)
-    state, seen = settle(measured, States.of([pose], measured))
-    inliers = found.after.inliers & (seen.s[0] < UNSEEN)
-    if (options.sigma_px is None or options.sigma_range_m is None) and np.count_nonzero(inliers) >= LEAST_INLIERS:
-        fit = Fit(measured, state, inliers, seen.s[0], True)
-        sigma_px, sigma_m = noise_shown(fit, matches, camera, options)
-        measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_m)
-        state, seen = settle(measured, States.of([pose], measured))
-    covariance = simplex_covariance(
-        pose, matches, inliers, camera, residual=residual, sigma_px=sigma_px, sigma_range_m=sigma_m
-    )
-    fit = Fit(measured, state, inliers, seen.s[0], found.stopped == "settled")
-    result = answer(fit, matches, camera, options, covariance, (sigma_px, sigma_m), found.story())
-    if not found.collapsed:
-        return result
-    return replace(result, accepted=False, evidence="none", reasons=(found.in_words(), *result.reasons))
+    found = fit_simplex(matches, camera, how, initial=initial, sigma_px=options.sigma_px or STATED_SIGMA_PX)
+    return simplex_answer(found, matches, camera, options)

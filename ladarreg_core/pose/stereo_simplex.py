@@ -29,7 +29,7 @@ from ladarreg_core.pose.stereo import StereoPairs, pose_of, stereo_cost
 
 Residual = Literal["stereo", "epipolar"]
 RejectedBy = Literal["depth error", "pixel residual"]
-DescentEnd = Literal["settled", "cycle", "round limit", "too few left", "cost below threshold"]
+DescentEnd = Literal["settled", "cycle", "round limit", "too few left", "cost below threshold", "stopped by hand"]
 
 LEAST_MATCHES = 4
 _LEAST_KEPT = 6
@@ -189,6 +189,25 @@ class SimplexFit:
             f"{kept} of {all_of_them} matches kept by their {self.rejected_by} (at most {self.threshold:.3g} {unit}) "
             f"in {self.rounds} rounds, {self.iterations} iterations"
         )
+
+
+def stopped_at(step: DescentStep) -> SimplexFit:
+    """Return the best that a walk had found when somebody stopped it; it is not asked whether it had collapsed."""
+    end = SimplexPose(step.camera_from_scanner, step.inliers, step.simplex.cost)
+    return SimplexFit(
+        before=end,
+        after=end,
+        residual=step.residual,
+        start="given",
+        rejected_by="depth error",
+        threshold=np.inf,
+        rounds=step.round,
+        restarts=step.restart,
+        iterations=step.simplex.iteration,
+        evaluations=step.simplex.evaluations,
+        stopped="stopped by hand",
+        collapsed=False,
+    )
 
 
 def fit_simplex(

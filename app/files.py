@@ -1,0 +1,171 @@
+"""Files that become part of the project: uploads, and those of a served folder."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import msgspec
+
+from ladarreg_core.errors import CameraError, OptionError
+from ladarreg_core.project import edits
+from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
+
+if TYPE_CHECKING:
+    from app.workbench import Workbench
+
+What = Literal["scan", "photo", "camera", "matches"]
+_MOST_SERVED = 2000
+_DEEPEST = 4
+_PHOTOS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"}
+_SCANS = {".e57", ".pcd", ".npz"}
+_MANY = {".json", ".yaml", ".yml", ".csv"}
+
+
+class Files:
+    """Checks files and makes them sources of the document."""
+
+    def __init__(self, workbench: Workbench, served: Path | None) -> None:
+        self._workbench = workbench
+        self._served = served.resolve() if served else None
+        self._listed: list[dict[str, Any]] = []
+        self.look_again()
+
+    def take(self, path: Path, name: str, what: str, photo: str | None, author: str) -> str:
+        """Open a file that was uploaded; where it is refused it is removed.
+
+        Raises:
+            LadarregError: if it is not what it is said to be.
+        """
+        try:
+            return self.open(path, name, what, photo, author)
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+
+    def open_served(self, path: str, what: str, photo: str | None, author: str) -> str:
+        """Open a file of the served folder.
+
+        Raises:
+            LadarregError: if it is not there, or not what it is said to be.
+        """
+        if self._served is None:
+            raise OptionError("no folder is served; start with --folder, or upload the file")
+        wanted = (self._served / path).resolve()
+        if not wanted.is_relative_to(self._served) or not wanted.is_file():
+            raise OptionError("there is no such file in the served folder; look again")
+        return self.open(wanted, wanted.name, what, photo, author)
+
+    def open(self, path: Path, name: str, what: str, photo: str | None, author: str) -> str:
+        """Make a file part of the project and return the id of what it became part of.
+
+        Raises:
+            LadarregError: if it is not what it is said to be, or there is no photograph that it belongs to.
+        """
+        if what not in get_args(What):
+            raise OptionError(f"a file is opened as {', '.join(get_args(What))}")
+        source = Source(path=self._workbench.session.folder.relative(path), name=name, size=path.stat().st_size)
+        if what == "scan":
+            return self._scan(source, author)
+        if what == "photo":
+            return self._photo(source, author)
+        entry = self._photo_meant(photo)
+        if what == "camera":
+            camera = CameraGiven(file=source)
+            self._workbench.check_camera(entry, camera)
+            self._edit(entry, f"Camera file {name}", lambda p: edits.with_camera(p, camera), author)
+            return entry.id
+        return self._matches(path, name, entry, author)
+
+    def _scan(self, source: Source, author: str) -> str:
+        room, session = self._workbench.room, self._workbench.session
+        room.kept("scan", source, lambda: room.read_scan(source))
+        name = session.document.name
+
+        def edit(document: Document) -> Document:
+            found = edits.with_scan(document, source)
+            return found if name != "untitled" else msgspec.structs.replace(found, name=Path(source.name).stem)
+
+        session.commit(f"Open scan {source.name}", edit, author=author)
+        return "scan"
+
+    def _photo(self, source: Source, author: str) -> str:
+        trial = PhotoEntry(id="trial", source=source)
+        try:
+            self._workbench.room.photo(trial)
+        except CameraError:
+            self._workbench.room.photo_to_look_at(trial)  # it is a picture; the page asks for the focal length
+        made = ""
+
+        def edit(document: Document) -> Document:
+            nonlocal made
+            document, made = edits.with_photo(document, source)
+            return document
+
+        self._workbench.session.commit(f"Open photograph {source.name}", edit, author=author)
+        self._workbench.show_photo(made)
+        return made
+
+    def _matches(self, path: Path, name: str, entry: PhotoEntry, author: str) -> str:
+        from ladarreg_core.formats.matches_file import read_matches
+
+        scan = self._workbench.room.scan(self._workbench.session.document)
+        if scan is None:
+            raise OptionError("matches belong to a scan; open the scan first")
+        picks = [replace(pick, origin="file") for pick in read_matches(path, scan)]
+        self._edit(entry, f"Read {len(picks)} matches of {name}", lambda p: edits.with_picks(p, picks)[0], author)
+        return entry.id
+
+    def _photo_meant(self, photo: str | None) -> PhotoEntry:
+        if photo:
+            return edits.the_photo(self._workbench.session.document, photo)
+        shown = self._workbench.shown
+        if shown is None:
+            raise OptionError("it belongs to a photograph; open the photograph first")
+        return shown
+
+    def _edit(self, entry: PhotoEntry, label: str, edit: Any, author: str) -> None:
+        self._workbench.session.commit(label, lambda d: edits.edited_photo(d, entry.id, edit), author=author)
+
+    def look_again(self) -> None:
+        """List the served folder anew."""
+        if self._served is None:
+            return
+        found: list[dict[str, Any]] = []
+        for folder, below, names in os.walk(self._served):
+            here = Path(folder)
+            depth = len(here.relative_to(self._served).parts)
+            below[:] = sorted(name for name in below if not name.startswith(".")) if depth < _DEEPEST else []
+            for name in sorted(names):
+                kind = _kind(name)
+                if kind == "other" or name.startswith("."):
+                    continue
+                path = here / name
+                try:
+                    size = path.stat().st_size
+                except OSError:
+                    continue
+                found.append({"path": path.relative_to(self._served).as_posix(), "size": size, "kind": kind})
+            if len(found) > _MOST_SERVED:
+                break
+        self._listed = found[:_MOST_SERVED]
+
+    def served_slice(self) -> dict[str, Any] | None:
+        """Return the served files; None where no folder is served."""
+        return None if self._served is None else {"label": self._served.name, "files": self._listed}
+
+
+def _kind(name: str) -> str:
+    suffix = Path(name).suffix.lower()
+    if suffix in _SCANS:
+        return "scan"
+    if suffix in _PHOTOS:
+        return "photo"
+    if suffix in _MANY:
+        lower = name.lower()
+        if "match" in lower or suffix == ".csv":
+            return "matches"
+        return "scan" if "scan" in lower or "depth" in lower else "camera"
+    return "other"

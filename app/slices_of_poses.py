@@ -1,0 +1,110 @@
+"""A photograph's answers as the page is told them: judged picks, and every stage with its verdict."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from app.jobs.solving import STAGE_NAMES
+from app.wording import verdict
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.inspection.figures import figures, parameters
+
+if TYPE_CHECKING:
+    from app.workroom import Workroom
+    from ladarreg_core.assessment import Assessment
+    from ladarreg_core.photo import Photo
+    from ladarreg_core.project.document import PhotoEntry, PoseEntry
+    from ladarreg_core.scan import Scan
+
+
+def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEntry) -> dict[str, Any]:
+    """Return what the shown pose says of the picks, and what the scan measures under drawn lines."""
+    from ladarreg_core.inspection.judged import judge_picks
+
+    picks = [pick.as_pick() for pick in entry.picks]
+    lines = {pick.id: line_shown(room, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
+    found: dict[str, Any] = {"stage": entry.shown_stage, "by_pick": {}, "predicted": {}, "lines": lines, "losses": []}
+    if photo is None:
+        return found
+    measured = room.measured(scan, photo)
+    found["losses"] = list(measured.losses(picks))
+    if entry.pose is None or not picks:
+        return found
+    for name, judged in judge_picks(measured, picks, room.answer(entry.pose)).items():
+        found["by_pick"][name] = {
+            "px": number(judged.px),
+            "mm": number(judged.mm),
+            "depth_m": number(judged.depth_m),
+            "inlier": judged.inlier,
+            "influence": number(judged.influence_px),
+        }
+        found["predicted"][name] = [None if math.isnan(at[0]) else at for at in judged.photo.tolist()]
+    return found
+
+
+def line_shown(room: Workroom, scan: Scan, ends: Any) -> dict[str, Any]:
+    """Return a line's samples and which of them have a range."""
+    from ladarreg_core.inspection.judged import sample_line
+
+    key = ("line", id(scan), tuple(tuple(ray) for ray in ends))
+    line = room.kept("line", key, lambda: sample_line(scan, ends))
+    samples = [[ray, known] for ray, known in zip(line.rays.tolist(), line.known, strict=True)]
+    return {"scan_samples": samples, "sampled": line.sampled, "used": line.used}
+
+
+def poses_slice(room: Workroom, scan: Scan, entry: PhotoEntry) -> dict[str, Any]:
+    """Return every stage's answer."""
+    return {"shown": entry.shown_stage, "stages": [_stage(room, scan, pose) for pose in entry.poses]}
+
+
+def _stage(room: Workroom, scan: Scan, pose: PoseEntry) -> dict[str, Any]:
+    try:
+        answer = room.answer(pose)
+        assessment = room.assessment(scan, pose)
+    except LadarregError as error:
+        return {"stage": pose.stage, "label": STAGE_NAMES[pose.stage], "accepted": False, "verdict": str(error)}
+    return {
+        "stage": pose.stage,
+        "label": STAGE_NAMES[pose.stage],
+        "method": pose.method,
+        "accepted": pose.accepted,
+        "evidence": pose.evidence,
+        "verdict": verdict(answer),
+        "reasons": list(pose.reasons),
+        "note": pose.note,
+        "findings": [
+            {"what": f.name, "level": f.level, "sentence": f.sentence, "what_to_do": f.what_to_do}
+            for f in assessment.findings or ()
+        ],
+        "parameters": [asdict(parameter) for parameter in parameters(answer)],
+        "matches": len(answer.matches),
+        **{name: number(value) for name, value in asdict(figures(answer)).items()},
+        "cost": number(answer.chi2_per_dof),
+        "centre": answer.camera_from_scanner.centre.tolist(),
+        "focal_px": answer.camera.focal_px,
+        "camera_sigmas": dict(answer.camera_sigmas),
+        "seconds": pose.seconds,
+        "uncertainty": assessment.uncertainty.in_words() if assessment.uncertainty else "",
+        "check": assessment.match_to_check,
+        "check_pick": _match_to_check(assessment),
+        "advice": [
+            {"uv": place.uv.tolist(), "ray": place.ray.tolist(), "sentence": place.in_words()}
+            for place in assessment.advice or ()
+        ],
+        "absent": dict(assessment.absent),
+        "regions": [list(region) for region in pose.diagnostics.get("verification", {}).get("regions", [])],
+        "steps": [{"name": step.name, "seconds": step.seconds} for step in pose.steps],
+    }
+
+
+def _match_to_check(assessment: Assessment) -> str | None:
+    if not assessment.match_to_check or assessment.influence is None:
+        return None
+    return assessment.influence.pick_ids[assessment.influence.most]
+
+
+def number(value: float) -> float | None:
+    """Return a number as JSON knows it."""
+    return value if math.isfinite(value) else None

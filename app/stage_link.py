@@ -1,0 +1,140 @@
+"""Between the session and the 3-D stage: what is shown there follows the document."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import TYPE_CHECKING, Any
+
+from ladarreg_core.errors import LadarregError
+
+if TYPE_CHECKING:
+    from app.jobs.runner import Job
+    from app.jobs.simplex import Frame
+    from app.model_choice import ModelShown
+    from app.stage3d import Stage3D
+    from app.workbench import Workbench
+
+log = logging.getLogger(__name__)
+
+
+class StageLink:
+    """Refreshes the stage in a thread of its own; without a stage it does nothing."""
+
+    def __init__(self, workbench: Workbench) -> None:
+        self._workbench = workbench
+        self._stage: Stage3D | None = None
+        self._asked = threading.Event()
+        self._closed = False
+        self._drawn: Any = None
+        self._walks = False
+        self._iterations = 0
+        self._last_iteration = 0
+        self._thread = threading.Thread(target=self._work, name="stage link", daemon=True)
+        self._thread.start()
+
+    def attach(self, stage: Stage3D) -> None:
+        """Draw into this stage from now on."""
+        self._stage = stage
+        self.set_model(self._workbench.model)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Have the stage follow the document."""
+        self._asked.set()
+
+    def set_model(self, model: ModelShown) -> None:
+        """Show the model in another way."""
+        if self._stage is not None:
+            self._stage.set_model(
+                texture=model.texture,
+                z_buffer=model.z_buffer,
+                light=model.light,
+                cameras=model.cameras,
+                matches=model.matches,
+            )
+
+    def highlight(self, pick_id: str | None) -> None:
+        """Mark a match."""
+        if self._stage is not None:
+            self._stage.highlight(pick_id)
+
+    def watch_simplex(self, frame: Frame) -> None:
+        """Draw a moment of the simplex."""
+        if self._stage is None:
+            return
+        from app.stage3d import SimplexFrame
+
+        if not self._walks:
+            self._walks, self._iterations, self._last_iteration = True, 0, 0
+            self._stage.simplex_started()
+        number = frame.step.simplex.iteration
+        if number < self._last_iteration:  # another descent began
+            self._iterations += self._last_iteration
+        self._last_iteration = number
+        moment = SimplexFrame.of(frame.step, iteration=self._iterations + number)
+        if frame.last:
+            self._walks = False
+            self._stage.simplex_ended(moment)
+        else:
+            self._stage.simplex_step(moment)
+
+    def job_changed(self, job: Job) -> None:
+        """Let the stage's controls say whether the walk waits, and end a walk that came to nothing."""
+        if self._stage is None or not self._walks:
+            return
+        if job.runs:
+            self._stage.simplex_paused(paused=job.state == "paused")
+        else:
+            self._walks = False
+            self._stage.simplex_ended(None)
+
+    def close(self) -> None:
+        """End the thread."""
+        self._closed = True
+        self._asked.set()
+        self._thread.join(30)
+        if self._stage is not None:
+            self._stage.close()
+
+    def _work(self) -> None:
+        while True:
+            self._asked.wait()
+            self._asked.clear()
+            if self._closed:
+                return
+            try:
+                self._follow()
+            except LadarregError as error:
+                log.info("the stage cannot follow: %s", error)
+            except Exception:
+                log.exception("the stage cannot follow")
+
+    def _follow(self) -> None:
+        stage, workbench = self._stage, self._workbench
+        if stage is None:
+            return
+        from app.stage3d.colours import MATCH_COLOURS
+        from ladarreg_core.inspection.judged import picks_in_space
+
+        room, document = workbench.room, workbench.session.document
+        scan, entry = room.scan(document), workbench.shown
+        pose = entry.pose if entry is not None else None
+        shown = (id(scan), id(pose), None if entry is None else (entry.id, entry.source, entry.camera))
+        if shown != self._drawn:
+            self._drawn = shown
+            if scan is None or entry is None:
+                stage.show_scan(scan)
+            else:
+                try:
+                    photo = room.photo(entry)
+                except LadarregError:
+                    photo = None
+                answer = None if pose is None or photo is None else room.answer(pose)
+                stage.show_registration(scan, photo, answer, name=entry.source.name)
+        if scan is None or entry is None:
+            return
+        points, ids, on = picks_in_space(scan, [pick.as_pick() for pick in entry.picks])
+        numbers = {pick.id: pick.number for pick in entry.picks}
+        colours = [MATCH_COLOURS[(numbers[name] - 1) % len(MATCH_COLOURS)] for name in ids]
+        stage.show_picks(points, colours, on, ids)

@@ -1,0 +1,124 @@
+"""Tells every page what has changed: quick slices at once, slow ones as soon as they are computed."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
+
+log = logging.getLogger(__name__)
+Message = dict[str, Any]
+Slices = Callable[[], dict[str, Any]]
+T = TypeVar("T")
+_KEPT = 256
+
+
+class Teller:
+    """Compares slices with what was told last, and tells the difference."""
+
+    def __init__(self, quick: Slices, slow: Slices) -> None:
+        self._quick, self._slow = quick, slow
+        self._lock = threading.RLock()
+        self._told: dict[str, Any] = {}
+        self._version = 0
+        self._listeners: list[Callable[[Message], None]] = []
+        self._once: OrderedDict[Hashable, tuple[Any, Any]] = OrderedDict()
+        self._asked = threading.Event()
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, name="teller", daemon=True)
+        self._thread.start()
+
+    def subscribe(self, listener: Callable[[Message], None]) -> Callable[[], None]:
+        """Have a listener told every message; return what ends that."""
+        with self._lock:
+            self._listeners.append(listener)
+
+        def off() -> None:
+            with self._lock:
+                if listener in self._listeners:
+                    self._listeners.remove(listener)
+
+        return off
+
+    def once(self, key: Any, make: Callable[[], T]) -> T:
+        """Return what was made of the same object before, or make it: equal slices stay the same object."""
+        name = tuple(map(_name, key)) if isinstance(key, tuple) else _name(key)
+        with self._lock:
+            if name in self._once:
+                self._once.move_to_end(name)
+                return self._once[name][1]  # type: ignore[no-any-return]
+        made = make()
+        with self._lock:
+            self._once[name] = (key, made)  # the key is kept, so that its id cannot come to mean another object
+            while len(self._once) > _KEPT:
+                self._once.popitem(last=False)
+        return made
+
+    def all_slices(self) -> dict[str, Any]:
+        """Return everything that was told."""
+        with self._lock:
+            self.tell()
+            return dict(self._told)
+
+    def tell(self, *, slow: bool = False) -> None:
+        """Tell what has changed; with `slow`, what takes time to compute follows."""
+        with self._lock:
+            self._tell_difference(self._quick(), slow=False)
+        if slow:
+            self._asked.set()
+
+    def tell_event(self, event: Message) -> None:
+        """Tell something that passes by."""
+        with self._lock:
+            listeners = list(self._listeners)
+        for listener in listeners:
+            listener(event)
+
+    def close(self) -> None:
+        """End the thread."""
+        self._closed = True
+        self._asked.set()
+        self._thread.join(30)
+
+    def _tell_difference(self, slices: dict[str, Any], *, slow: bool) -> None:
+        mine = {name for name in self._told if _is_slow(name) == slow}
+        changed = {
+            name: value
+            for name, value in slices.items()
+            if name not in self._told or (self._told[name] is not value and self._told[name] != value)
+        }
+        gone = {name for name in mine if name not in slices}
+        self._told.update(changed)
+        for name in gone:
+            del self._told[name]
+        if changed or gone:
+            self._version += 1
+            message = {"slices": {**changed, **dict.fromkeys(gone)}, "version": self._version}
+            for listener in list(self._listeners):
+                listener(message)
+
+    def _work(self) -> None:
+        while True:
+            self._asked.wait()
+            self._asked.clear()
+            if self._closed:
+                return
+            try:
+                found = self._slow()
+            except Exception:
+                log.exception("slices could not be computed")
+                continue
+            if self._asked.is_set():
+                continue  # the document has changed meanwhile
+            with self._lock:
+                self._tell_difference(found, slow=True)
+
+
+def _is_slow(name: str) -> bool:
+    return name.startswith(("judged:", "poses:"))
+
+
+def _name(key: Any) -> Hashable:
+    return key if isinstance(key, int | str | bytes | type(None)) else ("object", id(key))

@@ -1,0 +1,355 @@
+"""The workbench behind the page: puts session, workroom, jobs and the 3-D stage together, and tells all pages."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from app.commands_of_page import answer
+from app.files import Files
+from app.job_table import JobTable
+from app.jobs.bench import Bench
+from app.jobs.runner import Job, JobRunner
+from app.model_choice import ModelShown
+from app.pictures import Pictures
+from app.session import Change, Session
+from app.slices import history_slice, job_slice, photo_slice, picks_slice, project_slice, scan_slice
+from app.slices_of_poses import judged_slice, line_shown, poses_slice
+from app.stage_link import StageLink
+from app.teller import Teller
+from app.workroom import Workroom
+from ladarreg_core.errors import CameraError, LadarregError, OptionError
+from ladarreg_core.project import edits
+from ladarreg_core.project.edits import MOST_PHOTOS, the_photo
+
+if TYPE_CHECKING:
+    from app.gateway.interface import Picture
+    from app.stage3d import Stage3D
+    from ladarreg_core.inspection.partners import Partners
+    from ladarreg_core.project.document import CameraGiven, PhotoEntry
+
+log = logging.getLogger(__name__)
+Message = dict[str, Any]
+_MOST_PEOPLE = 64
+
+
+@dataclass(slots=True, eq=False)
+class Person:
+    """One open page."""
+
+    name: str
+    address: str
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the workbench takes."""
+
+    upload_bytes: int
+
+
+class Workbench:
+    """Thread-safe; the gateway calls it, and it tells the gateway."""
+
+    def __init__(self, session: Session, room: Workroom, *, upload_bytes: int, served: Path | None = None) -> None:
+        self.session = session
+        self.room = room
+        self.limits = Limits(upload_bytes)
+        self.said_at_start = ""
+        self._lock = threading.RLock()
+        self._people: list[Person] = []
+        self._joined = 0
+        self._shown: str | None = None
+        self.stage = StageLink(self)
+        self.model = ModelShown()
+        self.files = Files(self, served)
+        self.runner = JobRunner(self._job_changed)
+        self.jobs = JobTable(Bench(session, room), self.runner, self.stage.watch_simplex, self.tell_event)
+        self.pictures = Pictures(session, room)
+        self.teller = Teller(self._quick_slices, self._slow_slices)
+        self._off = session.subscribe(self._changed)
+        self._show_what_there_is()
+
+    # what the gateway asks for
+
+    def subscribe(self, listener: Callable[[Message], None]) -> Callable[[], None]:
+        """Have a listener told every message to all pages; return what ends that."""
+        return self.teller.subscribe(listener)
+
+    def slices(self, person: Person) -> dict[str, Any]:
+        """Return all slices for a page that has just come."""
+        found = self.teller.all_slices()
+        return {**found, "you": person.name, "people": {**found.get("people", {}), "you": person.name}}
+
+    def join(self, address: str) -> Person:
+        """Let somebody in.
+
+        Raises:
+            OptionError: if there are too many.
+        """
+        with self._lock:
+            if len(self._people) >= _MOST_PEOPLE:
+                raise OptionError(f"{_MOST_PEOPLE} pages are open, which is the most; close one")
+            self._joined += 1
+            person = Person(f"Operator {self._joined}", address)
+            self._people.append(person)
+        self.teller.tell()
+        return person
+
+    def leave(self, person: Person) -> None:
+        """See somebody off."""
+        with self._lock:
+            if person in self._people:
+                self._people.remove(person)
+        self.teller.tell()
+
+    def answer(self, person: Person, message: Mapping[str, Any]) -> dict[str, Any]:
+        """Do what a page asks for; never raises."""
+        return answer(self, person, message)
+
+    def picture(self, path: str, query: Mapping[str, str]) -> Picture:
+        """Return a picture.
+
+        Raises:
+            LadarregError: if there is none.
+        """
+        return self.pictures.picture(path, query)
+
+    def upload_room(self) -> Path:
+        """Return the folder that uploads are written to."""
+        return self.session.folder.inputs
+
+    def take_upload(self, path: Path, name: str, what: str, photo: str | None, client: Person | None) -> str:
+        """Take a file that has arrived.
+
+        Raises:
+            LadarregError: if it is not what it is said to be; it is gone then.
+        """
+        return self.files.take(path, name, what, photo, client.name if client else "")
+
+    def export_file(self, photo: str) -> tuple[Path, str] | None:
+        """Return the last zip of a photograph and the name to save it by."""
+        return self.jobs.export_file(photo)
+
+    def close(self) -> None:
+        """End all work; whatever was committed is on the disk."""
+        self._off()
+        self.runner.close()
+        self.teller.close()
+        self.stage.close()
+        self.session.close()
+
+    # what commands ask for
+
+    def judged(self, photo_id: str) -> dict[str, Any]:
+        """Return what the shown pose says of a photograph's picks."""
+        document = self.session.document
+        entry = the_photo(document, photo_id)
+        scan = self.room.scan(document)
+        if scan is None:
+            raise OptionError("there is no scan; open one")
+        return judged_slice(self.room, scan, self.room.photo(entry), entry)
+
+    def partners(self, entry: PhotoEntry) -> Partners:
+        """Return where the shown pose puts picks.
+
+        Raises:
+            OptionError: if there is no pose.
+        """
+        scan = self.room.scan(self.session.document)
+        if scan is None or entry.pose is None:
+            raise OptionError("there is no pose yet, so that nothing can be predicted; solve first")
+        return self.room.partners(scan, entry.pose)
+
+    def corner_near(self, side: object, view: int, photo: object, at: Sequence[float]) -> list[float] | None:
+        """Return the corner next to a pixel of one side, (u, v)."""
+        from ladarreg_core.inspection.snapping import gray_of_photo, gray_of_view, nearest_corner
+
+        if side == "scan":
+            views = self.room.views(self.session.document)
+            if not 0 <= view < len(views):
+                return None
+            gray = self.room.kept("picture", ("gray", id(views[view])), lambda: gray_of_view(views[view].view))
+        else:
+            seen = self.room.photo_to_look_at(the_photo(self.session.document, photo))
+            gray = self.room.kept("picture", ("gray", id(seen)), lambda: (seen, gray_of_photo(seen)))[1]
+        found = nearest_corner(gray, at)
+        return None if found is None else found.tolist()
+
+    def sampled(self, ends: Any) -> dict[str, Any]:
+        """Return the samples of a line on the scan."""
+        scan = self.room.scan(self.session.document)
+        if scan is None or len(ends) != 2:
+            raise OptionError("a line on a scan has two ends")
+        return line_shown(self.room, scan, ends)
+
+    def probed(self, ray: Sequence[float]) -> dict[str, Any]:
+        """Return what the scan measured along a ray."""
+        from ladarreg_core.inspection.probing import probe
+
+        scan = self.room.scan(self.session.document)
+        if scan is None:
+            raise OptionError("there is no scan; open one")
+        found = probe(scan, ray)
+        return {"range_m": found.range_m, "intensity": found.intensity, "cell": found.cell}
+
+    def check_camera(self, entry: PhotoEntry, camera: CameraGiven) -> None:
+        """Refuse a camera that does not fit its photograph.
+
+        Raises:
+            LadarregError: why.
+        """
+        import msgspec
+
+        self.room.photo(msgspec.structs.replace(entry, camera=camera))
+
+    def open_served(self, path: str, what: str, photo: str | None, person: Person) -> str:
+        """Open a file of the served folder."""
+        return self.files.open_served(path, what, photo, person.name)
+
+    def list_served(self) -> None:
+        """Look again which files are served."""
+        self.files.look_again()
+        self.teller.tell()
+
+    def show_photo(self, photo_id: str) -> None:
+        """Have everybody look at a photograph."""
+        self._shown = photo_id
+        self.teller.tell()
+        self.stage.refresh()
+
+    @property
+    def shown(self) -> PhotoEntry | None:
+        """The photograph that all look at."""
+        document = self.session.document
+        found = document.photo(self._shown or "")
+        return found or (document.photos[0] if document.photos else None)
+
+    def start_over(self, photo_id: str) -> None:
+        """Take away all that was drawn and found on a photograph; undo brings it back."""
+        self.session.commit("Start over", lambda d: edits.edited_photo(d, photo_id, edits.without_work), author="")
+
+    def set_model(self, wanted: Mapping[str, Any]) -> None:
+        """Change what the 3-D scene shows.
+
+        Raises:
+            OptionError: if it cannot.
+        """
+        with self._lock:
+            self.model = self.model.changed(wanted)
+        self.stage.set_model(self.model)
+        self.teller.tell()
+
+    def highlight(self, pick_id: str | None) -> None:
+        """Highlight a match in the 3-D scene."""
+        self.stage.highlight(pick_id)
+
+    def rename_person(self, person: Person, name: str) -> None:
+        """Call somebody by another name."""
+        with self._lock:
+            taken = {other.name for other in self._people if other is not person}
+            person.name = name if name not in taken else f"{name} ({sum(n.startswith(name) for n in taken) + 1})"
+        self.teller.tell()
+
+    def run(self, job: str, photo: object, person: Person) -> str:
+        """Begin a job and return its id."""
+        return self.jobs.run(job, photo, person.name)
+
+    def run_export(self, folder: Path, photo: object, person: Person, *, force: bool) -> str:
+        """Begin to export into a folder."""
+        return self.jobs.run_export(folder, photo, person.name, force=force)
+
+    def attach_stage(self, stage: Stage3D) -> None:
+        """Draw into a 3-D stage from now on."""
+        self.stage.attach(stage)
+
+    def tell_event(self, event: Message) -> None:
+        """Tell all pages something that passes by."""
+        self.teller.tell_event(event)
+
+    def notice(self, text: str, *, level: str = "info") -> None:
+        """Tell all pages a sentence."""
+        self.tell_event({"event": "notice", "level": level, "text": text})
+
+    def log_fault(self, error: Exception) -> None:
+        """Keep what should not have happened for the log."""
+        log.error("a command failed", exc_info=error)
+
+    # what is told
+
+    def _quick_slices(self) -> dict[str, Any]:
+        session, room = self.session, self.room
+        document = session.document
+        shown = self.shown
+        with self._lock:
+            names = [person.name for person in self._people]
+        found: dict[str, Any] = {
+            "project": project_slice(session),
+            "history": history_slice(session.history),
+            "scan": room.kept("picture", ("scan slice", document.scan), lambda: scan_slice(room, document)),
+            "photos": [photo_slice(room, entry) for entry in document.photos],
+            "shown": shown.id if shown else None,
+            "settings": self.teller.once(document.settings, lambda: _settings(document.settings)),
+            "job": job_slice(self.runner.job),
+            "served": self.files.served_slice(),
+            "people": {"count": len(names), "names": names},
+            "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MOST_PHOTOS},
+            "model": self.model.slice(shown is not None and shown.pose is not None and shown.pose.accepted),
+        }
+        for entry in document.photos:
+            found[f"picks:{entry.id}"] = self.teller.once(entry.picks, partial(picks_slice, entry.picks))
+            found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
+            found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
+        return found
+
+    def _slow_slices(self) -> dict[str, Any]:
+        """Return what takes more than a moment to compute."""
+        document, room = self.session.document, self.room
+        found: dict[str, Any] = {}
+        try:
+            scan = room.scan(document)
+        except LadarregError:
+            return found
+        if scan is None:
+            return found
+        for entry in document.photos:
+            try:
+                photo = room.photo(entry)
+            except LadarregError:
+                photo = None
+            key = (id(scan), entry.picks, id(entry.pose), id(photo))
+            found[f"judged:{entry.id}"] = self.teller.once(key, partial(judged_slice, room, scan, photo, entry))
+            poses = (id(scan), tuple(map(id, entry.poses)), entry.shown_stage)
+            found[f"poses:{entry.id}"] = self.teller.once(poses, partial(poses_slice, room, scan, entry))
+        return found
+
+    def _changed(self, change: Change) -> None:
+        if self.session.unsaved:
+            self.notice(f"The project cannot be saved: {self.session.unsaved}", level="bad")
+        self.teller.tell(slow=True)
+        self.stage.refresh()
+
+    def _job_changed(self, job: Job) -> None:
+        self.teller.tell()
+        self.stage.job_changed(job)
+        if job.state == "failed":
+            self.notice(f"{job.label}: {job.said}", level="bad")
+
+    def _show_what_there_is(self) -> None:
+        """Load the scan before anybody asks for it."""
+        try:
+            self.room.views(self.session.document)
+        except (LadarregError, CameraError) as error:
+            log.info("the scan is missing: %s", error)
+        self.teller.tell(slow=True)
+
+
+def _settings(settings: Any) -> dict[str, Any]:
+    from app.settings_shown import settings_shown
+
+    return settings_shown(settings)

@@ -1,0 +1,148 @@
+"""What the document refers to, loaded and computed once: scans, photographs, views, answers."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from ladarreg_core.errors import CameraError, LadarregError
+
+if TYPE_CHECKING:
+    from ladarreg_core.assessment import Assessment
+    from ladarreg_core.inspection.judged import Measured
+    from ladarreg_core.inspection.partners import Partners
+    from ladarreg_core.inspection.views import NamedView
+    from ladarreg_core.photo import Photo
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry, Source
+    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.results import Registration
+    from ladarreg_core.scan import Scan
+
+T = TypeVar("T")
+_KEPT = {
+    "scan": 1,
+    "photo": 8,
+    "views": 1,
+    "answer": 64,
+    "assessment": 32,
+    "partners": 3,
+    "measured": 8,
+    "picture": 24,
+    "line": 512,
+}
+"""How many of each kind are kept; the oldest goes first."""
+
+
+class Workroom:
+    """Loads what is asked for, once; safe to be asked by several threads."""
+
+    def __init__(self, folder: ProjectFolder) -> None:
+        self._folder = folder
+        self._kept: dict[str, OrderedDict[Hashable, Any]] = {kind: OrderedDict() for kind in _KEPT}
+        self._locks: dict[str, threading.RLock] = {kind: threading.RLock() for kind in _KEPT}
+
+    def kept(self, kind: str, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what was made before under a key, or make it; others who ask for the same kind wait."""
+        with self._locks[kind]:
+            shelf = self._kept[kind]
+            if key in shelf:
+                shelf.move_to_end(key)
+                return shelf[key]  # type: ignore[no-any-return]
+            found = make()
+            shelf[key] = found
+            while len(shelf) > _KEPT[kind]:
+                shelf.popitem(last=False)
+            return found
+
+    def scan(self, document: Document) -> Scan | None:
+        """Return the scan; None where none is open.
+
+        Raises:
+            LadarregError: if its file cannot be read any more.
+        """
+        source = document.scan
+        if source is None:
+            return None
+        return self.kept("scan", source, lambda: self.read_scan(source))
+
+    def read_scan(self, source: Source) -> Scan:
+        """Read a scan's file."""
+        from ladarreg_core.formats import read_scan
+
+        return read_scan(self._folder.source_path(source.path), scan_index=source.index)
+
+    def photo(self, entry: PhotoEntry) -> Photo:
+        """Return a photograph.
+
+        Raises:
+            CameraError: if nothing tells its focal length, or the camera does not fit.
+            LadarregError: if its file cannot be read any more.
+        """
+        found = self.kept("photo", (entry.source, entry.camera), lambda: self._read_photo(entry))
+        if isinstance(found, LadarregError):
+            raise found
+        return found
+
+    def photo_to_look_at(self, entry: PhotoEntry) -> Photo:
+        """Return a photograph, under a camera that is only good to look through where nothing tells the right one."""
+        try:
+            return self.photo(entry)
+        except CameraError:
+            return self.kept("photo", (entry.source, "no camera"), lambda: self._without_camera(entry))
+
+    def _read_photo(self, entry: PhotoEntry) -> Photo | LadarregError:
+        from ladarreg_core.formats import read_photo
+
+        given = entry.camera
+        try:
+            return read_photo(
+                self._folder.source_path(entry.source.path),
+                camera=None if given.file is None else self._folder.source_path(given.file.path),
+                focal_px=given.focal_px,
+                focal_mm=given.focal_mm,
+                sensor_mm=given.sensor_mm,
+            )
+        except CameraError as error:
+            return error
+
+    def _without_camera(self, entry: PhotoEntry) -> Photo:
+        from ladarreg_core.formats import read_photo
+
+        return read_photo(self._folder.source_path(entry.source.path), focal_px=1000.0)
+
+    def views(self, document: Document) -> tuple[NamedView, ...]:
+        """Return the views of the scan; none where no scan is open."""
+        from ladarreg_core.inspection.views import inspection_views
+
+        scan = self.scan(document)
+        return () if scan is None else self.kept("views", document.scan, lambda: inspection_views(scan))
+
+    def answer(self, pose: PoseEntry) -> Registration:
+        """Return a stage's answer."""
+        from ladarreg_core.project.results import registration_of
+
+        return self.kept("answer", id(pose), lambda: (pose, registration_of(pose)))[1]
+
+    def assessment(self, scan: Scan, pose: PoseEntry) -> Assessment:
+        """Return what there is to say of a stage's answer."""
+        from ladarreg_core.assessment import assess
+
+        return self.kept("assessment", id(pose), lambda: (pose, assess(scan, self.answer(pose))))[1]
+
+    def partners(self, scan: Scan, pose: PoseEntry) -> Partners:
+        """Return where a pose puts picks in the other picture."""
+        from ladarreg_core.inspection.partners import Partners
+
+        def make() -> tuple[Any, Partners]:
+            answer = self.answer(pose)
+            return pose, Partners(scan, answer.camera, answer.camera_from_scanner)
+
+        return self.kept("partners", (id(pose), id(scan)), make)[1]
+
+    def measured(self, scan: Scan, photo: Photo) -> Measured:
+        """Return what the scan measures under picks of a photograph."""
+        from ladarreg_core.inspection.judged import Measured
+
+        return self.kept("measured", (id(scan), id(photo)), lambda: Measured(scan, photo))

@@ -1,0 +1,60 @@
+"""The document as text, its arrays beside it under their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from ladarreg_core.errors import FormatError
+from ladarreg_core.project.document import VERSION, Document, PoseEntry
+from ladarreg_core.project.stored_arrays import StoredArrays
+
+FindArrays = Callable[[str], StoredArrays]
+"""Returns the arrays of a name; raises FormatError where they are missing."""
+
+
+def encode(value: msgspec.Struct) -> bytes:
+    """Return a document, or a part of one, as JSON; arrays are named only."""
+    return msgspec.json.encode(value, enc_hook=_name_arrays)
+
+
+def decode_document(data: bytes, find: FindArrays) -> Document:
+    """Return the document that `encode` wrote.
+
+    Args:
+        data: JSON.
+        find: returns the arrays that it names.
+
+    Raises:
+        FormatError: if it is no document of this version.
+    """
+
+    def hook(wanted: type, value: Any) -> Any:
+        if wanted is StoredArrays and isinstance(value, str):
+            return find(value)
+        raise NotImplementedError(wanted)
+
+    try:
+        found = msgspec.json.decode(data, type=Document, dec_hook=hook)
+    except msgspec.DecodeError as error:
+        raise FormatError(f"it is no project of ladarreg, or damaged: {error}") from None
+    if found.version != VERSION:
+        raise FormatError(f"the project has version {found.version}; this program reads version {VERSION}: update it")
+    for photo in found.photos:
+        for pick in photo.picks:
+            pick.as_pick()  # it checks itself
+    return found
+
+
+def arrays_of(document: Document) -> dict[str, StoredArrays]:
+    """Return all arrays of a document by name."""
+    poses: list[PoseEntry] = [pose for photo in document.photos for pose in photo.poses]
+    return {pose.arrays.name: pose.arrays for pose in poses}
+
+
+def _name_arrays(value: Any) -> Any:
+    if isinstance(value, StoredArrays):
+        return value.name
+    raise NotImplementedError(f"cannot write a {type(value).__name__}")

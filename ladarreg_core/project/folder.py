@@ -1,0 +1,273 @@
+"""The folder that a project is kept in; it is whole at every moment, whatever becomes of the program.
+
+project.json      the document that counts, replaced in one step at every commit
+history.jsonl     every commit and every step back, appended; only undo depends on it
+arrays/NAME.npz   arrays, named by their content
+inputs/           files that were uploaded
+exports/          what was exported last, per photograph
+lock              held while a program has the project open
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import secrets
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ladarreg_core.errors import ExportError, FormatError, LadarregError
+from ladarreg_core.export.files import cannot_write, write_bytes
+from ladarreg_core.project.codec import arrays_of, decode_document, encode
+from ladarreg_core.project.document import Document
+from ladarreg_core.project.history import Entry, History, entries_from
+from ladarreg_core.project.stored_arrays import StoredArrays
+
+log = logging.getLogger(__name__)
+_PROJECT, _HISTORY, _ARRAYS, _INPUTS, _EXPORTS, _LOCK = (
+    "project.json", "history.jsonl", "arrays", "inputs", "exports", "lock",
+)  # fmt: skip
+_MOST_ENTRIES = 1000
+_LONG_HISTORY_BYTES = 64 << 20
+
+
+class ProjectFolder:
+    """Keeps one project on the disk."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Open or make the folder, and hold it.
+
+        Raises:
+            ExportError: if it cannot be made or written, or another program has it open.
+        """
+        self.path = Path(os.path.abspath(path))
+        try:
+            for name in ("", _ARRAYS, _INPUTS, _EXPORTS):
+                (self.path / name).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise cannot_write(self.path, error) from None
+        self._lock = _held(self.path / _LOCK, self.path)
+        self._kept: dict[str, StoredArrays] = {}
+        self._written: bytes | None = None
+
+    @property
+    def inputs(self) -> Path:
+        """Where uploads lie."""
+        return self.path / _INPUTS
+
+    @property
+    def exports(self) -> Path:
+        """Where exports lie."""
+        return self.path / _EXPORTS
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a project in it."""
+        return (self.path / _PROJECT).is_file()
+
+    def close(self) -> None:
+        """Let another program have it."""
+        _released(self._lock, self.path / _LOCK)
+
+    def source_path(self, path: str) -> Path:
+        """Return where a source's file is."""
+        return self.path / path  # an absolute one stays itself
+
+    def relative(self, path: Path) -> str:
+        """Return how a source names a file: relative where it lies in the folder, so that the folder can be moved."""
+        absolute = Path(os.path.abspath(path))
+        inside = absolute.is_relative_to(self.path)
+        return absolute.relative_to(self.path).as_posix() if inside else str(absolute)
+
+    def read(self) -> History:
+        """Return the project with its history; without it where that does not fit.
+
+        Raises:
+            FormatError: if there is no project, or it is damaged.
+        """
+        try:
+            data = (self.path / _PROJECT).read_bytes()
+        except OSError as error:
+            raise FormatError(f"there is no project in {self.path}: {error.strerror or error}") from None
+        document = decode_document(data, self._arrays)
+        self._written = data
+        history = self._history()
+        if history is not None and encode(history.document) == encode(document):
+            if (self.path / _HISTORY).stat().st_size > _LONG_HISTORY_BYTES or len(history.entries) > _MOST_ENTRIES:
+                history = history.shortened(_MOST_ENTRIES // 2)
+                self._begin_history(history)
+            return history
+        when = _last_change(self.path / _PROJECT)
+        history = History.begun(document, label="Opened", author="", when=when)
+        self._begin_history(history)
+        return history
+
+    def begin(self, history: History) -> None:
+        """Write a new project, over whatever was there.
+
+        Raises:
+            ExportError: if that fails.
+        """
+        self._save(history.document)
+        self._begin_history(history)
+
+    def save_commit(self, history: History, *, amended: bool = False) -> None:
+        """Write what a commit led to; when this returns the disk has it.
+
+        Raises:
+            ExportError: if that fails.
+        """
+        self._save(history.document)
+        entry = history.present
+        self._append({"amend" if amended else "commit": _entry_fields(entry)}, encode(entry.document))
+
+    def save_move(self, history: History) -> None:
+        """Write that the history stands elsewhere.
+
+        Raises:
+            ExportError: if that fails.
+        """
+        self._save(history.document)
+        self._append({"at": history.present.number})
+
+    def _save(self, document: Document) -> None:
+        for name, arrays in arrays_of(document).items():
+            if name not in self._kept:
+                self._replace(self.path / _ARRAYS / f"{name}.npz", arrays.data)
+                self._kept[name] = arrays
+        data = encode(document)
+        if data != self._written:
+            self._replace(self.path / _PROJECT, data)
+            self._written = data
+
+    def _replace(self, target: Path, data: bytes) -> None:
+        """Write aside and rename, so that there is always the old or the new, and both whole."""
+        aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+        try:
+            write_bytes(aside, data)
+            os.replace(aside, target)
+            _sync(target.parent)
+        except OSError as error:
+            raise cannot_write(target, error) from None
+        finally:
+            with contextlib.suppress(OSError):
+                aside.unlink(missing_ok=True)
+
+    def _append(self, fields: Mapping[str, Any], document: bytes | None = None) -> None:
+        line = json.dumps(fields).encode()
+        if document is not None:
+            line = line[:-1] + b', "document": ' + document + b"}"
+        try:
+            with open(self.path / _HISTORY, "ab") as file:
+                file.write(line + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise cannot_write(self.path / _HISTORY, error) from None
+
+    def _begin_history(self, history: History) -> None:
+        lines = []
+        for entry in history.entries:
+            head = json.dumps({"commit": _entry_fields(entry)}).encode()
+            lines.append(head[:-1] + b', "document": ' + encode(entry.document) + b"}\n")
+            for name, arrays in arrays_of(entry.document).items():
+                if name not in self._kept:
+                    self._replace(self.path / _ARRAYS / f"{name}.npz", arrays.data)
+                    self._kept[name] = arrays
+        lines.append(json.dumps({"at": history.present.number}).encode() + b"\n")
+        self._replace(self.path / _HISTORY, b"".join(lines))
+
+    def _history(self) -> History | None:
+        """Replay what was appended; None where it is missing or damaged, which loses no more than undo."""
+        try:
+            lines = (self.path / _HISTORY).read_bytes().split(b"\n")
+            entries: list[Entry] = []
+            at = 0
+            for line in lines[:-1]:  # a line that is not ended was being written when the program died
+                fields = json.loads(line)
+                if "at" in fields:
+                    at = next(k for k, entry in enumerate(entries) if entry.number == fields["at"])
+                    continue
+                document = decode_document(json.dumps(fields["document"]).encode(), self._arrays)
+                if "amend" in fields:
+                    entries[at] = _entry(fields["amend"], document)
+                else:
+                    entries[at + 1 :] = [_entry(fields["commit"], document)]
+                    at = len(entries) - 1
+            history = entries_from(entries, at)
+        except (OSError, ValueError, KeyError, TypeError, IndexError, StopIteration, LadarregError) as error:
+            log.info("the history is not used: %s", error)
+            return None
+        return history
+
+    def _arrays(self, name: str) -> StoredArrays:
+        if name in self._kept:
+            return self._kept[name]
+        if not name.isalnum():
+            raise FormatError(f"{name[:20]!r} is no name of stored matches; the project is damaged")
+        try:
+            found = StoredArrays((self.path / _ARRAYS / f"{name}.npz").read_bytes())
+        except OSError as error:
+            raise FormatError(f"the stored matches {name[:8]} are missing: {error.strerror or error}") from None
+        if found.name != name:
+            raise FormatError(f"the stored matches {name[:8]} are not what they were; solve again")
+        self._kept[name] = found
+        return found
+
+
+def _entry_fields(entry: Entry) -> dict[str, Any]:
+    return {"number": entry.number, "label": entry.label, "author": entry.author, "when": entry.when}
+
+
+def _entry(fields: Mapping[str, Any], document: Document) -> Entry:
+    return Entry(int(fields["number"]), str(fields["label"]), str(fields["author"]), str(fields["when"]), document)
+
+
+def _last_change(path: Path) -> str:
+    import datetime
+
+    return datetime.datetime.fromtimestamp(path.stat().st_mtime).astimezone().isoformat(timespec="seconds")
+
+
+def _sync(folder: Path) -> None:
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _held(lock: Path, folder: Path) -> int:
+    """Hold a file for as long as this process lives, so that a crash lets it go.
+
+    Raises:
+        ExportError: if another process holds it.
+    """
+    try:
+        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o600)
+    except OSError as error:
+        raise cannot_write(lock, error) from None
+    try:
+        if os.name == "nt":
+            import msvcrt
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise ExportError(
+            f"the project {folder} is open in another program; close that, or open a copy of the folder"
+        ) from None
+    return descriptor
+
+
+def _released(descriptor: int, lock: Path) -> None:
+    with contextlib.suppress(OSError):
+        os.close(descriptor)

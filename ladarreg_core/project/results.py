@@ -1,0 +1,99 @@
+"""Between a registration and how a document keeps it: nothing is lost, but for the matches of its single steps."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, cast
+
+import numpy as np
+
+from ladarreg_core.errors import FormatError, LadarregError
+from ladarreg_core.export.documents import plain
+from ladarreg_core.formats.camera_file import camera_from_fields
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.progress import Step
+from ladarreg_core.project.document import PoseEntry, StageId, StepEntry
+from ladarreg_core.project.stored_arrays import StoredArrays
+from ladarreg_core.results import PoseResult, Registration
+
+_OF_MATCHES = ("rays", "ranges", "uv", "fractions", "weights", "range_weights", "directions", "across")
+_OF_RESULT = ("inliers", "residuals_px", "residuals_m", "stereo_depth_error_m")
+
+
+def pose_entry(
+    stage: StageId, result: PoseResult, *, method: str = "manual", seconds: float = 0.0, note: str = ""
+) -> PoseEntry:
+    """Return how a document keeps an answer.
+
+    Args:
+        stage: which estimator gave it.
+        result: the answer.
+        method: the registration method, where the result does not tell it.
+        seconds: how long it took, where its steps do not tell it.
+        note: a sentence of the estimator.
+    """
+    arrays: dict[str, Any] = {name: getattr(result.matches, name) for name in _OF_MATCHES}
+    arrays |= {name: getattr(result, name) for name in _OF_RESULT}
+    arrays["pick_ids"] = np.array(result.matches.pick_ids, dtype=np.str_)
+    steps: tuple[Step, ...] = result.steps if isinstance(result, Registration) else ()
+    return PoseEntry(
+        stage=stage,
+        method=result.method if isinstance(result, Registration) else method,
+        arrays=StoredArrays.of(arrays),
+        camera_from_scanner=_rows(result.camera_from_scanner.matrix),
+        camera=plain(result.camera.as_fields()),
+        covariance=_rows(result.covariance),
+        chi2_per_dof=float(result.chi2_per_dof) if math.isfinite(result.chi2_per_dof) else None,
+        sigma_px=float(result.sigma_px),
+        sigma_range_m=float(result.sigma_range_m),
+        camera_sigmas={name: float(value) for name, value in result.camera_sigmas.items()},
+        accepted=bool(result.accepted),
+        evidence=result.evidence,
+        reasons=tuple(result.reasons),
+        diagnostics=plain(result.diagnostics),
+        steps=tuple(StepEntry(name=s.name, seconds=s.seconds, detail=plain(s.detail)) for s in steps),
+        options=plain(result.options) if isinstance(result, Registration) else {},
+        seed=result.seed if isinstance(result, Registration) else 0,
+        seconds=seconds or sum(step.seconds for step in steps),
+        note=note,
+    )
+
+
+def registration_of(entry: PoseEntry) -> Registration:
+    """Return the answer that a document keeps.
+
+    Raises:
+        FormatError: if what is kept is damaged.
+    """
+    arrays = cast(dict[str, Any], entry.arrays.arrays())
+    try:
+        matches = Matches(
+            arrays["rays"], arrays["ranges"], arrays["uv"], tuple(map(str, arrays["pick_ids"])),
+            arrays["fractions"], arrays["weights"], arrays["range_weights"], arrays["directions"], arrays["across"],
+        )  # fmt: skip
+        return Registration(
+            camera_from_scanner=Rigid.from_matrix(np.array(entry.camera_from_scanner)),
+            camera=camera_from_fields(entry.camera),
+            matches=matches,
+            covariance=np.array(entry.covariance),
+            chi2_per_dof=math.nan if entry.chi2_per_dof is None else entry.chi2_per_dof,
+            sigma_px=entry.sigma_px,
+            sigma_range_m=entry.sigma_range_m,
+            camera_sigmas=entry.camera_sigmas,
+            accepted=entry.accepted,
+            evidence=entry.evidence,
+            reasons=entry.reasons,
+            diagnostics=entry.diagnostics,
+            method=entry.method,
+            steps=tuple(Step(s.name, s.seconds, detail=s.detail) for s in entry.steps),
+            options=entry.options,
+            seed=entry.seed,
+            **{name: arrays[name] for name in _OF_RESULT},
+        )
+    except (KeyError, LadarregError) as error:
+        raise FormatError(f"the pose of the stage '{entry.stage}' is damaged ({error}); solve again") from None
+
+
+def _rows(matrix: Any) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in np.asarray(matrix))
