@@ -193,7 +193,7 @@ class ProjectFolder:
                     continue
                 document = decode_document(json.dumps(fields["document"]).encode(), self._arrays)
                 if "amend" in fields:
-                    entries[at] = _entry(fields["amend"], document)
+                    entries[at:] = [_entry(fields["amend"], document)]
                 else:
                     entries[at + 1 :] = [_entry(fields["commit"], document)]
                     at = len(entries) - 1

@@ -24,7 +24,9 @@ FORBIDDEN = {
     "device": ALGORITHMS | {"export"},
     "export": {"features", "matching", "pose", "register", "formats", "simulate"},
     "simulate": {"features", "matching", "pose", "register", "export"},
-    "register": {"formats", "export", "simulate"},
+    "register": {"formats", "export", "simulate", "inspection", "project"},
+    "inspection": {"formats", "export", "simulate", "project", "register"},
+    "project": {"inspection", "simulate"},
 }
 """What a room may not see, beside what would close a circle."""
 

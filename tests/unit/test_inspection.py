@@ -1,0 +1,270 @@
+"""What an operator looks at: pictures of the scan, overlays, partners, corners, judged picks."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.inspection.figures import figures, parameters, scanners_place
+from ladarreg_core.inspection.judged import Measured, judge_picks, picks_in_space, sample_line
+from ladarreg_core.inspection.overlays import painted_through, photo_over_scan, scan_over_photo
+from ladarreg_core.inspection.partners import Partners
+from ladarreg_core.inspection.probing import probe
+from ladarreg_core.inspection.scan_pictures import Stretch, scan_picture
+from ladarreg_core.inspection.snapping import nearest_corner
+from ladarreg_core.inspection.views import inspection_views
+from ladarreg_core.matches import Pick
+from ladarreg_core.picked import matches_from_picks
+from ladarreg_core.pose.estimate import solve_pose
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.simulate import SimulatedCase, simulate_case
+from ladarreg_core.texture import Label, texture_scan
+
+
+@cache
+def the_case() -> SimulatedCase:
+    return simulate_case("desk", seed=3)
+
+
+def wall(turns: float = 1.0, columns: int = 120) -> Scan:
+    """A cylinder of 3 m radius, so many times 60 degrees wide."""
+    geometry = AzimuthElevation(40, columns, np.deg2rad(60 * turns) / columns, 0.01)
+    return Scan(geometry, np.full((40, columns), 3.0), np.random.default_rng(0).random((40, columns)))
+
+
+@pytest.mark.parametrize("show", ["intensity", "range", "normals", "edges"])
+def test_pictures_have_the_views_size_and_hide_what_has_no_return(show: str) -> None:
+    view = inspection_views(the_case().scan)[0].view
+    picture = scan_picture(view, show)
+    assert picture.shape == (view.camera.height, view.camera.width, 3)
+    empty = ~np.isfinite(view.ranges)
+    assert len(np.unique(picture[empty].reshape(-1, 3), axis=0)) <= 1
+    assert picture[~empty].std() > 10, "there is something to see"
+
+
+def test_stretch_is_monotone_and_reaches_both_ends() -> None:
+    view = inspection_views(wall())[0].view
+    for stretch in (Stretch(), Stretch(equalise=True), Stretch(low=0, high=100, gamma=1)):
+        gray = scan_picture(view, "intensity", stretch)[..., 0].astype(int)
+        seen = np.isfinite(view.ranges)
+        order = np.argsort(view.intensity[seen])
+        assert (np.diff(gray[seen][order]) >= 0).all()
+        assert gray[seen].max() == 255
+
+
+@pytest.mark.parametrize("wrong", [{"low": 50, "high": 50}, {"gamma": 0}, {"low": -1}, {"gamma": float("nan")}])
+def test_a_stretch_without_meaning_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(OptionError):
+        Stretch(**wrong)  # type: ignore[arg-type]
+
+
+def test_what_cannot_be_shown_is_told() -> None:
+    view = inspection_views(wall())[0].view
+    with pytest.raises(OptionError, match="can be intensity"):
+        scan_picture(view, "smell")
+    with pytest.raises(ShapeError, match="no colour"):
+        scan_picture(view, "color")
+
+
+def test_a_narrow_scan_has_one_view_and_a_wide_one_several_that_cover_it() -> None:
+    assert len(inspection_views(wall())) == 1
+    scan = wall(2.8, 420)
+    views = inspection_views(scan)
+    assert len(views) > 1
+    assert len({named.label for named in views}) == len(views)
+    rays = scan.rays[scan.valid]
+    seen = np.zeros(len(rays), np.bool_)
+    for named in views:
+        seen |= named.view.camera.contains(named.view.project(rays))
+    assert seen.all()
+
+
+# overlays
+
+
+def test_an_overlay_lies_where_the_photo_shows_the_same() -> None:
+    c = the_case()
+    overlay = scan_over_photo(c.scan, c.true_camera, c.camera_from_scanner, "intensity")
+    assert overlay.shape == (c.true_camera.height, c.true_camera.width, 4)
+    covered = overlay[..., 3] > 0
+    assert 0.5 < covered.mean() < 1
+    inside = cv2.erode(covered.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    photo, drawn = (edges(p) for p in (c.photo.pixels.mean(axis=-1), overlay[..., 0]))
+    agree = [np.corrcoef(np.roll(drawn, shift, axis=1)[inside], photo[inside])[0, 1] for shift in (0, -12, 12)]
+    assert agree[0] > 0.15
+    assert agree[0] > max(agree[1:]) + 0.1
+
+
+def edges(gray: np.ndarray) -> np.ndarray:
+    values = gray.astype(np.float32)
+    return np.hypot(cv2.Sobel(values, cv2.CV_32F, 1, 0), cv2.Sobel(values, cv2.CV_32F, 0, 1))
+
+
+def test_edges_are_transparent_but_for_lines() -> None:
+    c = the_case()
+    alpha = scan_over_photo(c.scan, c.true_camera, c.camera_from_scanner, "edges")[..., 3]
+    assert 0.005 < (alpha > 128).mean() < 0.25
+    with pytest.raises(OptionError):
+        scan_over_photo(c.scan, c.true_camera, c.camera_from_scanner, "sound")
+
+
+def test_without_the_z_buffer_hidden_cells_are_painted() -> None:
+    c = the_case()
+    honest = texture_scan(c.scan, c.photo, c.camera_from_scanner)
+    through = painted_through(c.scan, c.photo, c.true_camera, c.camera_from_scanner)
+    hidden = honest.labels == Label.OCCLUDED
+    assert hidden.sum() > 1000
+    assert through.coloured[hidden].all()
+    assert not honest.coloured[hidden].any()
+    view = inspection_views(c.scan)[0].view
+    alpha = [photo_over_scan(view, texture)[..., 3] for texture in (honest, through)]
+    assert (alpha[0] > 0).sum() < (alpha[1] > 0).sum()
+
+
+# partners
+
+
+def test_partners_lead_back_to_where_they_came_from() -> None:
+    c = the_case()
+    partners = Partners(c.scan, c.true_camera, c.camera_from_scanner)
+    rng = np.random.default_rng(1)
+    uv = rng.uniform((5, 5), (c.true_camera.width - 6, c.true_camera.height - 6), (300, 2))
+    rays = partners.on_scan(uv)
+    known = np.isfinite(rays[:, 0])
+    assert known.mean() > 0.5
+    back = partners.in_photo(rays[known])
+    off = np.linalg.norm(back - uv[known], axis=1)
+    assert np.nanmedian(off) < 0.1
+    assert np.nanpercentile(off, 80) < 1.0, "the rest lies at depth edges"
+
+
+def test_nothing_is_predicted_where_there_is_nothing() -> None:
+    c = the_case()
+    partners = Partners(c.scan, c.true_camera, c.camera_from_scanner)
+    assert np.isnan(partners.on_scan([[-50.0, 10.0], [np.nan, 3.0]])).all()
+    assert np.isnan(partners.in_photo([[-1.0, 0, 0]])).all()
+
+
+def test_a_cell_is_probed_where_it_is() -> None:
+    scan = the_case().scan
+    row, column = np.argwhere(scan.valid)[12345]
+    found = probe(scan, scan.rays[row, column])
+    assert found.cell == pytest.approx((row, column), abs=0.01)
+    assert found.intensity == pytest.approx(float(scan.intensity[row, column]))
+    if found.range_m is not None:
+        assert found.range_m == pytest.approx(float(scan.ranges[row, column]), rel=0.04)
+    assert probe(scan, [-1, 0, 0]).cell is None
+
+
+# snapping
+
+
+@settings(max_examples=30, deadline=None)
+@given(u=st.floats(20, 60), v=st.floats(20, 60), du=st.floats(-4, 4), dv=st.floats(-4, 4))
+def test_a_click_beside_a_corner_finds_it(u: float, v: float, du: float, dv: float) -> None:
+    fine = 8
+    y, x = np.mgrid[: 80 * fine, : 80 * fine]
+    board = (((x + 0.5) / fine - 0.5 < u) == ((y + 0.5) / fine - 0.5 < v)).astype(np.float32) * 200 + 20
+    gray = board.reshape(80, fine, 80, fine).mean(axis=(1, 3))
+    found = nearest_corner(gray, (u + du, v + dv))
+    assert found is not None
+    assert found == pytest.approx((u, v), abs=0.35)
+
+
+def test_a_plain_surface_and_places_outside_have_no_corner() -> None:
+    assert nearest_corner(np.full((60, 60), 90, np.float32), (30, 30)) is None
+    assert nearest_corner(np.zeros((60, 60), np.float32), (-3, 30)) is None
+    assert nearest_corner(np.zeros((60, 60), np.float32), (float("nan"), 30)) is None
+
+
+# judged picks
+
+
+def picks_of(c: SimulatedCase, count: int, seed: int, noise_px: float) -> list[Pick]:
+    """Points of the scan that the camera sees, put down with noise."""
+    rng = np.random.default_rng(seed)
+    label = texture_scan(c.scan, c.photo, c.camera_from_scanner).labels
+    cells = np.argwhere(label == Label.SEEN)
+    cells = cells[rng.choice(len(cells), count, replace=False)]
+    rays = c.scan.rays[cells[:, 0], cells[:, 1]]
+    points = rays * c.scan.ranges[cells[:, 0], cells[:, 1], None]
+    uv = c.true_camera.project(c.camera_from_scanner @ points) + rng.normal(0, noise_px, (count, 2))
+    return [Pick(f"m{k}", "point", ray[None], at[None]) for k, (ray, at) in enumerate(zip(rays, uv, strict=True))]
+
+
+def test_every_pick_is_judged_the_ones_switched_off_too() -> None:
+    c = the_case()
+    picks = picks_of(c, 40, 0, 0.3)
+    wrong = Pick("wrong", "point", picks[0].scan, picks[0].photo + 60, on=False)
+    measured = Measured(c.scan, c.photo)
+    result = solve_pose(matches_from_picks(c.scan, picks, camera=c.photo.camera)[0], c.photo.camera)
+    judged = judge_picks(measured, [*picks, wrong], result)
+    assert judged["wrong"].px == pytest.approx(60 * 2**0.5, abs=5)
+    assert judged["wrong"].inlier is None
+    inside = [judged[pick.id] for pick in picks if pick.id in judged]
+    assert len(inside) > 30
+    assert np.median([j.px for j in inside]) < 1.5
+    assert all(j.photo.shape == (1, 2) for j in inside)
+    by_id = {name: k for k, name in enumerate(result.matches.pick_ids)}
+    for pick in picks:
+        if pick.id in by_id:
+            expected = np.linalg.norm(result.residuals_px[by_id[pick.id]])
+            assert judged[pick.id].px == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    # asked again, the same, from what was kept
+    assert judge_picks(measured, [*picks, wrong], result)["wrong"].px == judged["wrong"].px
+
+
+def test_a_line_tells_which_samples_have_a_range() -> None:
+    geometry = AzimuthElevation(60, 80, 0.01, 0.01)
+    ranges = 3 / geometry.rays[..., 0]
+    ranges[:, 40:50] = np.nan
+    scan = Scan(geometry, ranges, np.ones((60, 80)))
+    line = sample_line(scan, geometry.ray_at(np.array([[30.0, 5], [30, 75]])), samples=15)
+    cells = geometry.cell_of(line.rays)
+    known = np.array(line.known)
+    assert not known[(cells[:, 1] > 40) & (cells[:, 1] < 49)].any()
+    assert known[(cells[:, 1] < 39) | (cells[:, 1] > 50)].all()
+    assert line.used > 0
+    assert line.used < line.sampled
+
+
+def test_picks_stand_in_space_where_the_scan_measured_them() -> None:
+    c = the_case()
+    picks = picks_of(c, 20, 5, 0)
+    points, ids, on = picks_in_space(c.scan, picks)
+    assert points.shape == (20, 3)
+    assert ids == [pick.id for pick in picks]
+    assert all(on)
+    known = np.isfinite(points[:, 0])
+    aside = np.cross(points[known], np.concatenate([pick.scan for pick in picks])[known])
+    assert np.abs(aside).max() < 1e-9
+    assert picks_in_space(c.scan, [])[0].shape == (0, 3)
+
+
+def test_figures_are_told_to_the_digits_that_mean_something() -> None:
+    c = the_case()
+    result = solve_pose(matches_from_picks(c.scan, picks_of(c, 60, 2, 0.5), camera=c.photo.camera)[0], c.photo.camera)
+    found = {p.name: p for p in parameters(result)}
+    assert list(found) == ["Tx", "Ty", "Tz", "alpha", "beta", "gamma"]
+    assert float(found["Tx"].value) == pytest.approx(result.thesis_parameters.Tx, abs=float(found["Tx"].sigma))
+    for parameter in found.values():
+        assert len(parameter.sigma.split(".")[-1]) == len(parameter.value.split(".")[-1])
+    assert figures(result).inliers == int(result.inliers.sum())
+    assert 0 < figures(result).median_px <= figures(result).rms_px * 1.2
+    assert scanners_place(c.scan).centre == pytest.approx(np.zeros(3))
+
+
+def test_a_photo_that_sees_nothing_of_the_scan_has_an_empty_overlay() -> None:
+    camera = Camera.from_focal(64, 48, 60)
+    away = Rigid(np.diag([-1.0, 1.0, -1.0]) @ scanners_place(wall()).rotation, np.zeros(3))
+    overlay = scan_over_photo(wall(), camera, away, "intensity")
+    assert not overlay[..., 3].any()

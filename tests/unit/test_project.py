@@ -1,0 +1,302 @@
+"""The document, its edits, its history and the folder that keeps it."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
+from ladarreg_core.frames import ThesisParameters
+from ladarreg_core.matches import Matches, Pick
+from ladarreg_core.pose.estimate import estimate_pose
+from ladarreg_core.project import edits
+from ladarreg_core.project.codec import decode_document, encode
+from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
+from ladarreg_core.project.folder import ProjectFolder
+from ladarreg_core.project.history import History
+from ladarreg_core.project.results import pose_entry, registration_of
+from ladarreg_core.project.settings import Settings
+from ladarreg_core.project.stored_arrays import StoredArrays
+from ladarreg_core.results import PoseResult
+
+WHEN = "2026-01-02T03:04:05+00:00"
+SOURCE = Source(path="photo.png", name="photo.png", size=3)
+
+
+def a_pick(k: int, kind: str = "point") -> Pick:
+    rng = np.random.default_rng(k)
+    ends = 1 if kind == "point" else 2
+    rays = rng.normal(size=(ends, 3)) + np.array([5, 0, 0])
+    return Pick(str(k), kind, rays, rng.uniform(0, 99, (ends, 2)))  # type: ignore[arg-type]
+
+
+def a_result(seed: int = 0) -> PoseResult:
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(3, 6, 40), rng.uniform(-1.5, 1.5, (40, 2))])
+    pose, camera = ThesisParameters(0.5, -0.1, 0.05, 0.1, -0.05, 0.02).pose, Camera.from_focal(640, 480, 600)
+    ranges = np.linalg.norm(points, axis=1)
+    uv = camera.project(pose @ points) + rng.normal(0, 0.3, (40, 2))
+    uv[:5] += 80
+    return estimate_pose(points / ranges[:, None], ranges, uv, camera)
+
+
+def a_document(picks: int = 3) -> Document:
+    document = Document(name="test", scan=Source(path="scan.npz", name="scan.npz", size=9))
+    document, photo = edits.with_photo(document, SOURCE)
+    return edits.edited_photo(document, photo, lambda p: edits.with_picks(p, [a_pick(k) for k in range(picks)])[0])
+
+
+def with_an_answer(document: Document, seed: int = 0) -> Document:
+    entry = pose_entry("robust", a_result(seed))
+    return edits.edited_photo(document, document.photos[0].id, lambda p: edits.with_pose(p, entry))
+
+
+def reading(document: Document) -> Document:
+    arrays = {pose.arrays.name: pose.arrays for photo in document.photos for pose in photo.poses}
+    return decode_document(encode(document), arrays.__getitem__)
+
+
+def test_what_is_written_is_read_again() -> None:
+    document = with_an_answer(a_document())
+    assert reading(document) == document
+
+
+def test_an_answer_comes_back_whole() -> None:
+    result = a_result()
+    back = registration_of(pose_entry("robust", result))
+    assert back.camera_from_scanner.matrix == pytest.approx(result.camera_from_scanner.matrix, abs=0)
+    for name in ("inliers", "residuals_px", "residuals_m", "stereo_depth_error_m", "covariance"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(result, name))
+    for name in ("rays", "ranges", "uv", "weights", "directions", "across"):
+        np.testing.assert_array_equal(getattr(back.matches, name), getattr(result.matches, name))
+    assert back.matches.pick_ids == result.matches.pick_ids
+    assert (back.accepted, back.evidence, back.reasons) == (result.accepted, result.evidence, result.reasons)
+    assert back.camera == result.camera
+
+
+@pytest.mark.parametrize("damage", [b"", b"{", b"[]", b'{"version": 1, "photos": 3}', b'{"version": 99}', b"\xff\xfe"])
+def test_damaged_documents_are_refused_in_one_line(damage: bytes) -> None:
+    with pytest.raises(FormatError) as caught:
+        decode_document(damage, lambda name: StoredArrays(b""))
+    assert "\n" not in str(caught.value)
+
+
+def test_picks_of_a_hostile_document_are_checked() -> None:
+    fields = json.loads(encode(a_document()))
+    fields["photos"][0]["picks"][0]["scan"] = [[0, 0, 0]]
+    with pytest.raises(LadarregError, match="no length"):
+        decode_document(json.dumps(fields).encode(), lambda name: StoredArrays(b""))
+
+
+def test_numbers_and_ids_are_never_used_twice() -> None:
+    photo = a_document(3).photos[0]
+    photo = edits.without_picks(photo, {photo.picks[-1].id})
+    photo, ids = edits.with_picks(photo, [a_pick(9, "line")])
+    assert [pick.number for pick in photo.picks] == [1, 2, 4]
+    assert ids == ("m4",)
+    document = a_document()
+    document = edits.without_photo(document, document.photos[0].id)
+    assert edits.with_photo(document, SOURCE)[1] == "p2"
+
+
+def test_another_scan_takes_away_what_was_drawn_on_the_old_one() -> None:
+    document = edits.with_scan(with_an_answer(a_document()), Source(path="other.npz", name="other.npz", size=1))
+    assert document.photos[0].picks == ()
+    assert document.photos[0].poses == ()
+
+
+def test_another_camera_takes_away_poses_and_keeps_picks() -> None:
+    photo = edits.with_camera(with_an_answer(a_document()).photos[0], CameraGiven(focal_px=500))
+    assert photo.poses == ()
+    assert len(photo.picks) == 3
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"t1": "high"},
+        {"t1": -1.0},
+        {"nonsense": 1},
+        {"lines": "no"},
+        {"seed": -1},
+        {"corners": True},
+        {"step_m": 0},
+    ],
+)
+def test_settings_without_meaning_are_refused(values: dict[str, object]) -> None:
+    with pytest.raises(OptionError):
+        Settings().changed(values)
+
+
+def test_settings_reach_the_options() -> None:
+    found = Settings().changed({"t1": 0.3, "residual": "stereo", "reject_sigma": 3.0, "seed": 4, "intrinsics": "focal"})
+    options = found.register_options
+    assert options.thesis.matching.t1 == 0.3
+    assert options.thesis.residual == "stereo"
+    assert options.thesis.pose.simplex.reject_sigma == 3.0
+    assert (options.seed, options.auto.intrinsics, options.pose.intrinsics) == (4, "focal", "focal")
+    assert options.thesis.pose.intrinsics == "fixed"
+
+
+@pytest.mark.parametrize("rows", [None, "ab", [], [[1, 2]], [[1, 2, float("nan")]], [[1, 2, True]], [[1, 2, 3]] * 3])
+def test_coordinates_are_checked(rows: object) -> None:
+    with pytest.raises(OptionError):
+        edits.rows(rows, 3)
+
+
+# history
+
+
+def named(document: Document, name: str) -> Document:
+    return msgspec.structs.replace(document, name=name)
+
+
+@given(st.lists(st.sampled_from(["commit", "undo", "redo", "amend"]), max_size=40))
+def test_undo_and_redo_walk_along_what_was_committed(moves: list[str]) -> None:
+    history = History.begun(Document(name="0"), label="Begin", author="", when=WHEN)
+    model, at = ["0"], 0
+    for k, move in enumerate(moves, 1):
+        if move == "commit":
+            history = history.committed(named(history.document, str(k)), label=str(k), author="a", when=WHEN)
+            model, at = [*model[: at + 1], str(k)], at + 1
+        elif move == "amend":
+            history = history.amended(named(history.document, f"{k}!"), when=WHEN)
+            model = [*model[:at], f"{k}!"]
+        else:
+            history = history.moved(-1 if move == "undo" else 1)
+            at = min(max(at + (-1 if move == "undo" else 1), 0), len(model) - 1)
+        assert [entry.document.name for entry in history.entries] == model
+        assert history.document.name == model[at]
+        assert (history.undone is None, history.redone is None) == (at == 0, at == len(model) - 1)
+        numbers = [entry.number for entry in history.entries]
+        assert numbers == sorted(set(numbers))
+    assert history.gone_to(history.entries[0].number).at == 0
+
+
+# the folder
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25, deadline=None)
+@given(
+    moves=st.lists(st.sampled_from(["commit", "undo", "redo", "amend", "solve"]), max_size=12), cut=st.integers(0, 60)
+)
+def test_a_folder_gives_back_what_was_saved_and_bears_a_torn_history(
+    tmp_path_factory: pytest.TempPathFactory, moves: list[str], cut: int
+) -> None:
+    place = tmp_path_factory.mktemp("project")
+    folder = ProjectFolder(place)
+    history = History.begun(a_document(), label="Begin", author="", when=WHEN)
+    folder.begin(history)
+    for k, move in enumerate(moves):
+        if move in ("undo", "redo"):
+            history = history.moved(-1 if move == "undo" else 1)
+            folder.save_move(history)
+        elif move == "amend":
+            history = history.amended(named(history.document, f"{k}!"), when=WHEN)
+            folder.save_commit(history, amended=True)
+        else:
+            document = with_an_answer(history.document, k) if move == "solve" else named(history.document, str(k))
+            history = history.committed(document, label=move, author="a", when=WHEN)
+            folder.save_commit(history)
+    folder.close()
+
+    again = ProjectFolder(place)
+    read = again.read()
+    again.close()
+    assert [(e.number, e.label, e.document) for e in read.entries] == [
+        (e.number, e.label, e.document) for e in history.entries
+    ]
+    assert read.at == history.at
+
+    log = place / "history.jsonl"
+    log.write_bytes(log.read_bytes()[: -cut or None])
+    torn = ProjectFolder(place)
+    assert torn.read().document == history.document, "the document does not depend on the history"
+    torn.close()
+
+
+def test_a_folder_has_one_user_at_a_time(tmp_path: Path) -> None:
+    first = ProjectFolder(tmp_path / "p")
+    with pytest.raises(ExportError, match="open in another program"):
+        ProjectFolder(tmp_path / "p")
+    first.close()
+    ProjectFolder(tmp_path / "p").close()
+
+
+def _die_holding(place: str, ready: multiprocessing.synchronize.Event) -> None:
+    folder = ProjectFolder(place)
+    folder.begin(History.begun(a_document(), label="Begin", author="", when=WHEN))
+    ready.set()
+    os.kill(os.getpid(), 9)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no kill -9 to send")
+def test_a_folder_is_free_again_after_a_crash(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    ready = context.Event()
+    process = context.Process(target=_die_holding, args=(str(tmp_path / "p"), ready))
+    process.start()
+    process.join(60)
+    folder = ProjectFolder(tmp_path / "p")
+    assert folder.read().document == a_document()
+    folder.close()
+
+
+def test_sources_inside_move_with_the_folder(tmp_path: Path) -> None:
+    folder = ProjectFolder(tmp_path / "p")
+    assert folder.relative(folder.inputs / "a.png") == "inputs/a.png"
+    assert folder.source_path("inputs/a.png") == folder.inputs / "a.png"
+    outside = tmp_path / "b.png"
+    assert folder.source_path(folder.relative(outside)) == outside
+    folder.close()
+
+
+def test_missing_and_exchanged_arrays_are_told(tmp_path: Path) -> None:
+    folder = ProjectFolder(tmp_path / "p")
+    folder.begin(History.begun(with_an_answer(a_document()), label="Begin", author="", when=WHEN))
+    folder.close()
+    (stored,) = (tmp_path / "p" / "arrays").iterdir()
+    stored.write_bytes(b"something else")
+    again = ProjectFolder(tmp_path / "p")
+    with pytest.raises(FormatError, match="not what they were"):
+        again.read()
+    again.close()
+    stored.unlink()
+    again = ProjectFolder(tmp_path / "p")
+    with pytest.raises(FormatError, match="missing"):
+        again.read()
+    again.close()
+
+
+def test_an_answer_that_was_stored_damaged_is_told() -> None:
+    entry = msgspec.structs.replace(pose_entry("robust", a_result()), arrays=StoredArrays(b"no arrays"))
+    with pytest.raises(FormatError, match="solve again"):
+        registration_of(entry)
+
+
+def test_nothing_is_pickled() -> None:
+    evil = StoredArrays(b"\x80\x04]\x94.")
+    with pytest.raises(FormatError):
+        evil.arrays()
+
+
+def test_a_photo_without_matches_keeps_its_answer() -> None:
+    empty = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+    from ladarreg_core.pose.describe import describe_pose
+
+    result = describe_pose(
+        a_result().camera_from_scanner, empty, np.zeros(0, np.bool_), Camera.from_focal(9, 9, 9),
+        sigma_px=1, sigma_range_m=0.01, covariance=np.eye(6),
+    )  # fmt: skip
+    assert len(registration_of(pose_entry("carried", result)).matches) == 0
+    photo = edits.with_pose(PhotoEntry(id="p1", source=SOURCE), pose_entry("carried", result))
+    assert photo.pose is not None
