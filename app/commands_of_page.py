@@ -78,7 +78,7 @@ def set_pick(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     else:
         label = f"{'Weigh' if set(changed) == {'weight'} else 'Move'} match {number}"
     moves = f"{entry.id} {name} {sorted(changed)}" if "scan" in changed or "photo" in changed else ""
-    _edit_photo(workbench, person, fields, label, lambda p: edits.changed_pick(p, name, **changed), one_move=moves)
+    _edit_photo(workbench, person, fields, label, lambda p: edits.changed_pick(p, name, changed), one_move=moves)
     return {}
 
 

@@ -121,7 +121,7 @@ def switched(photo: PhotoEntry, on: Mapping[str, bool]) -> PhotoEntry:
     )
 
 
-def changed_pick(photo: PhotoEntry, pick_id: str, **fields: Any) -> PhotoEntry:
+def changed_pick(photo: PhotoEntry, pick_id: str, fields: Mapping[str, Any]) -> PhotoEntry:
     """Return the photograph with one pick changed.
 
     Raises:
