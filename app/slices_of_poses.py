@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -14,9 +15,14 @@ from ladarreg_core.inspection.figures import figures, parameters
 if TYPE_CHECKING:
     from app.workroom import Workroom
     from ladarreg_core.assessment import Assessment
+    from ladarreg_core.matches import Matches
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import PhotoEntry, PoseEntry
     from ladarreg_core.scan import Scan
+
+
+log = logging.getLogger(__name__)
+_LEAST_TO_WARN = 4
 
 
 def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEntry) -> dict[str, Any]:
@@ -25,11 +31,19 @@ def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEn
 
     picks = [pick.as_pick() for pick in entry.picks]
     lines = {pick.id: line_shown(room, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
-    found: dict[str, Any] = {"stage": entry.shown_stage, "by_pick": {}, "predicted": {}, "lines": lines, "losses": []}
+    found: dict[str, Any] = {
+        "stage": entry.shown_stage,
+        "by_pick": {},
+        "predicted": {},
+        "lines": lines,
+        "losses": [],
+        "cautions": [],
+    }
     if photo is None:
         return found
     measured = room.measured(scan, photo)
     found["losses"] = list(measured.losses(picks))
+    found["cautions"] = _cautions(room, measured.joined([pick for pick in picks if pick.on]), photo, entry)
     if entry.pose is None or not picks:
         return found
     for name, judged in judge_picks(measured, picks, room.answer(entry.pose)).items():
@@ -42,6 +56,21 @@ def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEn
         }
         found["predicted"][name] = [None if math.isnan(at[0]) else at for at in judged.photo.tolist()]
     return found
+
+
+def _cautions(room: Workroom, matches: Matches, photo: Photo, entry: PhotoEntry) -> list[str]:
+    """Return what is to be feared of the thesis's methods on these matches, before anybody solves by them."""
+    from ladarreg_core.pose.cautions import stereo_cautions
+
+    if len(matches) < _LEAST_TO_WARN:
+        return []
+    pose = entry.pose
+    known = room.answer(pose).camera_from_scanner if pose is not None and pose.accepted else None
+    try:
+        return list(stereo_cautions(matches, photo.camera, pose=known))
+    except LadarregError as error:
+        log.debug("nothing can be foreseen: %s", error)
+        return []
 
 
 def line_shown(room: Workroom, scan: Scan, ends: Any) -> dict[str, Any]:
