@@ -7,6 +7,7 @@ import io
 import sys
 from typing import TYPE_CHECKING
 
+from app.viser_lock import ViserAddress, locked, new_secret
 from ladarreg_core.errors import OptionError
 
 if TYPE_CHECKING:
@@ -39,6 +40,27 @@ def open_server(*, port: int, label: str) -> viser.ViserServer:
         print(f"ladarreg: port {port} is busy, using {server.get_port()}", file=sys.stderr)
     server.request_share_url = _refuse_to_share  # type: ignore[method-assign]
     return server
+
+
+def open_locked_server(*, label: str) -> tuple[viser.ViserServer, ViserAddress]:
+    """Start a server on a free loopback port that answers nobody but the gateway.
+
+    Args:
+        label: the page's title.
+
+    Returns:
+        The server, and what the gateway needs to reach it.
+
+    Raises:
+        DependencyError: if this version of viser cannot be locked.
+    """
+    secret = new_secret()
+    with contextlib.redirect_stdout(io.StringIO()), locked(secret):
+        import viser
+
+        server = viser.ViserServer(host=HOST, port=0, label=label, verbose=False)
+    server.request_share_url = _refuse_to_share  # type: ignore[method-assign]
+    return server, ViserAddress(HOST, server.get_port(), secret)
 
 
 def address(server: viser.ViserServer) -> str:

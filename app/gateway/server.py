@@ -1,0 +1,159 @@
+"""The gateway as a running server: a port, a thread, an orderly end."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import ssl
+import sys
+import threading
+import time
+from collections.abc import Callable
+
+import uvicorn
+from starlette.types import ASGIApp
+
+from app.gateway.options import GatewayOptions
+from ladarreg_core.errors import OptionError
+
+_PORTS_TRIED = 100
+_START_S = 20.0
+_GRACE_S = 2
+# Messages to viser pass here too; those of the document have a limit of their own.
+_LONGEST_MESSAGE = 64 << 20
+# On a slow line a ping waits behind the scene: megabytes.
+_PING_S, _PONG_S = 20.0, 120.0
+
+
+class Gateway:
+    """A site on its port, served by a thread of its own.
+
+    Args:
+        build: makes the site once the port is known.
+        options: where to listen.
+
+    Raises:
+        OptionError: if there is no such address, no free port, or no such certificate.
+    """
+
+    def __init__(self, build: Callable[[int], ASGIApp], options: GatewayOptions) -> None:
+        check_certificate(options)
+        self._options = options
+        self._socket = _bound_socket(options)
+        self.port: int = self._socket.getsockname()[1]
+        config = uvicorn.Config(
+            build(self.port),
+            http="h11",
+            ws="websockets-sansio",
+            loop="asyncio",
+            ws_max_size=_LONGEST_MESSAGE,
+            ws_ping_interval=_PING_S,
+            ws_ping_timeout=_PONG_S,
+            ws_per_message_deflate=False,
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            timeout_graceful_shutdown=_GRACE_S,
+            ssl_certfile=options.certfile,
+            ssl_keyfile=options.keyfile,
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._run, name="gateway", daemon=True)
+        # Not `join`: a Ctrl-C inside it makes Python 3.11 take the thread for dead.
+        self._ended = threading.Event()
+        self._failure: BaseException | None = None
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser, without the token."""
+        host = self._options.host.strip("[]")
+        if host in ("", "0.0.0.0", "::"):
+            host = socket.gethostname()
+        scheme = "https" if self._options.tls else "http"
+        return f"{scheme}://{f'[{host}]' if ':' in host else host}:{self.port}/"
+
+    def start(self) -> None:
+        """Listen, and return when browsers can come."""
+        self._socket.listen(128)
+        self._thread.start()
+        until = time.monotonic() + _START_S
+        while not self._server.started and not self._ended.is_set() and time.monotonic() < until:
+            time.sleep(0.01)
+        if self._failure is not None:
+            raise self._failure
+
+    def wait(self) -> None:
+        """Return when the server has ended, or by KeyboardInterrupt."""
+        while not self._ended.wait(timeout=1.0):
+            pass
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self) -> None:
+        """End: finish what is under way, tell the pages that it is over (1012)."""
+        self._server.should_exit = True
+        if self._thread.ident is not None:
+            self._ended.wait(timeout=_GRACE_S + 5.0)
+        self._socket.close()
+
+    def _run(self) -> None:
+        try:
+            self._server.run(sockets=[self._socket])
+        except BaseException as error:
+            self._failure = error
+        finally:
+            self._ended.set()
+
+
+def check_certificate(options: GatewayOptions) -> None:
+    """Refuse a certificate that TLS cannot use.
+
+    Raises:
+        OptionError: if it cannot be read, or the key is another's.
+    """
+    if options.certfile is None:
+        return
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(
+            options.certfile, options.keyfile, password=_no_password
+        )
+    except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
+        said = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
+        raise OptionError(
+            f"{options.certfile}: the certificate or its key cannot be used ({said}); both are needed as PEM, the key"
+            " without a password"
+        ) from None
+
+
+def _no_password() -> str:
+    raise ValueError("the key has a password")
+
+
+def _bound_socket(options: GatewayOptions) -> socket.socket:
+    host = options.host.strip("[]")
+    last = min(options.port + _PORTS_TRIED, 65536) if options.port else 1
+    for port in range(options.port, last):
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(
+                host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+            )[0]
+        except OSError:
+            raise OptionError(f"{host!r} is no address of this machine; give another with --host") from None
+        bound = socket.socket(family, kind, protocol)
+        if sys.platform == "win32":  # SO_REUSEADDR would let two servers share a port there
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        else:
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            bound.bind(address)
+            bound.listen(1)  # of two servers that may both bind, the second fails here
+        except OSError as error:
+            bound.close()
+            if error.errno != errno.EADDRINUSE:
+                said = error.strerror or error
+                raise OptionError(f"{host} port {port}: {said}; give another with --host or --port") from None
+            continue
+        return bound
+    raise OptionError(f"no free port from {options.port} on; give another with --port")

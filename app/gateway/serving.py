@@ -1,0 +1,60 @@
+"""Serve a workbench until Ctrl-C."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from urllib.parse import quote
+
+from app.gateway.browser import open_browser
+from app.gateway.interface import Workbench
+from app.gateway.options import GatewayOptions
+from app.gateway.server import Gateway
+from app.gateway.site import site
+from app.viser_lock import ViserAddress
+
+
+def serve_until_interrupted(
+    workbench: Workbench, viser: ViserAddress, *, token: str, options: GatewayOptions, browser: bool
+) -> None:
+    """Serve, say where, and return after Ctrl-C or a polite kill.
+
+    Args:
+        workbench: what is behind the page.
+        viser: the locked viser server.
+        token: what opens the page.
+        options: where to listen.
+        browser: whether to open a browser, too.
+
+    Raises:
+        OptionError: if there is no such address, no free port, or no such certificate.
+    """
+    gateway = Gateway(lambda port: site(workbench, token=token, viser=viser, options=options, port=port), options)
+    try:
+        gateway.start()
+        if options.port not in (0, gateway.port):
+            print(f"ladarreg: port {options.port} is busy, using {gateway.port}", file=sys.stderr)
+        if not options.on_loopback:
+            print(f"ladarreg: {warning(options)}", file=sys.stderr)
+        address = f"{gateway.address}?token={quote(token, safe='')}"
+        print(f"Open {address}  (Ctrl-C ends)", flush=True)
+        if browser:
+            open_browser(address)
+        gateway.wait()
+    except KeyboardInterrupt:
+        print(file=sys.stderr)
+    finally:
+        # A terminal sends Ctrl-C to everyone in it, and `make` passes it on once more: the second must not hurt.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        gateway.close()
+
+
+def warning(options: GatewayOptions) -> str:
+    """Return what to know before others can connect."""
+    if options.tls:
+        return f"others can reach {options.host}: whoever has the token may see, change and upload everything here"
+    return (
+        f"others can reach {options.host}, and without TLS the token and all data can be read on the way: use"
+        " --certfile and --keyfile, a proxy, or an SSH tunnel (docs/remote.md)"
+    )

@@ -1,0 +1,73 @@
+"""The gateway's routes (docs/workbench.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.types import ASGIApp
+
+from app.gateway.document_socket import DocumentSocket
+from app.gateway.door import Door
+from app.gateway.exports import Exports
+from app.gateway.guard import Guard
+from app.gateway.interface import Workbench
+from app.gateway.options import GatewayOptions
+from app.gateway.pages import Pages, front_page
+from app.gateway.pictures import Pictures
+from app.gateway.uploads import Uploads
+from app.gateway.viser_proxy import ViserProxy
+from app.gateway.visitors import Visitors
+from app.static_files import static_folder
+from app.viser_lock import ViserAddress
+
+
+def site(
+    workbench: Workbench,
+    *,
+    token: str,
+    viser: ViserAddress,
+    options: GatewayOptions,
+    port: int,
+    folder: Path | None = None,
+) -> ASGIApp:
+    """Return the whole site, with its guard in front.
+
+    Args:
+        workbench: what is behind the page.
+        token: what opens it.
+        viser: the locked viser server.
+        options: how the gateway is reached.
+        port: where it listens, for the cookie's name.
+        folder: of the page's files; None: those of the installation.
+    """
+    visitors, proxy = Visitors(), ViserProxy(viser)
+    folder = folder or static_folder()
+    pages = Pages(folder)
+
+    async def page(request: Request) -> Response:
+        return front_page(folder, request)
+
+    async def to_viser(request: Request) -> Response:
+        return RedirectResponse("viser/", status_code=307)  # relative: the prefix is the proxy's
+
+    inner = Starlette(
+        routes=[
+            Route("/", page),
+            WebSocketRoute("/document", DocumentSocket(workbench, visitors).serve),
+            Route("/picture/{path:path}", Pictures(workbench).serve),
+            Route("/upload", Uploads(workbench, visitors).serve, methods=["POST"]),
+            Route("/export/{photo}.zip", Exports(workbench).serve),
+            Route("/viser", to_viser),
+            Route("/viser/{path:path}", proxy.page),
+            WebSocketRoute("/viser", proxy.websocket),
+            WebSocketRoute("/viser/{path:path}", proxy.websocket),
+            Mount("/static", pages),
+            Mount("/", pages),
+        ]
+    )
+    inner.router.redirect_slashes = False
+    return Guard(inner, Door(token, port=port), options)

@@ -1,0 +1,162 @@
+"""Files that pages send: streamed to disk, counted as they come, nothing left of what was not finished."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+import shutil
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response
+from starlette.types import Receive, Scope, Send
+
+from app.gateway.interface import Workbench
+from app.gateway.upload_name import safe_suffix, upload_name
+from app.gateway.visitors import Visitors
+from ladarreg_core.errors import LadarregError, OptionError
+
+log = logging.getLogger(__name__)
+KINDS = ("scan", "photo", "camera", "matches")
+"""What a file can be sent as."""
+_AT_A_TIME = 2
+_BLOCK = 1 << 20
+_LEFT_FREE = 1 << 28
+"""Bytes of the disk that uploads leave to others."""
+_HEARD_OUT_S = 5.0
+
+
+class UploadError(LadarregError):
+    """A file that is not taken, with the HTTP status that says so."""
+
+    def __init__(self, text: str, *, status: int) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class Uploads:
+    """Serves `POST /upload`.
+
+    Args:
+        workbench: takes the files.
+        visitors: know which page a browser has open.
+    """
+
+    def __init__(self, workbench: Workbench, visitors: Visitors) -> None:
+        self._workbench, self._visitors = workbench, visitors
+        self._under_way: Counter[str] = Counter()
+        for part in workbench.upload_room().glob("*.part"):  # of a program that was killed
+            part.unlink(missing_ok=True)
+
+    async def serve(self, request: Request) -> Response:
+        """Take a file."""
+        browser = request.state.browser
+        try:
+            with self._place(browser):
+                return await self._take(request, browser)
+        except ClientDisconnect:
+            log.debug("an upload was abandoned")
+            return Response(status_code=400)
+        except UploadError as error:
+            return _Refusal({"ok": False, "error": str(error)}, status_code=error.status)
+        except LadarregError as error:
+            return _Refusal({"ok": False, "error": str(error)}, status_code=400)
+
+    async def _take(self, request: Request, browser: str) -> Response:
+        what, photo = request.query_params.get("what", ""), request.query_params.get("photo") or None
+        if what not in KINDS:
+            raise OptionError(f"a file can be sent as {', '.join(KINDS)}; say which by ?what=")
+        name = upload_name(request.headers.get("x-file-name"))
+        room, most = self._workbench.upload_room(), self._workbench.limits.upload_bytes
+        _check_size(_declared_size(request), most, room)
+        part = room / f"{secrets.token_hex(16)}.part"
+        path = part.with_suffix(safe_suffix(name))
+        try:
+            await _stream(request, part, most)
+            await run_in_threadpool(part.replace, path)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
+            raise
+        try:
+            page = self._visitors.newest(browser)
+            taken = await run_in_threadpool(self._workbench.take_upload, path, name, what, photo, page)
+        except Exception as error:  # not where we are stopped: the thread may be taking the file all the same
+            path.unlink(missing_ok=True)
+            if not isinstance(error, LadarregError):
+                raise
+            # Readers name a file by where it lies, which is nobody's business.
+            raise UploadError(str(error).replace(str(path), name).replace(path.name, name), status=400) from None
+        return JSONResponse({"ok": True, "id": taken})
+
+    @contextmanager
+    def _place(self, browser: str) -> Iterator[None]:
+        if self._under_way[browser] >= _AT_A_TIME:
+            text = f"{_AT_A_TIME} files of this browser are on their way; send the next one when one has arrived"
+            raise UploadError(text, status=429)
+        self._under_way[browser] += 1
+        try:
+            yield
+        finally:
+            self._under_way[browser] -= 1
+            self._under_way += Counter()  # forgets those at zero
+
+
+class _Refusal(JSONResponse):
+    """An answer to somebody who is still sending: heard out for a while, or the answer would be lost with the rest."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+        await send({"type": "http.response.body", "body": self.body, "more_body": True})
+        until = time.monotonic() + _HEARD_OUT_S
+        more = True
+        while more and (left := until - time.monotonic()) > 0:
+            try:
+                message = await asyncio.wait_for(receive(), left)
+            except TimeoutError:
+                break
+            more = message["type"] == "http.request" and message.get("more_body", False)
+        await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+
+async def _stream(request: Request, part: Path, most: int) -> None:
+    """Write a request's body to a file."""
+    file = await run_in_threadpool(part.open, "xb")
+    try:
+        await _copy(request, file, part.parent, most)
+    finally:
+        file.close()  # at once: this may be the end of everything, and an open file cannot be removed everywhere
+
+
+async def _copy(request: Request, file: BinaryIO, room: Path, most: int) -> None:
+    received, block = 0, bytearray()
+    async for chunk in request.stream():
+        received += len(chunk)
+        block += chunk
+        _check_size(received, most, None)
+        if len(block) >= _BLOCK:
+            await run_in_threadpool(file.write, bytes(block))
+            _check_size(0, most, room)
+            block.clear()
+    await run_in_threadpool(file.write, bytes(block))
+    if not received:
+        raise OptionError("the file is empty; choose another")
+
+
+def _declared_size(request: Request) -> int:
+    text = request.headers.get("content-length", "")
+    return int(text) if text.isascii() and text.isdigit() else 0
+
+
+def _check_size(size: int, most: int, room: Path | None) -> None:
+    if size > most:
+        raise UploadError(f"the file is larger than {most / 2**20:.3g} MB, the most that is taken here", status=413)
+    if room is not None and shutil.disk_usage(room).free < size + _LEFT_FREE:
+        raise UploadError("the disk of the workbench is nearly full; make room there", status=507)

@@ -1,0 +1,130 @@
+"""viser under `/viser/`: its page and its websocket, forwarded to the loopback port that only we can open."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import logging
+from collections.abc import Iterator
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response, StreamingResponse
+from starlette.websockets import WebSocket, WebSocketDisconnect
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, WebSocketException
+from websockets.typing import Subprotocol
+
+from app.viser_lock import HEADER, ViserAddress
+
+log = logging.getLogger(__name__)
+_PASSED_ON = ("content-type", "content-length", "content-encoding")
+_BLOCK = 1 << 16
+_TIMEOUT_S = 10.0
+_LOST, _NOT_BINARY, _GOING = 1011, 1003, 1001
+_AWAY = "The 3-D view does not answer; start the workbench again."
+
+
+class ViserProxy:
+    """Forwards pages and websockets.
+
+    Args:
+        viser: where its server listens.
+    """
+
+    def __init__(self, viser: ViserAddress) -> None:
+        self._viser = viser
+
+    async def page(self, request: Request) -> Response:
+        """Forward a page; its query stays here."""
+        path = "/" + request.path_params.get("path", "")
+        if any(part in (".", "..") for part in path.replace("\\", "/").split("/")) or not path.isascii():
+            return PlainTextResponse("Not Found", status_code=404)
+        try:
+            answer = await run_in_threadpool(self._get, path, request.headers.get("accept-encoding", "identity"))
+        except (OSError, http.client.HTTPException) as error:
+            log.warning("viser does not answer: %s", error)
+            return PlainTextResponse(f"{_AWAY}\n", status_code=502)
+        headers = {name: value for name, value in answer.getheaders() if name.lower() in _PASSED_ON}
+        return StreamingResponse(_blocks(answer), status_code=answer.status, headers=headers)
+
+    async def websocket(self, websocket: WebSocket) -> None:
+        """Forward a websocket, both ways, until either side closes."""
+        offered = [Subprotocol(name) for name in websocket.scope["subprotocols"]]
+        try:
+            viser = await connect(
+                f"ws://{self._viser.host}:{self._viser.port}/",
+                subprotocols=offered or None,
+                additional_headers={HEADER: self._viser.secret},
+                compression=None,
+                max_size=None,
+                max_queue=4,
+                ping_interval=None,
+                open_timeout=_TIMEOUT_S,
+                proxy=None,
+            )
+        except (OSError, WebSocketException) as error:  # a TimeoutError is an OSError
+            log.warning("viser does not answer: %s", error)
+            await websocket.send_denial_response(PlainTextResponse(f"{_AWAY}\n", status_code=502))
+            return
+        try:
+            await websocket.accept(subprotocol=viser.subprotocol)
+            await self._forward(websocket, viser)
+        finally:
+            await viser.close()
+
+    async def _forward(self, websocket: WebSocket, viser: ClientConnection) -> None:
+        up = asyncio.create_task(_up(websocket, viser))
+        down = asyncio.create_task(_down(viser, websocket))
+        try:
+            await asyncio.wait((up, down), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in (up, down):
+                task.cancel()
+            await asyncio.gather(up, down, return_exceptions=True)
+
+    def _get(self, path: str, encoding: str) -> http.client.HTTPResponse:
+        connection = http.client.HTTPConnection(self._viser.host, self._viser.port, timeout=_TIMEOUT_S)
+        headers = {HEADER: self._viser.secret, "Accept-Encoding": encoding, "Connection": "close"}
+        connection.request("GET", path, headers=headers)
+        return connection.getresponse()
+
+
+async def _up(websocket: WebSocket, viser: ClientConnection) -> None:
+    try:
+        while (message := await websocket.receive())["type"] == "websocket.receive":
+            data = message.get("bytes")
+            if data is None:
+                await websocket.close(_NOT_BINARY)
+                return
+            await viser.send(data)
+    except ConnectionClosed:
+        await _close(websocket, viser)
+    except WebSocketDisconnect:
+        return
+
+
+async def _down(viser: ClientConnection, websocket: WebSocket) -> None:
+    try:
+        # Each send waits until the browser has taken what went before, and viser is not read meanwhile.
+        async for data in viser:
+            await websocket.send_bytes(data if isinstance(data, bytes) else data.encode())
+    except WebSocketDisconnect:
+        return
+    except ConnectionClosed:
+        log.debug("viser closed with an error")
+    await _close(websocket, viser)
+
+
+async def _close(websocket: WebSocket, viser: ClientConnection) -> None:
+    code = viser.close_code or _LOST
+    try:
+        await websocket.close(code if code in (1000, _GOING) or 3000 <= code < 5000 else _LOST, viser.close_reason)
+    except (RuntimeError, WebSocketDisconnect):  # it closed at the same time
+        return
+
+
+def _blocks(answer: http.client.HTTPResponse) -> Iterator[bytes]:
+    with answer:
+        while block := answer.read(_BLOCK):
+            yield block

@@ -1,0 +1,210 @@
+"""A small workbench behind the real gateway, on a real socket."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import ssl
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+from app.gateway.interface import Message, Picture
+from app.gateway.options import GatewayOptions
+from app.gateway.server import Gateway
+from app.gateway.site import site
+from app.viser_lock import ViserAddress
+from ladarreg_core.errors import FormatError, OptionError
+
+TOKEN = "a-token-of-tests"
+PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(256))
+
+
+@dataclass
+class Page:
+    name: str
+    address: str
+
+
+@dataclass
+class Limits:
+    upload_bytes: int = 300_000
+
+
+class CountingBench:
+    """Keeps a number that pages may set, and the files that they send."""
+
+    def __init__(self, room: Path) -> None:
+        self.room, self.limits = room, Limits()
+        self.lock = threading.Lock()
+        self.number, self.version, self.joined = 0, 0, 0
+        self.listeners: list[Callable[[Message], None]] = []
+        self.pages: list[Page] = []
+        self.taken: list[tuple[str, str, str | None, bytes, Page | None]] = []
+
+    def slices(self, client: Page) -> dict[str, Any]:
+        return {"number": self.number, "people": {"count": len(self.pages), "you": "?", "names": []}, "scan": None}
+
+    def subscribe(self, listener: Callable[[Message], None]) -> Callable[[], None]:
+        with self.lock:
+            self.listeners.append(listener)
+
+        def end() -> None:
+            with self.lock:
+                self.listeners.remove(listener)
+
+        return end
+
+    def tell(self, message: Message) -> None:
+        with self.lock:
+            listeners = list(self.listeners)
+        for listener in listeners:
+            listener(message)
+
+    def join(self, address: str) -> Page:
+        with self.lock:
+            self.joined += 1
+            page = Page(f"Operator {self.joined}", address)
+            self.pages.append(page)
+        return page
+
+    def leave(self, client: Page) -> None:
+        with self.lock:
+            self.pages.remove(client)
+
+    def answer(self, client: Page, message: dict[str, Any]) -> dict[str, Any]:
+        if message.get("do") == "fail":
+            raise RuntimeError("a secret of the program")
+        if message.get("do") == "set":
+            with self.lock:
+                self.number, self.version = message["number"], self.version + 1
+            self.tell({"slices": {"number": self.number, "people": {"you": "?"}}, "version": self.version})
+        return {"ok": True, "number": self.number, "nan": float("nan"), "you": client.name}
+
+    def picture(self, path: str, query: Mapping[str, str]) -> Picture:
+        if path != "scan":
+            raise FormatError(f"there is no picture {path!r}; ask for another")
+        if query.get("show") == "nonsense":
+            raise OptionError("it can show intensity; choose that")
+        return Picture(PNG, "image/png", f'"{query.get("rev", "none")}"\r\n')
+
+    def upload_room(self) -> Path:
+        return self.room
+
+    def take_upload(self, path: Path, name: str, what: str, photo: str | None, client: Page | None) -> str:
+        data = path.read_bytes()
+        if data.startswith(b"bad"):
+            raise FormatError(f"{path}: this is no scan; choose another than {path.name}")
+        path.unlink()
+        self.taken.append((name, what, photo, data, client))
+        return f"u{len(self.taken)}"
+
+    def export_file(self, photo: str) -> tuple[Path, str] | None:
+        path = self.room / f"{photo}.zip"
+        return (path, "wände.zip") if photo == "p1" and path.is_file() else None
+
+
+@dataclass
+class Running:
+    """A gateway, and how to talk to it."""
+
+    bench: CountingBench
+    gateway: Gateway
+    tls: ssl.SSLContext | None = None
+    cookie: str = field(init=False, default="")
+
+    @property
+    def port(self) -> int:
+        return self.gateway.port
+
+    @property
+    def origin(self) -> str:
+        return f"http{'s' if self.tls else ''}://127.0.0.1:{self.port}"
+
+    def ask(
+        self, method: str, path: str, headers: Mapping[str, str] | None = None, body: Any = None, *, known: bool = True
+    ) -> tuple[int, dict[str, str], bytes]:
+        """Send a request as a page of ours would; headers of value "" are left out."""
+        connection = (
+            http.client.HTTPSConnection("127.0.0.1", self.port, timeout=20, context=self.tls)
+            if self.tls
+            else http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+        )
+        sent = {"Origin": self.origin, "Cookie": self.cookie if known else ""} | dict(headers or {})
+        try:
+            connection.request(method, path, body, {name: value for name, value in sent.items() if value})
+            answer = connection.getresponse()
+            return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+        finally:
+            connection.close()
+
+    def enter(self) -> None:
+        """Show the token and keep the cookie."""
+        status, headers, _ = self.ask("GET", f"/?token={TOKEN}", known=False)
+        assert status == 200
+        self.cookie = headers["set-cookie"].partition(";")[0]
+
+    def socket(
+        self, path: str = "/document", headers: Mapping[str, str] | None = None, **more: Any
+    ) -> ClientConnection:
+        """Open a websocket as a page of ours would."""
+        sent = {"Origin": self.origin, "Cookie": self.cookie} | dict(headers or {})
+        scheme = "wss" if self.tls else "ws"
+        return connect(
+            f"{scheme}://127.0.0.1:{self.port}{path}",
+            additional_headers={name: value for name, value in sent.items() if value},
+            ssl=self.tls,
+            proxy=None,
+            open_timeout=10,
+            **({"max_size": None, "compression": None} | more),
+        )
+
+
+@contextmanager
+def running(room: Path, viser: ViserAddress | None = None, **options: Any) -> Iterator[Running]:
+    """Run a gateway for a while; somebody has shown it the token."""
+    tls = options.pop("context", None)
+    settings = GatewayOptions(**({"port": 0} | options))
+    bench = CountingBench(room)
+    where = viser or ViserAddress("127.0.0.1", 9, "nobody is there")
+    gateway = Gateway(lambda port: site(bench, token=TOKEN, viser=where, options=settings, port=port), settings)
+    gateway.start()
+    run = Running(bench, gateway, tls)
+    try:
+        run.enter()
+        yield run
+    finally:
+        gateway.close()
+
+
+def hear(socket: ClientConnection) -> dict[str, Any]:
+    """Return the next message."""
+    message = json.loads(socket.recv(timeout=10))
+    assert isinstance(message, dict)
+    return message
+
+
+def closing_code(socket: ClientConnection) -> int:
+    """Listen until the other side closes, and return its code; 1006 is none."""
+    try:
+        while True:
+            socket.recv(timeout=10)
+    except ConnectionClosed as closed:
+        return closed.rcvd.code if closed.rcvd else 1006
+
+
+def soon(what: Callable[[], bool], *, seconds: float = 5.0) -> bool:
+    """Tell whether something becomes true."""
+    until = time.monotonic() + seconds
+    while not what():
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.01)
+    return True

@@ -1,0 +1,28 @@
+"""A program that serves the tests' small workbench: `python -m tests.app.gateway_process FOLDER [PORT]`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from app.cli import _interrupt_on_sigterm, _set_up_log
+from app.gateway.options import GatewayOptions
+from app.gateway.serving import serve_until_interrupted
+from app.viser_server import close_server, open_locked_server
+from tests.app.gateway_bench import TOKEN, CountingBench
+
+
+def main(folder: str, port: str = "0") -> None:
+    _interrupt_on_sigterm()
+    _set_up_log(debug=False)
+    server, address = open_locked_server(label="test")
+    try:
+        serve_until_interrupted(
+            CountingBench(Path(folder)), address, token=TOKEN, options=GatewayOptions(port=int(port)), browser=False
+        )
+    finally:
+        close_server(server)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
