@@ -13,7 +13,7 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.perspective import View
 
-Show = Literal["intensity", "range", "normals", "edges", "color"]
+Show = Literal["intensity", "raw", "range", "normals", "edges", "color"]
 _EMPTY = np.array((11, 12, 15), np.uint8)  # where nothing came back
 _BINS = 4096
 _MOST_GAMMA = 10.0
@@ -48,9 +48,9 @@ def scan_picture(view: View, show: str, stretch: Stretch | None = None) -> NDArr
 
     Args:
         view: the view.
-        show: `intensity`, stretched; `range`, colours by inverse range, which is what parallax sees; `normals`, the
+        show: `intensity`, stretched, what falls with range made up for; `raw`, as the sensor gives it; `range`, colours by inverse range, which is what parallax sees; `normals`, the
             surface's direction as a colour; `edges`, of intensity and of range together; `color`, the scanner's own.
-        stretch: of the intensity.
+        stretch: of the intensity; of the range its percentiles.
 
     Raises:
         OptionError: if there is no such picture.
@@ -65,17 +65,31 @@ def scan_picture(view: View, show: str, stretch: Stretch | None = None) -> NDArr
         picture = np.rint(np.stack(planes, axis=-1)).astype(np.uint8)
         return np.where(view.inside[..., None], picture, _EMPTY)
     seen = np.isfinite(view.ranges)
-    if show == "intensity":
-        gray = stretched(view.intensity, seen, stretch or Stretch())
+    if show in ("intensity", "raw"):
+        values = view.intensity if show == "raw" else compensated(view)
+        gray = stretched(values, seen, stretch or Stretch())
         picture = np.repeat(gray[..., None], 3, axis=-1)
     elif show == "range":
-        picture = _range_colours(view.ranges, seen)
+        picture = _range_colours(view.ranges, seen, stretch or Stretch(low=1, high=99))
     elif show == "normals":
         picture = _normal_colours(view)
     else:
         gray = 255 - edge_strength(view)
         picture = np.repeat(gray[..., None], 3, axis=-1)
     return np.where(seen[..., None], picture, _EMPTY)
+
+
+def compensated(view: View) -> FloatArray:
+    """Return a view's intensity, (h, w), as if all of it came from the median range.
+
+    Light that comes back falls with the square of the range, which says nothing of the surface; without it, what lies
+    behind is as legible as what lies in front. Beyond a factor of four in range, noise would be all that is raised.
+    """
+    seen = np.isfinite(view.ranges)
+    if view.scan.intensity_is != "raw" or not seen.any():
+        return view.intensity
+    share = view.ranges / np.float32(np.median(view.ranges[seen]))
+    return np.asarray(view.intensity * np.clip(np.nan_to_num(share, nan=1.0), 0.25, 4.0) ** 2, dtype=np.float32)
 
 
 def stretched(values: FloatArray, known: NDArray[np.bool_], stretch: Stretch) -> NDArray[np.uint8]:
@@ -97,7 +111,7 @@ def stretched(values: FloatArray, known: NDArray[np.bool_], stretch: Stretch) ->
 def edge_strength(view: View) -> NDArray[np.uint8]:
     """Return how strong an edge is, (h, w) 0 to 255: of intensity, or of inverse range, whichever is the stronger."""
     seen = np.isfinite(view.ranges)
-    gray = stretched(view.intensity, seen, Stretch()).astype(np.float32)
+    gray = stretched(compensated(view), seen, Stretch()).astype(np.float32)
     depth = np.where(seen, 1 / np.where(seen, view.ranges, 1), 0).astype(np.float32)
     typical = float(np.median(depth[seen])) if seen.any() else 1.0
     of_gray = _magnitude(gray) / 160
@@ -109,11 +123,11 @@ def _magnitude(values: FloatArray) -> FloatArray:
     return np.hypot(cv2.Sobel(values, cv2.CV_32F, 1, 0), cv2.Sobel(values, cv2.CV_32F, 0, 1))
 
 
-def _range_colours(ranges: FloatArray, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _range_colours(ranges: FloatArray, seen: NDArray[np.bool_], stretch: Stretch) -> NDArray[np.uint8]:
     inverse = np.where(seen, 1 / np.where(seen, ranges, 1), 0)
     if not seen.any():
         return np.zeros((*ranges.shape, 3), np.uint8)
-    low, high = np.percentile(inverse[seen], (1, 99))
+    low, high = np.percentile(inverse[seen], (stretch.low, stretch.high))
     level = np.rint(255 * np.clip((inverse - low) / max(high - low, 1e-12), 0, 1)).astype(np.uint8)
     return np.asarray(cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB), dtype=np.uint8)
 

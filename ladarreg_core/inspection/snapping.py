@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.features.corners import CornerOptions, find_corners
-from ladarreg_core.inspection.scan_pictures import Stretch, stretched
+from ladarreg_core.inspection.scan_pictures import Stretch, compensated, stretched
 from ladarreg_core.perspective import View
 from ladarreg_core.photo import Photo
 
@@ -66,7 +66,7 @@ def _refined(window: FloatArray, at: FloatArray) -> FloatArray:
 
 def gray_of_view(view: View) -> FloatArray:
     """Return a view's intensity, stretched, (h, w) float32, 0 to 255."""
-    return stretched(view.intensity, np.isfinite(view.ranges), Stretch()).astype(np.float32)
+    return stretched(compensated(view), np.isfinite(view.ranges), Stretch()).astype(np.float32)
 
 
 def gray_of_photo(photo: Photo) -> FloatArray:

@@ -85,7 +85,7 @@ def with_picks(photo: PhotoEntry, picks: Iterable[Pick]) -> tuple[PhotoEntry, tu
         number += 1
         new.append(
             PickEntry(
-                id=f"m{number}",
+                id=str(number),
                 number=number,
                 kind=pick.kind,
                 scan=rows(pick.scan.tolist(), 3),

@@ -18,7 +18,7 @@ from ladarreg_core.inspection.judged import Measured, judge_picks, picks_in_spac
 from ladarreg_core.inspection.overlays import painted_through, photo_over_scan, scan_over_photo
 from ladarreg_core.inspection.partners import Partners
 from ladarreg_core.inspection.probing import probe
-from ladarreg_core.inspection.scan_pictures import Stretch, scan_picture
+from ladarreg_core.inspection.scan_pictures import Stretch, compensated, scan_picture
 from ladarreg_core.inspection.snapping import nearest_corner
 from ladarreg_core.inspection.views import inspection_views
 from ladarreg_core.matches import Pick
@@ -54,11 +54,21 @@ def test_pictures_have_the_views_size_and_hide_what_has_no_return(show: str) -> 
 def test_stretch_is_monotone_and_reaches_both_ends() -> None:
     view = inspection_views(wall())[0].view
     for stretch in (Stretch(), Stretch(equalise=True), Stretch(low=0, high=100, gamma=1)):
-        gray = scan_picture(view, "intensity", stretch)[..., 0].astype(int)
+        gray = scan_picture(view, "raw", stretch)[..., 0].astype(int)
         seen = np.isfinite(view.ranges)
         order = np.argsort(view.intensity[seen])
         assert (np.diff(gray[seen][order]) >= 0).all()
         assert gray[seen].max() == 255
+
+
+def test_what_falls_with_range_is_made_up_for() -> None:
+    """One paint on a floor: the same gray near and far, though a hundredth of the light comes back."""
+    geometry = AzimuthElevation(120, 100, 0.004, 0.004, elevation_offset_rad=-0.35)
+    ranges = np.clip(-1.5 / np.minimum(geometry.rays[..., 2], -1e-6), 0, 16)
+    scan = Scan(geometry, ranges, 100 / ranges**2)
+    view = inspection_views(scan)[0].view
+    near_and_far = compensated(view)[np.isfinite(view.ranges)]
+    assert np.percentile(near_and_far, 95) < 1.1 * np.percentile(near_and_far, 5)
 
 
 @pytest.mark.parametrize("wrong", [{"low": 50, "high": 50}, {"gamma": 0}, {"low": -1}, {"gamma": float("nan")}])
