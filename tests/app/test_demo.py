@@ -1,0 +1,55 @@
+"""`ladarreg demo`: one command, one address, the sample registered, and a clean end."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.processes import hear_ctrl_c
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send")]
+
+
+def start(checkout: Path, project: Path, *more: str) -> tuple[subprocess.Popen[str], str]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app", "demo", "--project", str(project), "--port", "0", "--no-browser", *more],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=hear_ctrl_c,
+    )  # fmt: skip
+    assert process.stdout is not None
+    return process, process.stdout.readline()
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    process.send_signal(signal.SIGINT)
+    rest, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    assert rest == ""
+    assert "Traceback" not in errors
+
+
+def poses(project: Path) -> list[dict[str, object]]:
+    photos = json.loads((project / "project.json").read_bytes())["photos"]
+    return [pose for photo in photos for pose in photo["poses"]]
+
+
+def test_the_sample_is_registered_and_kept(checkout: Path, tmp_path: Path) -> None:
+    project = tmp_path / "demo"
+    process, line = start(checkout, project)
+    assert line.startswith("Open http://127.0.0.1:"), process.communicate()[1]
+    assert "?token=" in line
+    until = time.monotonic() + 240
+    while not poses(project) and time.monotonic() < until:
+        time.sleep(0.5)
+    end(process)
+    (pose,) = poses(project)
+    assert pose["accepted"]
+
+    process, _ = start(checkout, project)
+    end(process)
+    assert poses(project) == [pose], "work that is there is left as it was"

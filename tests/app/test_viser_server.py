@@ -1,0 +1,40 @@
+"""viser, opened the only way we open it."""
+
+from __future__ import annotations
+
+import socket
+
+from app.stage3d.colours import MATCH_COLOURS
+from app.static_files import static_folder, static_text
+from app.viser_server import HOST, close_server, open_locked_server
+
+
+def test_it_listens_on_loopback_only() -> None:
+    server, address = open_locked_server(label="test")
+    try:
+        assert (address.host, address.port) == (HOST, server.get_port())
+        assert server.get_host() == HOST == "127.0.0.1"
+        with socket.create_connection((HOST, server.get_port()), timeout=5):
+            pass
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as other:
+            other.bind(("127.0.0.2", server.get_port()))  # free: the server did not take every address
+    finally:
+        close_server(server)
+
+
+def test_nobody_can_ask_for_a_public_address() -> None:
+    server, _ = open_locked_server(label="test")
+    try:
+        assert server.request_share_url() is None
+        assert server._share_tunnel is None
+    finally:
+        close_server(server)
+
+
+def test_tokens_hold_the_colours_that_the_scene_uses() -> None:
+    tokens = static_text("tokens.css")
+    for k, colour in enumerate(MATCH_COLOURS, start=1):
+        assert f"--lr-match-{k}: #{bytes(colour).hex()};" in tokens
+    assert "--lr-accent: #5cc8ff;" in tokens
+    for name in ("tokens.css", "panel.css", "logo.svg", "index.html", "js/main.js", "css/base.css"):
+        assert (static_folder() / name).is_file()
