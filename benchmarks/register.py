@@ -1,29 +1,22 @@
-"""Registrations, their accuracy and a time per step, beside the thesis's chain and SIFT with RANSAC in the same run.
+"""One registration measured: how far it is from the truth, what it tells of itself, and its time step by step.
 
-Run it as `python -m benchmarks.register [--seeds N] [--seed-offset K] [--sets standard,hard,...] [--json FILE]`.
+The times are the processor's, all threads together: what one core would need.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
-from collections import defaultdict
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
 import ladarreg_core as lr
-from ladarreg_core.matching.densify import DensifyOptions
-from ladarreg_core.matching.thesis import ThesisOptions
-from ladarreg_core.matching.thesis_matches import ThesisMatchOptions
-from ladarreg_core.pose.estimate import PoseOptions
-from ladarreg_core.pose.ransac import ransac_pose
-from ladarreg_core.pose.stereo_simplex import SimplexOptions
+from benchmarks.matching_peers import THESIS, by_nid, by_sift, by_sift_on_gradients
+from ladarreg_core.camera import Camera
 from ladarreg_core.register import RegisterOptions
-from ladarreg_core.simulate import SCENES, SETS, SimulatedCase, simulate_case
-from ladarreg_core.surface_range import surface_range
+from ladarreg_core.simulate import SimulatedCase
 
 
 @dataclass(frozen=True)
@@ -32,147 +25,106 @@ class Row:
 
     method: str
     set_name: str
-    scene: str
+    what: str
+    """The scene, or what was put together."""
     seed: int
     accepted: bool
     error_px: float
+    """Median displacement of the visible cells by pose and camera together; infinite where there is no right pose."""
     error_deg: float
     error_mm: float
-    sigmas: float
     seconds: float
+    sigmas: float = float("nan")
+    """RMS error of the pose in its own standard deviations."""
+    focal_percent: float = float("nan")
+    k1: float = float("nan")
+    """Error of the camera that was estimated."""
+    steps: dict[str, float] = field(default_factory=dict)
+    """Seconds of the clock by step."""
 
 
-def errors(case: SimulatedCase, pose: lr.Rigid) -> tuple[float, float, float]:
-    """Return the median displacement of visible cells (px), the angle (deg) and the distance (mm) from the truth."""
+def errors(case: SimulatedCase, pose: lr.Rigid, camera: Camera | None = None) -> tuple[float, float, float]:
+    """Return the median displacement of visible cells (px), the angle (deg) and the distance (mm) from the truth.
+
+    Args:
+        case: with the truth.
+        pose: what was found.
+        camera: the camera that was found; None: the true one.
+    """
     points = case.scan.points[case.scan.valid][::29].astype(float)
-    camera, truth = case.true_camera, case.camera_from_scanner
-    true = camera.project(truth @ points)
-    off = np.hypot(*(true - camera.project(pose @ points))[camera.contains(true)].T)
+    true_camera, truth = case.true_camera, case.camera_from_scanner
+    true = true_camera.project(truth @ points)
+    off = np.hypot(*(true - (camera or true_camera).project(pose @ points))[true_camera.contains(true)].T)
     seen = off[np.isfinite(off)]
     px = float(np.median(seen)) if len(seen) else float("nan")
     return px, float(np.degrees(pose.angle_to(truth))), 1e3 * pose.distance_to(truth)
 
 
-def by_sift(case: SimulatedCase) -> lr.Rigid | None:
-    """Match SIFT features of the perspective intensity image and the photo, and solve by RANSAC: the usual way."""
-    view = lr.perspective_view(case.scan, case.photo.camera)
-    gray = np.sqrt(np.maximum(view.intensity, 0))
-    gray = np.clip(gray * (255 / np.percentile(gray, 99.5)), 0, 255).astype(np.uint8)
-    sift = cv2.SIFT_create()
-    scan_keys, scan_features = sift.detectAndCompute(gray, None)
-    photo_keys, photo_features = sift.detectAndCompute(cv2.cvtColor(case.photo.pixels, cv2.COLOR_RGB2GRAY), None)
-    pairs = cv2.BFMatcher().knnMatch(scan_features, photo_features, k=2)
-    good = [first for first, second in pairs if first.distance < 0.85 * second.distance]
-    if len(good) < 6:
-        return None
-    rays = view.rays_at(np.array([scan_keys[m.queryIdx].pt for m in good]))
-    ranges = surface_range(case.scan, rays)
-    known = np.isfinite(ranges)
-    uv = np.array([photo_keys[m.trainIdx].pt for m in good])
-    found = ransac_pose(
-        (rays * ranges[:, None])[known], uv[known], case.photo.camera, threshold_px=5, iterations=5000, seed=0
-    )
-    return found.camera_from_scanner if found else None
-
-
-THESIS = {
-    "thesis": ThesisOptions(),
-    "to the letter": ThesisOptions(
-        first_pose="linear_only",
-        residual="stereo",
-        matching=ThesisMatchOptions(
-            first_search_px=15, depth_edges="foreground", densify=DensifyOptions(kappa="equal"), culling="one_sided"
-        ),
-        pose=PoseOptions(simplex=SimplexOptions(restarts=0)),
-    ),
-}
-"""The chain with what was added to it, and without."""
-
-
-def by_thesis(case: SimulatedCase, name: str, options: ThesisOptions, set_name: str, scene: str, seed: int) -> Row:
-    """Register by the thesis's chain."""
-    started = time.perf_counter()
-    result = lr.register(case.scan, case.photo, method="thesis", options=RegisterOptions(thesis=options))
-    seconds = time.perf_counter() - started
-    px, deg, mm = errors(case, result.camera_from_scanner) if len(result.matches) else (np.nan, np.nan, np.nan)
-    return Row(name, set_name, scene, seed, result.accepted, px, deg, mm, np.nan, seconds)
-
-
-def run(case: SimulatedCase, set_name: str, scene: str, seed: int, steps: dict[str, list[float]]) -> list[Row]:
-    """Register one case by every method."""
-    started = time.perf_counter()
-    result = lr.register(case.scan, case.photo)
-    seconds = time.perf_counter() - started
-    of_this: dict[str, float] = defaultdict(float)
+def timed(
+    scan: lr.Scan, photo: lr.Photo, *, initial: lr.Rigid | None = None, options: RegisterOptions | None = None
+) -> tuple[lr.Registration, float, dict[str, float]]:
+    """Register, and return the processor's seconds and the clock's by step, too."""
+    begin = time.process_time()
+    result = lr.register(scan, photo, initial=initial, options=options)
+    seconds = time.process_time() - begin
+    steps: dict[str, float] = {}
     for step in result.steps:
-        of_this[step.name] += step.seconds
-    for name, spent in of_this.items():
-        steps[name].append(spent)
-    px, deg, mm = errors(case, result.camera_from_scanner)
-    w = cv2.Rodrigues(case.camera_from_scanner.rotation @ result.camera_from_scanner.rotation.T)[0][:, 0]
-    d = np.concatenate([w, case.camera_from_scanner.centre - result.camera_from_scanner.centre])
-    sigmas = float(np.sqrt(d @ np.linalg.solve(result.covariance, d) / 6))
-    rows = [Row("auto", set_name, scene, seed, result.accepted, px, deg, mm, sigmas, seconds)]
-    rows += [by_thesis(case, name, options, set_name, scene, seed) for name, options in THESIS.items()]
+        steps[step.name] = steps.get(step.name, 0.0) + step.seconds
+    return result, seconds, steps
 
-    started = time.perf_counter()
-    pose = by_sift(case)
-    seconds = time.perf_counter() - started
+
+def by_default(
+    case: SimulatedCase,
+    set_name: str,
+    what: str,
+    seed: int,
+    *,
+    initial: lr.Rigid | None = None,
+    options: RegisterOptions | None = None,
+) -> Row:
+    """Register by the default method."""
+    result, seconds, steps = timed(case.scan, case.photo, initial=initial, options=options)
+    camera = result.camera
+    px, deg, mm = errors(case, result.camera_from_scanner, camera)
+    truth = case.camera_from_scanner
+    w = cv2.Rodrigues(truth.rotation @ result.camera_from_scanner.rotation.T)[0][:, 0]
+    d = np.concatenate([w, truth.centre - result.camera_from_scanner.centre])
+    return Row(
+        "auto", set_name, what, seed, result.accepted, px, deg, mm, seconds,
+        sigmas=float(np.sqrt(d @ np.linalg.solve(result.covariance, d) / 6)),
+        focal_percent=100 * abs(camera.focal_px / case.true_camera.focal_px - 1),
+        k1=abs((camera.distortion or (0.0,))[0] - (case.true_camera.distortion or (0.0,))[0]), steps=steps,
+    )  # fmt: skip
+
+
+QUICK_PEERS: dict[str, Callable[[SimulatedCase], lr.Rigid | None]] = {
+    "SIFT + RANSAC": by_sift,
+    "SIFT on gradients": by_sift_on_gradients,
+}
+"""Asked of every case."""
+SLOW_PEERS: dict[str, Callable[[SimulatedCase], lr.Rigid | None]] = {"NID alone": by_nid}
+"""Asked of some, as are both forms of the thesis's chain."""
+METHODS = ("auto", *THESIS, *SLOW_PEERS, *QUICK_PEERS)
+"""All, in the order of the tables."""
+
+
+def by_peers(case: SimulatedCase, set_name: str, scene: str, seed: int, *, slow_too: bool) -> Iterator[Row]:
+    """Register by the other methods; one without a verdict of its own accepts whatever it finds."""
+    for name, options in THESIS.items() if slow_too else ():
+        begin = time.process_time()
+        result = lr.register(case.scan, case.photo, method="thesis", options=RegisterOptions(thesis=options))
+        found = result.camera_from_scanner if len(result.matches) else None
+        yield _of_peer(name, case, found, set_name, scene, seed, begin, accepted=result.accepted)
+    for name, find in {**QUICK_PEERS, **(SLOW_PEERS if slow_too else {})}.items():
+        begin = time.process_time()
+        pose = find(case)
+        yield _of_peer(name, case, pose, set_name, scene, seed, begin, accepted=pose is not None)
+
+
+def _of_peer(
+    name: str, case: SimulatedCase, pose: lr.Rigid | None, set_name: str, scene: str, seed: int, begin: float,
+    *, accepted: bool,
+) -> Row:  # fmt: skip
+    seconds = time.process_time() - begin
     px, deg, mm = errors(case, pose) if pose else (np.nan, np.nan, np.nan)
-    rows.append(Row("SIFT + RANSAC", set_name, scene, seed, pose is not None, px, deg, mm, np.nan, seconds))
-    return rows
-
-
-def table(rows: list[Row]) -> None:
-    """Print a line per set and method."""
-    heads = ("set", "method", "accepted", "<.6 px", "px", "max px", "deg", "mm", "s", "sigmas")
-    print(f"{heads[0]:10} {heads[1]:14} {heads[2]:>9}" + "".join(f"{head:>8}" for head in heads[3:]))
-    for set_name in dict.fromkeys(row.set_name for row in rows):
-        for method in dict.fromkeys(row.method for row in rows):
-            mine = [row for row in rows if row.set_name == set_name and row.method == method]
-            taken = [row for row in mine if row.accepted]
-            px, deg, mm, sigmas = (
-                np.array([getattr(row, name) for row in taken] or [np.nan])
-                for name in ("error_px", "error_deg", "error_mm", "sigmas")
-            )
-            figures = [
-                f"{int((px < 0.6).sum())}",
-                f"{np.median(px):.2f}",
-                f"{np.max(px):.2f}",
-                f"{np.median(deg):.3f}",
-                f"{np.median(mm):.1f}",
-                f"{np.median([row.seconds for row in mine]):.2f}",
-                f"{np.sqrt(np.mean(sigmas**2)):.2f}",
-            ]
-            print(
-                f"{set_name:10} {method:14} {len(taken):5}/{len(mine):<3}" + "".join(f"{text:>8}" for text in figures)
-            )
-
-
-def main() -> None:
-    """Run the cases and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=2, help="cases per scene and set")
-    parser.add_argument("--seed-offset", type=int, default=0)
-    parser.add_argument("--sets", default="standard", help=f"of {', '.join(SETS)}")
-    parser.add_argument("--json", help="write all rows here")
-    arguments = parser.parse_args()
-    rows: list[Row] = []
-    steps: dict[str, list[float]] = defaultdict(list)
-    lr.register(*((made := simulate_case("boxes", seed=0)).scan, made.photo))  # imports and caches
-    for set_name in arguments.sets.split(","):
-        for scene in SCENES:
-            for seed in range(arguments.seed_offset, arguments.seed_offset + arguments.seeds):
-                rows += run(simulate_case(scene, set_name=set_name, seed=seed), set_name, scene, seed, steps)
-    table(rows)
-    print("\nmedian seconds a step (1000 x 700 cells, 768 x 512 pixels)")
-    for name, spent in steps.items():
-        print(f"  {name:16} {np.median(spent):6.3f}")
-    print(f"  {'all':16} {np.median([row.seconds for row in rows if row.method == 'auto']):6.3f}   (asked: <= 1.5)")
-    if arguments.json:
-        with open(arguments.json, "w", encoding="utf-8") as file:
-            json.dump([asdict(row) for row in rows], file, indent=1)
-
-
-if __name__ == "__main__":
-    main()
+    return Row(name, set_name, scene, seed, accepted, px, deg, mm, seconds)

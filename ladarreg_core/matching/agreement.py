@@ -180,17 +180,18 @@ def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target
     offsets = (v * width + u).reshape(-1)
     nearest = np.rint(uv).astype(np.intp)
     base = nearest[:, 1] * width + nearest[:, 0]
-    image = target.channels.reshape(-1, CHANNELS)
+    image, squares = target.channels.reshape(-1, CHANNELS), target.squares
     rho = np.empty((len(starts), side * side))
     ends = np.append(starts[1:], len(uv))
     for k, (first, last) in enumerate(zip(starts, ends, strict=True)):
         n = last - first
         A = channels[first:last] - channels[first:last].mean(axis=0)
-        B = image.take(offsets[:, None] + base[first:last], axis=0).reshape(len(offsets), n * CHANNELS)
+        pixels = offsets[:, None] + base[first:last]
+        B = image.take(pixels, axis=0).reshape(len(offsets), n * CHANNELS)
         # One product gives the correlation with A (which is centred, so B need not be) and the sums of B's channels.
         right = np.column_stack([A.reshape(-1), np.tile(_EACH_CHANNEL, (n, 1))])
         products = B @ right
-        length = np.einsum("sd,sd->s", B, B) - (products[:, 1:] ** 2).sum(axis=1) / n
+        length = squares.take(pixels).sum(axis=1) - (products[:, 1:] ** 2).sum(axis=1) / n
         norm_a = float(np.linalg.norm(A))
         rho[k] = products[:, 0] / (norm_a * np.sqrt(np.maximum(length, 0)) + _NO_CORRELATION)
     return rho.reshape(-1, side, side)

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement, agreement
 from ladarreg_core.matching.block_matches import BlockMatches, block_matches
@@ -17,7 +18,7 @@ from ladarreg_core.matching.evidence import RegionEvidence, region_evidence
 from ladarreg_core.matching.flow import flow_step
 from ladarreg_core.matching.levels import LEVELS, PhotoLevels, ScanLevels
 from ladarreg_core.matching.occlusion import Occluder
-from ladarreg_core.matching.points import ViewPoints, select_points
+from ladarreg_core.matching.points import ViewPoints, draw_points, edge_strength
 from ladarreg_core.matching.verify import GateOptions, Verification, verify
 
 _CLIMB = {2: ClimbOptions(tau_px=8, iterations=8), 1: ClimbOptions(tau_px=6, iterations=6)}
@@ -28,6 +29,7 @@ _RADIUS = {0: 6, 1: 6, 2: 8}
 _DAMPING = 3.0
 _SURE_FRACTION = 0.8
 _FINISH_ROUNDS = 5
+_LOOSE_STEPS = 2
 _REFOCUS_ROUNDS = 3
 _STILL_PX = 0.05
 
@@ -58,10 +60,12 @@ class Aligner:
         self.gate = gate
         self.seed = seed
         self.points: dict[int, ViewPoints] = {}
+        self._strength: dict[int, FloatArray] = {}
         for level in LEVELS:
-            found = select_points(scan, scan.channels[level], level=level, seed=seed)
-            if found is not None:
-                self.points[level] = found
+            strength = edge_strength(scan, scan.channels[level], level=level)
+            if strength is not None:
+                self._strength[level] = strength
+                self.points[level] = draw_points(scan, scan.channels[level], strength, level=level, seed=seed)
 
     @property
     def usable(self) -> bool:
@@ -84,21 +88,18 @@ class Aligner:
 
     @cached_property
     def _fine_points(self) -> ViewPoints | None:
-        return select_points(
-            self.scan,
-            self.scan.fine_channels,
-            level=0,
-            seed=self.seed,
-            count=_FINE_POINTS,
-            away_from_edges=True,
-        )
+        channels = self.scan.fine_channels
+        strength = edge_strength(self.scan, channels, level=0, away_from_edges=True)
+        if strength is None:
+            return None
+        return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=_FINE_POINTS)
 
     @cached_property
     def judged_points(self) -> ViewPoints:
         """The level-0 points of the verdict: more of them than a climb needs, so that a window's peak is its own."""
-        found = select_points(self.scan, self.scan.channels[0], level=0, seed=self.seed, count=_JUDGED_POINTS)
-        assert found is not None, "an aligner without points must not be asked to judge"
-        return found
+        assert 0 in self._strength, "an aligner without points must not be asked to judge"
+        channels, strength = self.scan.channels[0], self._strength[0]
+        return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=_JUDGED_POINTS)
 
     def look(self, pose: Rigid, level: int) -> Agreement:
         """Return the agreement at a pose."""
@@ -170,6 +171,14 @@ class Aligner:
             if number and self._moved(before, changed, pose, change) < _STILL_PX:
                 break
         return pose, change
+
+    def loosen(self, pose: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
+        """Make a few of the last steps of a finish again, from its end, with the first `free` of (log f, k1) free."""
+        if self._fine_points is None:
+            return pose, AS_STATED
+        options = replace(_FINE, free=free, iterations=_LOOSE_STEPS)
+        result = climb(self._fine_points, self._fine_target, self.occluder, pose, options)
+        return (pose, AS_STATED) if result is None else (result.camera_from_scanner, result.change)
 
     def _moved(self, first: Rigid, before: CameraChange, second: Rigid, after: CameraChange) -> float:
         """Return the median displacement of the level-0 points between two poses and cameras, working pixels."""

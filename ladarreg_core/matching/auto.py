@@ -18,7 +18,8 @@ from ladarreg_core.matching.block_matches import BlockMatches
 from ladarreg_core.matching.density import density_in
 from ladarreg_core.matching.evidence import WindowEvidence, window_evidence
 from ladarreg_core.matching.free_camera import FreeCamera, check_free_camera, finished, with_camera_free
-from ladarreg_core.matching.levels import ChannelSet, photo_levels, working_camera
+from ladarreg_core.matching.levels import ChannelSet
+from ladarreg_core.matching.pictures import Pictures
 from ladarreg_core.matching.search import ViewSearch
 from ladarreg_core.matching.second_minimum import second_minimum
 from ladarreg_core.matching.turned import Turn
@@ -81,7 +82,13 @@ class AutoResult:
 
 
 def register_auto(
-    scan: Scan, photo: Photo, steps: StepLog, *, initial: Rigid | None = None, options: AutoOptions | None = None
+    scan: Scan,
+    photo: Photo,
+    steps: StepLog,
+    *,
+    initial: Rigid | None = None,
+    options: AutoOptions | None = None,
+    pictures: Pictures | None = None,
 ) -> AutoResult:
     """Find the photo's pose from the pictures alone.
 
@@ -97,11 +104,13 @@ def register_auto(
         steps: receives every step.
         initial: a rough pose to try first.
         options: thresholds and seed.
+        pictures: of the pair, where it was looked at before.
     """
     o = options or AutoOptions()
-    working = working_camera(scan, photo.camera)
+    pictures = pictures or Pictures(scan, photo)
+    working = pictures.working
     with steps.step("photo") as note:
-        photo_side = photo_levels(photo, working)
+        photo_side = pictures.photo
         contrast = max(float(plane.max() - plane.min()) for plane in photo_side.planes[0])
         note.update(width=working.width, height=working.height, focal_px=round(working.fx, 3))
     if contrast < 1:
@@ -118,8 +127,7 @@ def register_auto(
         return AutoResult(initial, None, None, (reason,))
 
     search = ViewSearch(
-        scan,
-        photo_side,
+        pictures,
         steps,
         gate=o.gate,
         good_fraction=o.good_fraction,

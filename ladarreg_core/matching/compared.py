@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.occlusion import Occluder
-from ladarreg_core.matching.points import Blocks, ViewPoints
+from ladarreg_core.matching.points import Blocks, ViewPoints, runs
 
 LEAST_POINTS = 8
 """Visible points that a block needs."""
@@ -27,6 +28,11 @@ class Target:
         self.channels = channels
         self.usable = usable
         self._values = channels.reshape(-1, channels.shape[-1])
+
+    @cached_property
+    def squares(self) -> FloatArray:
+        """(h w,) the channels' squared norm at each pixel."""
+        return np.asarray(np.einsum("nk,nk->n", self._values, self._values))
 
     def seen_by(self, camera: Camera) -> Target:
         """Return the same picture, taken for that of another camera of its size."""
@@ -164,5 +170,5 @@ def compare_blocks(
 
 
 def _sub_blocks(labels: NDArray[np.intp]) -> Blocks:
-    names, starts, of_point = np.unique(labels, return_index=True, return_inverse=True)
-    return Blocks(starts, of_point, names[:, None])
+    starts, of_point = runs(labels)
+    return Blocks(starts, of_point, labels[starts, None])

@@ -50,7 +50,7 @@ def density_in(scan: Scan, camera: Camera, poses: Sequence[Rigid]) -> Density | 
         camera: the photo's own camera.
         poses: `camera_from_scanner`, rough ones: views from the scanner's own place are enough.
     """
-    stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLES)))
+    stride = max(1, round(float(np.sqrt(scan.ranges.size / _SAMPLES))))
     points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=-1)]
     densest: Density | None = None
@@ -61,7 +61,9 @@ def density_in(scan: Scan, camera: Camera, poses: Sequence[Rigid]) -> Density | 
         count = len(uv) * stride**2
         if not count or (densest is not None and count <= densest.points):
             continue
-        tile = np.floor((uv + 0.5) * np.array(_TILES) / camera.size).astype(np.intp)
-        covered = len(np.unique(tile, axis=0)) / (_TILES[0] * _TILES[1])
+        tiles = np.array(_TILES)
+        column, row = np.minimum(np.floor((uv + 0.5) * tiles / camera.size).astype(np.intp), tiles - 1).T
+        seen = np.bincount(row * _TILES[0] + column, minlength=_TILES[0] * _TILES[1])
+        covered = np.count_nonzero(seen) / len(seen)
         densest = Density(count, covered * area / count, area / NEEDED_POINTS)
     return densest

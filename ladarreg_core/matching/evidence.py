@@ -55,6 +55,16 @@ class RegionEvidence:
     regions: int
     """How many regions were left out in turn."""
 
+    def in_doubt(self, moved: FloatArray) -> RegionEvidence:
+        """Return the evidence for a pose that another, no better explanation of the picture moves by (w, c), (6,).
+
+        The move counts as an error of its own. As many standard deviations as it is long, as far may the pose be off in
+        any direction: what is wrong is not known, or it would have been estimated.
+        """
+        covariance = self.covariance[:6, :6]
+        squared = float(moved @ np.linalg.solve(covariance, moved)) / len(moved)
+        return RegionEvidence((1 + squared) * covariance + np.outer(moved, moved), self.regions)
+
     def deviate(self, moved: FloatArray) -> float:
         """Return how surely (log f, k1), (K,), moved: not by chance, as a normal deviate.
 

@@ -25,6 +25,7 @@ FreeCamera = Literal["auto", "fixed", "focal", "focal_k1"]
 
 _FREE: Mapping[FreeCamera, int] = {"auto": 2, "fixed": 0, "focal": 1, "focal_k1": 2}
 _LOOK_SIGMA = 3.0
+_AT_EASE = 2.0  # two steps tell of a camera that is wrong most of what a whole finish does
 _KEEP_SIGMA = 3.0
 _REFUSE_SIGMA = 5.0
 _WRONG_CAMERA = (
@@ -123,6 +124,8 @@ def with_camera_free(fixed: Finished, photo: Photo, start: Rigid, intrinsics: Fr
     if intrinsics == "fixed" or (intrinsics == "auto" and photo.temperature_k is not None):
         return fixed  # a thermal picture has too few structures to tell
     free = _FREE[intrinsics]
+    if intrinsics == "auto" and _doubt(fixed, *fixed.aligner.loosen(fixed.camera_from_scanner, free=free)) <= _AT_EASE:
+        return fixed
     pose, change = fixed.aligner.finish_free(fixed.camera_from_scanner, free=free)
     doubt = _doubt(fixed, pose, change)
     if intrinsics == "auto" and doubt <= _LOOK_SIGMA:
@@ -160,8 +163,7 @@ def _less_certain(fixed: Finished, other: Rigid) -> Finished:
     pose = fixed.camera_from_scanner
     turn = rotvec_from_rotation(other.rotation @ pose.rotation.T)
     moved = np.concatenate([turn, other.centre - pose.centre])
-    covariance = fixed.regions.covariance + np.outer(moved, moved)
-    return replace(fixed, regions=replace(fixed.regions, covariance=covariance))
+    return replace(fixed, regions=fixed.regions.in_doubt(moved))
 
 
 def _doubt(fixed: Finished, pose: Rigid, change: CameraChange) -> float:

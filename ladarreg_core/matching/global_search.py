@@ -104,10 +104,14 @@ class _Cloud:
         inside = camera.contains(uv, border=-0.49)
         index = in_front[inside]
         pixel = np.rint(uv[inside]).astype(np.intp) @ np.array([1, camera.width])
-        order = np.lexsort((index, -there[index, 2]))  # the nearest is written last
-        picture = np.zeros((camera.height * camera.width, ORIENTATIONS), np.float32)
-        mask = np.zeros(camera.height * camera.width, np.bool_)
-        picture[pixel[order]], mask[pixel] = self.channels[index[order]], True
+        depth = there[index, 2]
+        nearest = np.full(camera.height * camera.width, np.inf, np.float32)
+        np.minimum.at(nearest, pixel, depth)
+        shown = depth == nearest[pixel]
+        mask = np.isfinite(nearest)
+        first = np.zeros(len(nearest), np.intp)
+        first[pixel[shown]] = index[shown]
+        picture = self.channels.take(first, axis=0) * mask[:, None]
         shape = (camera.height, camera.width)
         return np.ascontiguousarray(picture.T).reshape(ORIENTATIONS, *shape), mask.reshape(shape)
 
@@ -116,8 +120,6 @@ class _Slider:
     """The photo's coarse channels, transformed once, to be compared with pictures of the scan at every shift."""
 
     def __init__(self, photo: PhotoLevels, most_turn_rad: float) -> None:
-        from scipy import fft  # here, since few photos need it
-
         level = photo.cameras[_LEVEL]
         self.camera = level.scaled(_SCALE)
         # Plane by plane: OpenCV averages areas of four channels at the most.
@@ -133,8 +135,7 @@ class _Slider:
         height, width = self.camera.height, self.camera.width
         self._reach = tuple(int(min(reach, side - 1)) for side in (height, width))
         padded = [n + r for n, r in zip((height, width), self._reach, strict=True)]
-        self._fft = fft
-        self._shape = tuple(int(fft.next_fast_len(n, real=True)) for n in padded)
+        self._shape = tuple(cv2.getOptimalDFTSize(n) for n in padded)
         self._channels, self._mask = self._transform(channels), self._transform(mask)
         self._energy = self._transform((channels**2).sum(axis=0))
 
@@ -164,11 +165,11 @@ class _Slider:
         return Rigid(turn, np.zeros(3)), float(score[row, column])
 
     def _transform(self, picture: FloatArray) -> NDArray[np.complex64]:
-        return np.asarray(self._fft.rfft2(picture, self._shape))
+        return np.asarray(np.fft.rfft2(picture, self._shape))
 
     def _at_shifts(self, product: NDArray[np.complex64]) -> FloatArray:
         """Return the correlation (2 r_v + 1, 2 r_u + 1) at all shifts within reach."""
-        whole = np.roll(np.asarray(self._fft.irfft2(product, self._shape)), self._reach, axis=(0, 1))
+        whole = np.roll(np.asarray(np.fft.irfft2(product, self._shape)), self._reach, axis=(0, 1))
         return np.asarray(whole[: 2 * self._reach[0] + 1, : 2 * self._reach[1] + 1])
 
 

@@ -5,7 +5,7 @@ The photo is undistorted and never warped again; the scan is seen in perspective
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -36,6 +36,7 @@ _STRETCH_PERCENT = (1.0, 99.5)
 _RANGE_SPAN_M = (0.3, 30.0)
 _HOLE_REACH_PX = 2.0
 _FINE = {"blur_px": 1.2, "local_factor": 2.0}
+_OF_EVERY_SET = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
 
 
 def _normalised(raw: FloatArray, level: int) -> FloatArray:
@@ -149,6 +150,15 @@ class ScanLevels:
     """(h, w) bool, level 0: within three pixels of a depth edge or a hole."""
     channel_set: ChannelSet = "both"
     """What `channels` are made of."""
+
+    def with_channels(self, channel_set: ChannelSet) -> ScanLevels:
+        """Return the same levels with other channels to be compared; what was made of either is kept."""
+        if channel_set == self.channel_set:
+            return self
+        other = replace(self, channel_set=channel_set)
+        shared = {name: made for name, made in vars(self).items() if name in _OF_EVERY_SET}
+        vars(other).update(shared)
+        return other
 
     @cached_property
     def _raw_intensity(self) -> FloatArray:

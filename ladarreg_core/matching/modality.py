@@ -14,6 +14,7 @@ import numpy as np
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
 from ladarreg_core.matching.levels import ChannelSet
+from ladarreg_core.matching.pictures import Pictures
 from ladarreg_core.matching.verify import GateOptions, Verification
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
@@ -78,6 +79,7 @@ def register_by_modality(
         # A few soft regions fix a pose, and no lens besides.
         o = replace(o, gate=COARSE_GATE, intrinsics="fixed" if o.intrinsics == "auto" else o.intrinsics)
     found: dict[ChannelSet, AutoResult] = {}
+    pictures = Pictures(scan, photo)
     start = initial
     for channel_set in get_args(ChannelSet):
         if len(found) == 2 and not any(map(_leads_somewhere, found.values())):
@@ -85,7 +87,12 @@ def register_by_modality(
         # what one set of channels has found need only be looked at by the others
         reach: Reach = o.reach if start is initial else "near_start"
         found[channel_set] = register_auto(
-            scan, photo, steps, initial=start, options=replace(o, channel_set=channel_set, reach=reach)
+            scan,
+            photo,
+            steps,
+            initial=start,
+            options=replace(o, channel_set=channel_set, reach=reach),
+            pictures=pictures,
         )
         if _accepted(found[channel_set]) and not thermal:
             break

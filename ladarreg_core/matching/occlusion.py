@@ -17,6 +17,7 @@ _CLOUD_STEP = 2
 _BUFFER_SCALE = 0.25
 _TOLERANCE_FRACTION = 0.04
 _TOLERANCE_M = 0.02
+_NEAREST_M = 0.05
 
 
 class Occluder:
@@ -29,28 +30,40 @@ class Occluder:
         rays = scan.view.camera.unproject(uv) @ scan.view.view_from_scanner.rotation
         self._cloud = (rays * ranges[v, u][:, None]).astype(np.float32)
         self._camera = photo_camera.scaled(_BUFFER_SCALE)
+        self._last: tuple[Rigid, FloatArray] | None = None
 
     def depth_buffer(self, camera_from_scanner: Rigid) -> FloatArray:
         """Return the nearest depth per coarse pixel, (h, w) float32 m; infinite where nothing is."""
+        if self._last is not None and self._last[0] is camera_from_scanner:
+            return self._last[1]  # a climb's end is looked at several times
         cloud = camera_from_scanner @ self._cloud
         cell, inside = self._cells(cloud)
         buffer = np.full(self._camera.width * self._camera.height, np.inf, np.float32)
-        np.minimum.at(buffer, cell[inside], cloud[inside, 2])
+        np.minimum.at(buffer, cell, cloud[:, 2][inside])
+        self._last = camera_from_scanner, buffer
         return buffer
 
     def visible(self, points_camera: FloatArray, buffer: FloatArray) -> BoolArray:
         """Return which points (N, 3), camera frame, lie in the picture and on its nearest surface."""
         cell, inside = self._cells(points_camera)
-        depth = points_camera[:, 2]
-        nearest = buffer[np.where(inside, cell, 0)]
-        return np.asarray(inside & (depth <= nearest * (1 + _TOLERANCE_FRACTION) + _TOLERANCE_M))
+        shown = points_camera[:, 2][inside] <= buffer[cell] * (1 + _TOLERANCE_FRACTION) + _TOLERANCE_M
+        visible = np.zeros(len(points_camera), np.bool_)
+        visible[inside] = shown
+        return visible
 
     def _cells(self, points_camera: FloatArray) -> tuple[NDArray[np.intp], BoolArray]:
+        """Return the coarse pixels (M,) of the points in the picture, and which of the points (N,) they are."""
         camera = self._camera
-        x, y, z = points_camera[:, 0], points_camera[:, 1], points_camera[:, 2]
-        front = z > 0.05
-        safe = np.where(front, z, 1)
-        u = np.rint(np.clip(x / safe * camera.fx + camera.cx, -1e6, 1e6)).astype(np.intp)
-        v = np.rint(np.clip(y / safe * camera.fy + camera.cy, -1e6, 1e6)).astype(np.intp)
-        inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        return v * camera.width + u, inside
+        x, y, z = np.ascontiguousarray(points_camera.T)
+        front = z > _NEAREST_M
+        shrink = 1 / np.where(front, z, 1)
+        u, v = x * shrink, y * shrink
+        u *= camera.fx
+        u += camera.cx
+        v *= camera.fy
+        v += camera.cy
+        inside = front & (u > -0.5) & (u < camera.width - 0.5) & (v > -0.5) & (v < camera.height - 0.5)
+        cell = np.rint(v[inside]).astype(np.intp)
+        cell *= camera.width
+        cell += np.rint(u[inside]).astype(np.intp)
+        return cell, inside

@@ -55,31 +55,21 @@ class ViewPoints:
         return len(self.points)
 
 
-def select_points(
-    scan: ScanLevels,
-    channels: FloatArray,
-    *,
-    level: int,
-    seed: int,
-    count: int | None = None,
-    away_from_edges: bool = False,
-) -> ViewPoints | None:
-    """Choose points for one level.
+def edge_strength(
+    scan: ScanLevels, channels: FloatArray, *, level: int, away_from_edges: bool = False
+) -> FloatArray | None:
+    """Return how strong an edge is at the pixels that points may be drawn from, or None where the view has none.
 
     Args:
         scan: the scan's levels.
-        channels: (h, w, 8) of that level, whose norm says how strong an edge is.
+        channels: (h, w, 8) of that level, whose norm it is.
         level: which level.
-        seed: of the draw among the strongest.
-        count: how many at the most; None: the level's standard.
         away_from_edges: leave out what is near depth edges and holes.
 
     Returns:
-        the points; None where the view has none.
+        (h, w) float32; 0 where no point may be drawn.
     """
-    camera = scan.cameras[level]
-    wanted = count or _COUNT[level]
-    surface, edge = _at_level(scan, camera, level)
+    surface, edge = _at_level(scan, scan.cameras[level], level)
     norm = np.sqrt(np.einsum("hwk,hwk->hw", channels, channels))
     usable = np.isfinite(surface) & (norm > _LEAST_NORM)
     if away_from_edges:
@@ -88,19 +78,36 @@ def select_points(
     usable[:, :_BORDER_PX] = usable[:, -_BORDER_PX:] = False
     checker = np.indices(usable.shape, sparse=True)
     usable &= (checker[0] + checker[1]) % 2 == 0
-    v, u = np.nonzero(usable)
-    if not len(v):
-        return None
-    kept = _strongest_in_strata(u, v, norm[v, u], _STRATUM_PX[level], wanted, np.random.default_rng(seed))
-    u, v = u[kept], v[kept]
+    return norm * usable if usable.any() else None
+
+
+def draw_points(
+    scan: ScanLevels, channels: FloatArray, strength: FloatArray, *, level: int, seed: int, count: int | None = None
+) -> ViewPoints:
+    """Draw the points of one level from the strongest edges of each stratum, of which twice as many are kept.
+
+    Args:
+        scan: the scan's levels.
+        channels: (h, w, 8) of that level.
+        strength: (h, w) as of `edge_strength`.
+        level: which level.
+        seed: of the draw.
+        count: how many at the most; None: the level's standard.
+    """
+    camera, wanted = scan.cameras[level], count or _COUNT[level]
+    surface, _ = _at_level(scan, camera, level)
+    pixel = _strongest_in_strata(strength, _STRATUM_PX[level], 2 * wanted)
+    if len(pixel) > wanted:
+        pixel = np.random.default_rng(seed).choice(pixel, wanted, replace=False)
+    v, u = np.divmod(pixel, camera.width)
 
     side = BLOCK_PX >> level
     block_row, block_column = v // side, u // side
     label = block_row * (camera.width // side + 1) + block_column
-    order = np.argsort(label, kind="stable")
+    order = np.lexsort((pixel, label))
     u, v, label = u[order], v[order], label[order]
-    names, starts, of_point = np.unique(label, return_index=True, return_inverse=True)
-    grid = np.stack(np.divmod(names, camera.width // side + 1), axis=-1)
+    starts, of_point = runs(label)
+    grid = np.stack(np.divmod(label[starts], camera.width // side + 1), axis=-1)
 
     uv = np.stack([u, v], axis=-1).astype(np.float64)
     rays = camera.unproject(uv) @ scan.view.view_from_scanner.rotation
@@ -118,21 +125,25 @@ def _at_level(scan: ScanLevels, camera: Camera, level: int) -> tuple[FloatArray,
     return scan.ranges[grid], scan.edge[grid]
 
 
-def _strongest_in_strata(
-    u: NDArray[np.intp],
-    v: NDArray[np.intp],
-    strength: FloatArray,
-    stratum_px: int,
-    count: int,
-    rng: np.random.Generator,
-) -> NDArray[np.intp]:
-    """Keep the strongest of each stratum, twice as many as wanted, and draw `count` of them."""
-    label = (v // stratum_px) * 100_000 + u // stratum_px
-    weakness = 1 - strength / (np.float64(strength.max()) * (1 + 1e-9) + 1e-12)  # in [0, 1): sorts within a stratum
-    order = np.argsort(label + weakness, kind="stable")
-    _, starts, sizes = np.unique(label[order], return_index=True, return_counts=True)
-    rank = np.arange(len(order)) - np.repeat(starts, sizes)
-    kept = order[rank < int(np.ceil(2 * count / len(starts)))]
-    if len(kept) > count:
-        kept = rng.choice(kept, count, replace=False)
-    return np.sort(kept)
+def _strongest_in_strata(strength: FloatArray, side_px: int, count: int) -> NDArray[np.intp]:
+    """Return the flat pixels (K,) that are the strongest of their stratum, about `count`, stratum by stratum."""
+    height, width = strength.shape
+    rows, columns, area = -(-height // side_px), -(-width // side_px), side_px**2
+    whole = np.zeros((rows * side_px, columns * side_px), np.float32)
+    whole[:height, :width] = strength
+    strata = whole.reshape(rows, side_px, columns, side_px).swapaxes(1, 2).reshape(rows, columns, area)
+    # Positive floats are ordered as their bits are; of equally strong pixels the first counts.
+    rank = (strata.view(np.int32).astype(np.int64) + 1) * area - np.arange(1, area + 1)
+    filled = int(np.count_nonzero(strata.any(axis=-1)))
+    of_each = min(-(-count // max(filled, 1)), area)
+    least = np.partition(rank, -of_each, axis=-1)[..., -of_each, None]
+    kept = ((rank >= least) & (strata > 0)).reshape(rows, columns, side_px, side_px).swapaxes(1, 2)
+    pixel = np.flatnonzero(kept.reshape(rows * side_px, columns * side_px)[:height, :width])
+    v, u = np.divmod(pixel, width)
+    return pixel[np.lexsort((-strength[v, u], v // side_px * columns + u // side_px))]
+
+
+def runs(label: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return where each run of equal labels begins, (R,), and which run each of the labels (N,) is of."""
+    starts = np.flatnonzero(np.diff(label, prepend=label[:1] - 1))
+    return starts, np.repeat(np.arange(len(starts)), np.diff(starts, append=len(label)))

@@ -40,8 +40,8 @@ def describe_turned(
     bins = angle_rad / _BIN_RAD
     whole = int(np.floor(bins))
     part = np.float32(bins - whole)
-    upper, lower = np.roll(samples, -whole, axis=-1), np.roll(samples, -whole - 1, axis=-1)
-    samples = upper * (1 - part) + lower * part
+    each = np.eye(ORIENTATIONS, dtype=np.float32)
+    samples = samples @ (np.roll(each, whole, axis=0) * (1 - part) + np.roll(each, whole + 1, axis=0) * part)
     return unit_rows(samples.reshape(len(uv), _SIDE * _SIDE * ORIENTATIONS))
 
 

@@ -16,12 +16,11 @@ from ladarreg_core.matching.alike import Places
 from ladarreg_core.matching.climb import ClimbOptions, ClimbResult, climb
 from ladarreg_core.matching.global_search import Place, likely_places
 from ladarreg_core.matching.hypotheses import Hypothesis, described_corners, hypotheses, points_at
-from ladarreg_core.matching.levels import LEVELS, ChannelSet, PhotoLevels, ScanLevels, scan_levels
+from ladarreg_core.matching.levels import LEVELS, ChannelSet, ScanLevels
+from ladarreg_core.matching.pictures import Pictures
 from ladarreg_core.matching.turned import Turn, turn_between
 from ladarreg_core.matching.verify import GateOptions
 from ladarreg_core.matching.views import towards_seen
-from ladarreg_core.perspective import View, perspective_view
-from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
 
 _COARSEST = LEVELS[-1]
@@ -35,8 +34,7 @@ class ViewSearch:
 
     def __init__(
         self,
-        scan: Scan,
-        photo: PhotoLevels,
+        pictures: Pictures,
         steps: StepLog,
         *,
         gate: GateOptions,
@@ -44,8 +42,9 @@ class ViewSearch:
         seed: int,
         channel_set: ChannelSet = "both",
     ) -> None:
-        self._scan = scan
-        self._photo = photo
+        self._pictures = pictures
+        self._scan = pictures.scan
+        self._photo = pictures.photo
         self._steps = steps
         self._gate = gate
         self._good_fraction = good_fraction
@@ -59,8 +58,7 @@ class ViewSearch:
             if kept is direction:
                 return aligner if aligner.usable else None
         with self._steps.step("channels") as note:
-            view = perspective_view(self._scan, self._photo.cameras[0], view_from_scanner=direction)
-            levels = _with_channels(self._scan, view, self._photo, self._channel_set)
+            levels = _with_channels(self._pictures, direction, self._channel_set)
             aligner = Aligner(levels, self._photo, gate=self._gate, seed=self._seed)
             note.update(view=name, points={level: len(p) for level, p in aligner.points.items()})
         self._kept.append((direction, aligner))
@@ -167,11 +165,12 @@ def _coarse_ends(aligner: Aligner, places: Sequence[Place]) -> list[ClimbResult]
     return [end for end in ends if end is not None]
 
 
-def _with_channels(scan: Scan, view: View, photo_side: PhotoLevels, channel_set: ChannelSet) -> ScanLevels:
+def _with_channels(pictures: Pictures, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
     """Return the scan's levels with the channels of both sides made, on two cores where there are two."""
+    photo_side = pictures.photo
     with ThreadPoolExecutor(1) as other_core:
         of_photo = other_core.submit(lambda: (photo_side.channels, photo_side.fine_channels))
-        levels = scan_levels(scan, view, channel_set=channel_set)
+        levels = pictures.view(direction, channel_set)
         of_geometry = other_core.submit(lambda: levels.geometry_channels)
         _ = levels.intensity_channels, levels.fine_channels
         of_photo.result()

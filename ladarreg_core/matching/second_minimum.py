@@ -97,9 +97,9 @@ def _peaks(channels: FloatArray, uv: FloatArray, picture: FloatArray) -> list[tu
     height, width = picture.shape[:2]
     shape = (2 * height, 2 * width)
     column, row = np.rint(uv).astype(np.intp).T
-    mask = np.zeros((height, width))
+    mask = np.zeros((height, width), np.float32)
     mask[row, column] = 1
-    scan = np.zeros((height, width, ORIENTATIONS))
+    scan = np.zeros((height, width, ORIENTATIONS), np.float32)
     scan[row, column] = channels - channels.mean(axis=0)
     centred = picture - picture.mean(axis=(0, 1))
     seen = np.conj(np.fft.rfft2(mask, shape))
@@ -107,7 +107,7 @@ def _peaks(channels: FloatArray, uv: FloatArray, picture: FloatArray) -> list[tu
         np.conj(np.fft.rfft2(scan[..., k], shape)) * np.fft.rfft2(centred[..., k], shape) for k in range(ORIENTATIONS)
     )
     energy = np.fft.irfft2(seen * np.fft.rfft2((centred**2).sum(axis=-1), shape), shape)
-    overlap = np.fft.irfft2(seen * np.fft.rfft2(np.ones((height, width)), shape), shape) / mask.sum()
+    overlap = np.fft.irfft2(seen * np.fft.rfft2(np.ones_like(mask), shape), shape) / mask.sum()
     score = np.fft.irfft2(product, shape) / np.sqrt(np.maximum(energy, 1e-6 * float(energy.max()) + 1e-12))
     score = np.fft.fftshift(np.where(overlap >= _LEAST_OVERLAP, score, -np.inf))
     at_zero = float(score[height, width])

@@ -155,13 +155,12 @@ def _channels_and_corners(gray: ArrayLike, uv: ArrayLike, name: str) -> tuple[Fl
 
 def _apart(uv: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the first corners of those that crowd: a crowd's corners are each other's rivals."""
-    kept: list[int] = []
-    for k, corner in enumerate(uv):
-        if len(kept) == _MOST_CORNERS:
-            break
-        if not (np.abs(uv[kept] - corner).max(axis=1, initial=0) <= _APART_PX).any():
-            kept.append(k)
-    return uv[kept]
+    u, v = uv.T
+    near = (np.abs(u[:, None] - u) <= _APART_PX) & (np.abs(v[:, None] - v) <= _APART_PX)
+    kept = ~np.tril(near, -1).any(axis=1)
+    for k in np.flatnonzero(~kept):  # what crowds only corners that are not kept is kept itself
+        kept[k] = not (near[k, :k] & kept[:k]).any()
+    return uv[np.flatnonzero(kept)[:_MOST_CORNERS]]
 
 
 def _agreeing(scan_uv: NDArray[np.float64], photo_uv: NDArray[np.float64], angle: float) -> int:

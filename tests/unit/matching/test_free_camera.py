@@ -138,6 +138,29 @@ def test_the_deviate_of_chance_is_normal() -> None:
     assert np.mean(np.array(deviates) > 3) < 0.005
 
 
+@given(seed=st.integers(0, 2**31), sigmas=st.floats(0.01, 100))
+def test_a_doubt_widens_what_is_told_until_it_is_covered(seed: int, sigmas: float) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(6, 6)) + 3 * np.eye(6)
+    covariance, way = root @ root.T, rng.normal(size=6)
+    moved = sigmas * root @ (way / np.linalg.norm(way))
+    wider = RegionEvidence(covariance, 20).in_doubt(moved).covariance
+    assert np.linalg.eigvalsh(wider - covariance).min() > 0
+    assert moved @ np.linalg.solve(wider, moved) <= 1
+    # An error as long as the move, in any other direction, is no surprise either.
+    other = sigmas * root @ np.linalg.qr(np.column_stack([way, rng.normal(size=6)]))[0][:, 1]
+    assert other @ np.linalg.solve(wider, other) <= 6
+
+
+@pytest.mark.parametrize("focal_factor", [1.015, 0.985])
+def test_two_steps_tell_of_a_camera_that_is_little_off(room: PaintedRoom, focal_factor: float) -> None:
+    true = room.photo.camera
+    fixed, photo = finished_with(room, replace(true, fx=true.fx * focal_factor, fy=true.fy * focal_factor))
+    found = with_camera_free(fixed, photo, fixed.camera_from_scanner, "auto")
+    assert found.free
+    assert abs(found.camera.fx / true.fx - 1) < 0.005
+
+
 def test_an_unknown_choice_is_refused() -> None:
     with pytest.raises(OptionError, match="focal_k1"):
         AutoOptions(intrinsics="everything")  # type: ignore[arg-type]

@@ -1,0 +1,32 @@
+"""Thermal pictures of simulated rooms: found to two of their own pixels and called coarse, or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ladarreg_core as lr
+from ladarreg_core.simulate import SimulatedCase, simulate_case
+
+
+@pytest.fixture(scope="module")
+def office() -> SimulatedCase:
+    return simulate_case("office", set_name="thermal", seed=101)
+
+
+def test_a_thermal_picture_is_found_and_called_coarse(office: SimulatedCase) -> None:
+    result = lr.register(office.scan, office.photo)
+    assert result.accepted, result.reasons
+    points = office.scan.points[office.scan.valid][::29].astype(float)
+    true = office.true_camera.project(office.camera_from_scanner @ points)
+    off = (true - office.true_camera.project(result.camera_from_scanner @ points))[office.true_camera.contains(true)]
+    assert np.median(np.hypot(*off.T)) <= 2
+    assert result.diagnostics["verification"]["label"] == "coarse"
+
+
+def test_a_thermal_picture_of_another_room_is_refused(office: SimulatedCase) -> None:
+    other = simulate_case("boxes", set_name="thermal", seed=101)
+    result = lr.register(office.scan, other.photo)
+    assert not result.accepted
+    assert result.evidence == "none"
+    assert any(reason.startswith("Not even coarsely") or "start" in reason for reason in result.reasons)
