@@ -17,6 +17,7 @@ CENTIKELVIN_K = 0.01
 
 _SCALE_K, _GRAY_PER_UNIT = 0.5, 60.0
 _PLAUSIBLE_K = (220.0, 620.0)  # what uncooled cameras measure
+_MOST_SPREAD_K = 60.0
 _CENTRE_GRAY, _SHOWN = 128.0, 0.5
 
 
@@ -64,7 +65,8 @@ def kelvin_of(values: NDArray[Any]) -> NDArray[np.float32] | None:
     """Return the temperatures (H, W), K, that a decoded picture's values are; None where it is no thermal picture.
 
     Thermal are gray pictures of 16 bits in centikelvin and of floating point in kelvin, told by their values alone:
-    all between 220 and 620 K (-53 to 347 C). A photograph of 16 bits has darker and brighter pixels than that.
+    all between 220 and 620 K (-53 to 347 C), and half of them within 60 K of each other. A photograph of 16 bits has
+    darker and brighter pixels than that, and a hazy one, which may not, spreads its grays over more.
 
     Args:
         values: (H, W) or (H, W, 3), as they stand in the file.
@@ -75,5 +77,8 @@ def kelvin_of(values: NDArray[Any]) -> NDArray[np.float32] | None:
     kelvin = values.astype(np.float64) * unit
     low, high = _PLAUSIBLE_K
     if not (np.isfinite(kelvin).all() and low <= kelvin.min() and kelvin.max() <= high):
+        return None
+    quarter, three_quarters = np.percentile(kelvin, (25, 75))
+    if three_quarters - quarter > _MOST_SPREAD_K:
         return None
     return kelvin.astype(np.float32)

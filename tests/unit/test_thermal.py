@@ -92,3 +92,11 @@ def test_a_16_bit_photograph_stays_a_photograph(tmp_path: Path) -> None:
     photo = lr.read_photo(path, camera=CAMERA)
     assert photo.temperature_k is None
     assert int(photo.pixels.max()) == 255
+
+
+def test_a_hazy_photograph_of_sixteen_bits_is_not_taken_for_heat() -> None:
+    hazy = np.random.default_rng(0).integers(23_000, 61_000, (60, 80)).astype(np.uint16)
+    assert kelvin_of(hazy) is None
+    room = np.random.default_rng(0).normal(29_500, 300, (60, 80)).astype(np.uint16)
+    room[20:24, 20:24] = 45_000  # a hot pipe
+    assert kelvin_of(room) is not None
