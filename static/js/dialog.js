@@ -1,0 +1,28 @@
+/** The browser's own modal dialog with a head, a body and a way out. */
+
+import { button, element, newId } from "./dom.js";
+
+/**
+ * @param {string} title
+ * @param {{kind?: string}} [options]
+ * @param {...Node} children of the body
+ * @returns {{dialog: HTMLDialogElement, body: HTMLElement, open: () => void, close: () => void}}
+ */
+export const makeDialog = (title, { kind = "" } = {}, ...children) => {
+  const id = newId("title");
+  const body = element("div", { class: "dialog-body" }, ...children);
+  const dialog = element("dialog", { class: `dialog ${kind}`.trim(), "aria-labelledby": id });
+  const close = () => dialog.close();
+  dialog.append(
+    element(
+      "div",
+      { class: "dialog-head" },
+      element("h2", { id }, title),
+      button({ label: "Close", icon: "close", kind: "plain", bare: true, act: close }),
+    ),
+    body,
+  );
+  dialog.addEventListener("click", (event) => event.target === dialog && close()); // beside it
+  document.getElementById("floating").append(dialog);
+  return { dialog, body, open: () => dialog.open || dialog.showModal(), close };
+};

@@ -1,0 +1,41 @@
+/** What a file is most likely, by its name; the person may say otherwise before it is sent. No DOM here. */
+
+/** @typedef {"scan" | "photo" | "camera" | "matches"} Kind */
+
+/** In the order in which they are opened: a camera and matches belong to a photograph. */
+export const KINDS = [
+  { kind: "scan", label: "Scan" },
+  { kind: "photo", label: "Photograph" },
+  { kind: "camera", label: "Camera of the shown photograph" },
+  { kind: "matches", label: "Matches of the shown photograph" },
+];
+const ORDER = KINDS.map(({ kind }) => kind);
+const SCANS = new Set(["e57", "npz", "pcd", "ptx", "pts"]);
+const PHOTOS = new Set(["png", "jpg", "jpeg", "tif", "tiff", "webp", "bmp"]);
+const CAMERAS = new Set(["yaml", "yml", "xml"]);
+
+/** What the file chooser offers. */
+export const ACCEPTED = [...SCANS, ...PHOTOS, ...CAMERAS, "json", "csv"].map((suffix) => `.${suffix}`).join(",");
+
+/**
+ * @param {string} name
+ * @returns {{kind: Kind, sure: boolean}} `sure` is false where the name does not tell
+ */
+export const kindOf = (name) => {
+  const lower = name.toLowerCase();
+  const suffix = lower.slice(lower.lastIndexOf(".") + 1);
+  if (SCANS.has(suffix)) return { kind: "scan", sure: true };
+  if (PHOTOS.has(suffix)) return { kind: "photo", sure: true };
+  if (CAMERAS.has(suffix)) return { kind: "camera", sure: true };
+  if (suffix === "csv") return { kind: "matches", sure: true };
+  if (/cam|calib|intrinsic/.test(lower)) return { kind: "camera", sure: suffix === "json" };
+  if (/match|line|pick|point/.test(lower)) return { kind: "matches", sure: suffix === "json" };
+  return { kind: suffix === "json" ? "scan" : "photo", sure: false };
+};
+
+/**
+ * @template {{kind: Kind}} T
+ * @param {T[]} files
+ * @returns {T[]} in the order in which they are opened
+ */
+export const inOrder = (files) => [...files].sort((a, b) => ORDER.indexOf(a.kind) - ORDER.indexOf(b.kind));

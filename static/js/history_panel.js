@@ -1,0 +1,50 @@
+/** The history: every step with its author and time; a click goes there. */
+
+import { button, element, put } from "./dom.js";
+import { wish } from "./edits.js";
+import { icon } from "./icons.js";
+import { popoverOf } from "./popover.js";
+import { store } from "./store.js";
+
+/** @param {HTMLButtonElement} opener */
+export const mountHistory = (opener) => {
+  const list = element("ol", { class: "history-list", "aria-label": "Steps, the newest first" });
+  const panel = popoverOf(
+    opener,
+    "History",
+    element("h2", {}, "History"),
+    list,
+    element("p", { class: "dim" }, "Shared by all who are here. Going back loses nothing until something new is done."),
+  );
+  panel.classList.add("history");
+
+  const entry = ({ n, label, author, when }, at) => {
+    const present = n === at;
+    const made = button({
+      label,
+      kind: "history-entry plain",
+      act: () => present || wish("go_to", { n }),
+      "aria-current": present ? "step" : null,
+    });
+    put(
+      made,
+      element("span", { class: "sign" }, present ? icon("right") : null),
+      element("span", { class: "clip" }, label),
+      element("span", { class: "dim clip" }, author),
+      element("span", { class: "dim figures" }, when),
+    );
+    return element("li", { class: n > at ? "undone" : "" }, made);
+  };
+  const show = () => {
+    if (!panel.matches(":popover-open")) return;
+    const history = store.get("history") ?? { at: 0, entries: [] };
+    const focused = [...list.querySelectorAll("button")].indexOf(document.activeElement);
+    put(list, ...history.entries.toReversed().map((each) => entry(each, history.at)));
+    if (focused >= 0) list.querySelectorAll("button")[focused]?.focus();
+  };
+  store.watch(["history"], show);
+  panel.addEventListener("toggle", () => {
+    show();
+    list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
+  });
+};

@@ -1,0 +1,53 @@
+/** The signs of the page, drawn by hand on a grid of 16; strokes, so that they follow the text's colour. */
+
+const SHAPES = {
+  undo: "M6 3 2.5 6.5 6 10M3 6.5h6.5a4 4 0 0 1 0 8H6",
+  redo: "M10 3l3.5 3.5L10 10M13 6.5H6.5a4 4 0 0 0 0 8H10",
+  plus: "M8 3v10M3 8h10",
+  close: "M4 4l8 8M12 4l-8 8",
+  tick: "M3 8.5 6.5 12 13 4.5",
+  cross: "M4.5 4.5l7 7M11.5 4.5l-7 7",
+  fill: "M9.5 2.5h4v4M13.5 2.5l-4.5 4.5M6.5 13.5h-4v-4M2.5 13.5l4.5-4.5",
+  unfill: "M13 6.5H9.5V3M9.5 6.5l4-4M3 9.5h3.5V13M6.5 9.5l-4 4",
+  warn: "M8 2.5 14.5 13.5h-13zM8 6.5v3.5M8 11.9v.1",
+  info: "M8 1.8a6.2 6.2 0 1 1 0 12.4a6.2 6.2 0 1 1 0-12.4M8 7.2v4M8 4.8v.1",
+  bad: "M5.3 1.8h5.4l3.5 3.5v5.4l-3.5 3.5H5.3l-3.5-3.5V5.3zM5.8 5.8l4.4 4.4M10.2 5.8l-4.4 4.4",
+  pause: "M5.5 3v10M10.5 3v10",
+  play: "M4.5 2.8v10.4L13 8z",
+  stop: "M4 4h8v8H4z",
+  next: "M3.5 3v10L10 8zM12.5 3v10",
+  dark: "M13.5 9.8A6 6 0 0 1 6.2 2.5a6 6 0 1 0 7.3 7.3z",
+  light: "M8 5a3 3 0 1 1 0 6a3 3 0 1 1 0-6M8 1v1.5M8 13.5V15M1 8h1.5M13.5 8H15" +
+    "M3 3l1.1 1.1M11.9 11.9 13 13M13 3l-1.1 1.1M4.1 11.9 3 13",
+  system: "M1.8 3h12.4v8H1.8zM5.5 13.8h5M8 11v2.8",
+  people: "M6 7.5a2.5 2.5 0 1 1 0-5a2.5 2.5 0 1 1 0 5M1.5 13.5c0-2.5 2-4 4.5-4s4.5 1.5 4.5 4" +
+    "M10.5 2.8a2.5 2.5 0 0 1 0 4.5M12 9.8c1.6.5 2.5 1.8 2.5 3.7",
+  help: "M5.5 5.8a2.5 2.5 0 1 1 3.7 2.2c-.8.5-1.2.9-1.2 1.8M8 12.3v.1",
+  more: "M3.5 6 8 10.5 12.5 6",
+  right: "M6 3.5 10.5 8 6 12.5",
+  file: "M4 1.8h5L12.5 5.3v8.9H4zM9 1.8v3.5h3.5",
+  folder: "M1.8 4v8.5h12.4V5.5H8L6.5 4z",
+  download: "M8 2v8M4.5 7 8 10.5 11.5 7M2.5 13.5h11",
+  target: "M8 4a4 4 0 1 1 0 8a4 4 0 1 1 0-8M8 1v4M8 11v4M1 8h4M11 8h4",
+  running: "M8 2a6 6 0 1 1-5.2 3",
+  dot: "M8 6.5a1.5 1.5 0 1 1 0 3a1.5 1.5 0 1 1 0-3",
+  history: "M2.5 8a5.5 5.5 0 1 0 1.8-4.1M2.5 2.5v2.7h2.7M8 5v3.3l2.2 1.3",
+  wand: "M2.5 13.5l7-7M11.5 2v3M10 3.5h3M13 8v2M12 9h2M6.5 2.5v2M5.5 3.5h2",
+};
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/**
+ * @param {string} name
+ * @returns {SVGElement} hidden from screen readers: what it means is said beside it
+ */
+export const icon = (name) => {
+  const svg = document.createElementNS(SVG, "svg");
+  svg.setAttribute("viewBox", "0 0 16 16");
+  svg.setAttribute("aria-hidden", "true");
+  svg.setAttribute("class", `icon icon-${name}`);
+  const path = document.createElementNS(SVG, "path");
+  path.setAttribute("d", SHAPES[name]);
+  svg.append(path);
+  return svg;
+};

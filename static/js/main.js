@@ -1,0 +1,75 @@
+/** Puts the page together. */
+
+import { ask, connect, connectionState, onConnection } from "./connection.js";
+import { mountDividers } from "./dividers.js";
+import { mountDock } from "./dock.js";
+import { acceptDrops } from "./drop.js";
+import { openFiles } from "./files_dialog.js";
+import { mountFilling } from "./filling.js";
+import { mountHeader } from "./header.js";
+import { linkHovering } from "./hovering.js";
+import { listenToPageKeys } from "./keyboard.js";
+import { mountModelPane } from "./model_pane.js";
+import { notice, noticeArea } from "./notices.js";
+import { mountPanes } from "./panes/index.js";
+import { mountStatusBar } from "./status_bar.js";
+import { store } from "./store.js";
+import { followTheme } from "./theme.js";
+import { view } from "./view.js";
+
+const at = (id) => document.getElementById(id);
+const part = (id, name) => at(id).querySelector(`.${name}`);
+
+const floating = at("floating");
+floating.append(noticeArea());
+followTheme();
+mountHeader(at("header"));
+mountDock(at("dock"));
+mountStatusBar(at("status"));
+mountFilling(at("panes"));
+mountModelPane(at("model-pane"));
+mountDividers(at("workbench"), at("panes"));
+mountPanes({
+  scanHead: part("scan-pane", "pane-head"),
+  scanBody: part("scan-pane", "pane-body"),
+  photoHead: part("photo-pane", "pane-head"),
+  photoBody: part("photo-pane", "pane-body"),
+  store,
+  view,
+  ask,
+});
+listenToPageKeys();
+linkHovering();
+acceptDrops(floating);
+
+store.onEvent("notice", ({ text, level }) => notice(text, level));
+
+/** What is selected must exist. */
+store.watch(["picks:*", "shown"], () => {
+  const { selected, hovered } = view.get();
+  const there = new Set(store.picksOf().map(({ id }) => id));
+  const left = [...selected].filter((id) => there.has(id));
+  if (left.length < selected.size) view.set({ selected: new Set(left), end: null });
+  if (hovered && !there.has(hovered)) view.set({ hovered: null });
+});
+
+/** Somebody who begins with nothing is asked for files, once. */
+let welcomed = false;
+const welcome = () => {
+  if (welcomed || !store.get("project")) return;
+  welcomed = true;
+  const nothing = !store.get("scan") && !(store.get("photos") ?? []).length;
+  if (nothing && !document.querySelector("dialog[open]")) openFiles();
+};
+store.watch(["project", "scan", "photos"], welcome);
+
+let wasLost = false;
+onConnection((state) => {
+  if (state === "connected" && wasLost) notice("Connected again.");
+  if (state === "refused") notice(
+    "The workbench no longer knows this page: open its address again, with the token that it printed.",
+    "bad",
+  );
+  wasLost = state !== "connected";
+});
+if (connectionState() !== "connected") connect();

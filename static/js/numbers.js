@@ -1,0 +1,65 @@
+/** Numbers as the page writes them. */
+
+export const NONE = "–";
+const MINUS = "−";
+
+/**
+ * @param {number | null | undefined} value
+ * @param {number} decimals
+ * @returns {string} with a true minus; a dash where there is no number
+ */
+export const fixed = (value, decimals) => {
+  if (value === null || value === undefined || !Number.isFinite(value)) return NONE;
+  const text = value.toFixed(decimals);
+  return Number(text) === 0 ? text.replace("-", "") : text.replace("-", MINUS);
+};
+
+/** @returns {string} with as many decimals as three figures need, at most four */
+export const short = (value) => {
+  if (value === null || value === undefined || !Number.isFinite(value)) return NONE;
+  const size = Math.abs(value);
+  return fixed(value, size >= 100 ? 0 : size >= 10 ? 1 : size >= 1 ? 2 : size >= 0.1 ? 3 : 4);
+};
+
+/** @returns {string} a text of the server with a true minus */
+export const typeset = (text) => String(text ?? NONE).replace(/^-/, MINUS);
+
+/** @returns {string} such as `24.1 MB` */
+export const bytes = (count) => {
+  if (count >= 2 ** 30) return `${(count / 2 ** 30).toFixed(1)} GB`;
+  if (count >= 2 ** 20) return `${(count / 2 ** 20).toFixed(1)} MB`;
+  return count >= 1024 ? `${Math.round(count / 1024)} kB` : `${count} B`;
+};
+
+/** @returns {string} such as `0.42 s` or `3 min 05 s` */
+export const duration = (seconds) => {
+  if (seconds === null || seconds === undefined || !Number.isFinite(seconds)) return NONE;
+  if (seconds < 10) return `${seconds.toFixed(seconds < 1 ? 2 : 1)} s`;
+  if (seconds < 60) return `${Math.round(seconds)} s`;
+  return `${Math.floor(seconds / 60)} min ${String(Math.round(seconds % 60)).padStart(2, "0")} s`;
+};
+
+/** @returns {string} `1 match`, `3 matches` */
+export const counted = (count, one, many = `${one}s`) => `${count} ${count === 1 ? one : many}`;
+
+const GREEK = { alpha: "α", beta: "β", gamma: "γ" };
+const UNITS = { deg: "°" };
+
+/** @returns {string} such as `α °`: a parameter's name and unit */
+export const parameterName = ({ name, unit }) => `${GREEK[name] ?? name} ${UNITS[unit] ?? unit}`;
+
+/** @returns {string} texts as sentences, one after the other: with a capital and a full stop each */
+export const sentences = (texts) =>
+  texts
+    .map((text) => String(text).trim().replaceAll("chi^2", "χ²"))
+    .filter(Boolean)
+    .map((text) => `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}`)
+    .join(" ");
+
+/** @returns {number} the median, NaN of nothing */
+export const median = (values) => {
+  if (values.length === 0) return Number.NaN;
+  const sorted = [...values].sort((a, b) => a - b);
+  const middle = sorted.length >> 1;
+  return sorted.length % 2 ? sorted[middle] : (sorted[middle - 1] + sorted[middle]) / 2;
+};

@@ -1,0 +1,30 @@
+/** Arrow keys within a row of tabs: one of them is in the order of Tab, the others by arrows. */
+
+/**
+ * @param {HTMLElement} list with role `tablist`; its tabs have role `tab`
+ */
+export const walkByArrows = (list) => {
+  list.addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+    const tabs = [...list.querySelectorAll("[role=tab]")];
+    const at = tabs.indexOf(document.activeElement);
+    if (at < 0) return;
+    const next = event.key === "Home"
+      ? 0
+      : event.key === "End"
+      ? tabs.length - 1
+      : step && (at + step + tabs.length) % tabs.length;
+    if (next === undefined) return;
+    event.preventDefault();
+    tabs[next].focus();
+    tabs[next].click();
+  });
+};
+
+/** Mark the chosen tab. */
+export const choose = (tabs, chosen) => {
+  for (const tab of tabs) {
+    tab.setAttribute("aria-selected", String(tab === chosen));
+    tab.tabIndex = tab === chosen || (!chosen && tab === tabs[0]) ? 0 : -1;
+  }
+};

@@ -1,0 +1,137 @@
+/** The verdict on the shown pose: accepted or not, six parameters with their sigmas, findings, and what to do next. */
+
+import { button, element, put } from "./dom.js";
+import { icon } from "./icons.js";
+import { parameterName, sentences, typeset } from "./numbers.js";
+import { store } from "./store.js";
+import { view } from "./view.js";
+
+const LEVELS = { good: ["tick", "Good", "ok"], fair: ["warn", "Fair", "warn"], poor: ["bad", "Poor", "bad"] };
+const EMPTY =
+  "Once there is a pose, its verdict stands here: accepted or not and why, six parameters with their " +
+  "uncertainty, and what would help.";
+const WORST_FIRST = ["poor", "fair", "good"];
+
+const head = (stage) => {
+  const level = stage.accepted ? "ok" : "bad";
+  const [first, ...rest] = (stage.verdict ?? "").split(/(?<=[.:]) /);
+  return element(
+    "div",
+    { class: `verdict ${level}`, role: "status" },
+    icon(stage.accepted ? "tick" : "bad"),
+    element("p", {}, element("strong", {}, first), ` ${sentences(rest)}`, ` ${sentences(stage.reasons ?? [])}`),
+  );
+};
+
+const six = (parameters) =>
+  element(
+    "dl",
+    { class: "six" },
+    ...parameters.map((parameter) =>
+      element(
+        "div",
+        { class: "parameter" },
+        element("dt", {}, parameterName(parameter)),
+        element(
+          "dd",
+          { class: "figures" },
+          typeset(parameter.value),
+          element(
+            "span",
+            { class: "sigma" },
+            parameter.sigma && parameter.sigma !== "unknown" ? `± ${parameter.sigma}` : "± ?",
+          ),
+        ),
+      ),
+    ),
+  );
+
+const finding = ({ level, sentence, what_to_do: advice }) => {
+  const [sign, word, kind] = LEVELS[level] ?? LEVELS.fair;
+  return element(
+    "li",
+    { class: `finding ${kind}` },
+    element("span", { class: "sign" }, icon(sign), word),
+    element("span", {}, sentences([sentence]), advice ? element("span", { class: "dim" }, ` ${advice}`) : null),
+  );
+};
+
+const advices = (stage) =>
+  (stage.advice ?? []).slice(0, 3).map(({ uv, sentence }) =>
+    element(
+      "li",
+      { class: "advice" },
+      element("span", {}, sentence),
+      button({
+        label: "Show",
+        kind: "small",
+        icon: "target",
+        title: "Bring the place into sight in the photograph",
+        act: () => view.set({ reveal_uv: { side: "photo", uv } }),
+      }),
+    ),
+  );
+
+const check = (stage) =>
+  stage.check &&
+  element(
+    "li",
+    { class: "advice" },
+    element("span", {}, stage.check),
+    stage.check_pick ? button({
+      label: "Show",
+      kind: "small",
+      icon: "target",
+      title: "Bring the match into sight",
+      act: () => view.set({ selected: new Set([stage.check_pick]), end: null, reveal: stage.check_pick }),
+    }) : null,
+  );
+
+/** @returns {HTMLElement} */
+export const mountVerdict = () => {
+  const body = element("div", { class: "part-body" });
+  const staged = element("span", { class: "dim clip" });
+  const part = element(
+    "section",
+    { class: "dock-part verdict-part", "aria-label": "Verdict" },
+    element("div", { class: "part-head" }, element("h2", {}, "Verdict"), staged),
+    body,
+  );
+  let drawn = "";
+  const show = () => {
+    const stage = store.stageOf();
+    const losses = store.judgedOf()?.losses ?? [];
+    const text = JSON.stringify([stage, losses]);
+    if (text === drawn) return;
+    drawn = text;
+    put(staged, stage ? stage.label : "");
+    if (!stage) {
+      put(body, element("p", { class: "empty" }, EMPTY), ...lossList(losses));
+      return;
+    }
+    const findings = (stage.findings ?? []).toSorted(
+      (a, b) => WORST_FIRST.indexOf(a.level) - WORST_FIRST.indexOf(b.level),
+    );
+    put(
+      body,
+      head(stage),
+      stage.note ? element("p", { class: "dim" }, stage.note) : null,
+      stage.parameters?.length ? six(stage.parameters) : null,
+      stage.uncertainty ? element("p", { class: "dim" }, stage.uncertainty) : null,
+      element("ul", { class: "findings" }, ...advices(stage), check(stage), ...findings.map(finding)),
+      ...lossList(losses),
+    );
+  };
+  store.watch(["poses:*", "judged:*", "shown"], show);
+  show();
+  return part;
+};
+
+const loss = (sentence) =>
+  element(
+    "li",
+    { class: "finding warn" },
+    element("span", { class: "sign" }, icon("warn"), "Left out"),
+    element("span", {}, sentence),
+  );
+const lossList = (losses) => (losses.length ? [element("ul", { class: "findings" }, ...losses.map(loss))] : []);
