@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import msgspec
 
-from ladarreg_core.errors import CameraError, OptionError
+from ladarreg_core.errors import CameraError, LadarregError, OptionError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 
@@ -139,10 +139,10 @@ class Files:
             depth = len(here.relative_to(self._served).parts)
             below[:] = sorted(name for name in below if not name.startswith(".")) if depth < _DEEPEST else []
             for name in sorted(names):
-                kind = _kind(name)
-                if kind == "other" or name.startswith("."):
-                    continue
                 path = here / name
+                kind = _kind(path)
+                if kind is None or name.startswith("."):
+                    continue
                 try:
                     size = path.stat().st_size
                 except OSError:
@@ -157,15 +157,19 @@ class Files:
         return None if self._served is None else {"label": self._served.name, "files": self._listed}
 
 
-def _kind(name: str) -> str:
-    suffix = Path(name).suffix.lower()
+def _kind(path: Path) -> str | None:
+    """Return what a file may be opened as; None: as nothing. Only the many kinds of text have to be looked into."""
+    from ladarreg_core.formats import recognise
+
+    suffix = path.suffix.lower()
     if suffix in _SCANS:
         return "scan"
     if suffix in _PHOTOS:
         return "photo"
-    if suffix in _MANY:
-        lower = name.lower()
-        if "match" in lower or suffix == ".csv":
-            return "matches"
-        return "scan" if "scan" in lower or "depth" in lower else "camera"
-    return "other"
+    if suffix not in _MANY:
+        return None
+    try:
+        found = recognise(path).kind
+    except LadarregError:
+        return None
+    return found if found in get_args(What) else None

@@ -140,6 +140,7 @@ def job_slice(job: Job | None) -> dict[str, Any] | None:
         "said": job.said,
         "seconds": round(job.seconds, 1),
         "can": list(job.can) if job.runs else [],
+        "speed": job.speed,
         "steps": [
             {"name": step.name, "seconds": round(step.seconds, 3), "said": detail_in_words(step.detail)}
             for step in list(job.steps)

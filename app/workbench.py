@@ -84,7 +84,7 @@ class Workbench:
     def slices(self, person: Person) -> dict[str, Any]:
         """Return all slices for a page that has just come."""
         found = self.teller.all_slices()
-        return {**found, "you": person.name, "people": {**found.get("people", {}), "you": person.name}}
+        return {**found, "people": {**found.get("people", {}), "you": person.name}}
 
     def join(self, address: str) -> Person:
         """Let somebody in.

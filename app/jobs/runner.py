@@ -35,6 +35,7 @@ class Job:
     done: int = 0
     total: int = 0
     said: str = ""
+    speed: float = FULL_SPEED
     steps: list[Step] = field(default_factory=list)
     begun: float = field(default_factory=time.monotonic)
     seconds: float = 0.0
@@ -56,7 +57,6 @@ class JobContext:
         self._go = threading.Event()
         self._go.set()
         self._single_steps = 0
-        self._speed = FULL_SPEED
 
     @property
     def stop_wanted(self) -> bool:
@@ -66,7 +66,7 @@ class JobContext:
     @property
     def speed(self) -> float:
         """Iterations a second that the operator wants to see; 0: no limit."""
-        return self._speed
+        return self.job.speed
 
     def check(self) -> None:
         """Wait while the job is paused.
@@ -122,7 +122,7 @@ class JobContext:
         if action == "speed":
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1e6:
                 raise OptionError("the speed is a number of iterations a second; 0 means no limit")
-            self._speed = float(value)
+            self.job.speed = float(value)
         elif action == "stop":
             self._stop.set()
             self._go.set()
@@ -175,9 +175,8 @@ class JobRunner:
                 if self.job.kind != kind:
                     raise OptionError(f"'{self.job.label}' is running; wait until it ends, or stop it")
                 self._end()
-            job = Job(f"j{next(self._numbers)}", kind, label, photo, author, can)
+            job = Job(f"j{next(self._numbers)}", kind, label, photo, author, can, speed=speed)
             self._context = context = JobContext(job, lambda: self._tell(job))
-            context._speed = speed
             self._thread = threading.Thread(target=self._run, args=(context, work), name=f"job {kind}", daemon=True)
             self._thread.start()
             return job.id

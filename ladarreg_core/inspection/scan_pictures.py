@@ -48,7 +48,8 @@ def scan_picture(view: View, show: str, stretch: Stretch | None = None) -> NDArr
 
     Args:
         view: the view.
-        show: `intensity`, stretched, what falls with range made up for; `raw`, as the sensor gives it; `range`, colours by inverse range, which is what parallax sees; `normals`, the
+        show: `intensity`, stretched, what falls with range made up for; `raw`, as the sensor gives it; `range`,
+            colours by inverse range, which is what parallax sees; `normals`, the
             surface's direction as a colour; `edges`, of intensity and of range together; `color`, the scanner's own.
         stretch: of the intensity; of the range its percentiles.
 

@@ -184,6 +184,8 @@ class SimplexFit:
                 "means nothing; start nearer, use 'epipolar_simplex' or 'robust', or take a photo from further aside"
             )
         kept, all_of_them = int(self.after.inliers.sum()), len(self.after.inliers)
+        if not np.isfinite(self.threshold):
+            return f"{kept} of {all_of_them} matches counted, none was rejected, {self.iterations} iterations"
         unit = "m" if self.rejected_by == "depth error" else "px"
         return (
             f"{kept} of {all_of_them} matches kept by their {self.rejected_by} (at most {self.threshold:.3g} {unit}) "

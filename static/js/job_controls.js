@@ -44,7 +44,7 @@ export const jobControls = ({ kinds = null } = {}) => {
     if (box.hidden) return;
     if (now.id !== job) {
       job = now.id;
-      speed.value = now.kind === "reject_outliers" ? "240" : "60";
+      speed.value = String(now.speed ?? 60);
     }
     const can = now.can ?? [];
     pause.hidden = !can.includes("pause");

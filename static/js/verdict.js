@@ -100,13 +100,15 @@ export const mountVerdict = () => {
   let drawn = "";
   const show = () => {
     const stage = store.stageOf();
-    const losses = store.judgedOf()?.losses ?? [];
-    const text = JSON.stringify([stage, losses]);
+    const judged = store.judgedOf();
+    // a pose that was verified needs no method of the thesis any more
+    const told = { losses: judged?.losses ?? [], cautions: stage?.evidence === "image" ? [] : judged?.cautions ?? [] };
+    const text = JSON.stringify([stage, told]);
     if (text === drawn) return;
     drawn = text;
     put(staged, stage ? stage.label : "");
     if (!stage) {
-      put(body, element("p", { class: "empty" }, EMPTY), ...lossList(losses));
+      put(body, element("p", { class: "empty" }, EMPTY), ...warnings(told));
       return;
     }
     const findings = (stage.findings ?? []).toSorted(
@@ -119,7 +121,7 @@ export const mountVerdict = () => {
       stage.parameters?.length ? six(stage.parameters) : null,
       stage.uncertainty ? element("p", { class: "dim" }, stage.uncertainty) : null,
       element("ul", { class: "findings" }, ...advices(stage), check(stage), ...findings.map(finding)),
-      ...lossList(losses),
+      ...warnings(told),
     );
   };
   store.watch(["poses:*", "judged:*", "shown"], show);
@@ -127,11 +129,23 @@ export const mountVerdict = () => {
   return part;
 };
 
-const loss = (sentence) =>
+const warning = (word) => (sentence) =>
   element(
     "li",
     { class: "finding warn" },
-    element("span", { class: "sign" }, icon("warn"), "Left out"),
+    element("span", { class: "sign" }, icon("warn"), word),
     element("span", {}, sentence),
   );
-const lossList = (losses) => (losses.length ? [element("ul", { class: "findings" }, ...losses.map(loss))] : []);
+
+/** What was left out of the matches, and what hurts the thesis's own methods on them (thesis 3.4), before it does. */
+const warnings = ({ losses, cautions }) =>
+  losses.length + cautions.length
+    ? [
+        element(
+          "ul",
+          { class: "findings" },
+          ...losses.map(warning("Left out")),
+          ...cautions.map(warning("Thesis's methods")),
+        ),
+      ]
+    : [];

@@ -54,7 +54,7 @@ def test_a_page_that_comes_is_told_everything(bench: Bench) -> None:
         slices
     )
     json.dumps(slices, allow_nan=False)
-    assert slices["you"] == bench.person.name
+    assert slices["people"]["you"] == bench.person.name
     view = slices["scan"]["views"][0]
     assert view["width"] > 100
     assert slices["photos"][0]["camera"]["fx"] > 100
