@@ -34,16 +34,19 @@ def write_glb(path: str | Path, mesh: Mesh, picture: ByteArray, *, for_viser: bo
     write_bytes(path, glb_bytes(mesh, picture, for_viser=for_viser))
 
 
-def glb_bytes(mesh: Mesh, picture: ByteArray, *, for_viser: bool = False) -> bytes:
+def glb_bytes(
+    mesh: Mesh, picture: ByteArray, *, for_viser: bool = False, largest_texture_px: int = _LARGEST_TEXTURE_PX
+) -> bytes:
     """Return a model as GLB: one unlit mesh with its texture, in metres.
 
     Vertices stay in the scanner frame (X forward, Y left, Z up) under one root node that turns them into glTF's Y up.
 
     Args:
         mesh: the mesh.
-        picture: (h, w, 3) uint8 RGB over the whole scan grid, of any size; above 8192 pixels it is reduced.
+        picture: (h, w, 3) uint8 RGB over the whole scan grid, of any size; it is reduced where it is too large.
         for_viser: make it for viser's scene, which is the scanner frame itself and is tone mapped: no root rotation,
             and a texture that the tone mapping turns into the true colours.
+        largest_texture_px: the longer side of the picture, at most 8192.
 
     Raises:
         ShapeError: if the picture is no RGB picture.
@@ -52,9 +55,9 @@ def glb_bytes(mesh: Mesh, picture: ByteArray, *, for_viser: bool = False) -> byt
     if not len(mesh.faces):
         raise ExportError("the scan has no surface: no three neighbouring cells belong together; no model is written")
     pixels = read_only(picture, np.uint8, (None, None, 3), "the model's picture")
-    longest = max(pixels.shape[:2])
-    if longest > _LARGEST_TEXTURE_PX:
-        height, width = (max(1, round(n * _LARGEST_TEXTURE_PX / longest)) for n in pixels.shape[:2])
+    longest, largest = max(pixels.shape[:2]), min(largest_texture_px, _LARGEST_TEXTURE_PX)
+    if longest > largest:
+        height, width = (max(1, round(n * largest / longest)) for n in pixels.shape[:2])
         pixels = np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
     if for_viser:
         pixels = texture_for_viewer(pixels)

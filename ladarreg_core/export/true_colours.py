@@ -44,6 +44,11 @@ def texture_for_viewer(wanted_rgb: ArrayLike, *, base_colour: float = VISER_BASE
     return _encoded(v @ np.linalg.inv(_INPUT).T / brightest)[place.ravel()].reshape(wanted.shape)
 
 
+def line_colours_for_viewer(wanted_rgb: ArrayLike) -> ByteArray:
+    """Return what to ask of viser for lines of these colours, (..., 3) uint8: it tone maps lines, though not points."""
+    return texture_for_viewer(wanted_rgb, base_colour=1.0)
+
+
 def _linear(srgb: FloatArray | ByteArray) -> NDArray[np.float64]:
     c = np.asarray(srgb, dtype=np.float64) / 255
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)

@@ -1,0 +1,114 @@
+"""From where to look at a scan: as the scanner, as the camera, and from aside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladarreg_core.arrays import FloatArray, read_only
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.scan import Scan
+
+_OVERVIEW_FOV_RAD = (float(np.deg2rad(58.0)), float(np.deg2rad(47.0)))
+_NARROWEST_RAD, _WIDEST_RAD = 0.02, 2.6
+_ASIDE, _ABOVE, _ROOM, _FILLED = 0.25, 0.3, 0.2, 0.92
+_HALVINGS = 30
+_SAMPLES, _PERCENTILES = 4000, (1.0, 99.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standpoint:
+    """A place to look from; read-only."""
+
+    position: FloatArray
+    """(3,) m, scanner frame."""
+    look_at: FloatArray
+    """(3,) m, another place."""
+    up: FloatArray
+    """(3,)."""
+    fov_rad: tuple[float, float]
+    """Field of view that is to be seen, across and upright."""
+
+    def __post_init__(self) -> None:
+        for name in ("position", "look_at", "up"):
+            object.__setattr__(self, name, read_only(getattr(self, name), np.float64, (3,), name.replace("_", " ")))
+
+    def upright_fov_rad(self, aspect: float) -> float:
+        """Return the vertical field of view with which a window shows all of it.
+
+        Args:
+            aspect: the window's width over its height.
+        """
+        across, upright = (np.tan(angle / 2) for angle in self.fov_rad)
+        needed = 2 * np.arctan(max(float(upright), float(across) / max(aspect, 1e-3)))
+        return float(np.clip(needed, _NARROWEST_RAD, _WIDEST_RAD))
+
+
+def typical_range(scan: Scan) -> float:
+    """Return the median range of a scan's returns, m."""
+    return float(np.median(scan.ranges[scan.valid]))
+
+
+def field_of_view(camera: Camera) -> tuple[float, float]:
+    """Return a camera's field of view across and upright, rad, with its axis in the middle."""
+    return (
+        2 * float(np.arctan2(camera.width, 2 * camera.fx)),
+        2 * float(np.arctan2(camera.height, 2 * camera.fy)),
+    )
+
+
+def from_pose(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Standpoint:
+    """Return what a camera sees."""
+    _, down, forward = camera_from_scanner.rotation
+    centre = camera_from_scanner.centre
+    return Standpoint(centre, centre + forward * typical_range(scan), -down, field_of_view(camera))
+
+
+def overview(scan: Scan, camera_centre: FloatArray | None) -> Standpoint:
+    """Return a view from behind and above, just so far off that it holds the scanner, the camera and the model.
+
+    Args:
+        scan: the scan.
+        camera_centre: (3,) m, scanner frame; None: there is no camera yet, and room is left for one.
+    """
+    direction = scan.mean_direction * np.array([1.0, 1, 0])
+    length = float(np.linalg.norm(direction))
+    forward = direction / length if length > 1e-3 else np.array([1.0, 0, 0])
+    left = np.array([-forward[1], forward[0], 0.0])
+    room = _ROOM * typical_range(scan) * left
+    centre = np.zeros(3) if camera_centre is None else np.asarray(camera_centre, dtype=np.float64)
+    # From the side away from the camera, so that neither frustum hides the other.
+    aside = -left if centre @ left > 0 else left
+    view = look_along(forward - _ASIDE * aside - np.array([0, 0, _ABOVE]))
+    held = np.vstack([_most_of(scan), centre, room, -room]) @ view.T
+    # A point is held where |x - middle| <= slope (z + back); the least `back` is linear in the outermost points.
+    back = 0.0
+    for k, fov in enumerate(_OVERVIEW_FOV_RAD):
+        slope = _FILLED * np.tan(fov / 2)
+        high, low = ((sign * held[:, k] - slope * held[:, 2]).max() for sign in (1, -1))
+        back = max(back, float(high + low) / (2 * slope))
+    depth = np.maximum(held[:, 2] + back, 1e-9)
+    middle = [_balanced(held[:, k], depth) for k in range(2)]
+    position, target = (view.T @ np.array([*middle, z]) for z in (-back, float(np.median(held[:, 2]))))
+    return Standpoint(position, target, np.array([0.0, 0, 1]), _OVERVIEW_FOV_RAD)
+
+
+def _balanced(across: FloatArray, depth: FloatArray) -> float:
+    """Return from where the outermost of points at `across` and `depth` (N,) are seen equally far to both sides."""
+    low, high = float(across.min()), float(across.max())
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        tangents = (across - middle) / depth
+        low, high = (middle, high) if tangents.max() + tangents.min() > 0 else (low, middle)
+    return (low + high) / 2
+
+
+def _most_of(scan: Scan) -> FloatArray:
+    """Return some of a scan's points (N, 3) but for the outermost, which may be anywhere."""
+    points = scan.points[scan.valid].astype(np.float64)
+    points = points[:: max(1, len(points) // _SAMPLES)]
+    low, high = np.percentile(points, _PERCENTILES, axis=0)
+    kept = points[((points >= low) & (points <= high)).all(axis=1)]
+    return kept if len(kept) else points

@@ -1,0 +1,177 @@
+"""Standpoints, outlines and curves of the 3-D scene."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.export.true_colours import line_colours_for_viewer, shown_colours
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, look_along
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scene_lines import Marks, camera_outline, camera_outlines, dashed, faded, rays_to, spread
+from ladarreg_core.simplex_curves import SimplexCurves
+from ladarreg_core.standpoint import from_pose, overview
+from tests.properties.strategies import poses
+
+CAMERA = Camera.from_focal(600, 400, 500.0)
+GEOMETRY = AzimuthElevation(40, 60, 0.01, 0.01)
+WALL = Scan(GEOMETRY, 3 / GEOMETRY.rays[..., 0], np.ones((40, 60)))
+
+
+@given(poses(reach_m=5.0), st.floats(0.05, 3.0))
+def test_a_cameras_outline_ends_at_the_corners_of_its_picture(pose: Rigid, depth: float) -> None:
+    lines = camera_outline(CAMERA, pose, depth_m=depth)
+    assert lines.shape == (8, 2, 3)
+    np.testing.assert_allclose(lines[:4, 0], np.broadcast_to(pose.centre, (4, 3)), atol=1e-4)
+    seen = CAMERA.project(pose @ lines[:4, 1].astype(float))
+    np.testing.assert_allclose(seen, [[-0.5, -0.5], [599.5, -0.5], [599.5, 399.5], [-0.5, 399.5]], atol=0.5)
+    np.testing.assert_array_equal(lines[4:, 0], lines[:4, 1])
+    np.testing.assert_array_equal(np.roll(lines[4:, 0], -1, axis=0), lines[4:, 1])
+
+
+@given(st.integers(1, 20))
+def test_dashes_lie_on_their_line_and_reach_both_ends(dashes: int) -> None:
+    line = np.array([[[0.0, 1, 2], [4.0, 1, -2]]])
+    pieces = dashed(line, dashes=dashes)
+    assert pieces.shape == (dashes, 2, 3)
+    np.testing.assert_allclose(pieces[0, 0], line[0, 0], atol=1e-6)
+    np.testing.assert_allclose(pieces[-1, 1], line[0, 1], atol=1e-6)
+    along = pieces[..., 0].ravel()
+    assert (np.diff(along) > 0).all()
+    np.testing.assert_allclose(pieces[..., 2], 2 - pieces[..., 0], atol=1e-5)
+
+
+def test_marks_without_a_place_are_left_out() -> None:
+    marks = Marks.of(
+        [[1, 2, 3], [np.nan, 0, 0], [4, 5, 6]], [[255, 0, 0], [0, 255, 0], [0, 0, 255]], [True, True, False]
+    )
+    assert marks.given.tolist() == [0, 2]
+    dim = marks.dimmed((0, 0, 0), on=0.0, off=0.5)
+    assert dim.tolist() == [[255, 0, 0], [0, 0, 128]]
+    assert marks.chosen([False, True]).points.tolist() == [[4, 5, 6]]
+    before = marks.before(0.1)
+    np.testing.assert_allclose(np.linalg.norm(marks.points - before, axis=1), 0.1, rtol=1e-5)
+    np.testing.assert_allclose(np.cross(before, marks.points), 0, atol=1e-5)
+    assert len(Marks.of([], [], [])) == 0
+    assert len(Marks.of(np.zeros((0, 3)), np.zeros((0, 3)), [])) == 0
+    with pytest.raises(ShapeError):
+        Marks.of([[1, 2, 3]], [[1, 2, 3], [4, 5, 6]], [True])
+
+
+@given(st.integers(0, 19), st.floats(-0.9, 0.9), st.floats(-0.9, 0.9))
+def test_a_click_means_the_mark_that_its_ray_comes_nearest_to(wanted: int, aside: float, above: float) -> None:
+    rng = np.random.default_rng(2)
+    points = rng.uniform((2, -3, -2), (6, 3, 2), (20, 3))
+    marks = Marks.of(points, np.zeros((20, 3), np.uint8), np.ones(20, bool))
+    eye = np.array([-1.0, aside, above])
+    assert marks.met_by(eye, 7 * (points[wanted] - eye), radius_m=0.02) == wanted
+    assert marks.met_by(eye, eye - points[wanted], radius_m=0.02) is None, "behind the eye"
+    assert marks.met_by(eye, (0.0, 0.0, 1.0), radius_m=0.02) is None
+
+
+def test_small_helpers() -> None:
+    assert camera_outlines(CAMERA, (), depth_m=1.0).shape == (0, 2, 3)
+    assert camera_outlines(CAMERA, (Rigid.identity(),) * 3, depth_m=1.0).shape == (24, 2, 3)
+    assert rays_to(np.ones((5, 3)), (np.zeros(3), np.ones(3))).shape == (10, 2, 3)
+    assert faded([[200, 100, 0]], (0, 0, 0), share=0.5).tolist() == [[100, 50, 0]]
+    assert np.abs(shown_colours(line_colours_for_viewer([[92, 200, 255]]), base_colour=1.0).astype(int)).min() > 0
+
+
+@given(st.integers(0, 500), st.integers(1, 60))
+def test_spread_indices_reach_both_ends(count: int, most: int) -> None:
+    chosen = spread(count, most)
+    assert len(chosen) == min(count, most)
+    if most > 1 and count > 1:
+        assert (chosen[0], chosen[-1]) == (0, count - 1)
+
+
+@given(poses(reach_m=3.0))
+def test_a_camera_stands_where_it_is_and_looks_along_its_axis(pose: Rigid) -> None:
+    there = from_pose(WALL, CAMERA, pose)
+    np.testing.assert_allclose(there.position, pose.centre, atol=1e-12)
+    in_camera = pose @ np.stack([there.look_at, there.position + there.up])
+    np.testing.assert_allclose(in_camera[0, :2], 0, atol=1e-9)
+    assert in_camera[0, 2] > 0
+    np.testing.assert_allclose(in_camera[1], [0, -1, 0], atol=1e-9)
+
+
+@given(st.floats(0.2, 5.0))
+def test_a_window_of_any_shape_shows_the_whole_picture(aspect: float) -> None:
+    there = from_pose(WALL, CAMERA, Rigid(CAMERA_AXES_FROM_SCANNER, np.zeros(3)))
+    upright = math.tan(there.upright_fov_rad(aspect) / 2)
+    assert upright >= 200 / 500 - 1e-9
+    assert upright * aspect >= 300 / 500 - 1e-9
+    assert min(upright / (200 / 500), upright * aspect / (300 / 500)) == pytest.approx(1)
+
+
+@given(st.none() | st.tuples(*[st.floats(-2.0, 2.0)] * 3))
+def test_the_overview_holds_the_scanner_the_camera_and_nearly_all_of_the_model(
+    centre: tuple[float, float, float] | None,
+) -> None:
+    there = overview(WALL, None if centre is None else np.array(centre))
+    view = Rigid.from_centre(look_along(there.look_at - there.position), there.position)
+    half = np.tan(np.array(there.fov_rad) / 2)
+    seen = view @ np.vstack([np.zeros(3), np.zeros(3) if centre is None else centre, WALL.points.reshape(-1, 3)])
+    inside = (seen[:, 2] > 0) & (np.abs(seen[:, :2]) <= half * seen[:, 2:]).all(axis=1)
+    assert inside[:2].all()
+    assert inside.mean() > 0.94
+    assert (there.position < there.look_at)[0]
+    assert (there.position > there.look_at)[2]
+    upright = seen[inside, 1] / seen[inside, 2]
+    assert abs(upright.max() + upright.min()) < 0.2 * half[1], "not in the middle"
+    if centre is not None and abs(centre[1]) > 0.5:
+        assert (there.position - there.look_at)[1] * centre[1] < 0, "from the other side"
+
+
+def test_the_overview_of_a_scan_that_looks_all_around() -> None:
+    geometry = AzimuthElevation(20, 90, 0.03, 2 * np.pi / 90)
+    there = overview(Scan(geometry, np.full((20, 90), 2.0), np.ones((20, 90))), None)
+    assert np.isfinite([*there.position, *there.look_at]).all()
+    assert np.linalg.norm(there.look_at - there.position) > 0.3
+
+
+def walk(curves: SimplexCurves, count: int, *, first: int = 1) -> None:
+    for k in range(first, first + count):
+        curves.add(k, ThesisParameters(k, 0, 0, 0.1, 0, 0), 10.0**-k if k < 200 else 1e-25)
+
+
+@given(st.integers(1, 700), st.integers(4, 60))
+def test_curves_stay_short_keep_their_ends_and_are_evenly_thinned(count: int, most: int) -> None:
+    curves = SimplexCurves(most_points=most)
+    walk(curves, count)
+    drawn = curves.snapshot()
+    steps = drawn.parameters[0]
+    assert len(curves) == count
+    assert len(steps) <= most
+    assert (steps[0], steps[-1]) == (1, count)
+    assert len({*np.diff(steps)[:-1]}) <= 1
+    assert all(len(column) == len(steps) for column in (*drawn.parameters, *drawn.cost))
+    np.testing.assert_array_equal(drawn.parameters[1], steps)
+    np.testing.assert_allclose(drawn.parameters[4], np.degrees(0.1))
+
+
+def test_a_descent_that_starts_again_goes_on_where_the_last_one_ended() -> None:
+    curves = SimplexCurves()
+    for _ in range(3):
+        for k in (1, 4, 9):  # what was seen of it
+            curves.add(k, ThesisParameters(0, 0, 0, 0, 0, 0), 1.0)
+    assert curves.snapshot().parameters[0].tolist() == [1, 4, 9, 10, 13, 18, 19, 22, 27]
+
+
+def test_costs_without_a_logarithm_do_not_tear_the_curve() -> None:
+    curves = SimplexCurves()
+    for k, cost in enumerate((100.0, math.inf, 0.0, math.nan, 1e-3, -1.0), start=1):
+        curves.add(k, ThesisParameters(0, 0, 0, 0, 0, 0), cost)
+    assert curves.snapshot().cost[1].tolist() == pytest.approx([2, 2, 2, 2, -3, -3])
+    with pytest.raises(ShapeError, match="six finite"):
+        curves.add(9, ThesisParameters(math.nan, 0, 0, 0, 0, 0), 1.0)
+    assert len(SimplexCurves().snapshot().parameters[0]) == 1, "charts need something to begin with"
+    with pytest.raises(OptionError, match="at least 4"):
+        SimplexCurves(most_points=3)
