@@ -88,12 +88,13 @@ class Pictures:
         return _png(scan_over_photo(self._the_scan(), answer.camera, answer.camera_from_scanner, show))
 
     def _registered(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> Picture:
-        from ladarreg_core.inspection.overlays import painted_through, photo_over_scan
+        from ladarreg_core.inspection.overlays import photo_over_scan
+        from ladarreg_core.model_pictures import texture_without_z_buffer
         from ladarreg_core.texture import texture_scan
 
         scan, answer, photo = self._the_scan(), self._room.answer(pose), self._room.photo(entry)
         if query.get("z_buffer") == "0":
-            texture = painted_through(scan, photo, answer.camera, answer.camera_from_scanner)
+            texture = texture_without_z_buffer(scan, photo, answer)
         else:
             texture = texture_scan(scan, photo, answer.camera_from_scanner, camera=answer.camera)
         return _png(photo_over_scan(self._view(query), texture))

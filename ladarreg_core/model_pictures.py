@@ -208,9 +208,20 @@ def registered_texture(scan: Scan, photo: Photo, result: PoseResult) -> Register
 
 
 def painted_through(scan: Scan, photo: Photo, result: PoseResult) -> NDArray[np.uint8]:
-    """Return the photograph on every cell in front of the camera, hidden or not, (H, W, 3) uint8 RGB.
+    """Return the picture for a model without a z-buffer, (H, W, 3) uint8 RGB.
 
     What lies outside the photograph has the dimmed laser intensity. Source: thesis 2.5, Figure 2.23.
+
+    Raises:
+        ShapeError: if the camera is not of the photo's size.
+    """
+    return np.array(model_picture(scan, texture_without_z_buffer(scan, photo, result)))
+
+
+def texture_without_z_buffer(scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
+    """Return the photograph on every cell in front of the camera, hidden or not: all of them count as seen.
+
+    Source: thesis 2.5, Figure 2.23, where this is what goes wrong.
 
     Raises:
         ShapeError: if the camera is not of the photo's size.
@@ -234,7 +245,8 @@ def painted_through(scan: Scan, photo: Photo, result: PoseResult) -> NDArray[np.
         moved = (uv[..., k] + np.float32(0.5)) * np.float32(size[k] / camera.size[k]) - np.float32(0.5)
         at.append(np.where(inside, np.clip(moved, 0, size[k] - 1), _OUTSIDE).astype(np.float32))
     labels = np.where(inside, Label.SEEN, Label.OUT_OF_FRAME).astype(np.uint8)
-    return np.array(model_picture(scan, RegisteredTexture(look_up(copy, *at, outside=(0.0, 0.0, 0.0)), labels)))
+    labels[~scan.valid] = Label.NO_RETURN
+    return RegisteredTexture(look_up(copy, *at, outside=(0.0, 0.0, 0.0)), labels)
 
 
 def shape_picture(scan: Scan) -> NDArray[np.uint8]:

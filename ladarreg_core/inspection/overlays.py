@@ -13,11 +13,9 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.perspective import View
-from ladarreg_core.photo import Photo
 from ladarreg_core.render import render_scan_colors
 from ladarreg_core.scan import Scan
-from ladarreg_core.texture import Label, RegisteredTexture
-from ladarreg_core.visibility import project_scan
+from ladarreg_core.texture import RegisteredTexture
 
 OverlayShow = Literal["intensity", "edges", "range"]
 _EDGE_COLOUR = (92, 200, 255)
@@ -59,21 +57,6 @@ def photo_over_scan(view: View, texture: RegisteredTexture) -> NDArray[np.uint8]
     known = view.resample(texture.coloured.astype(np.float32))
     colour = np.rint(np.stack(planes, axis=-1)).astype(np.uint8)
     return _with_alpha(colour, np.where(view.inside, 255 * known, 0))
-
-
-def painted_through(scan: Scan, photo: Photo, camera: Camera, camera_from_scanner: Rigid) -> RegisteredTexture:
-    """Return the photo on the scan without a z-buffer: what is hidden from the camera is painted by what hides it.
-
-    Source: thesis Figure 2.23, where this is what goes wrong.
-    """
-    projection = project_scan(scan, camera, camera_from_scanner)
-    u = np.ascontiguousarray(np.nan_to_num(projection.uv[..., 0], nan=-10))
-    v = np.ascontiguousarray(np.nan_to_num(projection.uv[..., 1], nan=-10))
-    image = cv2.remap(photo.pixels, u, v, cv2.INTER_LINEAR)
-    labels = np.where(projection.in_picture, Label.SEEN, Label.OUT_OF_FRAME).astype(np.uint8)
-    labels[~scan.valid] = Label.NO_RETURN
-    image = np.where(projection.in_picture[..., None], image, np.uint8(90))
-    return RegisteredTexture(np.asarray(image, dtype=np.uint8), labels)
 
 
 def _range_picture(scan: Scan) -> NDArray[np.uint8]:

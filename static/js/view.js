@@ -12,6 +12,7 @@
  * @property {boolean} linked both panes show the same place
  * @property {boolean} snap end points go to the nearest corner
  * @property {boolean} loupe
+ * @property {boolean} corners that were found are shown
  * @property {{show: string, low: number, high: number, equalise: boolean, gamma: number, brightness: number,
  *             contrast: number, view: number}} scan
  * @property {{brightness: number, contrast: number, overlay: "none" | "blend" | "swipe" | "checker" | "edges",
@@ -43,6 +44,7 @@ const fresh = () => ({
   linked: false,
   snap: true,
   loupe: true,
+  corners: true,
   scan: { show: "intensity", low: 1, high: 99.5, equalise: false, gamma: 0.6, brightness: 1, contrast: 1, view: 0 },
   photo: { brightness: 1, contrast: 1, overlay: "none", blend: 0.5, swipe: 0.5 },
   filled: null,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.scene import BACKGROUND
+from app.stage3d.colours import BACKGROUND
 from app.viser_server import address, close_server, open_server
 from ladarreg_core.export.glb import glb_bytes
 from ladarreg_core.mesh import scan_mesh

@@ -15,14 +15,16 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.figures import figures, parameters, scanners_place
 from ladarreg_core.inspection.judged import Measured, judge_picks, picks_in_space, sample_line
-from ladarreg_core.inspection.overlays import painted_through, photo_over_scan, scan_over_photo
+from ladarreg_core.inspection.overlays import photo_over_scan, scan_over_photo
 from ladarreg_core.inspection.partners import Partners
 from ladarreg_core.inspection.probing import probe
 from ladarreg_core.inspection.scan_pictures import Stretch, compensated, scan_picture
 from ladarreg_core.inspection.snapping import nearest_corner
 from ladarreg_core.inspection.views import inspection_views
-from ladarreg_core.matches import Pick
+from ladarreg_core.matches import Matches, Pick
+from ladarreg_core.model_pictures import texture_without_z_buffer
 from ladarreg_core.picked import matches_from_picks
+from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import solve_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import AzimuthElevation
@@ -130,7 +132,11 @@ def test_edges_are_transparent_but_for_lines() -> None:
 def test_without_the_z_buffer_hidden_cells_are_painted() -> None:
     c = the_case()
     honest = texture_scan(c.scan, c.photo, c.camera_from_scanner)
-    through = painted_through(c.scan, c.photo, c.true_camera, c.camera_from_scanner)
+    pose = describe_pose(
+        c.camera_from_scanner, Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))), np.zeros(0, np.bool_),
+        c.true_camera, sigma_px=1, sigma_range_m=0.01, covariance=np.eye(6),
+    )  # fmt: skip
+    through = texture_without_z_buffer(c.scan, c.photo, pose)
     hidden = honest.labels == Label.OCCLUDED
     assert hidden.sum() > 1000
     assert through.coloured[hidden].all()

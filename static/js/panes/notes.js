@@ -1,0 +1,58 @@
+/** Sentences on a pane: what to do first, that a picture is coming, why it did not, and what the tool expects here. */
+
+import { element } from "../dom.js";
+import { wantedHint } from "./hints.js";
+
+const LOADING_SAID_AFTER_MS = 300;
+
+/** Notes of one pane. */
+export class Notes {
+  #desk;
+  #side;
+  #slots;
+  #middle = element("p", { class: "pane-middle", role: "status" });
+  #note = element("p", { class: "pane-note" });
+  #wanted = element("p", { class: "pane-wanted", role: "status" });
+  #since = 0;
+  #timer = 0;
+
+  /** @param {import("./desk.js").Desk} desk @param {import("./pane.js").Pane} pane @param {{picture: any, compare: any}} slots */
+  constructor(desk, pane, slots) {
+    this.#desk = desk;
+    this.#side = pane.side;
+    this.#slots = slots;
+    this.body = pane.body;
+    pane.body.append(this.#middle, this.#note, this.#wanted);
+  }
+
+  #said() {
+    const { picture } = this.#slots;
+    const side = this.#desk.sides[this.#side];
+    if (side.empty) return side.empty;
+    if (picture.error) return picture.error;
+    if (!picture.loading) this.#since = 0;
+    if (!picture.loading || picture.picture) return "";
+    this.#since ||= performance.now();
+    const left = this.#since + LOADING_SAID_AFTER_MS - performance.now();
+    if (left <= 0) return "Loading the picture …";
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => this.show(), left + 1);
+    return "";
+  }
+
+  /** Say what there is to say now. */
+  show() {
+    const { picking, sides } = this.#desk;
+    put(this.#middle, this.#said());
+    put(this.#note, this.#slots.compare?.error ?? sides[this.#side].note ?? "");
+    const wanted = picking.wanted === this.#side && !picking.drawing;
+    put(this.#wanted, wanted ? wantedHint(picking) : "");
+    this.body.classList.toggle("wants-partner", picking.wanted === this.#side);
+  }
+}
+
+const put = (paragraph, text) => {
+  if (paragraph.textContent !== text) paragraph.textContent = text;
+  paragraph.hidden = text === "";
+};
+

@@ -1,0 +1,205 @@
+/** One pane: a picture with canvases upon each other, where it stands, and when which layer is drawn again. */
+
+import { allowed, between, fitted, inside, keptInSight, moved, toPixel, toScreen, zoomedAbout } from "./viewport.js";
+
+const LAYERS = ["picture", "compare", "matches", "live"];
+/**
+ * Layers of many strokes are drawn by the processor, which is what `willReadFrequently` asks for: 500 matches take it some
+ * 10 ms, and a graphics driver in software, as of remote desktops, seconds.
+ */
+const DRAWN = new Set(["matches", "live"]);
+const GLIDE_MS = 220;
+
+const calm = matchMedia("(prefers-reduced-motion: reduce)");
+
+/** @returns {boolean} whether things may move by themselves */
+export const motionAllowed = () => !calm.matches;
+
+/** @typedef {"hand" | "link" | "page"} Mover who moved the picture: the operator here, the other pane, or the page */
+
+/** A pane and its layers. */
+export class Pane {
+  /** @type {import("./viewport.js").Viewport} */
+  viewport = { zoom: 1, x: 0, y: 0 };
+  /** @type {readonly number[]} CSS pixels */
+  size = [0, 0];
+  /** @type {readonly number[] | null} width and height of the picture, its own pixels */
+  extent = null;
+  #contexts = new Map();
+  #dirty = new Set();
+  #frame = 0;
+  #fits = true;
+  #glide = null;
+  #listeners = new Set();
+  #paint;
+  #measured = { began: 0, spent_ms: 0 };
+
+  /**
+   * @param {HTMLElement} body
+   * @param {"scan" | "photo"} side
+   * @param {Record<string, (context: CanvasRenderingContext2D) => boolean | void>} paint one painter a layer; false: there is
+   *   nothing on it
+   */
+  constructor(body, side, paint) {
+    this.body = body;
+    this.side = side;
+    this.#paint = paint;
+    for (const layer of LAYERS) {
+      const canvas = document.createElement("canvas");
+      canvas.className = `pane-layer pane-${layer}`;
+      canvas.setAttribute("aria-hidden", "true");
+      body.append(canvas);
+      this.#contexts.set(layer, canvas.getContext("2d", { willReadFrequently: DRAWN.has(layer) }));
+    }
+    new ResizeObserver(() => this.#resize()).observe(body);
+    this.#watchRatio();
+  }
+
+  /** A window dragged to another screen changes its ratio without changing its size. */
+  #watchRatio() {
+    matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`).addEventListener("change", () => {
+      this.#resize();
+      this.#watchRatio();
+    }, { once: true });
+  }
+
+  #resize() {
+    const size = [this.body.clientWidth, this.body.clientHeight];
+    const ratio = window.devicePixelRatio || 1;
+    for (const { canvas } of this.#contexts.values()) {
+      canvas.width = Math.max(1, Math.round(size[0] * ratio));
+      canvas.height = Math.max(1, Math.round(size[1] * ratio));
+      // Not 100 %: a body of fractional width would stretch the picture against the pointer.
+      canvas.style.setProperty("width", `${canvas.width / ratio}px`);
+      canvas.style.setProperty("height", `${canvas.height / ratio}px`);
+    }
+    const before = this.size;
+    this.size = size;
+    if (this.extent && size[0] > 0 && size[1] > 0) {
+      if (this.#fits || before[0] === 0) this.fit("page");
+      else this.place(moved(this.viewport, [(size[0] - before[0]) / 2, (size[1] - before[1]) / 2]), "page");
+    }
+    this.invalidate(...LAYERS);
+    this.#draw(); // in this frame: a canvas that was resized is empty
+  }
+
+  /**
+   * Show something of another size; of the same size, zoom and place stay.
+   * @param {readonly number[] | null} extent
+   */
+  setExtent(extent) {
+    const same = extent && this.extent && extent[0] === this.extent[0] && extent[1] === this.extent[1];
+    this.extent = extent;
+    if (extent && !same) this.fit("page");
+    this.invalidate(...LAYERS);
+    for (const listen of this.#listeners) listen(this, "page");
+  }
+
+  /** Draw layers again in the next frame. */
+  invalidate(...layers) {
+    for (const layer of layers) this.#dirty.add(layer);
+    if (!this.#frame) this.#frame = requestAnimationFrame((now) => this.#step(now));
+  }
+
+  #step(now) {
+    this.#frame = 0;
+    if (this.#glide) this.#glideOn(now);
+    this.#draw();
+  }
+
+  #draw() {
+    const began = performance.now();
+    const ratio = window.devicePixelRatio || 1;
+    for (const layer of LAYERS) {
+      if (!this.#dirty.delete(layer)) continue;
+      const context = this.#contexts.get(layer);
+      context.setTransform(1, 0, 0, 1, 0, 0);
+      context.clearRect(0, 0, context.canvas.width, context.canvas.height);
+      context.setTransform(ratio, 0, 0, ratio, 0, 0);
+      // An empty layer is left out of the page: laying it over the others costs time in each frame.
+      context.canvas.hidden = this.#paint[layer](context) === false;
+    }
+    if (this.#measured.began) {
+      const spent = this.#measured.spent_ms + performance.now() - began;
+      performance.clearMeasures("pane move");
+      performance.measure("pane move", { start: this.#measured.began, duration: spent });
+      this.#measured = { began: 0, spent_ms: 0 };
+    }
+  }
+
+  /** Note what a move of the pointer cost before its drawing: together they are the measure `pane move`. */
+  noteMove(began_ms) {
+    this.#measured.began ||= began_ms;
+    this.#measured.spent_ms += performance.now() - began_ms;
+  }
+
+  /** @param {(pane: Pane, by: Mover) => void} listen called when the picture moves */
+  onMove(listen) {
+    this.#listeners.add(listen);
+  }
+
+  /**
+   * Put the picture there, as far as it may go.
+   * @param {import("./viewport.js").Viewport} viewport
+   * @param {Mover} by
+   */
+  place(viewport, by) {
+    this.#glide = null;
+    this.#fits = false;
+    this.#put(viewport, by);
+  }
+
+  #put(viewport, by) {
+    this.viewport = this.extent ? keptInSight(viewport, this.size, this.extent) : viewport;
+    this.invalidate(...LAYERS);
+    for (const listen of this.#listeners) listen(this, by);
+  }
+
+  /** Show the whole picture. */
+  fit(by) {
+    if (!this.extent || this.size[0] === 0) return;
+    this.place(fitted(this.size, this.extent), by);
+    this.#fits = true;
+  }
+
+  /** Zoom to a factor of the picture's pixels; what is at xy (the middle where left out) stays there. */
+  zoomTo(zoom, by, xy = [this.size[0] / 2, this.size[1] / 2]) {
+    if (this.extent) this.place(zoomedAbout(this.viewport, xy, allowed(zoom, this.size, this.extent)), by);
+  }
+
+  /** @returns {number} the zoom as a share of that at which the whole picture fits */
+  get relativeZoom() {
+    return this.extent ? this.viewport.zoom / fitted(this.size, this.extent).zoom : 1;
+  }
+
+  /** Go to a place, gliding where motion is allowed. */
+  glideTo(viewport, by) {
+    if (!motionAllowed() || viewport === this.viewport) return this.place(viewport, by);
+    this.#glide = { from: this.viewport, to: viewport, by, began: performance.now() };
+    this.#fits = false;
+    return this.invalidate("live");
+  }
+
+  #glideOn(now) {
+    const { from, to, by, began } = this.#glide;
+    const t = Math.max(0, Math.min(1, (now - began) / GLIDE_MS));
+    this.#put(between(from, to, 1 - (1 - t) ** 3, this.size), by);
+    if (t >= 1) this.#glide = null;
+  }
+
+  /** @returns {[number, number]} CSS pixels of the pane at a place of the window */
+  at(event) {
+    const box = this.body.getBoundingClientRect();
+    return [event.clientX - box.left - this.body.clientLeft, event.clientY - box.top - this.body.clientTop];
+  }
+
+  /** @returns {[number, number]} the picture's pixel at a place of the pane, inside the picture */
+  pixelAt(xy) {
+    return inside(toPixel(this.viewport, xy), this.extent);
+  }
+
+  /** @returns {[number, number]} */
+  screenOf(uv) {
+    return toScreen(this.viewport, uv);
+  }
+}

@@ -1,0 +1,152 @@
+/** What the two panes show, and how places of theirs are told to the workbench: rays of the scanner, pixels of the photograph. */
+
+import { placed } from "./marks.js";
+import { pixelOf, rayOf } from "./rays.js";
+
+const query = (entries) =>
+  Object.entries(entries)
+    .filter(([, value]) => value !== null && value !== undefined)
+    .map(([name, value]) => `${name}=${encodeURIComponent(value)}`)
+    .join("&");
+
+/** The scan's pane: a view of the scan. */
+export class ScanSide {
+  name = "scan";
+  #store;
+  #view;
+
+  constructor(store, view) {
+    this.#store = store;
+    this.#view = view;
+  }
+
+  /** @returns {any} slice `scan` */
+  get scan() {
+    return this.#store.get("scan");
+  }
+
+  /** @returns {number} index of the view that is shown */
+  get index() {
+    const count = this.scan?.views?.length ?? 0;
+    return Math.max(0, Math.min(this.#view.get().scan.view, count - 1));
+  }
+
+  /** @returns {import("./rays.js").ScanView | null} */
+  get lens() {
+    return this.scan?.views?.[this.index] ?? null;
+  }
+
+  /** @returns {number[] | null} width and height of the picture */
+  get extent() {
+    return this.lens && [this.lens.width, this.lens.height];
+  }
+
+  /** @returns {string | null} id of the scan */
+  get thing() {
+    return this.scan?.id ?? null;
+  }
+
+  /** @returns {string | null} changes when something else is pictured */
+  get pictured() {
+    return this.scan && `${this.scan.id}/${this.index}`;
+  }
+
+  /** @returns {number[]} the ray through a pixel */
+  toWorld(uv) {
+    return rayOf(this.lens, uv);
+  }
+
+  /** @returns {number[] | null} the pixel of a ray */
+  toPixel(ray) {
+    return pixelOf(this.lens, ray);
+  }
+
+  /** @returns {{ends: (number[] | null)[], line: number[][] | null}} in pixels */
+  placed(ends) {
+    return placed(ends, this.lens);
+  }
+
+  /** @returns {string | null} address of the picture */
+  get address() {
+    if (!this.lens) return null;
+    const { show, low, high, equalise, gamma } = this.#view.get().scan;
+    const impossible = (show === "color" && !this.scan.has_color) || (show === "intensity" && this.scan.has_intensity === false);
+    const shown = impossible ? "range" : show;
+    return `picture/scan?${query({ view: this.index, show: shown, low, high, equalise: equalise ? 1 : 0, gamma, rev: this.scan.id })}`;
+  }
+
+  /** @returns {string | null} what is to be done first */
+  get empty() {
+    return this.lens ? null : "No scan yet. Open one, or drop its file anywhere on this page.";
+  }
+}
+
+/** The photograph's pane. */
+export class PhotoSide {
+  name = "photo";
+  lens = null;
+  #store;
+  #view;
+
+  constructor(store, view) {
+    this.#store = store;
+    this.#view = view;
+  }
+
+  /** @returns {any} entry of slice `photos` */
+  get photo() {
+    return this.#store.photo();
+  }
+
+  get extent() {
+    return this.photo && [this.photo.width, this.photo.height];
+  }
+
+  get thing() {
+    return this.photo?.id ?? null;
+  }
+
+  get pictured() {
+    return this.thing;
+  }
+
+  toWorld(uv) {
+    return [uv[0], uv[1]];
+  }
+
+  toPixel(uv) {
+    return uv;
+  }
+
+  placed(ends) {
+    return placed(ends, null);
+  }
+
+  get address() {
+    if (!this.photo) return null;
+    const { id, rev } = this.photo;
+    return `picture/photo/${encodeURIComponent(id)}?${query({ rev: rev ?? id })}`;
+  }
+
+  /** @returns {string | null} address of the scan as this photograph's camera sees it, under the shown pose */
+  get overlayAddress() {
+    const stage = this.#store.stageOf();
+    const { overlay } = this.#view.get().photo;
+    if (!this.photo || !stage || overlay === "none") return null;
+    // A solution of the same name may come again with other figures.
+    const rev = [stage.when, stage.cost, stage.focal_px, ...(stage.parameters ?? []).map(({ value }) => value)].join(" ");
+    const show = overlay === "edges" ? "edges" : "intensity";
+    return `picture/overlay/${encodeURIComponent(this.photo.id)}?${query({ stage: stage.stage, show, rev })}`;
+  }
+
+  get empty() {
+    return this.photo ? null : "No photograph yet. Add one with +, or drop its file anywhere on this page.";
+  }
+
+  /** @returns {string | null} what is not known yet, though matches can be drawn */
+  get note() {
+    return this.photo && !this.photo.camera
+      ? "Focal length not known yet. Matches can be drawn now; solving needs it: give it with the photograph's name above."
+      : null;
+  }
+}

@@ -1,0 +1,357 @@
+"""The workbench as an operator meets it: a browser, a mouse, and the embedded sample. Screenshots lie in artifacts/."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from benchmarks.workbench import Page as Socket
+from benchmarks.workbench import Served, served
+from ladarreg_core.simulate.embedded import sample_folder
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Locator, Page
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill -9 to send")]
+SIZE = {"width": 1600, "height": 900}
+
+
+class Operator:
+    """A browser tab at the workbench, and a websocket that sees the same document."""
+
+    def __init__(self, page: Page, server: Served, pictures: Path) -> None:
+        self.page, self.server, self.pictures = page, server, pictures
+        self.socket = Socket(server)
+        self._shots = 0
+
+    def open(self) -> None:
+        """Open the page by the address that the server printed."""
+        self.page.goto(f"{self.server.address}?token={self.server.token}")
+        self.page.get_by_role("button", name="connected").wait_for()
+
+    def told(self, name: str) -> Any:
+        """Return a slice as the server tells it now."""
+        self.socket.ask("list_served")  # an answer means that all before it has come
+        return self.socket.slices.get(name)
+
+    def wait(self, true: Callable[[], Any], what: str, seconds: float = 90) -> Any:
+        """Wait until something holds."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            found = true()
+            if found:
+                return found
+            self.page.wait_for_timeout(100)
+        pytest.fail(f"it never happened: {what}")
+
+    def shot(self, name: str) -> None:
+        """Keep a picture of the page."""
+        self.pictures.mkdir(parents=True, exist_ok=True)
+        self._shots += 1
+        self.page.screenshot(path=self.pictures / f"{self._shots:02d}-{name}.png")
+
+    def button(self, name: str) -> Locator:
+        """Return the button of a name."""
+        return self.page.get_by_role("button", name=name)
+
+    def step(self, name: str) -> None:
+        """Go to one of the four steps."""
+        self.page.get_by_role("tab", name=name).click()
+
+    def place(self, side: str, uv: tuple[float, float]) -> tuple[float, float]:
+        """Return where a pixel stands in the window while the whole picture is shown."""
+        body = self.page.locator(f"#{side}-pane .pane-body")
+        box = body.bounding_box()
+        assert box is not None
+        width, height = body.evaluate("(body) => [body.clientWidth, body.clientHeight]")  # whole CSS pixels
+        if side == "scan":
+            view = self.told("scan")["views"][0]
+            size = (view["width"], view["height"])
+        else:
+            photo = self.told("photos")[0]
+            size = (photo["width"], photo["height"])
+        zoom = min(width / size[0], height / size[1])
+        left, top = box["x"] + (width - size[0] * zoom) / 2, box["y"] + (height - size[1] * zoom) / 2
+        return left + (uv[0] + 0.5) * zoom, top + (uv[1] + 0.5) * zoom
+
+    def draw(self, side: str, ends: list[tuple[float, float]]) -> None:
+        """Draw a line with the mouse."""
+        (x0, y0), (x1, y1) = (self.place(side, uv) for uv in ends)
+        mouse = self.page.mouse
+        mouse.move(x0, y0)
+        mouse.down()
+        mouse.move((x0 + x1) / 2, (y0 + y1) / 2, steps=4)
+        mouse.move(x1, y1, steps=4)
+        mouse.up()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A running workbench on the sample, whose camera is known."""
+    with served(tmp_path_factory.mktemp("workbench") / "project") as (found, _):
+        socket = Socket(found)
+        camera = json.loads((sample_folder() / "camera.json").read_text())
+        assert socket.ask("set_camera", photo="p1", focal_px=camera["fx"])["ok"]
+        socket.socket.close()
+        yield found
+
+
+@pytest.fixture
+def operator(browser: Browser, server: Served, checkout: Path, request: pytest.FixtureRequest) -> Iterator[Operator]:
+    """An operator with a tab; what the page's console calls an error fails the test."""
+    # The driver itself evaluates text in frames, which the policy of the 3-D page rightly forbids.
+    context = browser.new_context(viewport=SIZE, bypass_csp=True, accept_downloads=True, color_scheme="dark")  # type: ignore[arg-type]
+    page = context.new_page()
+    errors: list[str] = []
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    found = Operator(page, server, checkout / "artifacts" / request.node.name)
+    found.open()
+    yield found
+    found.shot("end")
+    found.socket.socket.close()
+    context.close()
+    assert not errors, f"the page's console: {errors}"
+
+
+def seen_by_both(server: Served) -> list[tuple[Any, Any, Any]]:
+    """Return three lines that scan and photo share: view pixels, photo pixels, rays; from the sample's true pose."""
+    import ladarreg_core as lr
+    from ladarreg_core.inspection.views import inspection_views
+
+    folder = sample_folder()
+    scan = lr.read_scan(folder / "scan.npz")
+    photo = lr.read_photo(next(folder.glob("photo.*")), camera=folder / "camera.json")
+    truth = lr.Rigid.from_matrix(json.loads((folder / "truth.json").read_text())["camera_from_scanner"])
+    view = inspection_views(scan)[0].view
+    rng = np.random.default_rng(4)
+    found: list[tuple[Any, Any, Any]] = []
+    while len(found) < 3:
+        uv = rng.uniform((200, 150), (view.camera.width - 200, view.camera.height - 150), (2, 2)).round(1)
+        rays = view.rays_at(uv)
+        cell = np.rint(scan.geometry.cell_of(rays)).astype(int)
+        ranges = scan.ranges[cell[:, 0], cell[:, 1]]
+        there = photo.camera.project(truth @ (rays * ranges[:, None]))
+        inside = photo.camera.contains(there, border=-40).all() if np.isfinite(there).all() else False
+        if inside and 150 < np.linalg.norm(uv[0] - uv[1]) < 500:
+            found.append((uv.tolist(), there.round(1).tolist(), rays.tolist()))
+    return found
+
+
+def test_an_operator_goes_all_the_way(operator: Operator, browser: Browser, tmp_path: Path) -> None:
+    """Draw, undo, delete, match, solve and watch, reject, look, export; a second browser sees it all."""
+    page = operator.page
+    page.keyboard.press("n")  # no snapping: positions are checked to fractions of a pixel
+    operator.shot("opened")
+    for number, (in_scan, in_photo, rays) in enumerate(seen_by_both(operator.server), 1):
+        operator.draw("scan", in_scan)
+        operator.draw("photo", in_photo)
+        picks = operator.wait(
+            lambda n=number: p if len(p := operator.told("picks:p1")) == n else None, f"line {number} in the document"
+        )
+        drawn = picks[-1]
+        assert drawn["kind"] == "line"
+        np.testing.assert_allclose(drawn["photo"], in_photo, atol=0.05)
+        np.testing.assert_allclose(drawn["scan"], rays, atol=1e-4)
+    operator.shot("three-lines")
+
+    page.keyboard.press("Control+z")
+    operator.wait(lambda: len(operator.told("picks:p1")) == 2, "undo")
+    page.keyboard.press("Control+Shift+z")
+    operator.wait(lambda: len(operator.told("picks:p1")) == 3, "redo")
+    page.locator(".row-line[data-pick]").nth(2).locator(".col-kind").click()
+    page.keyboard.press("Delete")
+    operator.wait(lambda: len(operator.told("picks:p1")) == 2, "delete")
+
+    operator.button("Register automatically").click()
+    operator.wait(lambda: operator.told("photos")[0]["state"] == "accepted", "registered", 240)
+    page.get_by_text("Accepted", exact=False).first.wait_for()
+    assert len(operator.told("picks:p1")) > 30
+    operator.shot("registered")
+
+    other = browser.new_context(viewport=SIZE, bypass_csp=True)  # type: ignore[arg-type]
+    second = other.new_page()
+    second.goto(f"{operator.server.address}?token={operator.server.token}")
+    second.locator(".row-line[data-pick]").first.wait_for()
+    first_row = page.locator(".row-line[data-pick]").first
+    first_row.get_by_role("checkbox").uncheck()
+    second.locator(".row-line[data-pick].off").first.wait_for()
+    first_row.get_by_role("checkbox").check()
+    other.close()
+
+    operator.step("Solve")
+    page.get_by_role("button", name="Run: Simplex", exact=True).click()
+    operator.wait(lambda: (operator.told("job") or {}).get("kind") == "simplex", "the simplex begins")
+    page.get_by_role("button", name="Pause").first.click()
+    operator.wait(lambda: operator.told("job")["state"] == "paused", "a pause")
+    paused_at = operator.told("job")["done"]
+    operator.shot("simplex-paused")
+    page.get_by_role("button", name="Resume").first.click()
+    operator.wait(lambda: operator.told("job")["done"] > paused_at, "it goes on")
+    page.get_by_role("button", name="Keep best").first.click()
+    operator.wait(lambda: operator.told("job")["state"] == "stopped", "it stops")
+    stages = operator.wait(
+        lambda: [s for s in operator.told("poses:p1")["stages"] if s["stage"] == "simplex"], "the best is kept"
+    )
+    assert len(stages[0]["parameters"]) == 6
+
+    operator.step("Judge")
+    canvas = page.get_by_role("slider", name="Threshold of the depth errors")
+    canvas.wait_for()
+    box = canvas.bounding_box()
+    assert box is not None
+    before = float(canvas.get_attribute("aria-valuenow") or 0)
+    most = float(canvas.get_attribute("aria-valuemax") or 1)
+    em = 12.0
+    y = box["y"] + em * 0.8 + (1 - (before / most + 1) / 2) * (box["height"] - 1.6 * em)
+    page.mouse.move(box["x"] + box["width"] - 6, y)
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] - 6, (y + box["y"] + box["height"] / 2) / 2, steps=6)
+    page.mouse.up()
+    after = float(canvas.get_attribute("aria-valuenow") or 0)
+    assert 0 < after < before
+    operator.shot("threshold")
+    reject = page.get_by_role("button", name="Reject", exact=False).last
+    reject.click()
+    operator.wait(lambda: any(not pick["on"] for pick in operator.told("picks:p1")), "matches are switched off")
+    judged = operator.told("judged:p1")["by_pick"]
+    for pick in operator.told("picks:p1"):
+        error = judged.get(pick["id"], {}).get("depth_m")
+        if error is not None and abs(abs(error) - after) > 1e-3 * after:
+            assert pick["on"] == (abs(error) <= after)
+    page.keyboard.press("Control+z")
+
+    page.get_by_role("button", name="Automatic", exact=False).first.wait_for(timeout=5000)
+    operator.socket.ask("use_stage", photo="p1", stage="auto")
+    page.get_by_label("Texture of the model").select_option("range")
+    operator.wait(lambda: operator.told("model")["texture"] == "range", "another texture")
+    page.get_by_label("Texture of the model").select_option("colour")
+    operator.shot("judged")
+
+    operator.step("Export")
+    with page.expect_download(timeout=120_000) as download:
+        operator.button("Download zip").click()
+    target = tmp_path / "result.zip"
+    download.value.save_as(target)
+    with zipfile.ZipFile(target) as file:
+        assert file.testzip() is None
+        assert {"registration.json", "model.glb", "cloud.ply", "matches.json"} <= set(file.namelist())
+        assert json.loads(file.read("registration.json"))["accepted"]
+    operator.shot("exported")
+
+
+def test_a_line_can_be_drawn_without_a_mouse(operator: Operator) -> None:
+    page = operator.page
+    before = len(operator.told("picks:p1"))
+    page.keyboard.press("n")
+    for side in ("scan", "photo"):
+        body = page.locator(f"#{side}-pane [role=application], #{side}-pane .pane-body[tabindex]").first
+        body.focus()
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("Enter")
+        for _ in range(4):
+            page.keyboard.press("Shift+ArrowRight")
+        page.keyboard.press("Enter")
+    picks = operator.wait(
+        lambda: p if len(p := operator.told("picks:p1")) == before + 1 else None, "a line drawn by keys"
+    )
+    assert abs(picks[-1]["photo"][0][0] - picks[-1]["photo"][1][0]) == pytest.approx(40, abs=0.2)
+
+
+def test_the_policy_lets_the_page_work(browser: Browser, server: Served) -> None:
+    """Without the driver's way around it: no violation, and the workbench connects."""
+    page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
+    violations: list[str] = []
+    page.on("console", lambda m: violations.append(m.text) if "Content Security Policy" in m.text else None)
+    page.goto(f"{server.address}?token={server.token}")
+    page.get_by_role("button", name="connected").wait_for()
+    assert "token" not in page.url
+    page.locator("#photo-pane canvas").first.wait_for(state="attached")
+    page.wait_for_timeout(2000)
+    page.close()
+    assert not violations
+
+
+def test_bad_files_are_told_where_the_operator_looks(operator: Operator, tmp_path: Path) -> None:
+    page = operator.page
+    whole = next(sample_folder().glob("photo.*")).read_bytes()
+    cut = tmp_path / "cut.png"
+    cut.write_bytes(whole[: len(whole) // 3])
+    photos = len(operator.told("photos"))
+    page.locator(".scan-chip").click()
+    page.locator("input[type=file]").first.set_input_files(str(cut))
+    told = page.get_by_text("cut.png").first
+    told.wait_for()
+    operator.wait(lambda: page.get_by_text("damaged", exact=False).count() or page.get_by_text("truncated").count()
+                  or page.get_by_role("alert").count(), "it is said what is wrong")  # fmt: skip
+    operator.shot("bad-file")
+    assert len(operator.told("photos")) == photos
+    page.keyboard.press("Escape")
+
+
+@pytest.mark.parametrize("size", [(1366, 768), (3840, 2160)])
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_it_fits_small_and_large_screens(operator: Operator, size: tuple[int, int], scheme: str) -> None:
+    page = operator.page
+    page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.wait_for_timeout(500)
+    operator.shot(f"{scheme}-{size[0]}")
+    overflow = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+    assert overflow[0] <= size[0]
+    assert overflow[1] <= size[1]
+    for name in ("scan", "photo", "model"):
+        box = page.locator(f"#{name}-pane").bounding_box()
+        assert box is not None
+        assert box["width"] > 0.2 * size[0]
+    assert page.get_by_role("button", name="Register automatically").is_visible()
+
+
+def test_a_killed_server_loses_nothing(browser: Browser, tmp_path: Path) -> None:
+    project = tmp_path / "project"
+    with served(project) as (found, _):
+        socket = Socket(found)
+        for k in range(3):
+            assert socket.ask("add_pick", photo="p1", kind="point", scan=[[1, k / 20, 0]], photo_uv=[[100 + k, 50]])[
+                "ok"
+            ]
+        assert socket.ask("undo")["ok"]
+        os.kill(found.process.pid, signal.SIGKILL)
+        found.process.wait(30)
+    with served(project) as (again, _):
+        context = browser.new_context(viewport=SIZE, bypass_csp=True)  # type: ignore[arg-type]
+        page = context.new_page()
+        page.goto(f"{again.address}?token={again.token}")
+        page.locator(".row-line[data-pick]").nth(1).wait_for()
+        assert page.locator(".row-line[data-pick]").count() == 2
+        page.keyboard.press("Control+Shift+z")
+        page.locator(".row-line[data-pick]").nth(2).wait_for()
+        context.close()
+
+
+def test_a_lost_connection_comes_back_with_the_present_state(operator: Operator) -> None:
+    page = operator.page
+    page.context.set_offline(True)
+    page.evaluate("window.dispatchEvent(new Event('offline'))")
+    page.wait_for_timeout(500)
+    page.context.set_offline(False)
+    reply = operator.socket.ask("add_pick", photo="p1", kind="point", scan=[[1, 0.01, 0]], photo_uv=[[333, 222]])
+    assert reply["ok"]
+    number = next(pick["number"] for pick in operator.told("picks:p1") if pick["id"] == reply["pick"])
+    page.get_by_role("button", name="connected").wait_for()
+    operator.wait(
+        lambda: page.evaluate("import('./js/store.js').then((m) => m.store.picksOf().map((p) => p.number))").count(
+            number
+        ),
+        "the page shows what was put down meanwhile",
+    )
