@@ -85,6 +85,7 @@ class Page:
             f"ws://{served.host}:{served.port}/document",
             additional_headers={"Cookie": served.cookie, "Origin": served.address.rstrip("/")},
             max_size=None,
+            ping_interval=None,
         )
         self.number = 0
         self.slices: dict[str, Any] = {}
