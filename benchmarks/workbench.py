@@ -156,7 +156,7 @@ def round_trips(page: Page, other: Page, times: int = 200) -> tuple[list[float],
     rng = random.Random(1)
     picks = [pick["id"] for pick in page.slices["picks:p1"]]
     answered, seen = [], []
-    for k in range(times):
+    for _ in range(times):
         name, (_, uv) = rng.choice(picks), _random_pick(rng)
         begun = time.perf_counter()
         page.ask("set_pick", photo="p1", pick=name, photo_uv=[uv])
