@@ -57,7 +57,7 @@ export const mountCurves = () => {
     const values = logCosts(steps);
     if (values.length < 2) return;
     const [least, most] = [Math.min(...values), Math.max(...values)];
-    const [left, right, top, bottom] = [em * 3.4, width - em * 0.5, em * 0.7, height - em * 0.7];
+    const [left, right, top, bottom] = [em * 4.4, width - em * 0.5, em * 0.7, height - em * 0.7];
     const y = (value) => bottom - ((value - least) / (most - least || 1)) * (bottom - top);
     context.fillStyle = ink("--lr-dim");
     context.strokeStyle = ink("--lr-line");

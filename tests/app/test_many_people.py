@@ -1,0 +1,29 @@
+"""Ten pages at once, editing at random; `python -m benchmarks.workbench --minutes 60` does it for an hour."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.workbench import Page, many_people, served, with_camera_and_picks
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send")]
+
+
+def test_ten_people_see_one_document(tmp_path: Path) -> None:
+    project = tmp_path / "project"
+    with served(project) as (found, _):
+        watching = Page(found)
+        with_camera_and_picks(watching, 20)
+        _, edits = many_people(found, 0.1)
+        assert edits > 40
+        watching.ask("list_served")
+        coming = Page(found)
+        assert coming.slices["picks:p1"] == watching.slices["picks:p1"], "who watched all along and who comes now"
+        kept = json.loads((project / "project.json").read_bytes())["photos"][0]["picks"]
+        assert [pick["id"] for pick in kept] == [pick["id"] for pick in coming.slices["picks:p1"]]
+        numbers = [pick["number"] for pick in kept]
+        assert len(set(numbers)) == len(numbers)
