@@ -8,6 +8,11 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+# One browser for all tests of a process: two would each want the process's only event loop.
+from tests.e2e.pages import browser, page, pytest_runtest_makereport
+
+__all__ = ["browser", "page", "pytest_runtest_makereport"]
+
 CHECKOUT = Path(__file__).resolve().parent.parent
 
 # One seed for all runs: a failure found once is found again, and the machine's load never fails a law.

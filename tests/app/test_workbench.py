@@ -155,13 +155,11 @@ def test_what_cannot_be_done_is_said_in_a_sentence(
     assert bench.workbench.session.document is before
 
 
-@pytest.mark.parametrize("do", sorted(COMMANDS))
-@pytest.mark.parametrize(
-    "junk", [{}, {"photo": 7, "pick": [], "picks": 3, "scan": {}, "at": None, "job": {}, "n": "x"}]
-)
-def test_junk_never_is_a_fault_of_the_program(bench: Bench, do: str, junk: dict[str, Any]) -> None:
-    reply = bench.ask(do, **junk)
-    assert "fault of the program" not in reply.get("error", "")
+def test_junk_never_is_a_fault_of_the_program(bench: Bench) -> None:
+    for do in sorted(COMMANDS):
+        for junk in ({}, {"photo": 7, "pick": [], "picks": 3, "scan": {}, "at": None, "n": "x"}, {"photo": "p1"}):
+            reply = bench.ask(do, **junk)
+            assert "fault of the program" not in reply.get("error", ""), (do, junk)
 
 
 # jobs

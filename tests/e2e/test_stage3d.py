@@ -18,7 +18,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import AzimuthElevation
-from tests.e2e.conftest import wait_for_pixels
+from tests.e2e.pages import wait_for_pixels
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

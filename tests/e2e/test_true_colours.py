@@ -12,7 +12,7 @@ from ladarreg_core.export.glb import glb_bytes
 from ladarreg_core.mesh import scan_mesh
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import AzimuthElevation
-from tests.e2e.conftest import SIZE, wait_for_pixels
+from tests.e2e.pages import SIZE, wait_for_pixels
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

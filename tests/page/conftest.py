@@ -18,9 +18,6 @@ from PIL import Image
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import rotation_from_rotvec
-from tests.e2e.conftest import browser, page, pytest_runtest_makereport
-
-__all__ = ["browser", "page", "pytest_runtest_makereport"]
 
 VIEW_CAMERA = Camera.from_focal(400, 260, 320.0)
 VIEW_FROM_SCANNER = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]) @ rotation_from_rotvec((0.05, -0.1, 0.2))
