@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
@@ -13,6 +14,7 @@ Message = dict[str, Any]
 Slices = Callable[[], dict[str, Any]]
 T = TypeVar("T")
 _KEPT = 256
+_QUIET_S, _AT_MOST_S = 0.12, 1.0
 
 
 class Teller:
@@ -102,7 +104,7 @@ class Teller:
     def _work(self) -> None:
         while True:
             self._asked.wait()
-            self._asked.clear()
+            self._wait_for_quiet()
             if self._closed:
                 return
             try:
@@ -114,6 +116,15 @@ class Teller:
                 continue  # the document has changed meanwhile
             with self._lock:
                 self._tell_difference(found, slow=True)
+
+    def _wait_for_quiet(self) -> None:
+        """Let somebody who draws go on undisturbed: what takes time to compute would slow every one of his edits."""
+        begun = time.monotonic()
+        while not self._closed and time.monotonic() - begun < _AT_MOST_S:
+            self._asked.clear()
+            if not self._asked.wait(_QUIET_S):
+                break
+        self._asked.clear()
 
 
 def _is_slow(name: str) -> bool:

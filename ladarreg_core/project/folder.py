@@ -122,7 +122,7 @@ class ProjectFolder:
         """
         self._save(history.document)
         entry = history.present
-        self._append({"amend" if amended else "commit": _entry_fields(entry)}, encode(entry.document))
+        self._append({"amend" if amended else "commit": _entry_fields(entry)}, self._written)
 
     def save_move(self, history: History) -> None:
         """Write that the history stands elsewhere.
@@ -162,9 +162,7 @@ class ProjectFolder:
             line = line[:-1] + b', "document": ' + document + b"}"
         try:
             with open(self.path / _HISTORY, "ab") as file:
-                file.write(line + b"\n")
-                file.flush()
-                os.fsync(file.fileno())
+                file.write(line + b"\n")  # a crash of the program cannot lose it; one of the machine only undo
         except OSError as error:
             raise cannot_write(self.path / _HISTORY, error) from None
 
