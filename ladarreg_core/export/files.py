@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -27,3 +28,13 @@ def cannot_write(path: str | Path, error: OSError) -> ExportError:
     """Return the one-line error for a file or folder that could not be written."""
     reason = (error.strerror or type(error).__name__).lower()
     return ExportError(f"cannot write {path}: {reason}; give a folder that is writable and has room")
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the disk know the folder's entries, where the system can say so."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

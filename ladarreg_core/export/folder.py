@@ -12,7 +12,7 @@ from pathlib import Path
 from ladarreg_core.assessment import Assessment, assess
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.documents import write_document
-from ladarreg_core.export.files import cannot_write
+from ladarreg_core.export.files import cannot_write, sync_folder
 from ladarreg_core.export.glb import write_glb
 from ladarreg_core.export.images import write_labels_png, write_registered_png
 from ladarreg_core.export.ply import write_ply
@@ -114,13 +114,13 @@ def write_folder(
             temporary.mkdir(parents=True)
             begun = True
             _write_all(temporary, files(), report)
-            _sync(temporary)
+            sync_folder(temporary)
             check_folder(target, force=force)  # it may have appeared meanwhile
             if target.exists():
                 aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.old")
                 os.rename(target, aside)
             os.rename(temporary, target)
-            _sync(target.parent)
+            sync_folder(target.parent)
         except OSError as error:
             raise cannot_write(target, error) from None
     finally:
@@ -224,13 +224,3 @@ def _missing_parents(target: Path) -> list[Path]:
             break
         missing.append(parent)
     return missing
-
-
-def _sync(folder: Path) -> None:
-    """Have the disk know the folder's entries, where the system can say so."""
-    with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

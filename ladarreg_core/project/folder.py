@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import ExportError, FormatError, LadarregError
-from ladarreg_core.export.files import cannot_write, write_bytes
+from ladarreg_core.export.files import cannot_write, sync_folder, write_bytes
 from ladarreg_core.project.codec import arrays_of, decode_document, encode
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import Entry, History, entries_from
@@ -149,7 +149,7 @@ class ProjectFolder:
         try:
             write_bytes(aside, data)
             os.replace(aside, target)
-            _sync(target.parent)
+            sync_folder(target.parent)
         except OSError as error:
             raise cannot_write(target, error) from None
         finally:
@@ -228,15 +228,6 @@ def _last_change(path: Path) -> str:
     import datetime
 
     return datetime.datetime.fromtimestamp(path.stat().st_mtime).astimezone().isoformat(timespec="seconds")
-
-
-def _sync(folder: Path) -> None:
-    with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 def _held(lock: Path, folder: Path) -> int:
