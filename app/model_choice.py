@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.model_pictures import texture_choices, usable_texture
 
-TEXTURES = {
-    "colour": ("Colour", True),
-    "intensity": ("Intensity", False),
-    "range": ("Range", False),
-    "residual": ("Residual", True),
-    "uncertainty": ("Uncertainty", True),
-    "label": ("Seen or hidden", True),
-}
-"""Value, what to call it, and whether it needs an accepted pose."""
+if TYPE_CHECKING:
+    from ladarreg_core.results import PoseResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,19 +33,14 @@ class ModelShown:
         for name, value in wanted.items():
             if name not in known or type(value) is not type(known[name]):
                 raise OptionError(f"the model has no choice {name!r} of this kind")
-            if name == "texture" and value not in TEXTURES:
-                raise OptionError(f"the model has no texture {value!r}; choose of {', '.join(TEXTURES)}")
+            if name == "texture":
+                usable_texture(value, None)  # which says what there is
         return replace(self, **wanted)
 
-    def slice(self, accepted: bool) -> dict[str, Any]:
-        """Return it as the page is told."""
+    def slice(self, result: PoseResult | None) -> dict[str, Any]:
+        """Return it as the page is told, with what the shown pose leaves to choose from."""
         choices = [
-            {
-                "value": name,
-                "label": label,
-                "usable": accepted or not needs,
-                "said": "" if accepted or not needs else "needs an accepted pose",
-            }
-            for name, (label, needs) in TEXTURES.items()
+            {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.said}
+            for choice in texture_choices(result)
         ]
         return {**asdict(self), "choices": choices}

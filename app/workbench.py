@@ -299,7 +299,9 @@ class Workbench:
             "served": self.files.served_slice(),
             "people": {"count": len(names), "names": names},
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MOST_PHOTOS},
-            "model": self.model.slice(shown is not None and shown.pose is not None and shown.pose.accepted),
+            "model": self.model.slice(
+                room.answer(shown.pose) if shown is not None and shown.pose is not None else None
+            ),
         }
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self.teller.once(entry.picks, partial(picks_slice, entry.picks))

@@ -130,7 +130,7 @@ def test_only_what_changed_is_told_again(bench: Bench) -> None:
         ("rename", {"name": " \n "}, "name"),
         ("go_to", {"n": 999}, "no step 999"),
         ("use_stage", {"photo": "p1", "stage": "simplex"}, "no pose yet"),
-        ("set_model", {"texture": "smell"}, "no texture"),
+        ("set_model", {"texture": "smell"}, "texture"),
         ("open_served", {"path": "../../etc/passwd", "what": "scan"}, "no folder is served"),
         ("predict", {"photo": "p1", "side": "scan", "scan": [[1, 0, 0]]}, "no pose yet"),
         ("run", {"photo": "p1", "job": "dance"}, "no job"),
