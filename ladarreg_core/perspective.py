@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import cv2
@@ -61,8 +61,8 @@ class View:
         """
         valid = np.isfinite(ranges)
         filled = np.where(valid, ranges, 0).astype(np.float32)
-        corners = np.stack([filled[:-1, :-1], filled[:-1, 1:], filled[1:, :-1], filled[1:, 1:]])
-        low, high = corners.min(axis=0), corners.max(axis=0)
+        corners = filled[:-1, :-1], filled[:-1, 1:], filled[1:, :-1], filled[1:, 1:]
+        low, high = reduce(np.minimum, corners), reduce(np.maximum, corners)
         smooth = np.zeros(filled.shape, np.uint8)
         smooth[:-1, :-1] = (low > 0) & (high - low < _DEPTH_EDGE * low)
         linear, nearest = self.resample(filled), _values_at(filled, self.cells, cv2.INTER_NEAREST)

@@ -24,9 +24,13 @@ def fill_from_nearest(image: FloatArray, valid: BoolArray) -> FloatArray:
     _, labels = cv2.distanceTransformWithLabels(
         (~valid).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
+    hole = ~valid
+    rim = valid & (cv2.dilate(hole.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)  # where a hole's nearest cells lie
     value_of = np.zeros(int(labels.max()) + 1, image.dtype)
-    value_of[labels[valid]] = image[valid]
-    return np.asarray(value_of[labels])
+    value_of[labels[rim]] = image[rim]
+    filled = image.copy()
+    filled[hole] = value_of[labels[hole]]
+    return filled
 
 
 def median_range(ranges: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.features.channels import ORIENTATIONS as CHANNELS
+from ladarreg_core.features.channels import channel_products
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.compared import Target, project_visible
 from ladarreg_core.matching.occlusion import Occluder
@@ -181,17 +182,18 @@ def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target
     nearest = np.rint(uv).astype(np.intp)
     base = nearest[:, 1] * width + nearest[:, 0]
     image, squares = target.channels.reshape(-1, CHANNELS), target.squares
+    count = np.diff(starts, append=len(uv))
+    of = np.repeat(np.arange(len(starts)), count)
+    A = channels - (np.add.reduceat(channels, starts) / count[:, None].astype(np.float32)).take(of, axis=0)
+    norm_a = np.sqrt(np.add.reduceat(channel_products(A, A), starts))
+    # One product gives the correlation with A (which is centred, so B need not be) and the sums of B's channels.
+    right = np.tile(np.column_stack([np.zeros(CHANNELS, np.float32), _EACH_CHANNEL]), (int(count.max(initial=0)), 1))
     rho = np.empty((len(starts), side * side))
-    ends = np.append(starts[1:], len(uv))
-    for k, (first, last) in enumerate(zip(starts, ends, strict=True)):
-        n = last - first
-        A = channels[first:last] - channels[first:last].mean(axis=0)
-        pixels = offsets[:, None] + base[first:last]
+    for k, (first, n) in enumerate(zip(starts, count, strict=True)):
+        pixels = offsets[:, None] + base[first : first + n]
         B = image.take(pixels, axis=0).reshape(len(offsets), n * CHANNELS)
-        # One product gives the correlation with A (which is centred, so B need not be) and the sums of B's channels.
-        right = np.column_stack([A.reshape(-1), np.tile(_EACH_CHANNEL, (n, 1))])
-        products = B @ right
+        right[: n * CHANNELS, 0] = A[first : first + n].reshape(-1)
+        products = B @ right[: n * CHANNELS]
         length = squares.take(pixels).sum(axis=1) - (products[:, 1:] ** 2).sum(axis=1) / n
-        norm_a = float(np.linalg.norm(A))
-        rho[k] = products[:, 0] / (norm_a * np.sqrt(np.maximum(length, 0)) + _NO_CORRELATION)
+        rho[k] = products[:, 0] / (norm_a[k] * np.sqrt(np.maximum(length, 0)) + _NO_CORRELATION)
     return rho.reshape(-1, side, side)

@@ -51,7 +51,7 @@ def block_matches(seen: BlockComparison, points: ViewPoints, working: Camera, ca
     shared = np.maximum(seen.rho, _LEAST_SHARED).astype(np.float64)
     damping = _DAMPING * float(np.median(shared * (uu + vv)))
     uu, uv, vv = shared * uu + damping, shared * uv, shared * vv + damping
-    det = uu * vv - uv * uv
+    det = np.maximum(uu * vv - uv * uv, np.finfo(np.float64).tiny)  # flat blocks stay where they are
     offset = np.stack([vv * right_u - uv * right_v, uu * right_v - uv * right_u], axis=-1) / det[:, None]
 
     nearest = _middles(seen)

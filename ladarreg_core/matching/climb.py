@@ -13,6 +13,7 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.features.channels import channel_products
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
 from ladarreg_core.matching.compared import BlockComparison, Target, compare_blocks
@@ -108,7 +109,7 @@ def _gauss_newton_step(
     of = blocks.of_point
 
     # What follows are the sums of products of the centred gradient, projected off B, without ever forming it.
-    m_uu, m_uv, m_vv = (np.einsum("nk,nk->n", *pair) for pair in ((Bu, Bu), (Bu, Bv), (Bv, Bv)))
+    m_uu, m_uv, m_vv = (channel_products(*pair) for pair in ((Bu, Bu), (Bu, Bv), (Bv, Bv)))
     Ju, Jv = _jacobian(seen.points_camera, target.camera, options.free)
     along_b = blocks.sum(seen.b_u[:, None] * Ju + seen.b_v[:, None] * Jv)
     along_a = blocks.sum(seen.a_u[:, None] * Ju + seen.a_v[:, None] * Jv)

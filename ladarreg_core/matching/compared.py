@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.features.channels import channel_products
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.occlusion import Occluder
 from ladarreg_core.matching.points import Blocks, ViewPoints, runs
@@ -32,7 +33,7 @@ class Target:
     @cached_property
     def squares(self) -> FloatArray:
         """(h w,) the channels' squared norm at each pixel."""
-        return np.asarray(np.einsum("nk,nk->n", self._values, self._values))
+        return channel_products(self._values, self._values)
 
     def seen_by(self, camera: Camera) -> Target:
         """Return the same picture, taken for that of another camera of its size."""
@@ -118,7 +119,7 @@ class BlockComparison:
         sum_u, sum_v = self.blocks.sum(self.by_u), self.blocks.sum(self.by_v)
 
         def gram(first: FloatArray, second: FloatArray, sums: FloatArray, along: FloatArray) -> FloatArray:
-            products = self.blocks.sum(np.einsum("nk,nk->n", first, second))
+            products = self.blocks.sum(channel_products(first, second))
             return np.asarray(products - sums / self.count - along)
 
         along_u, along_v = self.blocks.sum(self.b_u), self.blocks.sum(self.b_v)
@@ -147,9 +148,6 @@ def compare_blocks(
     of = blocks.of_point
     count = blocks.sum(np.ones(len(kept), np.float32))
 
-    def total(a: FloatArray, b: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("nk,nk->n", a, b))
-
     def centred(values: FloatArray) -> FloatArray:
         return np.asarray(values - (blocks.sum(values) / count[:, None]).take(of, axis=0))
 
@@ -157,15 +155,18 @@ def compare_blocks(
     A = centred(points.channels.take(kept, axis=0))
     B, Bu, Bv = target.sample(seen)
     B = centred(B)
-    length_a, length_b = np.sqrt(blocks.sum(total(A, A))) + 1e-9, np.sqrt(blocks.sum(total(B, B))) + 1e-9
+    length_a, length_b = (
+        np.sqrt(blocks.sum(channel_products(A, A))) + 1e-9,
+        np.sqrt(blocks.sum(channel_products(B, B))) + 1e-9,
+    )
     A /= length_a.take(of)[:, None]
     shrink = (1 / length_b).take(of)[:, None]
     for values in (B, Bu, Bv):
         values *= shrink
-    rho = np.maximum(blocks.sum(total(A, B)), 0)
+    rho = np.maximum(blocks.sum(channel_products(A, B)), 0)
     return BlockComparison(
         points_camera.take(kept, axis=0), kept, seen, blocks, count, rho, Bu, Bv,
-        total(A, Bu), total(A, Bv), total(B, Bu), total(B, Bv),
+        channel_products(A, Bu), channel_products(A, Bv), channel_products(B, Bu), channel_products(B, Bv),
     )  # fmt: skip
 
 

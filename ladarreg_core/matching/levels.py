@@ -162,7 +162,9 @@ class ScanLevels:
 
     @cached_property
     def _raw_intensity(self) -> FloatArray:
-        return raw_channels([self.gray_planes[0]])
+        raw = raw_channels([self.gray_planes[0]])
+        raw *= self._near_returns[0]
+        return raw
 
     @cached_property
     def _near_returns(self) -> tuple[FloatArray, ...]:
@@ -178,8 +180,9 @@ class ScanLevels:
     @cached_property
     def intensity_channels(self) -> tuple[FloatArray, ...]:
         """(h, w, 8) of each level, from intensity alone."""
-        raw = [self._raw_intensity, *(raw_channels([plane]) for plane in self.gray_planes[1:])]
-        return tuple(_normalised(r * near, L) for L, (r, near) in enumerate(zip(raw, self._near_returns, strict=True)))
+        coarser = zip(self.gray_planes[1:], self._near_returns[1:], strict=True)
+        raw = [self._raw_intensity, *(raw_channels([plane]) * near for plane, near in coarser)]
+        return tuple(map(_normalised, raw, LEVELS))
 
     @cached_property
     def geometry_channels(self) -> tuple[FloatArray, ...]:
@@ -197,8 +200,9 @@ class ScanLevels:
     @cached_property
     def fine_channels(self) -> FloatArray:
         """(h, w, 8), level 0, sharper: for the last pixel fractions. Of intensity, unless the set has none."""
-        raw = raw_channels(self.geometry_planes[0]) if self.channel_set == "geometry" else self._raw_intensity
-        return normalised_channels(raw * self._near_returns[0], **_FINE)
+        if self.channel_set != "geometry":
+            return normalised_channels(self._raw_intensity, **_FINE)
+        return normalised_channels(raw_channels(self.geometry_planes[0]) * self._near_returns[0], **_FINE)
 
 
 def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> ScanLevels:
@@ -264,9 +268,12 @@ def _geometry_planes(view: View, filled: FloatArray) -> list[FloatArray]:
     x = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
     y = (np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
     depth = np.exp(log_range) / np.sqrt(1 + x**2 + y[:, None] ** 2)
-    points = np.stack([depth * x, depth * y[:, None], depth], axis=-1)
-    normal = np.cross(cv2.Sobel(points, cv2.CV_32F, 1, 0, ksize=5), cv2.Sobel(points, cv2.CV_32F, 0, 1, ksize=5))
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    normal = cv2.GaussianBlur(normal.astype(np.float32), (0, 0), 1.0)
-    planes = [normal[..., 0], normal[..., 1], normal[..., 2], 1.5 * log_range]
-    return [np.ascontiguousarray(plane * 255, dtype=np.float32) for plane in planes]
+    # plane by plane: three times as fast as vectors of three
+    along, down = (
+        [np.asarray(cv2.Sobel(plane, cv2.CV_32F, *order, ksize=5)) for plane in (depth * x, depth * y[:, None], depth)]
+        for order in ((1, 0), (0, 1))
+    )
+    normal = [along[i] * down[j] - along[j] * down[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    length = np.maximum(np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-12)
+    planes = [np.asarray(cv2.GaussianBlur(plane / length, (0, 0), 1.0)) for plane in normal]
+    return [np.ascontiguousarray(plane * 255, dtype=np.float32) for plane in (*planes, 1.5 * log_range)]

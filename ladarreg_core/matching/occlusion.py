@@ -28,7 +28,8 @@ class Occluder:
         v, u = np.nonzero(np.isfinite(ranges))
         uv = np.stack([u, v], axis=-1) * float(_CLOUD_STEP)
         rays = scan.view.camera.unproject(uv) @ scan.view.view_from_scanner.rotation
-        self._cloud = (rays * ranges[v, u][:, None]).astype(np.float32)
+        # one row per coordinate: every pose splats the whole cloud, and rows need no copies to be projected
+        self._cloud = np.ascontiguousarray((rays * ranges[v, u][:, None]).T, dtype=np.float32)
         self._camera = photo_camera.scaled(_BUFFER_SCALE)
         self._last: tuple[Rigid, FloatArray] | None = None
 
@@ -36,25 +37,26 @@ class Occluder:
         """Return the nearest depth per coarse pixel, (h, w) float32 m; infinite where nothing is."""
         if self._last is not None and self._last[0] is camera_from_scanner:
             return self._last[1]  # a climb's end is looked at several times
-        cloud = camera_from_scanner @ self._cloud
-        cell, inside = self._cells(cloud)
+        cloud = camera_from_scanner.rotation.astype(np.float32) @ self._cloud
+        cloud += camera_from_scanner.translation.astype(np.float32)[:, None]
+        cell, inside = self._cells(*cloud)
         buffer = np.full(self._camera.width * self._camera.height, np.inf, np.float32)
-        np.minimum.at(buffer, cell, cloud[:, 2][inside])
+        np.minimum.at(buffer, cell, cloud[2][inside])
         self._last = camera_from_scanner, buffer
         return buffer
 
     def visible(self, points_camera: FloatArray, buffer: FloatArray) -> BoolArray:
         """Return which points (N, 3), camera frame, lie in the picture and on its nearest surface."""
-        cell, inside = self._cells(points_camera)
-        shown = points_camera[:, 2][inside] <= buffer[cell] * (1 + _TOLERANCE_FRACTION) + _TOLERANCE_M
+        x, y, z = np.ascontiguousarray(points_camera.T)
+        cell, inside = self._cells(x, y, z)
+        shown = z[inside] <= buffer[cell] * (1 + _TOLERANCE_FRACTION) + _TOLERANCE_M
         visible = np.zeros(len(points_camera), np.bool_)
         visible[inside] = shown
         return visible
 
-    def _cells(self, points_camera: FloatArray) -> tuple[NDArray[np.intp], BoolArray]:
+    def _cells(self, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[NDArray[np.intp], BoolArray]:
         """Return the coarse pixels (M,) of the points in the picture, and which of the points (N,) they are."""
         camera = self._camera
-        x, y, z = np.ascontiguousarray(points_camera.T)
         front = z > _NEAREST_M
         shrink = 1 / np.where(front, z, 1)
         u, v = x * shrink, y * shrink

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.features.channels import channel_products
 from ladarreg_core.matching.levels import ScanLevels
 
 BLOCK_PX = 48
@@ -70,14 +71,14 @@ def edge_strength(
         (h, w) float32; 0 where no point may be drawn.
     """
     surface, edge = _at_level(scan, scan.cameras[level], level)
-    norm = np.sqrt(np.einsum("hwk,hwk->hw", channels, channels))
+    norm = np.sqrt(channel_products(channels, channels))
     usable = np.isfinite(surface) & (norm > _LEAST_NORM)
     if away_from_edges:
         usable &= ~edge
     usable[:_BORDER_PX] = usable[-_BORDER_PX:] = False
     usable[:, :_BORDER_PX] = usable[:, -_BORDER_PX:] = False
-    checker = np.indices(usable.shape, sparse=True)
-    usable &= (checker[0] + checker[1]) % 2 == 0
+    row, column = np.ogrid[: usable.shape[0], : usable.shape[1]]
+    usable &= (row + column) % 2 == 0
     return norm * usable if usable.any() else None
 
 
