@@ -21,6 +21,12 @@ Fields = Mapping[str, Any]
 Answer = dict[str, Any]
 Command = Callable[["Workbench", "Person", Fields], Answer]
 _MOST_NAME = 80
+_FOCALS = {
+    "focal_px": "the focal length",
+    "focal_mm": "the focal length",
+    "sensor_mm": "the sensor's width",
+    "focal_35mm": "the 35 mm equivalent",
+}
 
 
 def answer(workbench: Workbench, person: Person, message: Fields) -> Answer:
@@ -117,14 +123,16 @@ def reject(workbench: Workbench, person: Person, fields: Fields) -> Answer:
 
 def set_camera(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Tell a photograph's focal length."""
-    focal_px, focal_mm, sensor_mm = (
-        None if fields.get(name) is None else _positive(fields[name], name)
-        for name in ("focal_px", "focal_mm", "sensor_mm")
-    )
-    in_mm = focal_mm is not None and sensor_mm is not None
-    if (focal_px is None) != in_mm or (focal_mm is None) != (sensor_mm is None):
-        raise OptionError("give the focal length in pixels, or in mm together with the sensor's width")
-    _camera(workbench, person, fields, CameraGiven(focal_px=focal_px, focal_mm=focal_mm, sensor_mm=sensor_mm))
+    from ladarreg_core.formats.exif import focal_of_35mm
+
+    given = {name: _positive(fields[name], said) for name, said in _FOCALS.items() if fields.get(name) is not None}
+    if set(given) not in ({"focal_px"}, {"focal_35mm"}, {"focal_mm", "sensor_mm"}):
+        raise OptionError("give the 35 mm equivalent, or the focal length in mm and the sensor's width, or pixels")
+    if "focal_35mm" in given:
+        entry = edits.the_photo(workbench.session.document, fields.get("photo"))
+        size = workbench.room.photo_to_look_at(entry).camera.size
+        given = {"focal_px": focal_of_35mm(given["focal_35mm"], *size)}
+    _camera(workbench, person, fields, msgspec.structs.replace(CameraGiven(), **given))
     return {}
 
 

@@ -110,7 +110,7 @@ class Workroom:
     def _without_camera(self, entry: PhotoEntry) -> Photo:
         from ladarreg_core.formats import read_photo
 
-        return read_photo(self._folder.source_path(entry.source.path), focal_px=1000.0)
+        return read_photo(self._folder.source_path(entry.source.path), focal_mm=36.0, sensor_mm=36.0)
 
     def views(self, document: Document) -> tuple[NamedView, ...]:
         """Return the views of the scan; none where no scan is open."""

@@ -69,12 +69,23 @@ def focal_from_exif(tags: Mapping[int, Any], raw_width: int, raw_height: int) ->
     film = _number(tags.get(_FOCAL_35MM))
     from_film = None
     if film:
-        focal = film / _FILM_DIAGONAL_MM * math.hypot(raw_width, raw_height)
+        focal = focal_of_35mm(film, raw_width, raw_height)
         if _plausible(focal, raw_width, raw_height):
             from_film = ExifFocal(focal, f"EXIF: {film:g} mm in 35 mm terms, good to some percent")
     if from_plane and from_film and abs(from_plane.focal_px / from_film.focal_px - 1) > _DISAGREEMENT:
         return from_film
     return from_plane or from_film
+
+
+def focal_of_35mm(equivalent_mm: float, width: int, height: int) -> float:
+    """Return the focal length, pixels, of a 35 mm equivalent, by the picture's diagonal.
+
+    Args:
+        equivalent_mm: focal length in 35 mm terms, mm.
+        width: the picture's width, pixels; turned or not is the same.
+        height: its height.
+    """
+    return equivalent_mm / _FILM_DIAGONAL_MM * math.hypot(width, height)
 
 
 def _by_focal_plane(tags: Mapping[int, Any], raw_width: int, raw_height: int) -> ExifFocal | None:

@@ -21,6 +21,9 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.thermal import kelvin_of, thermal_photo
 
 _FREEZING_K = 273.15
+_POSSIBLE = (0.05, 100.0)
+"""Focal length over the longer side; lenses lie between 0.3 and 35, what lies far outside was mistyped."""
+_USUAL = (0.5, 10.0)
 
 
 def read_photo(
@@ -45,7 +48,8 @@ def read_photo(
 
     Raises:
         FormatError: if the file is no picture, or is damaged.
-        CameraError: if no focal length is given or found, or the picture has not the camera's size.
+        CameraError: if no focal length is given or found, no lens has the one given, or the picture has not the
+            camera's size.
         OptionError: if the options contradict each other or are not positive.
     """
     _check_options(camera, focal_px, focal_mm, sensor_mm)
@@ -100,6 +104,17 @@ def _check_options(camera: object, focal_px: float | None, focal_mm: float | Non
         raise OptionError(f"{there} is given without {missing}; give both (the sensor's width in mm)")
 
 
+def _check_possible(focal_px: float, width: int, height: int) -> None:
+    longer = max(width, height)
+    low, high = _POSSIBLE
+    if not low * longer <= focal_px <= high * longer:
+        usual = " to ".join(f"{round(share * longer)}" for share in _USUAL)
+        raise CameraError(
+            f"a focal length of {focal_px:.3g} px does not fit a picture of {width} x {height} pixels, where most "
+            f"lenses have {usual} px; check the figures and their units"
+        )
+
+
 def _is_turned(camera: Camera, raw_width: int, raw_height: int, orientation: int) -> bool:
     """Tell whether the camera belongs to the picture as EXIF turns it: its size decides.
 
@@ -127,9 +142,11 @@ def _focal(
     sensor_mm: float | None,
 ) -> tuple[float, str]:
     if focal_px is not None:
+        _check_possible(focal_px, raw_width, raw_height)
         return focal_px, f"focal length {focal_px:.1f} px, as given; the lens is taken as free of distortion"
     if focal_mm is not None and sensor_mm is not None:
         focal = focal_mm / sensor_mm * raw_width
+        _check_possible(focal, raw_width, raw_height)
         return focal, f"focal length {focal:.1f} px from {focal_mm:g} mm and a sensor {sensor_mm:g} mm wide"
     found = focal_from_exif(tags, raw_width, raw_height)
     if found is None:

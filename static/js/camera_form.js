@@ -1,16 +1,26 @@
-/** Telling the focal length of a photograph: in pixels, in millimetres, or by a camera file. */
+/** Telling the focal length of a photograph: as phones tell it, as the lens tells it, in pixels, or by a camera file. */
 
-import { button, element, newId, put, say } from "./dom.js";
+import { attribute, button, element, newId, put, say } from "./dom.js";
 import { ask } from "./connection.js";
-import { fixed } from "./numbers.js";
+import { fixed, sentences } from "./numbers.js";
 import { popoverOf } from "./popover.js";
 import { sendFile } from "./uploads.js";
 import { store } from "./store.js";
 
+const NOTHING = "Fill in one of the three: the 35 mm equivalent, or focal length and sensor width, or pixels.";
+
 const field = (label, unit, example) => {
   const id = newId("field");
-  const input = element("input", { id, type: "number", min: "0", step: "any", placeholder: example, class: "number" });
+  const input = element("input", {
+    id,
+    type: "text",
+    inputMode: "decimal",
+    autocomplete: "off",
+    placeholder: example,
+    class: "number",
+  });
   return {
+    label,
     input,
     row: element(
       "div",
@@ -22,24 +32,33 @@ const field = (label, unit, example) => {
   };
 };
 
+/** One way to tell it, and where it is found. */
+const way = (where, ...fields) =>
+  element("fieldset", {}, ...fields.map(({ row }) => row), element("p", { class: "dim field-where" }, where));
+
 /** @param {HTMLButtonElement} opener */
 export const mountCameraForm = (opener) => {
-  const px = field("Focal length", "px", "1000");
-  const mm = field("Focal length", "mm", "35");
-  const sensor = field("Sensor width", "mm", "36");
+  const film = field("35 mm equivalent", "mm", "26");
+  const mm = field("Focal length", "mm", "5.6");
+  const sensor = field("Sensor width", "mm", "7.3");
+  const px = field("Focal length in pixels", "px", "1000");
+  const fields = { focal_35mm: film, focal_mm: mm, sensor_mm: sensor, focal_px: px };
   const head = element("p", { class: "form-head" });
   const wrong = element("p", { class: "form-wrong", role: "alert", hidden: true });
   const file = element(
     "input",
     { type: "file", accept: ".json,.yaml,.yml,.xml", class: "told", tabIndex: -1, "aria-hidden": "true" },
   );
+  const or = () => element("p", { class: "or" }, "or");
   const form = element(
     "form",
-    { class: "camera-form" },
+    { class: "camera-form", noValidate: true },
     head,
-    element("fieldset", {}, element("legend", {}, "In pixels"), px.row),
-    element("p", { class: "or" }, "or"),
-    element("fieldset", {}, element("legend", {}, "In millimetres"), mm.row, sensor.row),
+    way("Phones and most cameras tell it in the details of the original photograph.", film),
+    or(),
+    way("From the lens, and the width of the sensor from the camera's data sheet.", mm, sensor),
+    or(),
+    way("From a calibration of the camera at this picture size.", px),
     wrong,
     element(
       "div",
@@ -55,37 +74,46 @@ export const mountCameraForm = (opener) => {
     file,
   );
   const panel = popoverOf(opener, "Camera of the photograph", form);
-  const fail = (text) => {
+  const fail = (text, { input } = {}) => {
     say(wrong, text);
     wrong.hidden = text === "";
+    for (const each of Object.values(fields)) attribute(each.input, "aria-invalid", each.input === input);
+    input?.focus();
   };
   const done = () => {
+    for (const { input } of Object.values(fields)) input.value = "";
     fail("");
     panel.hidePopover();
   };
 
-  const wanted = () => {
-    const numbers = Object.fromEntries(
-      Object.entries({ focal_px: px, focal_mm: mm, sensor_mm: sensor }).map(
-        ([name, { input }]) => [name, input.valueAsNumber],
-      ),
-    );
-    if (numbers.focal_px > 0) return { focal_px: numbers.focal_px };
-    if (numbers.focal_mm > 0 && numbers.sensor_mm > 0) return {
-      focal_mm: numbers.focal_mm,
-      sensor_mm: numbers.sensor_mm,
-    };
+  const refuse = (text, where) => {
+    fail(text, where);
     return null;
+  };
+  /** @returns {Record<string, number> | null} what was filled in; null where something is to be said first */
+  const wanted = () => {
+    const filled = Object.entries(fields).filter(([, { input }]) => input.value.trim() !== "");
+    const numbers = Object.fromEntries(filled.map(([name, { input }]) => [name, numberOf(input.value)]));
+    const [, bad] = filled.find(([name]) => !(numbers[name] > 0 && numbers[name] < Infinity)) ?? [];
+    if (bad) return refuse(`${bad.label}: “${bad.input.value.trim().slice(0, 20)}” is no number above 0.`, bad);
+    if ("focal_mm" in numbers !== "sensor_mm" in numbers) {
+      const missing = "focal_mm" in numbers ? sensor : mm;
+      return refuse(`${missing.label} is missing: the two belong together.`, missing);
+    }
+    const ways = new Set(filled.map(([name]) => (name === "sensor_mm" ? "focal_mm" : name)));
+    if (ways.size === 0) return refuse(NOTHING, film);
+    if (ways.size > 1) return refuse("More than one is filled in: empty all but one.", filled[0][1]);
+    return numbers;
   };
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     const camera = wanted();
-    if (!camera) return fail("Give the focal length in pixels; or in millimetres together with the sensor's width.");
+    if (!camera) return;
     try {
       await ask("set_camera", { photo: store.shown(), ...camera });
       done();
     } catch (error) {
-      fail(error.message);
+      fail(sentences([error.message]));
     }
   });
   file.addEventListener("change", async () => {
@@ -105,9 +133,8 @@ export const mountCameraForm = (opener) => {
     const camera = photo?.camera;
     const said = camera
       ? `${photo.name}: ${camera.said || `f ${fixed(camera.fx, 1)} px`}`
-      : `Nothing in ${photo?.name ?? "the file"} tells its focal length.`;
+      : `${photo?.name ?? "The file"} does not tell its focal length: say it in one of these ways.`;
     put(head, said);
-    px.input.placeholder = camera ? fixed(camera.fx, 1) : "1000";
   };
   const asked = new Set();
   const askOnce = () => {
@@ -122,5 +149,8 @@ export const mountCameraForm = (opener) => {
     requestAnimationFrame(askOnce);
   });
   document.addEventListener("close", () => requestAnimationFrame(askOnce), true); // of a dialog that stood before it
-  panel.addEventListener("toggle", (event) => event.newState === "open" && (fail(""), show(), px.input.focus()));
+  panel.addEventListener("toggle", (event) => event.newState === "open" && (fail(""), show(), film.input.focus()));
 };
+
+/** @returns {number} of a text with a decimal point or comma; NaN where it is none */
+const numberOf = (text) => Number(text.trim().replace(",", "."));

@@ -4,12 +4,13 @@ import { element, newId } from "./dom.js";
 
 const MARGIN_PX = 8;
 
-/** Put a panel below what it belongs to, within the window. */
+/** Put a panel below what it belongs to: by its left edge in the left half of the window, else by its right one. */
 const place = (panel, opener) => {
   const box = opener.getBoundingClientRect();
   const room = document.documentElement.clientWidth;
-  const left = Math.max(MARGIN_PX, Math.min(box.left, room - panel.offsetWidth - MARGIN_PX));
-  panel.style.setProperty("left", `${left}px`);
+  const onLeft = box.left + box.right < room;
+  panel.style.setProperty("left", onLeft ? `${Math.max(MARGIN_PX, box.left)}px` : "auto");
+  panel.style.setProperty("right", onLeft ? "auto" : `${Math.max(MARGIN_PX, room - box.right)}px`);
   panel.style.setProperty("top", `${box.bottom + 6}px`);
 };
 
@@ -28,10 +29,9 @@ export const popoverOf = (opener, label, ...children) => {
   );
   opener.popoverTargetElement = panel;
   opener.setAttribute("aria-haspopup", "dialog");
-  panel.addEventListener("toggle", (event) => {
-    opener.setAttribute("aria-expanded", String(event.newState === "open"));
-    if (event.newState === "open") place(panel, opener);
-  });
+  // before it is shown: `toggle` comes late on a busy page, and until then it would stand in the corner
+  panel.addEventListener("beforetoggle", (event) => event.newState === "open" && place(panel, opener));
+  panel.addEventListener("toggle", (event) => opener.setAttribute("aria-expanded", String(event.newState === "open")));
   opener.setAttribute("aria-expanded", "false");
   opener.after(panel);
   return panel;

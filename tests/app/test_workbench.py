@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import subprocess
 import sys
@@ -126,6 +127,9 @@ def test_only_what_changed_is_told_again(bench: Bench) -> None:
         ("reject", {"photo": "p1", "by": "taste", "above": 0.1}, "'depth' or by 'px'"),
         ("set_camera", {"photo": "p1"}, "focal length"),
         ("set_camera", {"photo": "p1", "focal_mm": 35}, "sensor's width"),
+        ("set_camera", {"photo": "p1", "focal_35mm": 26, "focal_px": 900}, "or pixels"),
+        ("set_camera", {"photo": "p1", "focal_px": 5}, "most lenses have 384 to 7680 px"),
+        ("set_camera", {"photo": "p1", "focal_mm": 35, "sensor_mm": 36000}, "check the figures"),
         ("set_settings", {"t1": 9}, "t1"),
         ("rename", {"name": " \n "}, "name"),
         ("go_to", {"n": 999}, "no step 999"),
@@ -369,6 +373,8 @@ def test_a_photo_without_focal_length_is_shown_and_asked_about(bench: Bench, tmp
     assert "focal length" in bench.refused("run", photo=photo, job="robust")
     bench.do("set_camera", photo=photo, focal_mm=35, sensor_mm=36)
     assert bench.slice("photos")[-1]["camera"]["fx"] == pytest.approx(120 * 35 / 36)
+    bench.do("set_camera", photo=photo, focal_35mm=26)
+    assert bench.slice("photos")[-1]["camera"]["fx"] == pytest.approx(26 * math.hypot(120, 90) / math.hypot(36, 24))
 
 
 def test_a_served_folder_gives_its_files_and_nothing_else(tmp_path: Path) -> None:

@@ -126,6 +126,12 @@ def test_options_that_contradict_each_other_are_refused(tmp_path: Path, options:
         read_photo(save(tmp_path / "a.png", picture()), **options)
 
 
+@pytest.mark.parametrize("options", [{"focal_px": 2.9}, {"focal_px": 6001}, {"focal_mm": 1, "sensor_mm": 36}])
+def test_a_focal_length_that_no_lens_has_is_refused(tmp_path: Path, options: dict[str, Any]) -> None:
+    with pytest.raises(CameraError, match=r"60 x 40 pixels, where most lenses have 30 to 600 px"):
+        read_photo(save(tmp_path / "a.png", picture()), **options)
+
+
 def test_gray_deep_and_transparent_pictures_become_rgb(tmp_path: Path) -> None:
     gray = picture()[..., 0]
     cases = {
