@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from app.session import Session
@@ -11,10 +10,11 @@ from app.workroom import Workroom
 from ladarreg_core.errors import CameraError, LadarregError
 
 if TYPE_CHECKING:
+    from app.each_once import EachOnce
     from app.jobs.runner import Job
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
-    from ladarreg_core.project.history import History
+    from ladarreg_core.project.history import Entry, History
 
 log = logging.getLogger(__name__)
 _TOLD_HISTORY = 300
@@ -35,13 +35,14 @@ def project_slice(session: Session) -> dict[str, Any]:
     }
 
 
-def history_slice(history: History) -> dict[str, Any]:
-    """Return the last entries."""
-    entries = history.entries[-_TOLD_HISTORY:]
-    return {
-        "at": history.present.number,
-        "entries": [{"n": e.number, "label": e.label, "author": e.author, "when": clock(e.when)} for e in entries],
-    }
+def history_slice(history: History, each: EachOnce[Entry, dict[str, Any]]) -> dict[str, Any]:
+    """Return the last entries, as `entry_shown` shows each."""
+    return {"at": history.present.number, "entries": each.of("history", history.entries[-_TOLD_HISTORY:])}
+
+
+def entry_shown(entry: Entry) -> dict[str, Any]:
+    """Return one entry of the history."""
+    return {"n": entry.number, "label": entry.label, "author": entry.author, "when": clock(entry.when)}
 
 
 def scan_slice(room: Workroom, document: Document) -> dict[str, Any] | None:
@@ -107,21 +108,18 @@ def photo_slice(room: Workroom, entry: PhotoEntry) -> dict[str, Any]:
     return found
 
 
-def picks_slice(picks: Sequence[PickEntry]) -> list[dict[str, Any]]:
-    """Return picks."""
-    return [
-        {
-            "id": pick.id,
-            "number": pick.number,
-            "kind": pick.kind,
-            "scan": [list(ray) for ray in pick.scan],
-            "photo": [list(uv) for uv in pick.photo],
-            "on": pick.on,
-            "weight": pick.weight,
-            "origin": pick.origin,
-        }
-        for pick in picks
-    ]
+def pick_shown(pick: PickEntry) -> dict[str, Any]:
+    """Return one pick."""
+    return {
+        "id": pick.id,
+        "number": pick.number,
+        "kind": pick.kind,
+        "scan": [list(ray) for ray in pick.scan],
+        "photo": [list(uv) for uv in pick.photo],
+        "on": pick.on,
+        "weight": pick.weight,
+        "origin": pick.origin,
+    }
 
 
 def job_slice(job: Job | None) -> dict[str, Any] | None:

@@ -29,7 +29,7 @@ def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEn
     """Return what the shown pose says of the picks, and what the scan measures under drawn lines."""
     from ladarreg_core.inspection.judged import judge_picks
 
-    picks = [pick.as_pick() for pick in entry.picks]
+    picks = room.picks(entry)
     lines = {pick.id: line_shown(room, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
     found: dict[str, Any] = {
         "stage": entry.shown_stage,

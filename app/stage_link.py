@@ -6,6 +6,7 @@ import logging
 import threading
 from typing import TYPE_CHECKING, Any
 
+from app.quiet import Quiet
 from ladarreg_core.errors import LadarregError
 
 if TYPE_CHECKING:
@@ -24,8 +25,7 @@ class StageLink:
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
         self._stage: Stage3D | None = None
-        self._asked = threading.Event()
-        self._closed = False
+        self._quiet = Quiet()
         self._drawn: Any = None
         self._walks = False
         self._iterations = 0
@@ -41,7 +41,7 @@ class StageLink:
 
     def refresh(self) -> None:
         """Have the stage follow the document."""
-        self._asked.set()
+        self._quiet.ask()
 
     def set_model(self, model: ModelShown) -> None:
         """Show the model in another way."""
@@ -91,18 +91,13 @@ class StageLink:
 
     def close(self) -> None:
         """End the thread."""
-        self._closed = True
-        self._asked.set()
+        self._quiet.close()
         self._thread.join(30)
         if self._stage is not None:
             self._stage.close()
 
     def _work(self) -> None:
-        while True:
-            self._asked.wait()
-            self._asked.clear()
-            if self._closed:
-                return
+        while self._quiet.wait():
             try:
                 self._follow()
             except LadarregError as error:
@@ -134,7 +129,7 @@ class StageLink:
                 stage.show_registration(scan, photo, answer, name=entry.source.name)
         if scan is None or entry is None:
             return
-        points, ids, on = picks_in_space(scan, [pick.as_pick() for pick in entry.picks])
+        points, ids, on = picks_in_space(scan, room.picks(entry))
         numbers = {pick.id: pick.number for pick in entry.picks}
         colours = [MATCH_COLOURS[(numbers[name] - 1) % len(MATCH_COLOURS)] for name in ids]
         stage.show_picks(points, colours, on, ids)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
+
+from app.quiet import Quiet
 
 log = logging.getLogger(__name__)
 Message = dict[str, Any]
 Slices = Callable[[], dict[str, Any]]
 T = TypeVar("T")
 _KEPT = 256
-_QUIET_S, _AT_MOST_S = 0.12, 1.0
 
 
 class Teller:
@@ -27,8 +27,7 @@ class Teller:
         self._version = 0
         self._listeners: list[Callable[[Message], None]] = []
         self._once: OrderedDict[Hashable, tuple[Any, Any]] = OrderedDict()
-        self._asked = threading.Event()
-        self._closed = False
+        self._quiet = Quiet()
         self._thread = threading.Thread(target=self._work, name="teller", daemon=True)
         self._thread.start()
 
@@ -69,7 +68,7 @@ class Teller:
         with self._lock:
             self._tell_difference(self._quick(), slow=False)
         if slow:
-            self._asked.set()
+            self._quiet.ask()
 
     def tell_event(self, event: Message) -> None:
         """Tell something that passes by."""
@@ -80,8 +79,7 @@ class Teller:
 
     def close(self) -> None:
         """End the thread."""
-        self._closed = True
-        self._asked.set()
+        self._quiet.close()
         self._thread.join(30)
 
     def _tell_difference(self, slices: dict[str, Any], *, slow: bool) -> None:
@@ -102,29 +100,16 @@ class Teller:
                 listener(message)
 
     def _work(self) -> None:
-        while True:
-            self._asked.wait()
-            self._wait_for_quiet()
-            if self._closed:
-                return
+        while self._quiet.wait():
             try:
                 found = self._slow()
             except Exception:
                 log.exception("slices could not be computed")
                 continue
-            if self._asked.is_set():
+            if self._quiet.asked:
                 continue  # the document has changed meanwhile
             with self._lock:
                 self._tell_difference(found, slow=True)
-
-    def _wait_for_quiet(self) -> None:
-        """Let somebody who draws go on undisturbed: what takes time to compute would slow every one of his edits."""
-        begun = time.monotonic()
-        while not self._closed and time.monotonic() - begun < _AT_MOST_S:
-            self._asked.clear()
-            if not self._asked.wait(_QUIET_S):
-                break
-        self._asked.clear()
 
 
 def _is_slow(name: str) -> bool:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.commands_of_page import answer
+from app.each_once import EachOnce
 from app.files import Files
 from app.job_table import JobTable
 from app.jobs.bench import Bench
@@ -18,7 +19,7 @@ from app.jobs.runner import Job, JobRunner
 from app.model_choice import ModelShown
 from app.pictures import Pictures
 from app.session import Change, Session
-from app.slices import history_slice, job_slice, photo_slice, picks_slice, project_slice, scan_slice
+from app.slices import entry_shown, history_slice, job_slice, photo_slice, pick_shown, project_slice, scan_slice
 from app.slices_of_poses import judged_slice, line_shown, poses_slice
 from app.stage_link import StageLink
 from app.teller import Teller
@@ -71,6 +72,7 @@ class Workbench:
         self.runner = JobRunner(self._job_changed)
         self.jobs = JobTable(Bench(session, room), self.runner, self.stage.watch_simplex, self.tell_event)
         self.pictures = Pictures(session, room)
+        self._picks_shown, self._entries_shown = EachOnce(pick_shown), EachOnce(entry_shown)
         self.teller = Teller(self._quick_slices, self._slow_slices)
         self._off = session.subscribe(self._changed)
         self._show_what_there_is()
@@ -290,7 +292,7 @@ class Workbench:
             names = [person.name for person in self._people]
         found: dict[str, Any] = {
             "project": project_slice(session),
-            "history": history_slice(session.history),
+            "history": history_slice(session.history, self._entries_shown),
             "scan": room.kept("picture", ("scan slice", document.scan), lambda: scan_slice(room, document)),
             "photos": [photo_slice(room, entry) for entry in document.photos],
             "shown": shown.id if shown else None,
@@ -304,7 +306,7 @@ class Workbench:
             ),
         }
         for entry in document.photos:
-            found[f"picks:{entry.id}"] = self.teller.once(entry.picks, partial(picks_slice, entry.picks))
+            found[f"picks:{entry.id}"] = self._picks_shown.of(entry.id, entry.picks)
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
             found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
         return found

@@ -7,6 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from app.each_once import EachOnce
 from ladarreg_core.errors import CameraError, LadarregError
 
 if TYPE_CHECKING:
@@ -14,8 +15,9 @@ if TYPE_CHECKING:
     from ladarreg_core.inspection.judged import Measured
     from ladarreg_core.inspection.partners import Partners
     from ladarreg_core.inspection.views import NamedView
+    from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry, Source
+    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, PoseEntry, Source
     from ladarreg_core.project.folder import ProjectFolder
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
@@ -41,6 +43,7 @@ class Workroom:
     def __init__(self, folder: ProjectFolder) -> None:
         self._folder = folder
         self._kept: dict[str, OrderedDict[Hashable, Any]] = {kind: OrderedDict() for kind in _KEPT}
+        self._picks: EachOnce[PickEntry, Pick] = EachOnce(lambda pick: pick.as_pick())
         self._locks: dict[str, threading.RLock] = {kind: threading.RLock() for kind in _KEPT}
 
     def kept(self, kind: str, key: Hashable, make: Callable[[], T]) -> T:
@@ -66,6 +69,10 @@ class Workroom:
         if source is None:
             return None
         return self.kept("scan", source, lambda: self.read_scan(source))
+
+    def picks(self, entry: PhotoEntry) -> list[Pick]:
+        """Return a photograph's picks, on or off; those that did not change are the same objects."""
+        return self._picks.of(entry.id, entry.picks)
 
     def read_scan(self, source: Source) -> Scan:
         """Read a scan's file."""

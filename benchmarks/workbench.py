@@ -26,6 +26,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
+from app.gateway.changes import changed
 from ladarreg_core.simulate.embedded import sample_folder
 
 _MANY = 500
@@ -99,6 +100,8 @@ class Page:
 
     def take(self, message: dict[str, Any]) -> dict[str, Any]:
         self.slices.update(message.get("slices", {}))
+        for name, change in message.get("changes", {}).items():
+            self.slices[name] = changed(self.slices[name], change)
         return message
 
     def ask(self, do: str, **fields: Any) -> dict[str, Any]:

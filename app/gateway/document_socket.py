@@ -11,9 +11,11 @@ from typing import Any
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from app.gateway.interface import Client, Message, Workbench
+from app.gateway.encoded import Encoded
+from app.gateway.interface import Client, Workbench
 from app.gateway.json_text import NotJson, decode_object, encode
 from app.gateway.outbox import Outbox
+from app.gateway.told import Told
 from app.gateway.visitors import Visitors
 
 log = logging.getLogger(__name__)
@@ -34,6 +36,7 @@ class DocumentSocket:
 
     def __init__(self, workbench: Workbench, visitors: Visitors) -> None:
         self._workbench, self._visitors = workbench, visitors
+        self._encoded = Encoded()
 
     async def serve(self, websocket: WebSocket) -> None:
         """Serve one page until it goes."""
@@ -65,9 +68,10 @@ class DocumentSocket:
         unsubscribe = self._workbench.subscribe(outbox.put)
         try:
             slices = await run_in_threadpool(self._workbench.slices, client)
-            await websocket.send_text(_text({"slices": slices}, client))
+            told = Told(client, self._encoded)
+            await websocket.send_text(told.text({"slices": slices}))
             await _until_one_ends(
-                _send_news(websocket, client, outbox, news, replied),
+                _send_news(websocket, told, outbox, news, replied),
                 self._receive(websocket, client, outbox, replied),
             )
         finally:
@@ -97,24 +101,16 @@ class DocumentSocket:
 
 
 async def _send_news(
-    websocket: WebSocket, client: Client, outbox: Outbox, news: asyncio.Event, replied: asyncio.Event
+    websocket: WebSocket, told: Told, outbox: Outbox, news: asyncio.Event, replied: asyncio.Event
 ) -> None:
     while await news.wait():
         news.clear()
         messages, reply = outbox.take()
         for message in messages:
-            await websocket.send_text(_text(message, client))
+            await websocket.send_text(told.text(message))
         if reply is not None:
             await websocket.send_text(reply)
             replied.set()
-
-
-def _text(message: Message, client: Client) -> str:
-    """Return a message for one page: everybody is somebody else in the slice `people`."""
-    slices: dict[str, Any] = message.get("slices", {})
-    if slices.get("people"):
-        message = message | {"slices": slices | {"people": slices["people"] | {"you": client.name}}}
-    return encode(message)
 
 
 async def _until_one_ends(*works: Coroutine[Any, Any, None]) -> None:

@@ -20,6 +20,15 @@ def encode(message: Any) -> str:
     return msgspec.json.encode(message, enc_hook=_plain).decode()
 
 
+def encode_part(value: Any) -> msgspec.Raw:
+    """Return a part of messages, encoded; `encode` takes it in as it is.
+
+    Raises:
+        TypeError: if it holds what JSON cannot.
+    """
+    return msgspec.Raw(msgspec.json.encode(value, enc_hook=_plain))
+
+
 def decode_object(text: str) -> dict[str, Any]:
     """Return what a text holds.
 

@@ -20,6 +20,8 @@ from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface_range import measured_ranges
 
+_MOST_KNOWN = 20_000
+
 
 @dataclass(frozen=True, slots=True)
 class JudgedPick:
@@ -61,15 +63,16 @@ class Measured:
     """The scan."""
     photo: Photo
     """The photo."""
-    _known: dict[tuple[bytes, bytes, str, float], tuple[Matches, tuple[str, ...]]] = field(default_factory=dict)
+    _known: dict[tuple[str, bytes, bytes, str, float], tuple[Matches, tuple[str, ...]]] = field(default_factory=dict)
 
     def of(self, pick: Pick) -> tuple[Matches, tuple[str, ...]]:
         """Return the matches of one pick, switched on or off, and what it lost."""
-        key = (pick.scan.tobytes(), pick.photo.tobytes(), pick.kind, pick.weight)
+        key = (pick.id, pick.scan.tobytes(), pick.photo.tobytes(), pick.kind, pick.weight)
         if key not in self._known:
+            if len(self._known) >= _MOST_KNOWN:
+                self._known.clear()
             self._known[key] = matches_from_picks(self.scan, [replace(pick, on=True)], camera=self.photo.camera)
-        found, losses = self._known[key]
-        return (replace(found, pick_ids=(pick.id,) * len(found)) if len(found) else found), losses
+        return self._known[key]
 
     def joined(self, picks: Sequence[Pick]) -> Matches:
         """Return the matches of all picks."""

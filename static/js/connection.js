@@ -78,10 +78,17 @@ const heard = (text) => {
   try {
     message = JSON.parse(text);
   } catch {
-    return; // not ours; the next message is whole again
+    return; // not ours; if it was, the next one does not follow on what is here, and all is told anew
   }
   if (message.reply !== undefined) answered(message);
-  else store.take(message);
+  else if (!store.take(message)) anew();
+};
+
+/** A page that cannot follow is told everything when it comes again. */
+const anew = () => {
+  const mine = socket;
+  ended(mine, true);
+  mine.close();
 };
 
 /** A websocket does not tell why it was turned away; the page's own address does. */
@@ -111,7 +118,6 @@ export const connect = () => {
   clearTimeout(timer);
   const mine = new WebSocket(socketAddress());
   let opened = false;
-  let first = true;
   socket = mine;
   mine.addEventListener("open", () => {
     opened = true;
@@ -120,10 +126,6 @@ export const connect = () => {
   });
   mine.addEventListener("message", (event) => {
     if (socket !== mine || typeof event.data !== "string") return;
-    if (first) {
-      first = false;
-      store.forgetAllBut(Object.keys(tellSlices(event.data)));
-    }
     heard(event.data);
   });
   mine.addEventListener("close", () => ended(mine, opened));
@@ -132,14 +134,6 @@ export const connect = () => {
 /** Try at once instead of at the end of the wait. */
 export const connectNow = () => {
   if (socket === null) connect();
-};
-
-const tellSlices = (text) => {
-  try {
-    return JSON.parse(text).slices ?? {};
-  } catch {
-    return {};
-  }
 };
 
 addEventListener("online", connectNow);

@@ -3,6 +3,8 @@
  * over the connection and come back as slices.
  */
 
+import { changed as after } from "./changes.js";
+
 /**
  * @typedef {{id: string, number: number, kind: "point" | "line", scan: number[][], photo: number[][], on: boolean,
  *            weight: number, origin: string}} Pick
@@ -18,7 +20,7 @@ export class Store {
   #watchers = new Set();
   #events = new Map();
 
-  /** The version of the newest message; 0 before the first. */
+  /** The number of the newest message with slices; 0 before the first. */
   version = 0;
 
   /**
@@ -67,36 +69,48 @@ export class Store {
   }
 
   /**
-   * Take a message of the server: slices or an event.
+   * Take a message of the server: slices, changes of slices, or an event. Message 1 tells all slices that there are.
    * @param {any} message
+   * @returns {boolean} false: it does not follow on what is here, so that nothing was taken and all must be told anew
    */
   take(message) {
     if (typeof message.event === "string") {
       for (const listen of this.#events.get(message.event) ?? []) listen(message);
-      return;
+      return true;
     }
-    if (!message.slices) return;
-    const changed = Object.keys(message.slices);
+    if (!message.slices) return true;
+    const { version = this.version + 1 } = message;
+    const slices = version === 1 ? this.#all(message.slices) : { ...message.slices };
+    if (version !== 1 && version !== this.version + 1) return false;
+    try {
+      for (const [name, change] of Object.entries(message.changes ?? {})) slices[name] = after(this.get(name), change);
+    } catch (error) {
+      if (error instanceof RangeError) return false;
+      throw error;
+    }
+    this.version = version;
+    this.#put(slices);
+    return true;
+  }
+
+  /** All slices that are told, and null for every other that is here. */
+  #all(told) {
+    const others = [...this.#slices.keys()].filter((name) => !(name in told));
+    return { ...Object.fromEntries(others.map((name) => [name, null])), ...told };
+  }
+
+  #put(slices) {
+    const changed = Object.keys(slices);
     for (const name of changed) {
-      if (message.slices[name] === null) this.#slices.delete(name);
-      else this.#slices.set(name, message.slices[name]);
+      if (slices[name] === null) this.#slices.delete(name);
+      else this.#slices.set(name, slices[name]);
     }
-    this.version = message.version ?? this.version;
     for (const name of changed) {
       for (const { pattern, listen } of [...this.#listeners]) if (matches(pattern, name)) listen(this.get(name), name);
     }
     for (const { patterns, draw } of [...this.#watchers]) {
       if (changed.some((name) => patterns.some((pattern) => matches(pattern, name)))) draw();
     }
-  }
-
-  /**
-   * Forget all other slices: after a connection is made anew, those that are told are all that there are.
-   * @param {string[]} names
-   */
-  forgetAllBut(names) {
-    const gone = [...this.#slices.keys()].filter((name) => !names.includes(name));
-    this.take({ slices: Object.fromEntries(gone.map((name) => [name, null])) });
   }
 
   /** @returns {string | null} the id of the photograph that all look at */

@@ -1,0 +1,163 @@
+"""What pages are told of slices: only what changed, the same text for all, and in the end the server's own state."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.each_once import EachOnce
+from app.gateway import encoded
+from app.gateway.changes import change_between, changed
+from app.gateway.encoded import Encoded
+from app.gateway.outbox import Outbox
+from app.gateway.told import Told
+from tests.app.slice_edits import random_states
+
+
+@dataclass
+class Someone:
+    name: str
+
+
+class Reader:
+    """A page, in Python."""
+
+    def __init__(self, name: str, shared: Encoded) -> None:
+        self.told = Told(Someone(name), shared)
+        self.slices: dict[str, Any] = {}
+        self.version = 0
+
+    def read(self, slices: dict[str, Any]) -> str:
+        """Be told slices that are new; return the text."""
+        text = self.told.text({"slices": slices})
+        message = json.loads(text)
+        self.version += 1
+        assert message["version"] == self.version
+        self.slices |= message["slices"]
+        for name, change in message.get("changes", {}).items():
+            self.slices[name] = changed(self.slices[name], change)
+        self.slices = {name: value for name, value in self.slices.items() if value is not None}
+        return text
+
+
+def present(state: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in state.items() if value is not None}
+
+
+def news(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in after.items() if before.get(name) is not value}
+
+
+def many(count: int, **others: Any) -> list[dict[str, Any]]:
+    return [{"id": str(k), "photo": [[k, 1.5]], "on": True, **others} for k in range(count)]
+
+
+@given(st.integers(0, 2**32), st.lists(st.booleans(), min_size=40, max_size=40))
+def test_whoever_follows_has_what_the_server_has(seed: int, looks: list[bool]) -> None:
+    """One page hears everything, another only now and then, by way of an outbox; a third comes in the middle."""
+    shared, outbox = Encoded(), Outbox(lambda: None)
+    quick, slow, late = Reader("a", shared), Reader("b", shared), Reader("c", shared)
+    states = random_states(seed, len(looks))
+    quick.read(states[0])
+    slow.read(states[0])
+    for k, (before, after) in enumerate(pairwise(states)):
+        quick.read(news(before, after))
+        assert quick.slices == present(after)
+        outbox.put({"slices": news(before, after)})
+        if looks[k]:
+            for message in outbox.take()[0]:
+                slow.read(message["slices"])
+            assert slow.slices == present(after)
+        if k == len(looks) // 2:
+            late.read(after)
+        elif late.version:
+            late.read(news(before, after))
+    assert late.slices == quick.slices
+
+
+@given(st.integers(0, 2**32))
+def test_a_change_makes_one_value_of_the_other_and_touches_neither(seed: int) -> None:
+    for before, after in pairwise(random_states(seed, 30)):
+        for name in after:
+            was, kept = before.get(name), json.dumps(before.get(name))
+            change = change_between(was, after[name])
+            if change is not None:
+                assert changed(was, json.loads(json.dumps(change))) == after[name]
+                assert list(changed(was, change)) == list(after[name]) or isinstance(was, dict)
+            assert json.dumps(was) == kept
+
+
+def test_one_pick_of_many_is_told_alone() -> None:
+    picks = many(500)
+    moved = [*picks[:7], {**picks[7], "photo": [[9, 9]]}, *picks[8:]]
+    assert change_between(picks, moved) == {"set": [moved[7]]}
+    assert change_between(picks, picks[1:]) == {"gone": ["0"]}
+    new = {"id": "new", "photo": [[0, 0]], "on": False}
+    assert change_between(picks, [*picks, new]) == {"set": [new]}
+    assert change_between([*picks[:3], *picks[4:]], picks) == {"set": [picks[3]], "order": [p["id"] for p in picks]}
+    judged = {"stage": "robust", "by_pick": {str(k): {"px": k} for k in range(500)}, "losses": ["a"]}
+    by_pick = {name: said for name, said in judged["by_pick"].items() if name != "3"} | {"4": {"px": 0.5}}
+    assert change_between(judged, {**judged, "by_pick": by_pick}) == {
+        "in": {"by_pick": {"set": {"4": {"px": 0.5}}, "gone": ["3"]}}
+    }
+    entries = [{"n": k, "label": "Move"} for k in range(300)]
+    later = {"at": 300, "entries": [*entries[1:], {"n": 300, "label": "Move"}]}
+    assert change_between({"at": 299, "entries": entries}, later) == {
+        "set": {"at": 300},
+        "in": {"entries": {"set": [{"n": 300, "label": "Move"}], "gone": [0]}},
+    }
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (None, many(500)),
+        (many(500), many(500, weight=2)),
+        (many(500), many(5)),
+        (many(500), [[0.5, 0.5]] * 500),
+        (many(500), many(400) + many(1)),
+        ({"by_pick": {}}, {"by_pick": {str(k): k for k in range(100)}}),
+        ("a", "b"),
+        ({"count": 1}, {"count": 2}),
+    ],
+)
+def test_what_is_new_for_the_most_part_is_told_whole(before: Any, after: Any) -> None:
+    assert change_between(before, after) is None
+
+
+def test_a_change_of_something_else_is_refused() -> None:
+    with pytest.raises(KeyError):
+        changed(many(3), {"order": ["9"]})
+    with pytest.raises(KeyError):
+        changed({}, {"in": {"by_pick": {}}})
+
+
+def test_all_pages_are_sent_the_same_text_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    plain = encoded.encode_part
+    monkeypatch.setattr(encoded, "encode_part", lambda value: made.append(value) or plain(value))
+    shared = Encoded()
+    readers = [Reader(name, shared) for name in "abc"]
+    picks = many(200)
+    assert len({reader.read({"picks:p1": picks}) for reader in readers}) == 1
+    moved = [{**picks[0], "on": False}, *picks[1:]]
+    assert len({reader.read({"picks:p1": moved}) for reader in readers}) == 1
+    assert made == [picks, {"set": moved[:1]}]
+    texts = [reader.read({"people": {"count": 3, "names": list("abcdefghijklmnopqrstuvw")}}) for reader in readers]
+    assert [json.loads(text)["slices"]["people"]["you"] for text in texts] == list("abc")
+
+
+def test_things_that_stay_are_made_once() -> None:
+    made: list[str] = []
+    each: EachOnce[str, str] = EachOnce(lambda thing: made.append(thing) or thing.upper())
+    things = ["one", "two"]
+    assert each.of("a", things) is each.of("a", things)
+    assert each.of("a", ["zero", *things]) == ["ZERO", "ONE", "TWO"]
+    assert each.of("b", things) == ["ONE", "TWO"]
+    assert made == ["one", "two", "zero", "one", "two"]
