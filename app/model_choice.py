@@ -14,16 +14,21 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class ModelShown:
-    """The choice."""
+class ModelChoice:
+    """How the model is shown."""
 
     texture: str = "colour"
+    """Wanted; where there is nothing to make it of, `intensity` is shown."""
     z_buffer: bool = True
+    """Whether what is hidden from the camera stays uncoloured."""
     light: bool = False
+    """Whether slow browsers get a coarser model."""
     cameras: bool = True
+    """Whether the scanner and the camera are shown."""
     matches: bool = True
+    """Whether the matches are."""
 
-    def changed(self, wanted: Mapping[str, Any]) -> ModelShown:
+    def changed(self, wanted: Mapping[str, Any]) -> ModelChoice:
         """Return another choice.
 
         Raises:

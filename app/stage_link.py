@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from app.quiet import Quiet
@@ -12,7 +13,7 @@ from ladarreg_core.errors import LadarregError
 if TYPE_CHECKING:
     from app.jobs.runner import Job
     from app.jobs.simplex import Frame
-    from app.model_choice import ModelShown
+    from app.model_choice import ModelChoice
     from app.stage3d import Stage3D
     from app.workbench import Workbench
 
@@ -43,16 +44,10 @@ class StageLink:
         """Have the stage follow the document."""
         self._quiet.ask()
 
-    def set_model(self, model: ModelShown) -> None:
+    def set_model(self, model: ModelChoice) -> None:
         """Show the model in another way."""
         if self._stage is not None:
-            self._stage.set_model(
-                texture=model.texture,
-                z_buffer=model.z_buffer,
-                light=model.light,
-                cameras=model.cameras,
-                matches=model.matches,
-            )
+            self._stage.set_model(**asdict(model))
 
     def highlight(self, pick_id: str | None) -> None:
         """Mark a match."""

@@ -16,7 +16,7 @@ from app.files import Files
 from app.job_table import JobTable
 from app.jobs.bench import Bench
 from app.jobs.runner import Job, JobRunner
-from app.model_choice import ModelShown
+from app.model_choice import ModelChoice
 from app.pictures import Pictures
 from app.session import Change, Session
 from app.slices import entry_shown, history_slice, job_slice, photo_slice, pick_shown, project_slice, scan_slice
@@ -67,7 +67,7 @@ class Workbench:
         self._joined = 0
         self._shown: str | None = None
         self.stage = StageLink(self)
-        self.model = ModelShown()
+        self.model = ModelChoice()
         self.files = Files(self, served)
         self.runner = JobRunner(self._job_changed)
         self.jobs = JobTable(Bench(session, room), self.runner, self.stage.watch_simplex, self.tell_event)

@@ -10,7 +10,7 @@ from ladarreg_core.model_pictures import Legend, scattered
 if TYPE_CHECKING:
     import viser
 
-    from app.stage3d.subject import ModelChoice, ScanShown, Subject
+    from app.stage3d.subject import ModelNow, ScanShown, Subject
     from app.stage3d.wishes import Wishes
     from ladarreg_core.model_pictures import ModelTexture
 
@@ -39,7 +39,7 @@ class ModelLayer:
         """Of what is drawn."""
         return self._legend
 
-    def draw(self, subject: Subject | None, choice: ModelChoice) -> None:
+    def draw(self, subject: Subject | None, choice: ModelNow) -> None:
         """Draw the model, if it is not there already."""
         if subject is None or subject.shown is not self._scan:
             self.clear()
@@ -63,7 +63,7 @@ class ModelLayer:
             node.remove()
         self._nodes, self._scan, self._drawn, self._legend = [], None, (), Legend("")
 
-    def _add(self, name: str, subject: Subject, choice: ModelChoice, texture: ModelTexture) -> viser.SceneNodeHandle:
+    def _add(self, name: str, subject: Subject, choice: ModelNow, texture: ModelTexture) -> viser.SceneNodeHandle:
         mesh = subject.shown.mesh(choice)
         if len(mesh.faces):
             data = glb_bytes(mesh, texture.image, for_viser=True, largest_texture_px=choice.most_texture_px)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import viser
 
     from app.stage3d.actions import StageActions
-    from app.stage3d.subject import ModelChoice
+    from app.stage3d.subject import ModelNow
     from ladarreg_core.model_pictures import Legend
     from ladarreg_core.results import PoseResult
 
@@ -90,7 +90,7 @@ class Panel:
         except LadarregError as error:
             client.add_notification("Not possible", str(error), auto_close_seconds=8.0, color="yellow")
 
-    def mirror(self, choice: ModelChoice, result: PoseResult | None, legend: Legend, *, has_camera: bool) -> None:
+    def mirror(self, choice: ModelNow, result: PoseResult | None, legend: Legend, *, has_camera: bool) -> None:
         """Let the controls show what is drawn."""
         # viser calls callbacks for these too, with no client: they are ignored above, or the two would answer for ever.
         label = next(label for label, kind in self._labels.items() if kind == choice.texture)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from app.model_choice import ModelChoice
 from app.stage3d.cameras_layer import CamerasLayer
 from app.stage3d.colours import BACKGROUND
 from app.stage3d.model_layer import ModelLayer
@@ -14,9 +15,9 @@ from app.stage3d.panel import CAMERA, OVERVIEW, SCANNER, Panel
 from app.stage3d.picks_layer import Picks, PicksLayer
 from app.stage3d.simplex_folder import SimplexFolder
 from app.stage3d.simplex_layer import SimplexLayer
-from app.stage3d.subject import ModelChoice, ScanShown, Subject, changed
+from app.stage3d.subject import ModelNow, ScanShown, Subject
 from app.stage3d.wishes import Wishes
-from ladarreg_core.model_pictures import plain_picture, usable_texture
+from ladarreg_core.model_pictures import plain_picture
 from ladarreg_core.simplex_curves import CURVE_NAMES, SimplexCurves
 
 if TYPE_CHECKING:
@@ -109,27 +110,15 @@ class Stage3D:
             self._highlighted = pick_id
         self._wishes.wish("highlight", self._draw_highlight)
 
-    def set_model(
-        self,
-        *,
-        texture: str | None = None,
-        z_buffer: bool | None = None,
-        light: bool | None = None,
-        cameras: bool | None = None,
-        matches: bool | None = None,
-    ) -> None:
-        """Change what is shown; None leaves a thing as it is.
+    def set_model(self, **wanted: str | bool) -> None:
+        """Change what of `ModelChoice` is named.
 
         Raises:
-            OptionError: if there is no such texture.
+            OptionError: if there is no such thing to choose.
         """
-        if texture is not None:
-            usable_texture(texture, None)
         with self._lock:
             before = self._choice
-            self._choice = changed(
-                before, texture=texture, z_buffer=z_buffer, light=light, cameras=cameras, matches=matches
-            )
+            self._choice = before.changed(wanted)
             if self._choice == before:
                 return
         self._wishes.wish("model", self._draw_model)
@@ -208,10 +197,10 @@ class Stage3D:
         self._wishes.wish("cameras", self._draw_cameras)
         self._wishes.wish("matches", self._draw_matches)
 
-    def _now(self) -> tuple[Subject | None, ModelChoice]:
+    def _now(self) -> tuple[Subject | None, ModelNow]:
         with self._lock:
             moving = self._state in _WALKING and self._subject is not None and self._subject.camera is not None
-            return self._subject, replace(self._choice, moving=moving)
+            return self._subject, ModelNow(**asdict(self._choice), moving=moving)
 
     def _draw_model(self) -> None:
         subject, choice = self._now()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
+from app.model_choice import ModelChoice
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
@@ -24,19 +25,9 @@ _FRUSTUM_DEPTH = 0.17  # of the root of the range: nearer scenes need relatively
 
 
 @dataclass(frozen=True, slots=True)
-class ModelChoice:
-    """How the model is shown."""
+class ModelNow(ModelChoice):
+    """How the model is shown at this moment."""
 
-    texture: str = "colour"
-    """Wanted; where there is nothing to make it of, `intensity` is shown."""
-    z_buffer: bool = True
-    """Whether what is hidden from the camera stays uncoloured."""
-    light: bool = False
-    """Whether slow browsers get a coarser model."""
-    cameras: bool = True
-    """Whether the scanner and the camera are shown."""
-    matches: bool = True
-    """Whether the matches are."""
     moving: bool = False
     """Whether something moves in the scene: every step draws the model again, which a browser without a graphics card
     does 15 times a second only where it is coarse."""
@@ -62,7 +53,7 @@ class ScanShown:
     meshes: dict[int, Mesh] = field(default_factory=dict, repr=False)
     """Made so far, by how many vertices they may have."""
 
-    def mesh(self, choice: ModelChoice) -> Mesh:
+    def mesh(self, choice: ModelNow) -> Mesh:
         """Return the model, as fine as this choice allows."""
         most = choice.most_vertices
         if most not in self.meshes:
@@ -131,12 +122,12 @@ class Subject:
         reduced = camera.without_distortion().scaled(min(1.0, _FRUSTUM_PX / max(camera.size)))
         return perspective_view(self.scan, reduced)
 
-    def texture_kind(self, choice: ModelChoice) -> TextureKind:
+    def texture_kind(self, choice: ModelNow) -> TextureKind:
         """Return what the model can show of what is wished."""
         kind = usable_texture(choice.texture, self.result)
         return "intensity" if kind in ("colour", "label") and self.photo is None else kind
 
-    def texture(self, choice: ModelChoice) -> ModelTexture:
+    def texture(self, choice: ModelNow) -> ModelTexture:
         """Return what is painted on the model."""
         kind = self.texture_kind(choice)
         needs_it = kind == "label" or (kind == "colour" and choice.z_buffer)
@@ -166,8 +157,3 @@ class Subject:
             scanner = Rigid.identity()
             shown = shown if shown.camera_from_scanner.distance_to(scanner) <= self.shown.range_m else None
         return overview(self.scan, None if shown is None else shown.camera_from_scanner.centre)
-
-
-def changed(choice: ModelChoice, **wanted: str | bool | None) -> ModelChoice:
-    """Return the choice with what is not None changed."""
-    return replace(choice, **{name: value for name, value in wanted.items() if value is not None})  # type: ignore[arg-type]

@@ -19,7 +19,7 @@ from app.stage3d.legend import legend_html
 from app.stage3d.picks_layer import Picks
 from app.stage3d.wishes import Wishes
 from app.static_files import static_text
-from app.viser_server import close_server, open_server
+from app.viser_server import close_server
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, ThesisParameters
@@ -29,6 +29,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import AzimuthElevation
+from tests.open_viser import open_server
 
 GEOMETRY = AzimuthElevation(40, 60, 0.01, 0.01)
 CAMERA = Camera.from_focal(60, 40, 70)
@@ -97,7 +98,7 @@ class Client:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[viser.ViserServer]:
-    opened = open_server(port=8331, label="test")
+    opened = open_server(label="test")
     yield opened
     close_server(opened)
 

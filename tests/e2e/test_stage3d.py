@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from app.stage3d import SimplexFrame, Stage3D
-from app.viser_server import address, close_server, open_server
+from app.viser_server import close_server
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
 from ladarreg_core.matches import Matches
@@ -19,6 +19,7 @@ from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import AzimuthElevation
 from tests.e2e.pages import wait_for_pixels
+from tests.open_viser import address, open_server
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -57,7 +58,7 @@ def session() -> Session:
 @pytest.fixture
 def shown(page: Page, session: Session) -> Iterator[Stage3D]:
     """A stage in a page of its own."""
-    server = open_server(port=8350, label="stage")
+    server = open_server(label="stage")
     stage = Stage3D(server, session)  # type: ignore[arg-type]
     page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
     page.goto(address(server) + "/?fixedDpr=0.5")

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.stage3d.colours import BACKGROUND
-from app.viser_server import address, close_server, open_server
+from app.viser_server import close_server
 from ladarreg_core.export.glb import glb_bytes
 from ladarreg_core.mesh import scan_mesh
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import AzimuthElevation
 from tests.e2e.pages import SIZE, wait_for_pixels
+from tests.open_viser import address, open_server
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -36,7 +37,7 @@ def test_colours_on_the_screen_are_within_three_levels(page: Page) -> None:
     wall = Scan(geometry, 2.0 / geometry.rays[..., 0], np.ones((rows, columns)))
     picture = np.repeat(np.repeat(PATCHES, _CELL, axis=0), _CELL, axis=1)
 
-    server = open_server(port=8290, label="colours")
+    server = open_server(label="colours")
     try:
         server.gui.configure_theme(dark_mode=True)
         server.scene.world_axes.visible = False

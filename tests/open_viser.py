@@ -1,0 +1,21 @@
+"""A viser server that any browser may open: for tests of what is drawn, without a gateway before it."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+
+import viser
+
+from app.viser_server import HOST
+
+
+def open_server(*, label: str) -> viser.ViserServer:
+    """Start a server on a free loopback port."""
+    with contextlib.redirect_stdout(io.StringIO()):  # its banner
+        return viser.ViserServer(host=HOST, port=0, label=label, verbose=False)
+
+
+def address(server: viser.ViserServer) -> str:
+    """Return what to open in a browser."""
+    return f"http://{HOST}:{server.get_port()}"
