@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from app.quiet import Quiet
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.folder import ProjectFolder
@@ -42,6 +43,9 @@ class Session:
         self._last_move: tuple[str, str, float] = ("", "", 0.0)
         self._saved_at = now()
         self._unsaved = ""
+        self._quiet = Quiet()
+        self._thread = threading.Thread(target=self._settle, name="session", daemon=True)
+        self._thread.start()
 
     @property
     def history(self) -> History:
@@ -116,10 +120,10 @@ class Session:
 
     def close(self) -> None:
         """Save what could not be saved before, and let the folder go."""
+        self._quiet.close()
+        self._thread.join(30)
         with self._lock:
-            if self._unsaved:
-                history = self._history
-                self._save(lambda: self.folder.begin(history))
+            self._save(self.folder.settle)
             self.folder.close()
 
     def _go(self, way: Callable[[History], History]) -> None:
@@ -145,6 +149,17 @@ class Session:
             self._unsaved, self._saved_at = "", now()
         except LadarregError as error:
             self._unsaved = str(error)
+        self._quiet.ask()
+
+    def _settle(self) -> None:
+        """Let project.json follow: what was committed is in the history's file, and that is on the disk."""
+        while self._quiet.wait():
+            try:
+                self.folder.settle()
+            except LadarregError as error:
+                with self._lock:
+                    self._unsaved = str(error)
+                    self._tell(self.document)
 
     def _tell(self, before: Document) -> None:
         change = Change(before, self.document)

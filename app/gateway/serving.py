@@ -13,6 +13,9 @@ from app.gateway.server import Gateway
 from app.gateway.site import site
 from app.viser_lock import ViserAddress
 
+_GIVE_WAY_S = 0.0005
+"""A thread that computes gives way to those that answer pages after so long; each answer waits for that several times."""
+
 
 def serve_until_interrupted(
     workbench: Workbench, viser: ViserAddress, *, token: str, options: GatewayOptions, browser: bool
@@ -29,6 +32,7 @@ def serve_until_interrupted(
     Raises:
         OptionError: if there is no such address, no free port, or no such certificate.
     """
+    sys.setswitchinterval(_GIVE_WAY_S)
     gateway = Gateway(lambda port: site(workbench, token=token, viser=viser, options=options, port=port), options)
     try:
         gateway.start()

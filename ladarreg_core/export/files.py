@@ -24,6 +24,21 @@ def write_bytes(path: str | Path, data: bytes) -> None:
         raise cannot_write(path, error) from None
 
 
+def append_bytes(path: str | Path, data: bytes) -> None:
+    """Append to a file and wait until the disk has it.
+
+    Raises:
+        ExportError: if that fails; a part may have been appended.
+    """
+    try:
+        with open(path, "ab", buffering=0) as file:
+            file.write(data)
+            sync = getattr(os, "fdatasync", os.fsync)  # a file's times need not be on the disk
+            sync(file.fileno())
+    except OSError as error:
+        raise cannot_write(path, error) from None
+
+
 def cannot_write(path: str | Path, error: OSError) -> ExportError:
     """Return the one-line error for a file or folder that could not be written."""
     reason = (error.strerror or type(error).__name__).lower()

@@ -15,7 +15,7 @@ FindArrays = Callable[[str], StoredArrays]
 """Returns the arrays of a name; raises FormatError where they are missing."""
 
 
-def encode(value: msgspec.Struct) -> bytes:
+def encode(value: object) -> bytes:
     """Return a document, or a part of one, as JSON; arrays are named only."""
     return msgspec.json.encode(value, enc_hook=_name_arrays)
 
@@ -30,14 +30,8 @@ def decode_document(data: bytes, find: FindArrays) -> Document:
     Raises:
         FormatError: if it is no document of this version.
     """
-
-    def hook(wanted: type, value: Any) -> Any:
-        if wanted is StoredArrays and isinstance(value, str):
-            return find(value)
-        raise NotImplementedError(wanted)
-
     try:
-        found = msgspec.json.decode(data, type=Document, dec_hook=hook)
+        found = msgspec.json.decode(data, type=Document, dec_hook=_finding(find))
     except msgspec.DecodeError as error:
         raise FormatError(f"it is no project of ladarreg, or damaged: {error}") from None
     if found.version != VERSION:
@@ -48,10 +42,33 @@ def decode_document(data: bytes, find: FindArrays) -> Document:
     return found
 
 
+def plain_as(kind: Any, value: object, find: FindArrays) -> Any:
+    """Return a part of a document of its type, from what JSON holds of it.
+
+    Args:
+        kind: the type.
+        value: numbers, words, lists and dictionaries.
+        find: returns the arrays that it names.
+
+    Raises:
+        ValueError: if it is none of that type.
+    """
+    return msgspec.convert(value, kind, dec_hook=_finding(find))
+
+
 def arrays_of(document: Document) -> dict[str, StoredArrays]:
     """Return all arrays of a document by name."""
     poses: list[PoseEntry] = [pose for photo in document.photos for pose in photo.poses]
     return {pose.arrays.name: pose.arrays for pose in poses}
+
+
+def _finding(find: FindArrays) -> Callable[[type, Any], Any]:
+    def hook(wanted: type, value: Any) -> Any:
+        if wanted is StoredArrays and isinstance(value, str):
+            return find(value)
+        raise NotImplementedError(wanted)
+
+    return hook
 
 
 def _name_arrays(value: Any) -> Any:

@@ -1,7 +1,7 @@
 """The folder that a project is kept in; it is whole at every moment, whatever becomes of the program.
 
-project.json      the document that counts, replaced in one step at every commit
-history.jsonl     every commit and every step back, appended; only undo depends on it
+history.jsonl     every commit and every step back, each appended and on the disk before anybody is told of it
+project.json      the document that counts, replaced in one step a moment later; where it is behind, the history leads
 arrays/NAME.npz   arrays, named by their content
 inputs/           files that were uploaded
 exports/          what was exported last, per photograph
@@ -11,16 +11,19 @@ lock              held while a program has the project open
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import os
 import secrets
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from ladarreg_core.errors import ExportError, FormatError, LadarregError
-from ladarreg_core.export.files import cannot_write, sync_folder, write_bytes
+from ladarreg_core.export.files import append_bytes, cannot_write, sync_folder, write_bytes
+from ladarreg_core.project.changes import change_between, changed
 from ladarreg_core.project.codec import arrays_of, decode_document, encode
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import Entry, History, entries_from
@@ -52,6 +55,8 @@ class ProjectFolder:
         self._lock = _held(self.path / _LOCK, self.path)
         self._kept: dict[str, StoredArrays] = {}
         self._written: bytes | None = None
+        self._document: Document | None = None  # where the history stands
+        self._replacing = threading.Lock()
 
     @property
     def inputs(self) -> Path:
@@ -83,7 +88,7 @@ class ProjectFolder:
         return absolute.relative_to(self.path).as_posix() if inside else str(absolute)
 
     def read(self) -> History:
-        """Return the project with its history; without it where that does not fit.
+        """Return the project with its history, or with a new one where that is damaged or another document's.
 
         Raises:
             FormatError: if there is no project, or it is damaged.
@@ -94,15 +99,16 @@ class ProjectFolder:
             raise FormatError(f"there is no project in {self.path}: {error.strerror or error}") from None
         document = decode_document(data, self._arrays)
         self._written = data
-        history = self._history()
-        if history is not None and encode(history.document) == encode(document):
-            if (self.path / _HISTORY).stat().st_size > _LONG_HISTORY_BYTES or len(history.entries) > _MOST_ENTRIES:
-                history = history.shortened(_MOST_ENTRIES // 2)
-                self._begin_history(history)
-            return history
-        when = _last_change(self.path / _PROJECT)
-        history = History.begun(document, label="Opened", author="", when=when)
-        self._begin_history(history)
+        history = self._history(document)
+        if history is None:
+            when = _last_change(self.path / _PROJECT)
+            history = History.begun(document, label="Opened", author="", when=when)
+            self._begin_history(history)
+        elif (self.path / _HISTORY).stat().st_size > _LONG_HISTORY_BYTES or len(history.entries) > _MOST_ENTRIES:
+            history = history.shortened(_MOST_ENTRIES // 2)
+            self._begin_history(history)
+        self._document = history.document
+        self.settle()
         return history
 
     def begin(self, history: History) -> None:
@@ -111,37 +117,55 @@ class ProjectFolder:
         Raises:
             ExportError: if that fails.
         """
-        self._save(history.document)
+        self._document = history.document
+        self.settle()
         self._begin_history(history)
 
     def save_commit(self, history: History, *, amended: bool = False) -> None:
-        """Write what a commit led to; when this returns the disk has it.
+        """Write what a commit led to; when this returns the disk has it, and `settle` is due.
 
         Raises:
             ExportError: if that fails.
         """
-        self._save(history.document)
-        entry = history.present
-        self._append({"amend" if amended else "commit": _entry_fields(entry)}, self._written)
+        document = history.document
+        self._save_arrays(document)
+        line = {"amend" if amended else "commit": _entry_fields(history.present)}
+        if self._document is None:
+            self._append({**line, "document": document})
+        else:
+            self._append({**line, "change": change_between(self._document, document)})
+        self._document = document
 
     def save_move(self, history: History) -> None:
-        """Write that the history stands elsewhere.
+        """Write that the history stands elsewhere; when this returns the disk has it, and `settle` is due.
 
         Raises:
             ExportError: if that fails.
         """
-        self._save(history.document)
         self._append({"at": history.present.number})
+        self._document = history.document
 
-    def _save(self, document: Document) -> None:
+    def settle(self) -> None:
+        """Have project.json be the document that counts; safe to be called by another thread than the others.
+
+        Raises:
+            ExportError: if that fails.
+        """
+        with self._replacing:
+            document = self._document
+            if document is None:
+                return
+            data = encode(document)
+            if data != self._written:
+                self._save_arrays(document)
+                self._replace(self.path / _PROJECT, data)
+                self._written = data
+
+    def _save_arrays(self, document: Document) -> None:
         for name, arrays in arrays_of(document).items():
             if name not in self._kept:
                 self._replace(self.path / _ARRAYS / f"{name}.npz", arrays.data)
                 self._kept[name] = arrays
-        data = encode(document)
-        if data != self._written:
-            self._replace(self.path / _PROJECT, data)
-            self._written = data
 
     def _replace(self, target: Path, data: bytes) -> None:
         """Write aside and rename, so that there is always the old or the new, and both whole."""
@@ -156,49 +180,52 @@ class ProjectFolder:
             with contextlib.suppress(OSError):
                 aside.unlink(missing_ok=True)
 
-    def _append(self, fields: Mapping[str, Any], document: bytes | None = None) -> None:
-        line = json.dumps(fields).encode()
-        if document is not None:
-            line = line[:-1] + b', "document": ' + document + b"}"
-        try:
-            with open(self.path / _HISTORY, "ab") as file:
-                file.write(line + b"\n")  # a crash of the program cannot lose it; one of the machine only undo
-        except OSError as error:
-            raise cannot_write(self.path / _HISTORY, error) from None
+    def _append(self, fields: Mapping[str, Any]) -> None:
+        append_bytes(self.path / _HISTORY, encode(fields) + b"\n")
 
     def _begin_history(self, history: History) -> None:
         lines = []
+        before: Document | None = None
         for entry in history.entries:
-            head = json.dumps({"commit": _entry_fields(entry)}).encode()
-            lines.append(head[:-1] + b', "document": ' + encode(entry.document) + b"}\n")
-            for name, arrays in arrays_of(entry.document).items():
-                if name not in self._kept:
-                    self._replace(self.path / _ARRAYS / f"{name}.npz", arrays.data)
-                    self._kept[name] = arrays
-        lines.append(json.dumps({"at": history.present.number}).encode() + b"\n")
+            self._save_arrays(entry.document)
+            what = (
+                {"document": entry.document} if before is None else {"change": change_between(before, entry.document)}
+            )
+            lines.append(encode({"commit": _entry_fields(entry), **what}) + b"\n")
+            before = entry.document
+        lines.append(encode({"at": history.present.number}) + b"\n")
         self._replace(self.path / _HISTORY, b"".join(lines))
 
-    def _history(self) -> History | None:
-        """Replay what was appended; None where it is missing or damaged, which loses no more than undo."""
+    def _history(self, document: Document) -> History | None:
+        """Replay what was appended; None where it is missing, damaged, or never came by project.json's document."""
         try:
-            lines = (self.path / _HISTORY).read_bytes().split(b"\n")
+            *lines, torn = (self.path / _HISTORY).read_bytes().split(b"\n")
             entries: list[Entry] = []
+            passed: list[Document] = []
             at = 0
-            for line in lines[:-1]:  # a line that is not ended was being written when the program died
-                fields = json.loads(line)
+            for line in lines:
+                fields = msgspec.json.decode(line)
                 if "at" in fields:
                     at = next(k for k, entry in enumerate(entries) if entry.number == fields["at"])
                     continue
-                document = decode_document(json.dumps(fields["document"]).encode(), self._arrays)
-                if "amend" in fields:
-                    entries[at:] = [_entry(fields["amend"], document)]
+                if "change" in fields:
+                    after = changed(entries[at].document, fields["change"], self._arrays)
                 else:
-                    entries[at + 1 :] = [_entry(fields["commit"], document)]
+                    after = decode_document(encode(fields["document"]), self._arrays)
+                if "amend" in fields:
+                    entries[at:] = [_entry(fields["amend"], after)]
+                else:
+                    entries[at + 1 :] = [_entry(fields["commit"], after)]
                     at = len(entries) - 1
+                passed.append(after)
             history = entries_from(entries, at)
+            if document not in reversed(passed):
+                raise FormatError("it is of another document")
         except (OSError, ValueError, KeyError, TypeError, IndexError, StopIteration, LadarregError) as error:
             log.info("the history is not used: %s", error)
             return None
+        if torn:  # it was being written when the program died, and nobody was told of it
+            self._begin_history(history)
         return history
 
     def _arrays(self, name: str) -> StoredArrays:

@@ -72,7 +72,7 @@ class History:
     @property
     def next_number(self) -> int:
         """The number of the next commit."""
-        return max(entry.number for entry in self.entries) + 1
+        return self.entries[-1].number + 1  # they are in order
 
     def moved(self, steps: int) -> History:
         """Return the history gone back (negative) or forward, no further than it reaches."""

@@ -23,7 +23,7 @@ def test_ten_people_see_one_document(tmp_path: Path) -> None:
         watching.ask("list_served")
         coming = Page(found)
         assert coming.slices["picks:p1"] == watching.slices["picks:p1"], "who watched all along and who comes now"
-        kept = json.loads((project / "project.json").read_bytes())["photos"][0]["picks"]
-        assert [pick["id"] for pick in kept] == [pick["id"] for pick in coming.slices["picks:p1"]]
-        numbers = [pick["number"] for pick in kept]
-        assert len(set(numbers)) == len(numbers)
+    kept = json.loads((project / "project.json").read_bytes())["photos"][0]["picks"]
+    assert [pick["id"] for pick in kept] == [pick["id"] for pick in coming.slices["picks:p1"]]
+    numbers = [pick["number"] for pick in kept]
+    assert len(set(numbers)) == len(numbers)

@@ -45,6 +45,12 @@ def registered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     found.workbench.close()
 
 
+def kept_picks(bench: Bench) -> list[dict[str, Any]]:
+    """What project.json holds."""
+    kept = json.loads((bench.workbench.session.folder.path / "project.json").read_bytes())
+    return [pick for photo in kept["photos"] for pick in photo["picks"]]
+
+
 def labels(bench: Bench) -> list[str]:
     return [entry["label"] for entry in bench.slice("history")["entries"]]
 
@@ -74,8 +80,7 @@ def test_edits_are_told_saved_named_and_undone(bench: Bench) -> None:
     bench.do("set_pick", photo="p1", pick=pick, on=False)
     bench.do("set_pick", photo="p1", pick=pick, weight=2.5)
     assert labels(bench)[before:] == ["Draw line 1", "Switch off match 1", "Weigh match 1"]
-    kept = json.loads((bench.workbench.session.folder.path / "project.json").read_bytes())
-    assert kept["photos"][0]["picks"][0]["weight"] == 2.5
+    bench.eventually(lambda: [pick["weight"] for pick in kept_picks(bench)] == [2.5])
     assert bench.slice("project")["undo"] == "Weigh match 1"
     bench.do("undo")
     bench.do("undo")
@@ -268,6 +273,15 @@ def test_a_result_whose_inputs_have_changed_is_left_out(registered: Bench) -> No
     assert pick not in [entry["id"] for entry in registered.slice("picks:p1")]
 
 
+def test_a_solver_says_why_its_matches_are_none(bench: Bench) -> None:
+    assert "draw some" in bench.job("robust").said
+    pick = bench.do("add_pick", photo="p1", kind="point", scan=[[0, 0, 1]], photo_uv=[[3, 4]])["pick"]
+    job = bench.job("linear")
+    assert (job.state, "no match lies where the scan has a range" in job.said.lower()) == ("failed", True)
+    bench.do("switch_picks", photo="p1", picks=[pick], on=False)
+    assert bench.job("robust").said == "The only match is switched off; switch it on in the table of matches."
+
+
 def test_a_zip_holds_what_the_command_line_writes(registered: Bench) -> None:
     registered.told.clear()
     job = registered.job("export")
@@ -432,7 +446,7 @@ def test_a_crash_loses_nothing_not_even_undo(tmp_path: Path, checkout: Path) -> 
     assert died.returncode == -9, died.stderr.decode()
     bench = open_bench(tmp_path / "p")
     try:
-        assert len(bench.slice("picks:p1")) == 2
+        assert len(bench.slice("picks:p1")) == len(kept_picks(bench)) == 2
         assert "again" in bench.workbench.said_at_start
         bench.do("redo")
         assert [pick["photo"] for pick in bench.slice("picks:p1")] == [[[100 + k, 50]] for k in range(3)]
@@ -447,15 +461,16 @@ def test_a_disk_that_is_full_does_not_stop_the_work(bench: Bench, monkeypatch: p
     def full(*arguments: Any, **options: Any) -> None:
         raise ExportError("cannot write project.json: no space left on device")
 
-    with monkeypatch.context() as patch:
-        patch.setattr(ProjectFolder, "_replace", full)
+    for count, writing in enumerate(("_append", "_replace"), start=1):
+        with monkeypatch.context() as patch:
+            patch.setattr(ProjectFolder, writing, full)
+            bench.do("add_pick", photo="p1", **LINE)
+            bench.eventually(lambda: bench.slice("project")["unsaved"])
+            assert any("no space" in message.get("text", "") for message in bench.told)
+        bench.told.clear()
         bench.do("add_pick", photo="p1", **LINE)
-        assert bench.slice("project")["unsaved"]
-        assert any("no space" in message.get("text", "") for message in bench.told)
-    bench.do("add_pick", photo="p1", **LINE)
-    assert not bench.slice("project")["unsaved"]
-    kept = json.loads((bench.workbench.session.folder.path / "project.json").read_bytes())
-    assert len(kept["photos"][0]["picks"]) == 2
+        assert not bench.slice("project")["unsaved"]
+        assert len(kept_picks(bench)) == 2 * count, "what could not be saved is saved whole, at once"
 
 
 def test_what_is_given_at_the_start_is_checked(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import shutil
 from pathlib import Path
 
 import msgspec
@@ -19,6 +20,7 @@ from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.project import edits
+from ladarreg_core.project.changes import change_between, changed
 from ladarreg_core.project.codec import decode_document, encode
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 from ladarreg_core.project.folder import ProjectFolder
@@ -185,17 +187,21 @@ def test_undo_and_redo_walk_along_what_was_committed(moves: list[str]) -> None:
 # the folder
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
 @given(
-    moves=st.lists(st.sampled_from(["commit", "undo", "redo", "amend", "solve"]), max_size=12), cut=st.integers(0, 60)
+    moves=st.lists(st.sampled_from(["commit", "undo", "redo", "amend", "solve", "settle"]), max_size=12),
+    cut=st.integers(0, 60),
 )
 def test_a_folder_gives_back_what_was_saved_and_bears_a_torn_history(
     tmp_path_factory: pytest.TempPathFactory, moves: list[str], cut: int
 ) -> None:
     place = tmp_path_factory.mktemp("project")
+    log = place / "history.jsonl"
     folder = ProjectFolder(place)
     history = History.begun(a_document(), label="Begin", author="", when=WHEN)
     folder.begin(history)
+    settled = history.document
+    told = [(log.stat().st_size, history.document)]
     for k, move in enumerate(moves):
         if move in ("undo", "redo"):
             history = history.moved(-1 if move == "undo" else 1)
@@ -203,12 +209,17 @@ def test_a_folder_gives_back_what_was_saved_and_bears_a_torn_history(
         elif move == "amend":
             history = history.amended(named(history.document, f"{k}!"), when=WHEN)
             folder.save_commit(history, amended=True)
+        elif move == "settle":
+            folder.settle()
+            settled = history.document
         else:
             document = with_an_answer(history.document, k) if move == "solve" else named(history.document, str(k))
             history = history.committed(document, label=move, author="a", when=WHEN)
             folder.save_commit(history)
+        told.append((log.stat().st_size, history.document))
     folder.close()
 
+    shutil.copytree(place, torn := place.with_name(f"{place.name}-torn"))
     again = ProjectFolder(place)
     read = again.read()
     again.close()
@@ -216,12 +227,105 @@ def test_a_folder_gives_back_what_was_saved_and_bears_a_torn_history(
         (e.number, e.label, e.document) for e in history.entries
     ]
     assert read.at == history.at
+    assert reading_of(place) == history.document, "who opens a project leaves its file with what counts"
 
-    log = place / "history.jsonl"
-    log.write_bytes(log.read_bytes()[: -cut or None])
-    torn = ProjectFolder(place)
-    assert torn.read().document == history.document, "the document does not depend on the history"
-    torn.close()
+    whole = (torn / log.name).read_bytes()[: -cut or None]
+    (torn / log.name).write_bytes(whole)
+    left = [document for size, document in told if size <= len(whole)]
+    for _ in range(2):
+        folder = ProjectFolder(torn)
+        read = folder.read()
+        assert read.document == (left[-1] if settled in left else settled), "all that was appended whole, and no less"
+        assert reading_of(torn) == read.document
+        folder.save_commit(read.committed(named(read.document, "after"), label="after", author="", when=WHEN))
+        folder.close()
+        settled = named(read.document, "after")
+        left = [settled]
+
+
+def reading_of(place: Path) -> Document:
+    """What project.json holds."""
+    return decode_document(
+        (place / "project.json").read_bytes(), lambda name: StoredArrays((place / f"arrays/{name}.npz").read_bytes())
+    )
+
+
+def edited_at_random(document: Document, seed: int) -> Document:
+    rng = np.random.default_rng(seed)
+
+    def edit(photo: PhotoEntry) -> PhotoEntry:
+        what, ids = rng.integers(6), [pick.id for pick in photo.picks]
+        if what == 0 or len(ids) < 2:
+            return edits.with_picks(photo, [a_pick(seed + k, str(rng.choice(["point", "line"]))) for k in range(3)])[0]
+        some = set(rng.choice(ids, 2))
+        if what == 1:
+            return edits.without_picks(photo, some)
+        if what == 2:
+            return edits.switched(photo, {name: bool(rng.integers(2)) for name in some})
+        if what == 3:
+            return edits.changed_pick(photo, ids[0], {"weight": float(rng.uniform(0.1, 9))})
+        if what == 4:
+            return msgspec.structs.replace(photo, picks=tuple(rng.permutation(np.array(photo.picks, dtype=object))))
+        return edits.with_pose(photo, pose_entry("robust", ANSWERS[seed % 2]))
+
+    what = rng.integers(8)
+    if what == 0:
+        return edits.with_photo(document, SOURCE)[0] if len(document.photos) < 4 else document
+    if what == 1 and len(document.photos) > 1:
+        return edits.without_photo(document, document.photos[0].id)
+    if what == 2:
+        return msgspec.structs.replace(document, settings=document.settings.changed({"seed": seed % 9}))
+    return edits.edited_photo(document, str(rng.choice([photo.id for photo in document.photos])), edit)
+
+
+ANSWERS = [a_result(0), a_result(1)]
+
+
+@settings(max_examples=60, deadline=None)
+@given(seeds=st.lists(st.integers(0, 10**6), min_size=1, max_size=12))
+def test_a_change_that_was_written_makes_one_document_of_the_other(seeds: list[int]) -> None:
+    stored = {entry.arrays.name: entry.arrays for entry in (pose_entry("robust", answer) for answer in ANSWERS)}
+    before = mine = a_document()
+    for seed in seeds:
+        after = edited_at_random(before, seed)
+        change = json.loads(encode(change_between(before, after)))
+        mine = changed(mine, change, stored.__getitem__)
+        assert mine == after
+        assert (change == {}) == (after == before)
+        before = after
+
+
+def test_a_change_is_small_and_shares_what_stays() -> None:
+    before = a_document(200)
+    after = edits.edited_photo(before, "p1", lambda p: edits.changed_pick(p, "7", {"photo": ((1.0, 2.0),)}))
+    change = change_between(before, after)
+    ((name, fields),) = change["photos"]["in"]["p1"]["picks"].pop("in").items()
+    assert (name, fields["photo"]) == ("7", ((1.0, 2.0),))
+    assert len(encode(change_between(before, after))) < 200
+    again = changed(before, json.loads(encode(change_between(before, after))), lambda name: StoredArrays(b""))
+    assert all(a is b for a, b in zip(before.photos[0].picks, again.photos[0].picks, strict=True) if a.id != "7")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        7,
+        {"nonsense": 1},
+        {"name": 3},
+        {"photos": []},
+        {"photos": {"in": {"p9": {}}}},
+        {"photos": {"gone": ["p9"]}},
+        {"photos": {"order": ["p1", "p1"]}},
+        {"photos": {"order": [[], 1]}},
+        {"photos": {"new": [{"id": "p2"}]}},
+        {"photos": {"in": {"p1": {"picks": {"in": {"1": {"scan": [[0, 0, 0]]}}}}}}},
+        {"photos": {"in": {"p1": {"picks": {"new": [{"id": "x"}]}}}}},
+    ],
+)
+def test_a_damaged_change_is_refused_in_one_line(change: object) -> None:
+    with pytest.raises(FormatError) as caught:
+        changed(a_document(), change, lambda name: StoredArrays(b""))
+    assert "\n" not in str(caught.value)
 
 
 def test_a_folder_has_one_user_at_a_time(tmp_path: Path) -> None:
@@ -234,21 +338,25 @@ def test_a_folder_has_one_user_at_a_time(tmp_path: Path) -> None:
 
 def _die_holding(place: str, ready: multiprocessing.synchronize.Event) -> None:
     folder = ProjectFolder(place)
-    folder.begin(History.begun(a_document(), label="Begin", author="", when=WHEN))
+    history = History.begun(a_document(), label="Begin", author="", when=WHEN)
+    folder.begin(history)
+    folder.save_commit(history.committed(named(history.document, "last"), label="Rename", author="", when=WHEN))
     ready.set()
     os.kill(os.getpid(), 9)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no kill -9 to send")
-def test_a_folder_is_free_again_after_a_crash(tmp_path: Path) -> None:
+def test_a_folder_is_free_again_and_whole_after_a_crash(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
     ready = context.Event()
     process = context.Process(target=_die_holding, args=(str(tmp_path / "p"), ready))
     process.start()
     process.join(60)
+    assert reading_of(tmp_path / "p") == a_document(), "it had no time to settle"
     folder = ProjectFolder(tmp_path / "p")
-    assert folder.read().document == a_document()
+    assert folder.read().document == named(a_document(), "last")
     folder.close()
+    assert reading_of(tmp_path / "p") == named(a_document(), "last")
 
 
 def test_sources_inside_move_with_the_folder(tmp_path: Path) -> None:
