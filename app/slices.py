@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, json
 
 from app.session import Session
 from app.workroom import Workroom
@@ -57,7 +60,7 @@ def scan_slice(room: Workroom, document: Document) -> dict[str, Any] | None:
     assert scan is not None
     rows, columns = scan.shape
     return {
-        "id": f"s{abs(hash(source)):x}",
+        "id": f"s{_mark(source)}",
         "name": source.name,
         "rows": rows,
         "columns": columns,
@@ -80,10 +83,15 @@ def scan_slice(room: Workroom, document: Document) -> dict[str, Any] | None:
     }
 
 
+def _mark(*known: Struct) -> str:
+    """Return a short name of what is known of a file: after a restart the same, or pages would drop what they hold."""
+    return blake2b(json.encode(known), digest_size=8).hexdigest()
+
+
 def photo_slice(room: Workroom, entry: PhotoEntry) -> dict[str, Any]:
     """Return one photograph; without a camera where nothing tells its focal length."""
     found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
-    found["rev"] = f"{abs(hash((entry.source, entry.camera))):x}"
+    found["rev"] = _mark(entry.source, entry.camera)
     photo: Photo | None = None
     try:
         try:

@@ -48,9 +48,14 @@ class Inputs:
         from ladarreg_core.project.results import registration_of
 
         if not self.picks:
+            drawn = len(self.entry.picks)
+            if drawn == 1:
+                raise OptionError("the only match is switched off; switch it on in the table of matches")
+            if drawn:
+                raise OptionError(f"all {drawn} matches are switched off; switch some on in the table of matches")
             raise OptionError("there are no matches; draw some, or let corners be matched")
         pose = self.entry.pose
-        found, losses = matches_from_picks(
+        found, _ = matches_from_picks(
             self.scan,
             self.picks,
             camera=self.photo.camera,
@@ -59,7 +64,10 @@ class Inputs:
             pose=None if pose is None else registration_of(pose).camera_from_scanner,
         )
         if not len(found):
-            raise OptionError(f"no match has a range. {' '.join(losses[:3])}")
+            raise OptionError(
+                "no match lies where the scan has a range; draw where the laser saw something: the scan shown as Range "
+                "tells where"
+            )
         return found
 
 

@@ -36,6 +36,7 @@ export const mountChain = (which, title) => {
   let form = null;
   const list = element("ol", { class: "chain", "aria-label": title });
   const pane = element("div", { class: "chain-settings" });
+  const failure = element("p", { class: "bad chain-failure", role: "status" });
   const rows = new Map();
 
   const run = (step) => {
@@ -125,6 +126,8 @@ export const mountChain = (which, title) => {
       }
     }
     for (const made of all) made.disabled = busy || missing;
+    const { row: chosenRow, said: chosenSaid } = rows.get(chosen);
+    say(failure, chosenRow.dataset.state === "failed" ? `Failed: ${chosenSaid.textContent}` : "");
     const entries = settingsOf(store.get("settings"), chosen);
     const shape = JSON.stringify([chosen.label, entries.map(([name, { value, ...rest }]) => [name, rest])]);
     if (shape !== drawn) {
@@ -133,6 +136,7 @@ export const mountChain = (which, title) => {
       put(
         pane,
         element("p", { class: "dim chain-about" }, chosen.said),
+        failure,
         entries.length ? form.form : element("p", { class: "dim" }, "It has no settings of its own."),
       );
     } else form?.show();

@@ -3,8 +3,13 @@
 import { element } from "./dom.js";
 import { takeFiles } from "./files_dialog.js";
 import { icon } from "./icons.js";
+import { notice } from "./notices.js";
 
 const hasFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
+
+/** @returns {Set<string>} names of the folders among what was dropped: they look like files that cannot be read */
+const foldersOf = ({ items }) =>
+  new Set([...items].map((item) => item.webkitGetAsEntry?.()).filter((entry) => entry?.isDirectory).map(({ name }) => name));
 
 /** @param {HTMLElement} floating */
 export const acceptDrops = (floating) => {
@@ -40,6 +45,9 @@ export const acceptDrops = (floating) => {
     if (!hasFiles(event)) return;
     event.preventDefault();
     show(false);
-    if (event.dataTransfer.files.length) takeFiles(event.dataTransfer.files);
+    const folders = foldersOf(event.dataTransfer);
+    for (const name of folders) notice(`${name} is a folder: drop the files in it.`, "warn");
+    const files = [...event.dataTransfer.files].filter(({ name }) => !folders.has(name));
+    if (files.length) takeFiles(files);
   });
 };

@@ -10,7 +10,9 @@ export const KINDS = [
   { kind: "matches", label: "Matches of the shown photograph" },
 ];
 const ORDER = KINDS.map(({ kind }) => kind);
-const SCANS = new Set(["e57", "npz", "pcd", "ptx", "pts"]);
+const SCANS = new Set(["e57", "npz", "pcd"]);
+/** Not read, but scans beyond doubt: the workbench says so best. */
+const FOREIGN = new Set(["fls", "las", "laz", "ply", "pts", "ptx", "zfs"]);
 const PHOTOS = new Set(["png", "jpg", "jpeg", "tif", "tiff", "webp", "bmp"]);
 const CAMERAS = new Set(["yaml", "yml", "xml"]);
 
@@ -24,7 +26,7 @@ export const ACCEPTED = [...SCANS, ...PHOTOS, ...CAMERAS, "json", "csv"].map((su
 export const kindOf = (name) => {
   const lower = name.toLowerCase();
   const suffix = lower.slice(lower.lastIndexOf(".") + 1);
-  if (SCANS.has(suffix)) return { kind: "scan", sure: true };
+  if (SCANS.has(suffix) || FOREIGN.has(suffix)) return { kind: "scan", sure: true };
   if (PHOTOS.has(suffix)) return { kind: "photo", sure: true };
   if (CAMERAS.has(suffix)) return { kind: "camera", sure: true };
   if (suffix === "csv") return { kind: "matches", sure: true };

@@ -5,6 +5,7 @@ import { makeDialog } from "./dialog.js";
 import { wish } from "./edits.js";
 import { ACCEPTED, inOrder, kindOf, KINDS } from "./file_kinds.js";
 import { icon } from "./icons.js";
+import { notice } from "./notices.js";
 import { bytes } from "./numbers.js";
 import { store } from "./store.js";
 import { sendFile } from "./uploads.js";
@@ -19,10 +20,13 @@ const WORDS = {
   other: "file",
 };
 const NEEDS_PHOTO = new Set(["camera", "matches"]);
+const UNTOLD = "The name does not tell what it is: say it here.";
+
+const isLeft = ({ state }) => state === "waiting" || state === "refused";
 
 let made = null;
 
-/** One file that waits, travels, has arrived or was refused. */
+/** One file that waits to be told about, is due, travels, has arrived or was refused. */
 class Waiting {
   constructor(file, changed, gone) {
     const { kind, sure } = kindOf(file.name);
@@ -31,9 +35,10 @@ class Waiting {
       "select",
       {
         "aria-label": `What ${file.name} is`,
-        on: { change: () => ((this.kind = this.choice.value), (this.sure = true), changed()) },
+        on: { change: () => (this.#told(), changed()) },
       },
-      ...KINDS.map((each) => element("option", { value: each.kind, selected: each.kind === kind }, each.label)),
+      sure ? null : element("option", { value: "", selected: true, disabled: true }, "What is it?"),
+      ...KINDS.map((each) => element("option", { value: each.kind, selected: sure && each.kind === kind }, each.label)),
     );
     this.progress = element("progress", { max: 1, value: 0, hidden: true, "aria-label": `Sending ${file.name}` });
     this.said = element("span", { class: "file-said", role: "status" });
@@ -48,19 +53,30 @@ class Waiting {
       "li",
       { class: "file-row" },
       icon("file"),
-      element("span", { class: "clip" }, file.name),
+      element("span", { class: "clip", title: file.name }, file.name),
       element("span", { class: "dim figures" }, bytes(file.size)),
       this.choice,
       this.progress,
       this.away,
       this.said,
     );
-    if (!sure) this.tell("The name does not tell what it is: say it here.", "warn");
+    if (!sure) this.tell(UNTOLD, "warn");
+  }
+
+  #told() {
+    this.kind = this.choice.value;
+    this.sure = true;
+    if (this.said.textContent === UNTOLD) this.tell("");
   }
 
   tell(text, level = "") {
     say(this.said, text);
     this.row.dataset.level = level;
+  }
+
+  wait() {
+    this.state = "due";
+    this.tell("Waits its turn …");
   }
 
   async send() {
@@ -86,9 +102,9 @@ class Waiting {
       this.state = "refused";
       this.choice.disabled = false;
       this.tell(error.message, error.name === "AbortError" ? "warn" : "bad");
+      if (!made.dialog.open && error.name !== "AbortError") notice(error.message, "bad");
     }
     this.progress.hidden = true;
-    return this.state === "opened";
   }
 }
 
@@ -161,7 +177,7 @@ const build = () => {
     choose,
     input,
   );
-  const send = button({ label: "Open", kind: "primary", act: () => sendAll() });
+  const send = button({ label: "Open", kind: "primary", act: () => sendAll(waiting.filter(isLeft)) });
   const foot = element("div", { class: "form-foot", hidden: true }, send);
   const sample = element(
     "p",
@@ -175,10 +191,10 @@ const build = () => {
   made = makeDialog("Open files", { kind: "files-dialog" }, zone, list, foot, servedList(), sample);
 
   const changed = () => {
-    const left = waiting.filter(({ state }) => state === "waiting" || state === "refused");
+    const left = waiting.filter(isLeft);
     put(list, ...waiting.map(({ row }) => row));
     foot.hidden = left.length === 0;
-    send.disabled = left.some(({ sure }) => !sure) || waiting.some(({ state }) => state === "sending");
+    send.disabled = left.some(({ sure }) => !sure);
     say(send.querySelector("span"), left.length > 1 ? `Open ${left.length} files` : "Open");
     send.title = send.disabled ? "Say first what each file is" : "";
   };
@@ -186,25 +202,31 @@ const build = () => {
     waiting.splice(waiting.indexOf(one), 1);
     changed();
   };
-  const sendAll = async () => {
-    let all = true;
-    for (const one of inOrder(waiting.filter(({ state }) => state === "waiting" || state === "refused"))) {
-      const sending = one.send();
+  let going = false;
+  /** Send one after the other what is due, also what becomes due meanwhile. */
+  const sendAll = async (due) => {
+    for (const one of due) one.wait();
+    changed();
+    if (going) return;
+    going = true;
+    for (let next; (next = inOrder(waiting.filter(({ state }) => state === "due"))[0]); ) {
+      const sending = next.send();
       changed();
-      all = (await sending) && all;
+      await sending;
       changed();
     }
-    if (all) {
-      waiting.length = 0;
-      changed();
-      made.close();
-    }
+    going = false;
+    if (waiting.some(({ state }) => state !== "opened")) return;
+    waiting.length = 0;
+    changed();
+    made.close();
   };
   made.take = (files) => {
     for (const old of waiting.filter(({ state }) => state === "opened")) gone(old);
-    waiting.push(...[...files].map((file) => new Waiting(file, changed, gone)));
+    const came = [...files].map((file) => new Waiting(file, changed, gone));
+    waiting.push(...came);
     changed();
-    if (waiting.length && waiting.every(({ sure, state }) => sure && state === "waiting")) sendAll();
+    if (came.length && came.every(({ sure }) => sure)) sendAll(came);
   };
   made.want = (what) => {
     const limit = store.get("limits")?.upload_bytes;

@@ -29,7 +29,7 @@ export const mountHistory = (opener) => {
     put(
       made,
       element("span", { class: "sign" }, present ? icon("right") : null),
-      element("span", { class: "clip" }, label),
+      element("span", { class: "clip", title: label }, label),
       element("span", { class: "dim clip" }, author),
       element("span", { class: "dim figures" }, when),
     );

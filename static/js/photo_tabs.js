@@ -84,7 +84,6 @@ export const mountPhotoTabs = () => {
     }
     const chosen = [...list.children].find(({ dataset }) => dataset.photo === store.shown());
     choose([...list.children], chosen);
-    chosen?.scrollIntoView({ block: "nearest", inline: "nearest" });
     const shown = store.photo();
     away.hidden = !shown;
     camera.hidden = !shown || Boolean(shown.error);
@@ -104,6 +103,7 @@ export const mountPhotoTabs = () => {
     put(add, icon("plus"), photos.length ? null : element("span", {}, "Photograph"));
     add.classList.toggle("bare", photos.length > 0);
     add.classList.toggle("wanted", photos.length === 0 && Boolean(store.get("scan")));
+    chosen?.scrollIntoView({ block: "nearest", inline: "nearest" }); // now that all beside it has its width
   };
   store.watch(["photos", "shown", "scan", "limits"], show);
   show();

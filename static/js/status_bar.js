@@ -16,7 +16,8 @@ const CONNECTIONS = {
   lost: ["warn", "not connected: trying again", "warn"],
   refused: ["bad", "refused: open the address with its token again", "bad"],
 };
-const ENDS = { done: ["tick", "ok"], failed: ["bad", "bad"], stopped: ["stop", "warn"] };
+/** Done is not yet good: the verdict on the pose says that. */
+const ENDS = { done: ["tick", "dim"], failed: ["bad", "bad"], stopped: ["stop", "warn"] };
 const LONG_S = 2;
 
 const readoutText = ({ uv, range_m: range, intensity, zoom }) =>

@@ -10,7 +10,8 @@ const UNREACHED =
 const STRANGER = "The workbench no longer knows this page: open its address again, with the token.";
 
 const tooLarge = (name, most) =>
-  `${name} is larger than the ${bytes(most)} that are taken here: make it smaller, or put it into the served folder.`;
+  `${name} is larger than the ${bytes(most)} that are taken here: make it smaller, ` +
+  (store.get("served") ? "or put it into the served folder." : "or have the workbench started on it or with a larger limit.");
 
 const answerOf = (request) => {
   try {

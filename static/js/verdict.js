@@ -5,6 +5,7 @@ import { icon } from "./icons.js";
 import { parameterName, sentences, typeset } from "./numbers.js";
 import { store } from "./store.js";
 import { view } from "./view.js";
+import { nextThing } from "./work_steps.js";
 
 const LEVELS = { good: ["tick", "Good", "ok"], fair: ["warn", "Fair", "warn"], poor: ["bad", "Poor", "bad"] };
 const EMPTY =
@@ -103,12 +104,14 @@ export const mountVerdict = () => {
     const judged = store.judgedOf();
     // a pose that was verified needs no method of the thesis any more
     const told = { losses: judged?.losses ?? [], cautions: stage?.evidence === "image" ? [] : judged?.cautions ?? [] };
-    const text = JSON.stringify([stage, told]);
+    const [scan, photo] = [store.get("scan"), store.photo()];
+    const next = stage ? "" : nextThing({ scan, photo, picks: store.picksOf(), poses: store.posesOf() });
+    const text = JSON.stringify([stage, told, next]);
     if (text === drawn) return;
     drawn = text;
     put(staged, stage ? stage.label : "");
     if (!stage) {
-      put(body, element("p", { class: "empty" }, EMPTY), ...warnings(told));
+      put(body, element("p", { class: "empty" }, EMPTY, element("strong", {}, next)), ...warnings(told));
       return;
     }
     const findings = (stage.findings ?? []).toSorted(
@@ -124,7 +127,7 @@ export const mountVerdict = () => {
       ...warnings(told),
     );
   };
-  store.watch(["poses:*", "judged:*", "shown"], show);
+  store.watch(["poses:*", "judged:*", "shown", "scan", "photos", "picks:*"], show);
   show();
   return part;
 };

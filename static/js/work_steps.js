@@ -32,7 +32,12 @@ export const workSteps = ({ scan, photo, picks, poses, exported }) => {
   const solved = stages.length > 0;
   const fewer = Math.ceil((LEAST_POINTS - points) / POINTS_OF_LINE);
   const more = `${counted(fewer, "more line")}, or ${counted(LEAST_POINTS - points, "more point")}`;
-  const matches = files || (matched ? "" : `A pose needs ${more}.`);
+  const allOff = picks.length > 0 && on.length === 0;
+  const off = picks.length === 1
+    ? "The only match is switched off: switch it on in the table."
+    : `All ${picks.length} matches are switched off: switch some on in the table.`;
+  const wanted = allOff ? off : `A pose needs ${more}.`;
+  const matches = files || (matched ? "" : wanted);
   return [
     {
       name: "match",

@@ -436,6 +436,7 @@ bench = sample_bench(Path(sys.argv[1]))
 for k in range(3):
     bench.do("add_pick", photo="p1", kind="point", scan=[[1, k / 20, 0]], photo_uv=[[100 + k, 50]])
 bench.do("undo")
+print(bench.slice("scan")["id"], bench.slice("photos")[0]["rev"], flush=True)
 os.kill(os.getpid(), 9)
 """
 
@@ -448,6 +449,8 @@ def test_a_crash_loses_nothing_not_even_undo(tmp_path: Path, checkout: Path) -> 
     try:
         assert len(bench.slice("picks:p1")) == len(kept_picks(bench)) == 2
         assert "again" in bench.workbench.said_at_start
+        names = [bench.slice("scan")["id"], bench.slice("photos")[0]["rev"]]
+        assert names == died.stdout.decode().split(), "a page keeps what it holds of a picture that is still the same"
         bench.do("redo")
         assert [pick["photo"] for pick in bench.slice("picks:p1")] == [[[100 + k, 50]] for k in range(3)]
     finally:

@@ -178,7 +178,8 @@ export class Desk {
   }
 
   hint() {
-    const hint = hintOf(this.picking, this.view.get().tool);
+    const pictured = Boolean(this.sides.scan.extent && this.sides.photo.extent);
+    const hint = pictured ? hintOf(this.picking, this.view.get().tool) : null;
     if (hint !== this.view.get().hint) this.view.set({ hint });
   }
 

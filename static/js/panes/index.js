@@ -66,6 +66,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
     }
     askForPictures();
     desk.changed();
+    desk.hint();
     notesShown();
   };
   store.watch(["scan", "photos", "shown", "poses:*"], takeSlices);
@@ -105,5 +106,4 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
   });
   filters(view.get());
   takeSlices();
-  desk.hint();
 };
