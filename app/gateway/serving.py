@@ -14,7 +14,7 @@ from app.gateway.site import site
 from app.viser_lock import ViserAddress
 
 _GIVE_WAY_S = 0.0005
-"""A thread that computes gives way to those that answer pages after so long; each answer waits for that several times."""
+"""A thread that computes gives way after so long to those that answer pages, who wait for that several times each."""
 
 
 def serve_until_interrupted(
