@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import io
+import logging
+import threading
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from app.gateway.interface import Picture
 from app.session import Session
 from app.workroom import Workroom
-from ladarreg_core.errors import OptionError
+from ladarreg_core.errors import LadarregError, OptionError
 
 if TYPE_CHECKING:
+    from ladarreg_core.perspective import View
     from ladarreg_core.project.document import PhotoEntry, PoseEntry
     from ladarreg_core.scan import Scan
 
+log = logging.getLogger(__name__)
 _JPEG_ABOVE_PIXELS = 2_500_000
 _JPEG_QUALITY = 93
 
@@ -40,13 +44,12 @@ class Pictures:
         kind, _, photo_id = path.strip("/").partition("/")
         document = self._session.document
         if kind == "scan" and not photo_id:
-            key: Any = (document.scan, tuple(sorted((k, v) for k, v in query.items() if k != "rev")))
-            return self._room.kept("picture", ("scan", key), lambda: self._scan(query))
+            return self._scan(query)
         entry = document.photo(photo_id)
         if entry is None:
             raise OptionError("there is no such photograph")
         if kind == "photo":
-            key = (entry.source, entry.camera.file)
+            key: Any = (entry.source, entry.camera.file)
             return self._room.kept("picture", ("photo", key), lambda: self._photo(entry))
         pose = entry.stage(query["stage"]) if query.get("stage") else entry.pose
         if pose is None or kind not in ("overlay", "registered"):
@@ -56,19 +59,29 @@ class Pictures:
         make = self._overlay if kind == "overlay" else self._registered
         return self._room.kept("picture", key, lambda: (pose, make(entry, pose, query)))[1]
 
+    def draw_ahead(self) -> None:
+        """Draw the scan as a page shows it at first, in a thread: it will be the first to be asked for."""
+
+        def draw() -> None:
+            try:
+                self._scan({})
+            except LadarregError as error:
+                log.debug("there is nothing to draw: %s", error)
+
+        threading.Thread(target=draw, name="picture", daemon=True).start()
+
     def _scan(self, query: Mapping[str, str]) -> Picture:
         from ladarreg_core.inspection.scan_pictures import Stretch, scan_picture
 
-        views = self._room.views(self._session.document)
-        if not views:
-            raise OptionError("there is no scan; open one")
+        view, show = self._view(query), query.get("show", "intensity")
         stretch = Stretch(
             low=_number(query, "low", 1.0),
             high=_number(query, "high", 99.5),
             gamma=_number(query, "gamma", 0.6),
             equalise=query.get("equalise") == "1",
         )
-        return _png(scan_picture(self._view(query), query.get("show", "intensity"), stretch))
+        key = ("scan", id(view), show, stretch)
+        return self._room.kept("picture", key, lambda: (view, _png(scan_picture(view, show, stretch))))[1]
 
     def _photo(self, entry: PhotoEntry) -> Picture:
         pixels = self._room.photo_to_look_at(entry).pixels
@@ -105,8 +118,10 @@ class Pictures:
             raise OptionError("there is no scan; open one")
         return scan
 
-    def _view(self, query: Mapping[str, str]) -> Any:
+    def _view(self, query: Mapping[str, str]) -> View:
         views = self._room.views(self._session.document)
+        if not views:
+            raise OptionError("there is no scan; open one")
         index = query.get("view", "0")
         if not index.isdecimal() or int(index) >= len(views):
             raise OptionError(f"there is no view {index!r}; the scan has {len(views)}")

@@ -6,6 +6,8 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
+from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,10 +18,13 @@ from ladarreg_core.errors import LadarregError, OptionError
 if TYPE_CHECKING:
     import viser
 
+    from app.gateway.options import GatewayOptions
+    from app.viser_lock import ViserAddress
     from app.workbench import Workbench
 
 _PROJECT = "project.json"
 _LAST = "last.json"
+_VISER_OPENS_S = 60.0
 
 
 def open_workbench(
@@ -28,7 +33,6 @@ def open_workbench(
     project: Path | None = None,
     folder: Path | None = None,
     upload_bytes: int = 2 << 30,
-    viser: viser.ViserServer | None = None,
     name: str = "",
     camera: Path | None = None,
 ) -> Workbench:
@@ -39,7 +43,6 @@ def open_workbench(
         project: where to keep the project; None: among the user's own data.
         folder: whose files are offered in the page.
         upload_bytes: the largest upload.
-        viser: where the 3-D scene is drawn; None: nowhere.
         name: of the project that scan and photographs begin; empty: the scan's.
         camera: a camera file for the photographs that are new.
 
@@ -64,7 +67,8 @@ def open_workbench(
     try:
         if kept.begun:
             history = kept.read()
-            said = f"Opened {history.document.name} again, as it was left at {history.present.when[:16]}."
+            when = history.present.when[:16].replace("T", " ")
+            said = f"Opened {history.document.name} again, as it was left at {when}."
         else:
             history = History.begun(Document(name=name or "untitled"), label="Begin", author="", when=now())
             kept.begin(history)
@@ -76,14 +80,59 @@ def open_workbench(
         raise
     try:
         _add(workbench, files, camera)
-        if viser is not None:
-            _attach(workbench, viser)
     except BaseException:
         workbench.close()
         raise
     _remember(kept.path)
     workbench.said_at_start = said
     return workbench
+
+
+def serve_and_close(workbench: Workbench, *, token: str, options: GatewayOptions, browser: bool) -> None:
+    """Serve a workbench until Ctrl-C, and close it.
+
+    The page and the pictures come first: viser takes a good part of a second to load, and is asked for last.
+
+    Args:
+        workbench: what to serve.
+        token: what opens the page.
+        options: where to listen.
+        browser: whether to open a browser, too.
+
+    Raises:
+        OptionError: if there is no such address, no free port, or no such certificate.
+        DependencyError: if this version of viser cannot be locked.
+    """
+    from app.gateway.serving import serve_until_interrupted
+
+    where: Future[ViserAddress] = Future()
+    opened: list[viser.ViserServer] = []
+
+    def open_viser() -> None:
+        from app.viser_server import open_locked_server
+
+        server, address = open_locked_server(label="ladarreg")
+        opened.append(server)
+        _attach(workbench, server)
+        where.set_result(address)
+
+    try:
+        serve_until_interrupted(
+            workbench,
+            partial(where.result, _VISER_OPENS_S),
+            token=token,
+            options=options,
+            browser=browser,
+            then=open_viser,
+        )
+    finally:
+        if not where.done():  # whoever waits for the 3-D view need wait no longer
+            where.set_exception(ConnectionError("the workbench was closed"))
+        workbench.close()
+        for server in opened:
+            from app.viser_server import close_server
+
+            close_server(server)
 
 
 def _add(workbench: Workbench, files: Sequence[Path], camera: Path | None) -> None:

@@ -291,7 +291,7 @@ class Workbench:
         with self._lock:
             names = [person.name for person in self._people]
         found: dict[str, Any] = {
-            "project": project_slice(session),
+            "project": {**project_slice(session), "opened": self.said_at_start},
             "history": history_slice(session.history, self._entries_shown),
             "scan": room.kept("picture", ("scan slice", document.scan), lambda: scan_slice(room, document)),
             "photos": [photo_slice(room, entry) for entry in document.photos],
@@ -335,6 +335,8 @@ class Workbench:
     def _changed(self, change: Change) -> None:
         if self.session.unsaved:
             self.notice(f"The project cannot be saved: {self.session.unsaved}", level="bad")
+        if change.document.scan != change.before.scan:
+            self.pictures.draw_ahead()
         self.teller.tell(slow=True)
         self.stage.refresh()
 
@@ -350,6 +352,7 @@ class Workbench:
             self.room.views(self.session.document)
         except (LadarregError, CameraError) as error:
             log.info("the scan is missing: %s", error)
+        self.pictures.draw_ahead()
         self.teller.tell(slow=True)
 
 

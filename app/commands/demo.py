@@ -36,31 +36,23 @@ def run(arguments: Arguments) -> ExitCode:
     """Open the workbench on the embedded sample and register it before everybody's eyes."""
     from app.gateway.door import new_token
     from app.gateway.options import GatewayOptions
-    from app.gateway.serving import serve_until_interrupted
-    from app.serve import open_workbench
-    from app.viser_server import close_server, open_locked_server
+    from app.serve import open_workbench, serve_and_close
     from ladarreg_core.simulate import sample_folder
 
     folder = sample_folder()
-    server, address = open_locked_server(label="ladarreg")
+    workbench = open_workbench(
+        (folder / "scan.npz", next(folder.glob("photo.*"))),
+        camera=folder / "camera.json",
+        project=arguments.project,
+        name=_NAME,
+    )
     try:
-        workbench = open_workbench(
-            (folder / "scan.npz", next(folder.glob("photo.*"))),
-            camera=folder / "camera.json",
-            project=arguments.project,
-            name=_NAME,
-            viser=server,
-        )
-        try:
-            _begin(workbench, fresh=arguments.fresh)
-            options = GatewayOptions(port=arguments.port)
-            serve_until_interrupted(
-                workbench, address, token=new_token(), options=options, browser=not arguments.no_browser
-            )
-        finally:
-            workbench.close()
-    finally:
-        close_server(server)
+        _begin(workbench, fresh=arguments.fresh)
+    except BaseException:
+        workbench.close()
+        raise
+    options = GatewayOptions(port=arguments.port)
+    serve_and_close(workbench, token=new_token(), options=options, browser=not arguments.no_browser)
     return ExitCode.ACCEPTED
 
 

@@ -77,22 +77,12 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _serve(arguments: Arguments, token: str, options: GatewayOptions) -> None:
-    from app.gateway.serving import serve_until_interrupted
-    from app.serve import open_workbench
-    from app.viser_server import close_server, open_locked_server
+    from app.serve import open_workbench, serve_and_close
 
-    server, address = open_locked_server(label="ladarreg")
-    try:
-        workbench = open_workbench(
-            arguments.inputs,
-            project=arguments.project,
-            folder=arguments.folder,
-            upload_bytes=arguments.upload_limit_mb << 20,
-            viser=server,
-        )
-        try:
-            serve_until_interrupted(workbench, address, token=token, options=options, browser=not arguments.no_browser)
-        finally:
-            workbench.close()
-    finally:
-        close_server(server)
+    workbench = open_workbench(
+        arguments.inputs,
+        project=arguments.project,
+        folder=arguments.folder,
+        upload_bytes=arguments.upload_limit_mb << 20,
+    )
+    serve_and_close(workbench, token=token, options=options, browser=not arguments.no_browser)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Callable
 from urllib.parse import quote
 
 from app.gateway.browser import open_browser
@@ -18,16 +19,23 @@ _GIVE_WAY_S = 0.0005
 
 
 def serve_until_interrupted(
-    workbench: Workbench, viser: ViserAddress, *, token: str, options: GatewayOptions, browser: bool
+    workbench: Workbench,
+    viser: Callable[[], ViserAddress],
+    *,
+    token: str,
+    options: GatewayOptions,
+    browser: bool,
+    then: Callable[[], None] = lambda: None,
 ) -> None:
     """Serve, say where, and return after Ctrl-C or a polite kill.
 
     Args:
         workbench: what is behind the page.
-        viser: the locked viser server.
+        viser: tells where the locked viser server listens; may wait for it.
         token: what opens the page.
         options: where to listen.
         browser: whether to open a browser, too.
+        then: called once pages can come.
 
     Raises:
         OptionError: if there is no such address, no free port, or no such certificate.
@@ -44,6 +52,7 @@ def serve_until_interrupted(
         print(f"Open {address}  (Ctrl-C ends)", flush=True)
         if browser:
             open_browser(address)
+        then()
         gateway.wait()
     except KeyboardInterrupt:
         print(file=sys.stderr)

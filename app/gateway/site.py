@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from starlette.applications import Starlette
@@ -29,7 +30,7 @@ def site(
     workbench: Workbench,
     *,
     token: str,
-    viser: ViserAddress,
+    viser: Callable[[], ViserAddress],
     options: GatewayOptions,
     port: int,
     folder: Path | None = None,
@@ -39,7 +40,7 @@ def site(
     Args:
         workbench: what is behind the page.
         token: what opens it.
-        viser: the locked viser server.
+        viser: tells where the locked viser server listens; may wait for it.
         options: how the gateway is reached.
         port: where it listens, for the cookie's name.
         folder: of the page's files; None: those of the installation.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import http.client
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -29,10 +29,10 @@ class ViserProxy:
     """Forwards pages and websockets.
 
     Args:
-        viser: where its server listens.
+        viser: tells where its server listens; may wait for it, and raises `OSError` where it does not come.
     """
 
-    def __init__(self, viser: ViserAddress) -> None:
+    def __init__(self, viser: Callable[[], ViserAddress]) -> None:
         self._viser = viser
 
     async def page(self, request: Request) -> Response:
@@ -52,10 +52,11 @@ class ViserProxy:
         """Forward a websocket, both ways, until either side closes."""
         offered = [Subprotocol(name) for name in websocket.scope["subprotocols"]]
         try:
+            address = await run_in_threadpool(self._viser)
             viser = await connect(
-                f"ws://{self._viser.host}:{self._viser.port}/",
+                f"ws://{address.host}:{address.port}/",
                 subprotocols=offered or None,
-                additional_headers={HEADER: self._viser.secret},
+                additional_headers={HEADER: address.secret},
                 compression=None,
                 max_size=None,
                 max_queue=4,
@@ -84,8 +85,9 @@ class ViserProxy:
             await asyncio.gather(up, down, return_exceptions=True)
 
     def _get(self, path: str, encoding: str) -> http.client.HTTPResponse:
-        connection = http.client.HTTPConnection(self._viser.host, self._viser.port, timeout=_TIMEOUT_S)
-        headers = {HEADER: self._viser.secret, "Accept-Encoding": encoding, "Connection": "close"}
+        address = self._viser()
+        connection = http.client.HTTPConnection(address.host, address.port, timeout=_TIMEOUT_S)
+        headers = {HEADER: address.secret, "Accept-Encoding": encoding, "Connection": "close"}
         connection.request("GET", path, headers=headers)
         return connection.getresponse()
 

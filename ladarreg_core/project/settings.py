@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
 from ladarreg_core.features.corners import CornerOptions
-from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.matching.thesis import ThesisOptions
 from ladarreg_core.matching.thesis_matches import ThesisMatchOptions
 from ladarreg_core.picked import SAMPLES_PER_LINE
 from ladarreg_core.pose.options import PoseOptions
 from ladarreg_core.pose.stereo_simplex import SimplexOptions
-from ladarreg_core.register import RegisterOptions
+
+if TYPE_CHECKING:
+    from ladarreg_core.register import RegisterOptions
 
 _MATCHING = ThesisMatchOptions()
 _SIMPLEX = SimplexOptions()
@@ -114,6 +114,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             OptionError: if a value has no meaning.
         """
+        # What only opens a project waits for none of these.
+        from ladarreg_core.matching.auto import AutoOptions
+        from ladarreg_core.matching.thesis import ThesisOptions
+        from ladarreg_core.register import RegisterOptions
+
         pose = self.pose_options
         return RegisterOptions(
             seed=self.seed,

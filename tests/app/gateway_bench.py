@@ -168,13 +168,20 @@ class Running:
 
 
 @contextmanager
-def running(room: Path, viser: ViserAddress | None = None, **options: Any) -> Iterator[Running]:
+def running(
+    room: Path, viser: ViserAddress | Callable[[], ViserAddress] | None = None, **options: Any
+) -> Iterator[Running]:
     """Run a gateway for a while; somebody has shown it the token."""
     tls = options.pop("context", None)
     settings = GatewayOptions(**({"port": 0} | options))
     bench = CountingBench(room)
     where = viser or ViserAddress("127.0.0.1", 9, "nobody is there")
-    gateway = Gateway(lambda port: site(bench, token=TOKEN, viser=where, options=settings, port=port), settings)
+    gateway = Gateway(
+        lambda port: site(
+            bench, token=TOKEN, viser=where if callable(where) else lambda: where, options=settings, port=port
+        ),
+        settings,
+    )
     gateway.start()
     run = Running(bench, gateway, tls)
     try:

@@ -18,7 +18,11 @@ def main(folder: str, port: str = "0") -> None:
     server, address = open_locked_server(label="test")
     try:
         serve_until_interrupted(
-            CountingBench(Path(folder)), address, token=TOKEN, options=GatewayOptions(port=int(port)), browser=False
+            CountingBench(Path(folder)),
+            lambda: address,
+            token=TOKEN,
+            options=GatewayOptions(port=int(port)),
+            browser=False,
         )
     finally:
         close_server(server)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import http.client
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -43,6 +45,29 @@ def node_names(frame: bytes) -> set[str]:
     size, packed = (int.from_bytes(frame[at : at + 8], "little") for at in (0, 8))
     inner = zstandard.ZstdDecompressor().decompress(frame[16 : 16 + packed], max_output_size=size)
     return {str(message.get("name")) for message in msgspec.msgpack.decode(inner)["messages"]}
+
+
+def test_who_comes_before_viser_waits_for_it(viewer: tuple[viser.ViserServer, ViserAddress], tmp_path: Path) -> None:
+    where: Future[ViserAddress] = Future()
+    with running(tmp_path, where.result) as run, ThreadPoolExecutor(2) as people:
+        page = people.submit(run.ask, "GET", "/viser/")
+        socket = people.submit(run.socket, "/viser", subprotocols=[PROTOCOL])
+        assert run.ask("GET", "/")[0] == 200, "the page itself does not wait"
+        assert not page.done()
+        assert not socket.done()
+        where.set_result(viewer[1])
+        assert page.result(30)[0] == 200
+        with socket.result(30) as line:
+            assert line.recv(timeout=10)
+
+
+def test_where_viser_never_opens_that_is_said(tmp_path: Path) -> None:
+    where: Future[ViserAddress] = Future()
+    where.set_exception(ConnectionError("closed"))
+    with running(tmp_path, where.result) as run:
+        assert run.ask("GET", "/viser/")[0] == 502
+        with pytest.raises(InvalidStatus):
+            run.socket("/viser", subprotocols=[PROTOCOL])
 
 
 # --- its own port ----------------------------------------------------------------------------------------------------
