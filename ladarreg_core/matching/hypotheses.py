@@ -93,6 +93,12 @@ def points_at(scan: ScanLevels, uv: FloatArray) -> FloatArray:
     return np.asarray(scan.view.rays_at(uv) * scan.ranges[pixel[:, 1], pixel[:, 0], None])
 
 
+def inliers_of(scan: ScanLevels, photo: PhotoLevels, scan_uv: FloatArray, photo_uv: FloatArray, *, seed: int) -> int:
+    """Return how many matches, pixels (K, 2) of the view and of the photo, the best pose of RANSAC explains."""
+    found = _solve(scan, photo, scan_uv, photo_uv, source="", needed=_LATER_INLIERS, seed=seed)
+    return 0 if found is None else found.inliers
+
+
 def _correlated(scan: ScanLevels, photo: PhotoLevels) -> tuple[FloatArray, FloatArray]:
     scan_gray = scan.gray_planes[0]
     scan_uv = find_corners(scan_gray, _NCC_CORNERS, usable=np.isfinite(scan.ranges)).uv

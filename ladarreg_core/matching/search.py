@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from ladarreg_core.matching.aligner import Aligner, Candidate
 from ladarreg_core.matching.alike import Places
 from ladarreg_core.matching.climb import ClimbOptions, ClimbResult, climb
 from ladarreg_core.matching.global_search import Place, likely_places
-from ladarreg_core.matching.hypotheses import Hypothesis, described_corners, hypotheses, points_at
+from ladarreg_core.matching.hypotheses import Hypothesis, described_corners, hypotheses, inliers_of, points_at
 from ladarreg_core.matching.levels import LEVELS, ChannelSet, ScanLevels
 from ladarreg_core.matching.pictures import Pictures
 from ladarreg_core.matching.turned import Turn, turn_between
@@ -94,7 +95,13 @@ class ViewSearch:
         with self._steps.step("turn") as note:
             scan, photo = aligner.scan, aligner.photo
             scan_uv, photo_uv = described_corners(scan, photo)
-            found = turn_between(scan.channels[0], scan_uv, photo.channels[0], photo_uv)
+            found = turn_between(
+                scan.channels[0],
+                scan_uv,
+                photo.channels[0],
+                photo_uv,
+                inliers=partial(inliers_of, scan, photo, seed=self._seed),
+            )
             if found is None:
                 note["none"] = "no roll stands out"
                 return None

@@ -7,6 +7,7 @@ descriptors are turned too: at the right angle the matches agree on where the on
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,8 +28,12 @@ _APART_PX = 3
 _SPACING_PX, _WINDOW_PX = 6.0, 15
 _ALIKE_PX = 40.0  # parallax spreads the displacements of one scene
 _LEAST_MATCHES = 10
+_MOST_POSED, _LEAST_INLIERS = 3, 8
 _STANDS_OUT = 1.5
 _BORNE_RAD = 1.5 * _STEP_RAD
+_Pairs = tuple[NDArray[np.float64], NDArray[np.float64]]
+Inliers = Callable[[NDArray[np.float64], NDArray[np.float64]], int]
+"""How many of the matches, pixels (K, 2) of the view and of the photo, one pose explains."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +116,7 @@ def turn_between(
     *,
     margin: float = _MARGIN,
     spacing_px: float = _SPACING_PX,
+    inliers: Inliers | None = None,
 ) -> TurnedMatches | None:
     """Return the roll that the matches of turned descriptors agree on.
 
@@ -121,28 +127,43 @@ def turn_between(
         photo_uv: (M, 2) its corners, pixels, the strongest first.
         margin: C1 - C2 must exceed it.
         spacing_px: between a descriptor's samples.
+        inliers: how many matches one pose explains, where that can be asked. Displacements of a deep scene differ, so
+            that no roll stands out by them; a pose explains them all.
 
     Returns:
         the roll, of half a step of 15 degrees or more; None where upright fits best, or no angle stands out.
     """
     scan_at, photo_at = _apart(scan_uv), _apart(photo_uv)
     described = describe_turned(scan_channels, scan_at, 0.0, spacing_px=spacing_px)
-    counts: list[int] = []
-    matched = []
-    for angle in np.arange(ANGLES) * _STEP_RAD:
+
+    def matches_at(angle: float, margin: float) -> _Pairs:
         score = described @ describe_turned(photo_channels, photo_at, angle, spacing_px=spacing_px).T
         first, second, _ = unique_matches(score, margin=margin)
-        matched.append((scan_at[first], photo_at[second]))
-        counts.append(_agreeing(*matched[-1], angle))
+        return scan_at[first], photo_at[second]
+
+    angles = np.arange(ANGLES) * _STEP_RAD
+    matched = [matches_at(angle, margin) for angle in angles]
+    counts = [_agreeing(*pairs, angle) for pairs, angle in zip(matched, angles, strict=True)]
     best = int(np.argmax(counts))
+    agreeing, pairs, between = counts[best], matched[best], _peak(*(counts[k] for k in _within_a_step(best)))
     others = [counts[k] for k in set(range(ANGLES)).difference(_within_a_step(best))]
-    if best == 0 or counts[best] < max(_LEAST_MATCHES, _STANDS_OUT * max(others)):
+    if agreeing < max(_LEAST_MATCHES, _STANDS_OUT * max(others)):
+        if inliers is None:
+            return None
+        likely = [int(k) for k in np.argsort(counts, kind="stable")[::-1][:_MOST_POSED]]
+        found = {k: matches_at(angles[k], 0.0) for k in likely}
+        explained = {k: inliers(*found[k]) for k in likely}
+        best = max(likely, key=lambda k: explained[k])
+        agreeing, pairs, between = explained[best], found[best], 0.0
+        if agreeing < _LEAST_INLIERS:
+            return None
+    if best == 0:
         return None
     # The photo's descriptors were turned clockwise to where the scan's are: the camera was turned the other way.
-    clockwise = _STEP_RAD * (best + _peak(*(counts[k] for k in _within_a_step(best))))
+    clockwise = _STEP_RAD * (best + between)
     angle = (np.pi - clockwise) % (2 * np.pi) - np.pi
-    turn = Turn(angle_rad=float(angle), matches=counts[best], upright_matches=counts[0])
-    return TurnedMatches(turn, *matched[best])
+    turn = Turn(angle_rad=float(angle), matches=agreeing, upright_matches=counts[0])
+    return TurnedMatches(turn, *pairs)
 
 
 def _channels_and_corners(gray: ArrayLike, uv: ArrayLike, name: str) -> tuple[FloatArray, NDArray[np.float64]]:
