@@ -39,6 +39,7 @@ const way = (where, ...fields) =>
 /** @param {HTMLButtonElement} opener */
 export const mountCameraForm = (opener) => {
   const film = field("35 mm equivalent", "mm", "26");
+  film.input.autofocus = true;
   const mm = field("Focal length", "mm", "5.6");
   const sensor = field("Sensor width", "mm", "7.3");
   const px = field("Focal length in pixels", "px", "1000");
@@ -149,7 +150,7 @@ export const mountCameraForm = (opener) => {
     requestAnimationFrame(askOnce);
   });
   document.addEventListener("close", () => requestAnimationFrame(askOnce), true); // of a dialog that stood before it
-  panel.addEventListener("toggle", (event) => event.newState === "open" && (fail(""), show(), film.input.focus()));
+  panel.addEventListener("beforetoggle", (event) => event.newState === "open" && (fail(""), show()));
 };
 
 /** @returns {number} of a text with a decimal point or comma; NaN where it is none */

@@ -25,6 +25,7 @@ export const mountHistory = (opener) => {
       kind: "history-entry plain",
       act: () => present || wish("go_to", { n }),
       "aria-current": present ? "step" : null,
+      autofocus: present, // when the panel opens; Escape then gives the focus back
     });
     put(
       made,
@@ -36,15 +37,11 @@ export const mountHistory = (opener) => {
     return element("li", { class: n > at ? "undone" : "" }, made);
   };
   const show = () => {
-    if (!panel.matches(":popover-open")) return;
     const history = store.get("history") ?? { at: 0, entries: [] };
     const focused = [...list.querySelectorAll("button")].indexOf(document.activeElement);
     put(list, ...history.entries.toReversed().map((each) => entry(each, history.at)));
     if (focused >= 0) list.querySelectorAll("button")[focused]?.focus();
   };
-  store.watch(["history"], show);
-  panel.addEventListener("toggle", () => {
-    show();
-    list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
-  });
+  store.watch(["history"], () => panel.matches(":popover-open") && show());
+  panel.addEventListener("beforetoggle", (event) => event.newState === "open" && show());
 };

@@ -1,5 +1,6 @@
 /** Puts the page together. */
 
+import { runs } from "./chain_state.js";
 import { ask, connect, connectionState, onConnection } from "./connection.js";
 import { mountDividers } from "./dividers.js";
 import { mountDock } from "./dock.js";
@@ -16,6 +17,8 @@ import { mountStatusBar } from "./status_bar.js";
 import { store } from "./store.js";
 import { followTheme } from "./theme.js";
 import { view } from "./view.js";
+
+const OPENED = "ladarreg-opened";
 
 const at = (id) => document.getElementById(id);
 const part = (id, name) => at(id).querySelector(`.${name}`);
@@ -44,6 +47,13 @@ acceptDrops(floating);
 
 store.onEvent("notice", ({ text, level }) => notice(text, level));
 
+/** A job goes away unfinished only with the program that ran it. */
+let running = null;
+store.on("job", (job) => {
+  if (running && !job) notice(`${running.label} ended unfinished when the workbench stopped: run it again.`, "bad");
+  running = runs(job) ? job : null;
+});
+
 /** What is selected must exist. */
 store.watch(["picks:*", "shown"], () => {
   const { selected, hovered } = view.get();
@@ -53,6 +63,17 @@ store.watch(["picks:*", "shown"], () => {
   if (hovered && !there.has(hovered)) view.set({ hovered: null });
 });
 
+/** Once for each tab: a reload is not told again what was opened. */
+const sayOnce = (text) => {
+  try {
+    if (!text || sessionStorage.getItem(OPENED) === text) return;
+    sessionStorage.setItem(OPENED, text);
+  } catch {
+    // storage is off: it is said at each reload
+  }
+  notice(text);
+};
+
 /** Somebody who begins with nothing is asked for files, once. */
 let welcomed = false;
 const welcome = () => {
@@ -60,6 +81,7 @@ const welcome = () => {
   welcomed = true;
   const nothing = !store.get("scan") && !(store.get("photos") ?? []).length;
   if (nothing && !document.querySelector("dialog[open]")) openFiles();
+  else sayOnce(store.get("project").opened);
 };
 store.watch(["project", "scan", "photos"], welcome);
 

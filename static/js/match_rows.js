@@ -10,8 +10,8 @@ const MADE_BY_HAND = new Set(["manual", "file"]);
 
 /** What the filter chips show; those of one group widen each other, the groups narrow each other. */
 export const FILTERS = [
-  { name: "lines", group: "kind", keeps: (row) => row.kind === "line" },
-  { name: "points", group: "kind", keeps: (row) => row.kind === "point" },
+  { name: "lines", one: "line", group: "kind", keeps: (row) => row.kind === "line" },
+  { name: "points", one: "point", group: "kind", keeps: (row) => row.kind === "point" },
   { name: "found", group: "state", keeps: (row) => !MADE_BY_HAND.has(row.origin) },
   { name: "off", group: "state", keeps: (row) => !row.on },
   { name: "rejected", group: "state", keeps: (row) => row.on && row.inlier === false },

@@ -199,10 +199,10 @@ export const mountMatchTable = () => {
     const { filter, sort } = view.get();
     all = rowsOf(store.picksOf(), store.judgedOf());
     rows = sorted(filtered(all, filter), sort);
-    FILTERS.forEach(({ name, keeps }, index) => {
+    FILTERS.forEach(({ name, one = name, keeps }, index) => {
       const count = all.filter(keeps).length;
       const made = chips[index];
-      say(made, `${count} ${name}`);
+      say(made, counted(count, one, name));
       made.hidden = (count === 0 || count === all.length) && !filter.includes(name); // it would tell nothing apart
       made.setAttribute("aria-pressed", String(filter.includes(name)));
       made.title = filter.includes(name) ? "Show all again" : `Show only: ${name}`;

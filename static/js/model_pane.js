@@ -3,6 +3,7 @@
 import { element, put } from "./dom.js";
 import { connectionState, onConnection } from "./connection.js";
 import { wish } from "./edits.js";
+import { mountSoftwareHint } from "./software_drawing.js";
 import { store } from "./store.js";
 
 const SWITCHES = [
@@ -92,6 +93,7 @@ export const mountModelPane = (pane) => {
   });
   const note = element("p", { class: "pane-empty", hidden: true });
   body.append(frame, note);
+  mountSoftwareHint(body);
   const show = () => {
     const scan = store.get("scan");
     put(

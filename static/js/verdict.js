@@ -105,7 +105,7 @@ export const mountVerdict = () => {
     // a pose that was verified needs no method of the thesis any more
     const told = { losses: judged?.losses ?? [], cautions: stage?.evidence === "image" ? [] : judged?.cautions ?? [] };
     const [scan, photo] = [store.get("scan"), store.photo()];
-    const next = stage ? "" : nextThing({ scan, photo, picks: store.picksOf(), poses: store.posesOf() });
+    const next = stage || !store.picksOf().length ? "" : nextThing({ scan, photo, picks: store.picksOf(), poses: store.posesOf() });
     const text = JSON.stringify([stage, told, next]);
     if (text === drawn) return;
     drawn = text;

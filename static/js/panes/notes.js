@@ -1,6 +1,8 @@
 /** Sentences on a pane: what to do first, that a picture is coming, why it did not, and what the tool expects here. */
 
 import { element } from "../dom.js";
+import { icon } from "../icons.js";
+import { button } from "./fields.js";
 import { wantedHint } from "./hints.js";
 
 const LOADING_SAID_AFTER_MS = 300;
@@ -12,7 +14,8 @@ export class Notes {
   #slots;
   #middle = element("p", { class: "pane-middle", role: "status" });
   #note = element("p", { class: "pane-note" });
-  #wanted = element("p", { class: "pane-wanted", role: "status" });
+  #wanted = element("p", { role: "status" });
+  #wantedBox = element("div", { class: "pane-wanted" }, this.#wanted);
   #since = 0;
   #timer = 0;
 
@@ -22,7 +25,13 @@ export class Notes {
     this.#side = pane.side;
     this.#slots = slots;
     this.body = pane.body;
-    pane.body.append(this.#middle, this.#note, this.#wanted);
+    // by hand, too: a finger has no Esc
+    const drop = () => {
+      desk.abandon();
+      pane.body.focus({ preventScroll: true });
+    };
+    this.#wantedBox.append(button("Drop what was drawn", "Drop what was drawn (Esc)", drop, icon("close")));
+    pane.body.append(this.#middle, this.#note, this.#wantedBox);
   }
 
   #said() {
@@ -47,6 +56,7 @@ export class Notes {
     put(this.#note, this.#slots.compare?.error ?? sides[this.#side].note ?? "");
     const wanted = picking.wanted === this.#side && !picking.drawing;
     put(this.#wanted, wanted ? wantedHint(picking) : "");
+    this.#wantedBox.hidden = !wanted;
     this.body.classList.toggle("wants-partner", picking.wanted === this.#side);
   }
 }
