@@ -28,7 +28,15 @@ class EachOnce(Generic[T, S]):
         before, made = self._lists.get(name, ((), []))
         if before is things:
             return made
-        known = {id(thing): one for thing, one in zip(before, made, strict=True)}
-        found = [known[id(thing)] if id(thing) in known else self._make(thing) for thing in things]
-        self._lists[name] = things, found
-        return found
+        first = _same(before, things)
+        last = min(_same(before[::-1], things[::-1]), min(len(before), len(things)) - first)
+        old, new = slice(first, len(before) - last), slice(first, len(things) - last)
+        known = {id(thing): one for thing, one in zip(before[old], made[old], strict=True)}
+        between = [known[id(thing)] if id(thing) in known else self._make(thing) for thing in things[new]]
+        self._lists[name] = things, [*made[:first], *between, *made[old.stop :]]
+        return self._lists[name][1]
+
+
+def _same(a: Sequence[object], b: Sequence[object]) -> int:
+    """Return how many things at the start are the same: seldom more than one in a list has changed."""
+    return next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x is not y), min(len(a), len(b)))

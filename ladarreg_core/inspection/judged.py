@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -106,24 +107,27 @@ def judge_picks(measured: Measured, picks: Sequence[Pick], result: PoseResult) -
         )
         expected = result.camera.project(result.camera_from_scanner @ matches.points)
     moved, counted = _influences(result), _inliers(result)
-    lengths = np.linalg.norm(said.residuals_px, axis=1)
+    px = np.linalg.norm(said.residuals_px, axis=1)
+    worth, mm = np.nan_to_num(px, nan=-1.0).tolist(), (1000 * said.residuals_m).tolist()
+    depth_m = said.stereo_depth_error_m.tolist()
     by_pick: dict[str, list[int]] = {}
     for k, name in enumerate(matches.pick_ids):
         by_pick.setdefault(name, []).append(k)
     assert matches.fractions is not None
+    ends = np.rint(matches.fractions).astype(int).tolist()
     found = {}
     for pick in picks:
         of_this = by_pick.get(pick.id)
         if not of_this:
             continue
-        worst = max(of_this, key=lambda k: np.nan_to_num(lengths[k], nan=-1.0))
+        worst = max(of_this, key=worth.__getitem__)
         photo = np.full((len(pick.photo), 2), np.nan)
         for k in of_this:
-            photo[round(float(matches.fractions[k]))] = expected[k]
+            photo[ends[k]] = expected[k]
         found[pick.id] = JudgedPick(
-            float(lengths[worst]),
-            1000 * _largest(said.residuals_m[of_this]),
-            _largest(said.stereo_depth_error_m[of_this]),
+            float(px[worst]),
+            _largest([mm[k] for k in of_this]),
+            _largest([depth_m[k] for k in of_this]),
             counted.get(pick.id),
             moved.get(pick.id, float("nan")),
             photo,
@@ -166,10 +170,9 @@ def _inliers(result: PoseResult) -> Mapping[str, bool]:
     return by_pick
 
 
-def _largest(values: FloatArray) -> float:
+def _largest(values: Sequence[float]) -> float:
     """Return the value that is farthest from 0; NaN where there is none."""
-    known = values[np.isfinite(values)]
-    return float(known[np.argmax(np.abs(known))]) if len(known) else float("nan")
+    return max(filter(math.isfinite, values), key=abs, default=math.nan)
 
 
 def picks_in_space(scan: Scan, picks: Sequence[Pick]) -> tuple[FloatArray, list[str], list[bool]]:

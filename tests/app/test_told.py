@@ -161,3 +161,17 @@ def test_things_that_stay_are_made_once() -> None:
     assert each.of("a", ["zero", *things]) == ["ZERO", "ONE", "TWO"]
     assert each.of("b", things) == ["ONE", "TWO"]
     assert made == ["one", "two", "zero", "one", "two"]
+
+
+@given(st.lists(st.lists(st.integers(0, 6), unique=True), max_size=6))
+def test_whatever_becomes_of_a_list_only_new_things_are_made(lists: list[list[int]]) -> None:
+    things = [object() for _ in range(7)]
+    made: list[object] = []
+    each: EachOnce[object, tuple[object]] = EachOnce(lambda thing: made.append(thing) or (thing,))
+    before: list[object] = []
+    for chosen in lists:
+        now = [things[k] for k in chosen]
+        made.clear()
+        assert each.of("a", now) == [(thing,) for thing in now]
+        assert not [thing for thing in made if thing in before]
+        before = now
