@@ -321,7 +321,7 @@ def _finish(
         aligner, camera, pose = found.aligner, found.camera, found.camera_from_scanner
         evidence = window_evidence(found.fine, aligner.judged_points, aligner.photo.cameras[0], camera, pose)
         if found.regions is not None:
-            evidence = replace(evidence, covariance=found.regions.covariance[:6, :6])
+            evidence = replace(evidence, covariance=found.regions.of_pose)
         blocks = aligner.block_matches(pose)
         steps.pose, steps.matches = pose, blocks.matches if blocks else None
     points = aligner.judged_points.points[found.fine.visible]

@@ -30,7 +30,8 @@ _REGION_BLOCKS = (3, 2, 1)
 _LEAST_REGIONS = 12
 _LEAST_INFORMATION = 1e-9
 _MOST_SHAPE = 0.5
-_UNSEEN = 1.7  # what errs alike over the whole picture is seen by no region; on simulated and half-real sets, variance
+_UNSEEN = 1.7  # what errs alike over several regions is seen by none of them; on simulated and half-real sets, variance
+_OF_THE_WHOLE = 1.5  # and what errs alike over the whole picture; on simulated sets of other seeds
 _LEAST_ANGLE_RAD, _LEAST_POSITION_M = 1e-6, 1e-6  # so that it can be inverted
 
 
@@ -54,6 +55,11 @@ class RegionEvidence:
     """(6 + K, 6 + K) of (w, c) as `PoseResult.covariance`, and of (log f, k1)."""
     regions: int
     """How many regions were left out in turn."""
+
+    @property
+    def of_pose(self) -> FloatArray:
+        """(6, 6) of (w, c), with what errs alike over the whole picture: such errors move no camera against another."""
+        return _OF_THE_WHOLE * self.covariance[:6, :6]
 
     def in_doubt(self, moved: FloatArray) -> RegionEvidence:
         """Return the evidence for a pose that another, no better explanation of the picture moves by (w, c), (6,).

@@ -25,7 +25,7 @@ FreeCamera = Literal["auto", "fixed", "focal", "focal_k1"]
 
 _FREE: Mapping[FreeCamera, int] = {"auto": 2, "fixed": 0, "focal": 1, "focal_k1": 2}
 _LOOK_SIGMA = 3.0
-_AT_EASE = 2.0  # two steps tell of a camera that is wrong most of what a whole finish does
+_AT_EASE, _AT_EASE_SHIFT = 2.0, 0.01  # two steps tell of a wrong camera most of what a whole finish does, or move it
 _KEEP_SIGMA = 3.0
 _REFUSE_SIGMA = 5.0
 _WRONG_CAMERA = (
@@ -124,7 +124,7 @@ def with_camera_free(fixed: Finished, photo: Photo, start: Rigid, intrinsics: Fr
     if intrinsics == "fixed" or (intrinsics == "auto" and photo.temperature_k is not None):
         return fixed  # a thermal picture has too few structures to tell
     free = _FREE[intrinsics]
-    if intrinsics == "auto" and _doubt(fixed, *fixed.aligner.loosen(fixed.camera_from_scanner, free=free)) <= _AT_EASE:
+    if intrinsics == "auto" and _at_ease(fixed, *fixed.aligner.loosen(fixed.camera_from_scanner, free=free)):
         return fixed
     pose, change = fixed.aligner.finish_free(fixed.camera_from_scanner, free=free)
     doubt = _doubt(fixed, pose, change)
@@ -171,6 +171,12 @@ def _doubt(fixed: Finished, pose: Rigid, change: CameraChange) -> float:
     moved = np.array([change.log_focal, change.k1])[: _FREE["auto"]]
     asked = fixed.aligner.regions(pose, free=len(moved), change=change)
     return 0.0 if asked is None else asked.deviate(moved)
+
+
+def _at_ease(fixed: Finished, pose: Rigid, change: CameraChange) -> bool:
+    """Return whether a first look at a free camera speaks for the stated one: it neither doubts nor moves it."""
+    shift = _largest_shift(fixed.camera, change.applied(fixed.camera))
+    return shift <= _AT_EASE_SHIFT and _doubt(fixed, pose, change) <= _AT_EASE
 
 
 def _rank(found: Finished) -> tuple[bool, float]:

@@ -31,6 +31,9 @@ _SHOWN_AS: dict[ChannelSet, str] = {
     "intensity": "intensity alone",
 }
 _WORTH_A_START = 0.3
+_COARSE_VARIANCE = 4.5
+"""A thermal pose's variance over that of the same scatter in colour, on simulated pictures: the edges of what is warm
+lie beside those of what is seen, and alike all over the picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +112,8 @@ def register_by_modality(
         )
         steps.pose = found[best].camera_from_scanner
     others = [result for name, result in found.items() if name != best and _accepted(result)]
-    return _labelled(_with_disagreement(found[best], others), best, thermal=thermal)
+    answer = _with_disagreement(found[best], others)
+    return _labelled(_widened(answer, _COARSE_VARIANCE) if thermal else answer, best, thermal=thermal)
 
 
 def _accepted(result: AutoResult) -> bool:
@@ -135,6 +139,13 @@ def _with_disagreement(result: AutoResult, others: list[AutoResult]) -> AutoResu
         apart = np.concatenate([turn, other.centre - pose.centre])
         covariance += np.outer(apart, apart) / len(others)
     return replace(result, evidence=replace(evidence, covariance=covariance))
+
+
+def _widened(result: AutoResult, factor: float) -> AutoResult:
+    evidence = result.evidence
+    if evidence is None:
+        return result
+    return replace(result, evidence=replace(evidence, covariance=factor * evidence.covariance))
 
 
 def _score(result: AutoResult) -> tuple[bool, float, float]:
