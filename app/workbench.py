@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from app.stage3d import Stage3D
     from ladarreg_core.inspection.partners import Partners
     from ladarreg_core.project.document import CameraGiven, PhotoEntry
+    from ladarreg_core.project.history import History
 
 log = logging.getLogger(__name__)
 Message = dict[str, Any]
@@ -65,7 +66,7 @@ class Workbench:
         self._lock = threading.RLock()
         self._people: list[Person] = []
         self._joined = 0
-        self._shown: str | None = None
+        self._shown = _worked_on(session.history)
         self.stage = StageLink(self)
         self.model = ModelChoice()
         self.files = Files(self, served)
@@ -354,6 +355,17 @@ class Workbench:
             log.info("the scan is missing: %s", error)
         self.pictures.draw_ahead()
         self.teller.tell(slow=True)
+
+
+def _worked_on(history: History) -> str | None:
+    """Return the photograph that the newest step changed: there the work goes on after a restart."""
+    steps = history.entries[: history.at + 1]
+    for before, after in zip(reversed(steps[:-1]), reversed(steps[1:]), strict=True):
+        known = {photo.id: photo for photo in before.document.photos}
+        for photo in after.document.photos:
+            if photo.id not in known or photo != known[photo.id]:
+                return photo.id
+    return None
 
 
 def _settings(settings: Any) -> dict[str, Any]:

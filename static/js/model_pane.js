@@ -63,6 +63,13 @@ const controls = () => {
 
 const TYPING = "input, textarea, select, [contenteditable], [role=textbox]";
 
+/** A frame never says that the focus is inside it: show where the keys go. */
+const showFocus = (frame) => {
+  const inner = frame.contentWindow;
+  inner.addEventListener("focus", () => frame.classList.add("focused"));
+  inner.addEventListener("blur", () => frame.classList.remove("focused"));
+};
+
 /** Keys pressed in the frame would stay there: send them to the page, except where somebody types. */
 const forwardKeys = (frame) => {
   const inner = frame.contentWindow;
@@ -87,6 +94,7 @@ export const mountModelPane = (pane) => {
   frame.addEventListener("load", () => {
     try {
       forwardKeys(frame);
+      showFocus(frame);
     } catch {
       // the frame shows an error page of the browser's own: there is nothing to listen to
     }

@@ -464,6 +464,22 @@ def test_a_crash_loses_nothing_not_even_undo(tmp_path: Path, checkout: Path) -> 
         bench.workbench.close()
 
 
+def test_opened_again_it_shows_the_photograph_that_was_worked_on(tmp_path: Path) -> None:
+    bench = sample_bench(tmp_path / "p")
+    path = bench.workbench.upload_room() / "second.png"
+    path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
+    second = bench.workbench.take_upload(path, "second.png", "photo", None, bench.person)
+    worked_on = {}
+    for photo in ("p1", second):
+        bench.do("add_pick", photo=photo, **LINE)
+        bench.do("rename", name=f"Work on {photo}")
+        bench.workbench.close()
+        bench = open_bench(tmp_path / "p")
+        worked_on[photo] = bench.slice("shown")
+    bench.workbench.close()
+    assert worked_on == {"p1": "p1", second: second}
+
+
 def test_a_disk_that_is_full_does_not_stop_the_work(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     from ladarreg_core.errors import ExportError
     from ladarreg_core.project.folder import ProjectFolder

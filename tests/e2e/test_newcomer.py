@@ -1,0 +1,189 @@
+"""Somebody's first hour: an empty project, files that are none, a focal length, fingers, and a server that dies."""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+import pytest
+
+from benchmarks.workbench import Served
+from ladarreg_core.simulate.embedded import sample_folder
+from tests.e2e.test_workbench import no_model
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, BrowserContext, Page
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill -9 to send")]
+SIZE: Any = {"width": 1366, "height": 768}
+TOKEN = "a-newcomers-token"
+HOSTILE = "<img src=x onerror=hit=1>.png"
+DROP = """([selector, files]) => {
+  const held = new DataTransfer();
+  for (const [name, text] of files)
+    held.items.add(new File([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))], name));
+  const given = { bubbles: true, cancelable: true, dataTransfer: held };
+  for (const kind of ["dragenter", "dragover", "drop"])
+    document.querySelector(selector).dispatchEvent(new DragEvent(kind, given));
+}"""
+SLICE = "(name) => import('./js/store.js').then(({ store }) => store.get(name))"
+
+
+@contextmanager
+def started(project: Path, port: int = 0) -> Iterator[Served]:
+    """A workbench on a project, new or not, with a small limit of uploads."""
+    surroundings = {**os.environ, "LADARREG_HOME": str(project.parent), "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app", "serve", "--project", str(project), "--port", str(port), "--no-browser",
+         "--upload-limit-mb", "2", "--token", TOKEN],
+        stdout=subprocess.PIPE, text=True, env=surroundings,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        address = next(word for word in process.stdout.readline().split() if "://" in word)
+        parts = urlsplit(address)
+        yield Served(process, parts.hostname or "", parts.port or 0, TOKEN)
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(60)
+
+
+def opened(context: BrowserContext, server: Served) -> Page:
+    """A tab at the workbench."""
+    page = context.new_page()
+    page.route("**/viser/**", no_model)
+    page.goto(f"{server.address}?token={server.token}")
+    page.get_by_role("button", name="connected", exact=True).wait_for()
+    return page
+
+
+def drop(page: Page, selector: str, files: dict[str, bytes]) -> None:
+    """Drop files from outside."""
+    page.evaluate(DROP, [selector, [(name, base64.b64encode(data).decode()) for name, data in files.items()]])
+
+
+def place(page: Page, side: str, share: tuple[float, float]) -> tuple[float, float]:
+    """Where a share of a pane stands in the window."""
+    box = page.locator(f"#{side}-pane .pane-body").bounding_box()
+    assert box is not None
+    return box["x"] + share[0] * box["width"], box["y"] + share[1] * box["height"]
+
+
+def draw(page: Page, side: str) -> None:
+    """Draw a line with the mouse."""
+    page.mouse.move(*place(page, side, (0.4, 0.4)))
+    page.mouse.down()
+    page.mouse.move(*place(page, side, (0.6, 0.55)), steps=4)
+    page.mouse.up()
+
+
+def touch_line(page: Page, side: str) -> None:
+    """Draw a line with a finger."""
+    fingers = page.context.new_cdp_session(page)
+    (x0, y0), (x1, y1) = place(page, side, (0.35, 0.6)), place(page, side, (0.55, 0.7))
+    for kind, share in (("touchStart", 0.0), ("touchMove", 0.5), ("touchMove", 1.0), ("touchEnd", None)):
+        at = [] if share is None else [{"x": x0 + (x1 - x0) * share, "y": y0 + (y1 - y0) * share}]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": at})
+    fingers.detach()
+
+
+def pinch(page: Page, side: str) -> None:
+    """Spread two fingers."""
+    fingers = page.context.new_cdp_session(page)
+    x, y = place(page, side, (0.5, 0.5))
+    for kind, apart in (("touchStart", 40), ("touchMove", 80), ("touchMove", 120), ("touchEnd", 0)):
+        at = [{"x": x + k * apart, "y": y, "id": k} for k in (-1, 1)] if apart else []
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": at})
+    fingers.detach()
+
+
+def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
+    """An empty project; wrong files; right ones; a focal length; touch; a server that dies with a line half drawn."""
+    project = tmp_path / "project"
+    photo, scan = next(sample_folder().glob("photo.*")).read_bytes(), (sample_folder() / "scan.npz").read_bytes()
+    context = browser.new_context(viewport=SIZE, bypass_csp=True, has_touch=True)
+    faults: list[str] = []
+    with started(project) as server:
+        page = opened(context, server)
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        files = page.get_by_role("dialog", name="Open files")
+        files.wait_for()  # who begins with nothing is asked
+        page.keyboard.press("Escape")
+        page.get_by_text("Open a scan and a photograph first.", exact=True).wait_for()
+
+        bad = {"invoice.png": b"%PDF-1.7", "notes.txt": b"hello", "big.png": bytes(3 << 20), HOSTILE: photo[:5000]}
+        drop(page, "#scan-pane .pane-body", bad)
+        row = files.locator(".file-row")
+        assert files.get_by_role("button", name="Open 4 files").is_disabled(), "one is not told yet"
+        row.nth(1).get_by_role("combobox").select_option("scan")
+        files.get_by_role("button", name="Open 4 files").click()
+        for number, said in enumerate(
+            ["no picture", "a scan is one of", "larger than the 2.0 MB", "no picture|damaged|cut"]
+        ):
+            row.nth(number).locator(".file-said[role=status]").filter(has_text=re.compile(said)).wait_for()
+        assert row.nth(3).locator(f"[title='{HOSTILE}']").inner_text() == HOSTILE
+        for _ in bad:
+            row.first.get_by_role("button", name="Leave").click()
+
+        # together, on a pane, and one more while these are on their way
+        drop(page, "#photo-pane .pane-body", {"ä photo.png": photo, "scan.npz": scan})
+        drop(page, "#photo-pane .pane-body", {HOSTILE: photo})
+        files.wait_for(state="hidden")
+        assert [each["name"] for each in page.evaluate(SLICE, "photos")] == ["ä photo.png", HOSTILE]
+        assert page.evaluate(SLICE, "scan")["name"] == "scan.npz"
+        assert page.evaluate("window.hit") is None
+
+        form = page.get_by_role("dialog", name="Camera of the photograph")
+        form.wait_for()  # it asks by itself
+        film, mm, _, px = form.get_by_role("textbox").all()
+        for field, text, said in (
+            (film, "wide", "is no number"),
+            (mm, "5", "Sensor width is missing"),
+            (px, "3", "most lenses"),
+        ):
+            field.fill(text)
+            page.keyboard.press("Enter")
+            form.get_by_role("alert").filter(has_text=said).wait_for()
+            field.fill("")
+        film.fill("45,6")
+        page.keyboard.press("Enter")
+        form.wait_for(state="hidden")
+        page.wait_for_function(
+            "import('./js/store.js').then(({ store }) => Math.abs(store.photo().camera?.fx - 972.8) < 1)"
+        )
+
+        for side in ("scan", "photo"):
+            touch_line(page, side)
+        page.locator(".row-line[data-pick]").wait_for()
+        zoom = page.locator("#scan-pane .pane-zoom")
+        before = zoom.inner_text()
+        pinch(page, "scan")
+        assert zoom.inner_text() != before
+        assert page.locator(".wants-partner").count() == 0, "two fingers draw nothing"
+        touch_line(page, "scan")
+        page.get_by_role("button", name="Drop what was drawn").tap()
+        assert page.locator(".wants-partner").count() == 0
+
+        draw(page, "scan")
+        page.locator("#photo-pane .wants-partner").wait_for()
+        server.process.kill()
+        server.process.wait(30)
+        page.get_by_role("button", name="not connected").wait_for()
+        draw(page, "photo")
+        page.get_by_role("alert").filter(has_text="nothing was changed").wait_for()
+    with started(project, server.port):
+        page.get_by_role("button", name="connected", exact=True).wait_for()
+        page.locator(".row-line[data-pick]").wait_for()  # of the photograph that was worked on, not of the first
+        draw(page, "photo")  # its first side is still open
+        page.locator(".row-line[data-pick]").nth(1).wait_for()
+        context.close()
+    assert not faults
