@@ -99,16 +99,19 @@ class ProjectFolder:
             raise FormatError(f"there is no project in {self.path}: {error.strerror or error}") from None
         document = decode_document(data, self._arrays)
         self._written = data
-        history = self._history(document)
-        if history is None:
+        appended = self._appended()
+        replayed = self._replayed(appended, document)
+        if replayed is None:
             when = _last_change(self.path / _PROJECT)
             history = History.begun(document, label="Opened", author="", when=when)
-            self._begin_history(history)
-        elif (self.path / _HISTORY).stat().st_size > _LONG_HISTORY_BYTES or len(history.entries) > _MOST_ENTRIES:
-            history = history.shortened(_MOST_ENTRIES // 2)
-            self._begin_history(history)
+        elif len(appended) > _LONG_HISTORY_BYTES or len(replayed.entries) > _MOST_ENTRIES:
+            history = replayed.shortened(_MOST_ENTRIES // 2)
+        else:
+            history = replayed
         self._document = history.document
-        self.settle()
+        self.settle()  # before the history is written anew, which may no longer lead there from the old project.json
+        if history is not replayed or not appended.endswith(b"\n"):  # what is not ended was being written at a crash
+            self._begin_history(history)
         return history
 
     def begin(self, history: History) -> None:
@@ -196,14 +199,19 @@ class ProjectFolder:
         lines.append(encode({"at": history.present.number}) + b"\n")
         self._replace(self.path / _HISTORY, b"".join(lines))
 
-    def _history(self, document: Document) -> History | None:
+    def _appended(self) -> bytes:
+        try:
+            return (self.path / _HISTORY).read_bytes()
+        except OSError:
+            return b""
+
+    def _replayed(self, appended: bytes, document: Document) -> History | None:
         """Replay what was appended; None where it is missing, damaged, or never came by project.json's document."""
         try:
-            *lines, torn = (self.path / _HISTORY).read_bytes().split(b"\n")
             entries: list[Entry] = []
             passed: list[Document] = []
             at = 0
-            for line in lines:
+            for line in appended.split(b"\n")[:-1]:
                 fields = msgspec.json.decode(line)
                 if "at" in fields:
                     at = next(k for k, entry in enumerate(entries) if entry.number == fields["at"])
@@ -221,11 +229,9 @@ class ProjectFolder:
             history = entries_from(entries, at)
             if document not in reversed(passed):
                 raise FormatError("it is of another document")
-        except (OSError, ValueError, KeyError, TypeError, IndexError, StopIteration, LadarregError) as error:
+        except (ValueError, KeyError, TypeError, IndexError, StopIteration, LadarregError) as error:
             log.info("the history is not used: %s", error)
             return None
-        if torn:  # it was being written when the program died, and nobody was told of it
-            self._begin_history(history)
         return history
 
     def _arrays(self, name: str) -> StoredArrays:

@@ -243,6 +243,23 @@ def test_a_folder_gives_back_what_was_saved_and_bears_a_torn_history(
         left = [settled]
 
 
+def test_a_long_history_is_shortened_and_stands_where_it_stood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ladarreg_core.project.folder._MOST_ENTRIES", 8)
+    folder = ProjectFolder(tmp_path / "p")
+    history = History.begun(a_document(), label="Begin", author="", when=WHEN)
+    folder.begin(history)
+    for k in range(12):
+        history = history.committed(named(a_document(), str(k)), label=str(k), author="a", when=WHEN)
+        folder.save_commit(history)
+    folder.close()
+    for _ in range(2):
+        folder = ProjectFolder(tmp_path / "p")
+        read = folder.read()
+        folder.close()
+        assert [entry.label for entry in read.entries] == ["8", "9", "10", "11"]
+        assert read.document == history.document == reading_of(tmp_path / "p")
+
+
 def reading_of(place: Path) -> Document:
     """What project.json holds."""
     return decode_document(
