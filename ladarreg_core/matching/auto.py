@@ -33,6 +33,7 @@ from ladarreg_core.steps import StepLog
 log = logging.getLogger(__name__)
 Reach = Literal["everywhere", "near_start"]
 _MOST_TURNED, _MOST_FROM_EVERYWHERE = 2, 3
+_SURE_FRACTION = 0.6
 _RANGE_M = (1e-6, 1e7)  # generous, for millimetres taken for metres; the estimator of matches ends there, too
 
 
@@ -188,7 +189,8 @@ class _Findings:
     def answer(self, initial: Rigid | None) -> AutoResult:
         """Return the result."""
         if self._accepted is not None:
-            if self._alike is None and initial is None:  # which of alike places is meant, a given pose tells
+            # Which of alike places is meant, a given pose tells; not that there is one of which much agrees.
+            if self._alike is None and (initial is None or _fraction(self._accepted) < _SURE_FRACTION):
                 self._alike = self._second_minimum()
             return self._accepted if self._alike is None else _undecided(self._accepted, *self._alike)
         if self._refused is not None:
@@ -202,11 +204,13 @@ class _Findings:
 
     def _second_minimum(self) -> tuple[Rigid, Rigid] | None:
         """Return the accepted pose and another one near it that is verified, too."""
-        pose = self._accepted.camera_from_scanner if self._accepted is not None else None
-        if pose is None or self._accepted_by is None:
+        accepted, aligner = self._accepted, self._accepted_by
+        if accepted is None or aligner is None or accepted.verification is None:
             return None
+        pose = accepted.camera_from_scanner
+        assert pose is not None, "what was accepted has a pose"
         with self._steps.step("second minimum") as note:
-            other = second_minimum(self._accepted_by, pose, self.places)
+            other = second_minimum(aligner, pose, accepted.verification, self.places)
             note.update(found=other is not None)
             self._steps.pose = pose
         return None if other is None else (pose, other)

@@ -18,6 +18,7 @@ from ladarreg_core.matching.alike import Places
 from ladarreg_core.matching.climb import ClimbOptions, climb
 from ladarreg_core.matching.compared import project_visible
 from ladarreg_core.matching.levels import LEVELS
+from ladarreg_core.matching.verify import Verification
 from ladarreg_core.pose.ambiguity import mirrored
 
 _COARSEST = LEVELS[-1]
@@ -27,17 +28,22 @@ _LEAST_OVERLAP = 0.4
 _PEAK_OF_ZERO = 0.4
 _MOST_PEAKS = 2
 _RIVAL_CORRELATION = 0.8
+_NEARLY, _NEARLY_AS_MANY = 0.8, 0.6
 _MOST_CLIMBED = 2
 _TURNED_RAD = np.deg2rad(3.0)
 _LEAST_POINTS = 30
 
 
-def second_minimum(aligner: Aligner, pose: Rigid, places: Places) -> Rigid | None:
-    """Return another pose that the same pictures verify, or None where none was found.
+def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: Places) -> Rigid | None:
+    """Return another pose that the same pictures verify, or nearly so, or None where none was found.
+
+    A wall of bricks agrees with the picture of any such wall, and with the next brick nearly as well as with this one.
+    So a rival need not pass the gate that the pose itself has just passed.
 
     Args:
         aligner: the pair that the pose was verified with.
         pose: `camera_from_scanner`, verified.
+        own: its verdict.
         places: what tells that two poses are one place.
     """
     ends = []
@@ -47,20 +53,26 @@ def second_minimum(aligner: Aligner, pose: Rigid, places: Places) -> Rigid | Non
             ends.append(end)
         elif start is pose:
             return None
-    own, *others = ends
-    others = [e for e in others if e.correlation >= _RIVAL_CORRELATION * own.correlation]
+    first, *others = ends
+    others = [e for e in others if e.correlation >= _RIVAL_CORRELATION * first.correlation]
     others.sort(key=lambda e: -e.correlation)
     elsewhere = [e for e in others if _differ(places, pose, e.camera_from_scanner)]
     for end in elsewhere[:_MOST_CLIMBED]:
         candidate = aligner.approach(end.camera_from_scanner)
-        if candidate is None or not candidate.first_look.accepted:
+        if candidate is None or not _rivals(candidate.first_look, own):
             continue
         if not _differ(places, pose, candidate.camera_from_scanner):
             continue
         rival = aligner.finish(candidate.camera_from_scanner)
-        if _differ(places, pose, rival) and aligner.judge(rival)[0].accepted:
+        if _differ(places, pose, rival) and _rivals(aligner.judge(rival)[0], own):
             return rival
     return None
+
+
+def _rivals(other: Verification, own: Verification) -> bool:
+    """Return whether another pose is verified, or agrees with nearly as much of the picture as the verified one."""
+    nearly = other.fraction >= _NEARLY * own.fraction and other.agreeing >= _NEARLY_AS_MANY * own.agreeing
+    return other.accepted or nearly
 
 
 def _differ(places: Places, first: Rigid, second: Rigid) -> bool:
