@@ -32,7 +32,8 @@ const paneMeant = () => {
 const commands = (event) => {
   const key = event.key.toLowerCase();
   if (key === "s") return saved;
-  if (isTyping(event.target) && event.target.type !== "number") return null; // the field's own undo
+  const figures = event.target.type === "number" || event.target.inputMode === "decimal";
+  if (isTyping(event.target) && !figures) return null; // the field's own undo
   if (key === "z") return event.shiftKey ? () => wish("redo") : () => wish("undo");
   return key === "y" ? () => wish("redo") : null;
 };

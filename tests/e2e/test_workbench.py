@@ -21,6 +21,7 @@ from PIL import Image
 from benchmarks.workbench import Page as Socket
 from benchmarks.workbench import Served, served
 from ladarreg_core.simulate.embedded import sample_folder
+from tests.e2e.audits import hard_to_read, lost_without_a_mouse
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page, Route
@@ -29,6 +30,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reas
 WRONG = re.compile("damaged|truncated|cut short|incomplete|cannot be read|no picture", re.IGNORECASE)
 EXPECTED_ERRORS = {"test_bad_files_are_told_where_the_operator_looks": "400 (Bad Request)"}
 SIZE = {"width": 1600, "height": 900}
+OPEN = "dialog[open], [popover]:popover-open"
 
 
 class Operator:
@@ -359,6 +361,44 @@ def test_it_fits_small_and_large_screens(operator: Operator, size: tuple[int, in
         assert box is not None
         assert box["width"] > 0.2 * size[0]
     assert page.get_by_role("button", name="Register automatically").is_visible()
+
+
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_everything_can_be_read(operator: Operator, scheme: str) -> None:
+    """Text on its ground 4.5:1 at least, icons and the edges that mean something 3:1; all steps, panels and dialogs."""
+    page = operator.page
+    page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+    page.evaluate("import('./js/notices.js').then((m) => ['info', 'warn', 'bad'].forEach((l) => m.notice(`${l}.`, l)))")
+    faults: dict[str, str] = {}
+
+    def look(where: str) -> None:
+        faults.update(dict.fromkeys(hard_to_read(page), where))
+
+    for step in ("Match", "Solve", "Judge", "Export"):
+        page.get_by_role("tab", name=step, exact=True).click()
+        look(step)
+    panels = (".history-button", ".people-button", ".camera-button", "#scan-pane .pane-opener", ".scan-chip")
+    for opener in (*panels, "[aria-label='Keyboard reference (?)']"):
+        page.locator(opener).click()
+        page.wait_for_selector(OPEN)
+        look(opener)
+        page.keyboard.press("Escape")
+    assert not faults, "\n".join(f"{where}: {fault}" for fault, where in faults.items())
+
+
+def test_everything_is_reached_by_keyboard(operator: Operator) -> None:
+    """Each control shows that it has the focus; Escape leaves what was opened and gives the focus back."""
+    page = operator.page
+    unseen, missed = lost_without_a_mouse(page)
+    assert not unseen
+    assert not missed
+    for opener in (".scan-chip", ".history-button", ".camera-button", "[aria-label='Keyboard reference (?)']"):
+        page.locator(opener).focus()
+        page.keyboard.press("Enter")
+        page.wait_for_selector(OPEN)
+        page.keyboard.press("Escape")
+        page.wait_for_selector(OPEN, state="detached")
+        assert page.locator(opener).evaluate("(opener) => document.activeElement === opener")
 
 
 def test_a_killed_server_loses_nothing(browser: Browser, tmp_path: Path) -> None:

@@ -1,0 +1,49 @@
+"""What holds for the whole page, whatever it shows: it can be read, and it can be used without a mouse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+_CONTRAST = (Path(__file__).parent / "contrast.js").read_text(encoding="utf-8")
+_FOCUSED = """() => {
+  const at = document.activeElement;
+  const [style, after] = [getComputedStyle(at), getComputedStyle(at, "::after")];
+  at.reached = true;
+  return {
+    name: at === document.body ? "" : `${at.localName}.${at.className}`,
+    ring: (style.outlineStyle !== "none" && parseFloat(style.outlineWidth) > 0) || style.boxShadow !== "none" ||
+      (parseFloat(after.borderTopWidth) > 0 && after.borderTopColor !== "rgba(0, 0, 0, 0)"),
+    picture: at.matches(".pane-body"),
+  };
+}"""
+_MISSED = """() => [...document.querySelectorAll("button, input, select, a[href], [tabindex]")]
+  .filter((each) => each.checkVisibility({ visibilityProperty: true }) && !each.disabled)
+  .filter((each) => each.tabIndex >= 0 && !each.reached)
+  .map((each) => `${each.localName}.${each.className}`)"""
+_MOST_CONTROLS = 200
+
+
+def hard_to_read(page: Page) -> list[str]:
+    """Return what is seen now and cannot be told well from its ground, with its contrast and its selector."""
+    found = page.evaluate(_CONTRAST)
+    assert found["seen"] > 5, "there was hardly anything to look at"
+    return list(found["bad"])
+
+
+def lost_without_a_mouse(page: Page) -> tuple[set[str], list[str]]:
+    """Walk once through the page by Tab; return what does not show the focus, and what is never reached."""
+    unseen = set()
+    for _ in range(_MOST_CONTROLS):
+        page.keyboard.press("Tab")
+        at = page.evaluate(_FOCUSED)
+        if not at["name"]:
+            break
+        if not at["ring"]:
+            unseen.add(at["name"])
+        if at["picture"]:
+            page.keyboard.press("Escape")  # which lets Tab leave the pictures
+    return unseen, page.evaluate(_MISSED)
