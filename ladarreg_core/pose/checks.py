@@ -41,7 +41,7 @@ def checked_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> 
     assert matches.weights is not None
     count = len(matches)
     if count < LEAST_MATCHES:
-        raise DegenerateGeometryError(f"there are {count} matches and a pose needs {LEAST_MATCHES}; add matches")
+        raise DegenerateGeometryError(f"{_so_many(matches)} and a pose needs {LEAST_MATCHES}; add matches")
     assert matches.range_weights is not None
     assert matches.directions is not None
     numbers = [matches.rays, matches.ranges, matches.uv, matches.weights, matches.range_weights, matches.directions]
@@ -81,6 +81,14 @@ def checked_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> 
     if np.abs(length - 1).max() < 1e-14:
         return matches
     return replace(matches, rays=matches.rays / length[:, None])
+
+
+def _so_many(matches: Matches) -> str:
+    """Return how many matches there are; a drawn line gives several, which who drew it has not counted."""
+    count, drawn = len(matches), len(set(matches.pick_ids))
+    if drawn == count:
+        return f"there are {count} matches"
+    return f"{drawn} drawn {'line gives' if drawn == 1 else 'lines and points give'} {count} matches"
 
 
 def _these(bad: ArrayLike, matches: Matches) -> str:
