@@ -55,7 +55,8 @@ async ([photo, times]) => {
   return spent;
 }
 """
-_CLIENTS = 10
+_CLIENTS, _MOST_OF_ONE = 10, 12
+_HURRIED_S, _STEADY_S, _SHORT_MIN = (0.1, 0.5), (0.5, 3.0), 5.0  # between the edits of one, for short runs and long
 ASKED = {
     "first picture, s": 3.0,
     "document round trip, ms": 10.0,
@@ -203,6 +204,7 @@ def round_trips(page: Page, other: Page, times: int = 200) -> tuple[list[float],
 
 def many_people(found: Served, minutes: float) -> tuple[list[tuple[float, float]], int]:
     """Let ten pages edit at random; return memory over time (s, MB) and how many edits there were."""
+    pause_s = _HURRIED_S if minutes < _SHORT_MIN else _STEADY_S
     end = time.monotonic() + 60 * minutes
     edits = [0] * _CLIENTS
 
@@ -212,7 +214,7 @@ def many_people(found: Served, minutes: float) -> tuple[list[tuple[float, float]
         mine: list[str] = []
         while time.monotonic() < end:
             what = rng.random()
-            if what < 0.4 or not mine:
+            if (what < 0.4 and len(mine) < _MOST_OF_ONE) or not mine:
                 ray, uv = _random_pick(rng)
                 reply = page.ask("add_pick", photo="p1", kind="point", scan=[ray], photo_uv=[uv])
                 mine += [reply["pick"]] if reply["ok"] else []
@@ -223,7 +225,7 @@ def many_people(found: Served, minutes: float) -> tuple[list[tuple[float, float]
             else:
                 page.ask(rng.choice(["undo", "redo"]))
             edits[k] += 1
-            time.sleep(rng.uniform(0.1, 0.5))
+            time.sleep(rng.uniform(*pause_s))
         page.socket.close()
 
     workers = [threading.Thread(target=work, args=(k,)) for k in range(_CLIENTS)]
