@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ladarreg_core.inspection.partners import Partners
     from ladarreg_core.project.document import CameraGiven, PhotoEntry
     from ladarreg_core.project.history import History
+    from ladarreg_core.results import PoseResult
 
 log = logging.getLogger(__name__)
 Message = dict[str, Any]
@@ -302,15 +303,22 @@ class Workbench:
             "served": self.files.served_slice(),
             "people": {"count": len(names), "names": names},
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MOST_PHOTOS},
-            "model": self.model.slice(
-                room.answer(shown.pose) if shown is not None and shown.pose is not None else None
-            ),
+            "model": self.model.slice(self._shown_answer()),
         }
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self._picks_shown.of(entry.id, entry.picks)
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
             found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
         return found
+
+    def _shown_answer(self) -> PoseResult | None:
+        shown = self.shown
+        if shown is None or shown.pose is None:
+            return None
+        try:
+            return self.room.answer(shown.pose)
+        except LadarregError:  # its arrays are damaged, which its stage says in its verdict
+            return None
 
     def _slow_slices(self) -> dict[str, Any]:
         """Return what takes more than a moment to compute."""
