@@ -83,15 +83,14 @@ def line_shown(room: Workroom, scan: Scan, ends: Any) -> dict[str, Any]:
     return {"scan_samples": samples, "sampled": line.sampled, "used": line.used}
 
 
-def poses_slice(room: Workroom, scan: Scan, entry: PhotoEntry) -> dict[str, Any]:
-    """Return every stage's answer."""
-    return {"shown": entry.shown_stage, "stages": [_stage(room, scan, pose) for pose in entry.poses]}
+def poses_slice(room: Workroom, entry: PhotoEntry) -> dict[str, Any]:
+    """Return every stage's answer, with what there is to say of it where that was looked into."""
+    return {"shown": entry.shown_stage, "stages": [_stage(room, pose) for pose in entry.poses]}
 
 
-def _stage(room: Workroom, scan: Scan, pose: PoseEntry) -> dict[str, Any]:
+def _stage(room: Workroom, pose: PoseEntry) -> dict[str, Any]:
     try:
         answer = room.answer(pose)
-        assessment = room.assessment(scan, pose)
     except LadarregError as error:
         return {"stage": pose.stage, "label": STAGE_NAMES[pose.stage], "accepted": False, "verdict": str(error)}
     return {
@@ -103,10 +102,6 @@ def _stage(room: Workroom, scan: Scan, pose: PoseEntry) -> dict[str, Any]:
         "verdict": verdict(answer),
         "reasons": list(pose.reasons),
         "note": pose.note,
-        "findings": [
-            {"what": f.name, "level": f.level, "sentence": f.sentence, "what_to_do": f.what_to_do}
-            for f in assessment.findings or ()
-        ],
         "parameters": [asdict(parameter) for parameter in parameters(answer)],
         "matches": len(answer.matches),
         **{name: number(value) for name, value in asdict(figures(answer)).items()},
@@ -115,6 +110,20 @@ def _stage(room: Workroom, scan: Scan, pose: PoseEntry) -> dict[str, Any]:
         "focal_px": answer.camera.focal_px,
         "camera_sigmas": dict(answer.camera_sigmas),
         "seconds": pose.seconds,
+        "regions": [list(region) for region in pose.diagnostics.get("verification", {}).get("regions", [])],
+        "steps": [{"name": step.name, "seconds": step.seconds} for step in pose.steps],
+        **_to_say(room.assessed(pose)),
+    }
+
+
+def _to_say(assessment: Assessment | None) -> dict[str, Any]:
+    if assessment is None:
+        return {}
+    return {
+        "findings": [
+            {"what": f.name, "level": f.level, "sentence": f.sentence, "what_to_do": f.what_to_do}
+            for f in assessment.findings or ()
+        ],
         "uncertainty": assessment.uncertainty.in_words() if assessment.uncertainty else "",
         "check": assessment.match_to_check,
         "check_pick": _match_to_check(assessment),
@@ -123,8 +132,6 @@ def _stage(room: Workroom, scan: Scan, pose: PoseEntry) -> dict[str, Any]:
             for place in assessment.advice or ()
         ],
         "absent": dict(assessment.absent),
-        "regions": [list(region) for region in pose.diagnostics.get("verification", {}).get("regions", [])],
-        "steps": [{"name": step.name, "seconds": step.seconds} for step in pose.steps],
     }
 
 

@@ -18,10 +18,16 @@ _KEPT = 256
 
 
 class Teller:
-    """Compares slices with what was told last, and tells the difference."""
+    """Compares slices with what was told last, and tells the difference.
 
-    def __init__(self, quick: Slices, slow: Slices) -> None:
-        self._quick, self._slow = quick, slow
+    Args:
+        quick: returns what is told at once.
+        slow: returns what takes time to compute.
+        last: what is done after that, as long as nobody edits.
+    """
+
+    def __init__(self, quick: Slices, slow: Slices, last: Callable[[], None]) -> None:
+        self._quick, self._slow, self._last = quick, slow, last
         self._lock = threading.RLock()
         self._told: dict[str, Any] = {}
         self._version = 0
@@ -103,17 +109,17 @@ class Teller:
         while self._quiet.wait():
             try:
                 found = self._slow()
+                if self._quiet.asked:
+                    continue  # the document has changed meanwhile
+                with self._lock:
+                    self._tell_difference(found, slow=True)
+                self._last()
             except Exception:
                 log.exception("slices could not be computed")
-                continue
-            if self._quiet.asked:
-                continue  # the document has changed meanwhile
-            with self._lock:
-                self._tell_difference(found, slow=True)
 
 
 def _is_slow(name: str) -> bool:
-    return name.startswith(("judged:", "poses:"))
+    return name.startswith("judged:")
 
 
 def _name(key: Any) -> Hashable:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -75,7 +76,7 @@ class Workbench:
         self.jobs = JobTable(Bench(session, room), self.runner, self.stage.watch_simplex, self.tell_event)
         self.pictures = Pictures(session, room)
         self._picks_shown, self._entries_shown = EachOnce(pick_shown), EachOnce(entry_shown)
-        self.teller = Teller(self._quick_slices, self._slow_slices)
+        self.teller = Teller(self._quick_slices, self._slow_slices, self._assess)
         self._off = session.subscribe(self._changed)
         self._show_what_there_is()
 
@@ -307,6 +308,7 @@ class Workbench:
         }
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self._picks_shown.of(entry.id, entry.picks)
+            found[f"poses:{entry.id}"] = self._poses_shown(entry)
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
             found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
         return found
@@ -337,9 +339,25 @@ class Workbench:
                 photo = None
             key = (id(scan), entry.picks, id(entry.pose), id(photo))
             found[f"judged:{entry.id}"] = self.teller.once(key, partial(judged_slice, room, scan, photo, entry))
-            poses = (id(scan), tuple(map(id, entry.poses)), entry.shown_stage)
-            found[f"poses:{entry.id}"] = self.teller.once(poses, partial(poses_slice, room, scan, entry))
         return found
+
+    def _poses_shown(self, entry: PhotoEntry) -> dict[str, Any]:
+        assessed = ",".join(str(number) for number, pose in enumerate(entry.poses) if self.room.assessed(pose))
+        key = (entry.shown_stage, assessed, *entry.poses)
+        return self.teller.once(key, partial(poses_slice, self.room, entry))
+
+    def _assess(self) -> None:
+        """Look into the shown answers that nobody has looked into yet."""
+        document = self.session.document
+        for entry in document.photos:
+            pose = entry.pose
+            if pose is None or self.room.assessed(pose) is not None:
+                continue
+            with suppress(LadarregError):  # what cannot be read is told where it stands
+                scan = self.room.scan(document)
+                if scan is not None:
+                    self.room.assessment(scan, pose)
+                    self.teller.tell()
 
     def _changed(self, change: Change) -> None:
         if self.session.unsaved:

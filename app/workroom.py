@@ -138,6 +138,11 @@ class Workroom:
 
         return self.kept("assessment", id(pose), lambda: (pose, assess(scan, self.answer(pose))))[1]
 
+    def assessed(self, pose: PoseEntry) -> Assessment | None:
+        """Return what was found to say of a stage's answer; None where nobody has looked yet."""
+        found = self._kept["assessment"].get(id(pose))
+        return None if found is None else found[1]
+
     def partners(self, scan: Scan, pose: PoseEntry) -> Partners:
         """Return where a pose puts picks in the other picture."""
         from ladarreg_core.inspection.partners import Partners

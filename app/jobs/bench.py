@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from app.session import Session
 from app.workroom import Workroom
-from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Document, PhotoEntry
 from ladarreg_core.project.edits import edited_photo, the_photo
 
@@ -123,8 +122,4 @@ class Bench:
                 raise OptionError(f"the {what} changed while this ran, so that its result is left out; run it again")
             return edited_photo(document, was.id, edit)
 
-        document = self.session.commit(label, apply, author=author)
-        # What there is to say of an answer comes with it: a job that is done without a verdict looks like a failure.
-        for pose in the_photo(document, inputs.entry.id).poses:
-            with suppress(LadarregError):
-                self.room.assessment(inputs.scan, pose)
+        self.session.commit(label, apply, author=author)
