@@ -39,22 +39,26 @@ class ModelLayer:
         """Of what is drawn."""
         return self._legend
 
+    def is_news(self, subject: Subject | None, choice: ModelNow) -> bool:
+        """Return whether another picture is to be painted on the model than is there."""
+        if subject is None:
+            return False
+        return subject.shown is not self._scan or self._drawn[:1] != (_painted(subject, choice),)
+
     def draw(self, subject: Subject | None, choice: ModelNow) -> None:
         """Draw the model, if it is not there already."""
         if subject is None or subject.shown is not self._scan:
             self.clear()
         if subject is None:
             return
-        kind = subject.texture_kind(choice)
-        of_pose = (subject.photo, subject.result) if kind not in ("intensity", "range") else ()
-        wanted = (kind, choice.most_vertices, choice.z_buffer if kind == "colour" else None, *of_pose)
+        wanted = _painted(subject, choice), choice.most_vertices
         if self._drawn == wanted:
             return
         texture = subject.texture(choice)
         self._count += 1
         self._nodes.append(self._add(f"/model/{self._count}", subject, choice, texture))
         self._scan, self._drawn, self._legend = subject.shown, wanted, texture.legend
-        after_s = REPLACED_BY_COARSE_AFTER_S if choice.moving else REPLACED_AFTER_S
+        after_s = REPLACED_BY_COARSE_AFTER_S if choice.coarse else REPLACED_AFTER_S
         self._wishes.wish("replaced model", self._remove_replaced, after_s=after_s)
 
     def clear(self) -> None:
@@ -82,3 +86,10 @@ class ModelLayer:
     def _remove_replaced(self) -> None:
         while len(self._nodes) > 1:
             self._nodes.pop(0).remove()
+
+
+def _painted(subject: Subject, choice: ModelNow) -> tuple[object, ...]:
+    """Return all that the picture on the model is made of."""
+    kind = subject.texture_kind(choice)
+    of_pose = (subject.photo, subject.result) if kind not in ("intensity", "range") else ()
+    return (kind, choice.z_buffer if kind == "colour" else None, *of_pose)

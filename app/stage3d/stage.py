@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from app.model_choice import ModelChoice
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 SIMPLEX_EVERY_S = 0.04
 FINE_AGAIN_S = 1.0
 """After a walk; most end with a new pose, and with it a new model."""
+FINE_AFTER_COARSE_S = 0.3
+"""What is new is shown coarsely first: where no graphics card draws, a fine model needs seconds."""
 _WALKING = ("running", "paused")
 _NEAR_M, _BEYOND_PICTURE = 0.01, 1.05
 
@@ -200,12 +202,15 @@ class Stage3D:
     def _now(self) -> tuple[Subject | None, ModelNow]:
         with self._lock:
             moving = self._state in _WALKING and self._subject is not None and self._subject.camera is not None
-            return self._subject, ModelNow(**asdict(self._choice), moving=moving)
+            return self._subject, ModelNow(**asdict(self._choice), coarse=moving)
 
     def _draw_model(self) -> None:
         subject, choice = self._now()
         if subject is not None and subject.shown is not self._placed:
             self._place_everybody(subject)
+        if self._model.is_news(subject, choice):
+            choice = replace(choice, coarse=True)
+            self._wishes.wish("model", self._draw_model, after_s=FINE_AFTER_COARSE_S)
         self._model.draw(subject, choice)
         result = None if subject is None else subject.result
         has_camera = subject is not None and subject.accepted is not None

@@ -18,8 +18,8 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.standpoint import Standpoint, from_pose, overview, typical_range
 from ladarreg_core.texture import RegisteredTexture
 
-_VERTICES, _LIGHT_VERTICES, _MOVING_VERTICES = 150_000, 60_000, 12_000
-_TEXTURE_PX, _LIGHT_TEXTURE_PX, _MOVING_TEXTURE_PX = 8192, 1536, 1024
+_VERTICES, _LIGHT_VERTICES, _COARSE_VERTICES = 150_000, 60_000, 12_000
+_TEXTURE_PX, _LIGHT_TEXTURE_PX, _COARSE_TEXTURE_PX = 8192, 1536, 1024
 _FRUSTUM_PX, _COARSE_FOCAL_PX = 512, 150.0
 _FRUSTUM_DEPTH = 0.17  # of the root of the range: nearer scenes need relatively larger ones
 
@@ -28,19 +28,19 @@ _FRUSTUM_DEPTH = 0.17  # of the root of the range: nearer scenes need relatively
 class ModelNow(ModelChoice):
     """How the model is shown at this moment."""
 
-    moving: bool = False
-    """Whether something moves in the scene: every step draws the model again, which a browser without a graphics card
-    does 15 times a second only where it is coarse."""
+    coarse: bool = False
+    """Whether a coarse model is wanted for now: as a first look, or since something moves in the scene. Every step
+    draws the model again, which a browser without a graphics card does 15 times a second only where it is coarse."""
 
     @property
     def most_vertices(self) -> int:
         """Of the mesh."""
-        return _MOVING_VERTICES if self.moving else _LIGHT_VERTICES if self.light else _VERTICES
+        return _COARSE_VERTICES if self.coarse else _LIGHT_VERTICES if self.light else _VERTICES
 
     @property
     def most_texture_px(self) -> int:
         """The longer side of its picture."""
-        return _MOVING_TEXTURE_PX if self.moving else _LIGHT_TEXTURE_PX if self.light else _TEXTURE_PX
+        return _COARSE_TEXTURE_PX if self.coarse else _LIGHT_TEXTURE_PX if self.light else _TEXTURE_PX
 
 
 @dataclass(frozen=True, eq=False)
