@@ -27,6 +27,7 @@ import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
 from app.gateway.changes import changed
+from benchmarks.model_drawn import model_drawn
 from ladarreg_core.simulate.embedded import sample_folder
 
 _MANY = 500
@@ -298,7 +299,9 @@ def main() -> None:
         figures["edit at another page, ms"] = float(np.median(seen))
         figures.update(in_browser(found))
         page.ask("remove_picks", photo="p1", picks=[pick["id"] for pick in page.slices["picks:p1"]])
-        page.ask("run", photo="p1", job="auto")
+        figures.update(model_drawn(found, page))
+        if "poses:p1" not in page.slices or not page.slices["poses:p1"]["stages"]:
+            page.ask("run", photo="p1", job="auto")
         page.until(lambda slices: slices["job"] and slices["job"]["state"] not in ("running", "paused"))
         time.sleep(5)
         figures["memory, MB"] = found.memory_mb()
