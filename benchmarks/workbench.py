@@ -10,7 +10,6 @@ import http.client
 import json
 import os
 import random
-import signal
 import subprocess
 import sys
 import tempfile
@@ -164,7 +163,7 @@ def served(project: Path) -> Iterator[tuple[Served, float]]:
         assert picture[:4] == b"\x89PNG"
         yield found, time.perf_counter() - begun
     finally:
-        process.send_signal(signal.SIGINT)
+        process.terminate()
         process.wait(60)
 
 

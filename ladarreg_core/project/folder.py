@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 _PROJECT, _HISTORY, _ARRAYS, _INPUTS, _EXPORTS, _LOCK = (
     "project.json", "history.jsonl", "arrays", "inputs", "exports", "lock",
 )  # fmt: skip
-_MOST_ENTRIES = 1000
+_MOST_ENTRIES = 5000
 _LONG_HISTORY_BYTES = 64 << 20
 
 

@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Document
 
+MOST_STEPS = 10_000
+"""So many can be gone back: days of work, and a bound for what ten busy people leave in memory."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Entry:
@@ -62,7 +65,8 @@ class History:
     def committed(self, document: Document, *, label: str, author: str, when: str) -> History:
         """Return the history with one entry more; what had been undone is left behind."""
         entry = Entry(self.next_number, label, author, when, document)
-        return History((*self.entries[: self.at + 1], entry), self.at + 1)
+        entries = (*self.entries[: self.at + 1], entry)[-MOST_STEPS:]
+        return History(entries, len(entries) - 1)
 
     def amended(self, document: Document, *, when: str) -> History:
         """Return the history with another document for the present entry, as while one end is moved bit by bit."""

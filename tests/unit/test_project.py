@@ -184,6 +184,16 @@ def test_undo_and_redo_walk_along_what_was_committed(moves: list[str]) -> None:
     assert history.gone_to(history.entries[0].number).at == 0
 
 
+def test_so_many_steps_can_be_gone_back_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ladarreg_core.project.history.MOST_STEPS", 5)
+    history = History.begun(Document(name="0"), label="Begin", author="", when=WHEN)
+    for k in range(1, 9):
+        history = history.committed(named(history.document, str(k)), label=str(k), author="a", when=WHEN)
+    assert [entry.document.name for entry in history.entries] == ["4", "5", "6", "7", "8"]
+    assert history.document.name == "8"
+    assert history.moved(-9).undone is None
+
+
 # the folder
 
 
