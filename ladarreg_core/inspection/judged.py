@@ -21,7 +21,7 @@ from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface_range import measured_ranges
 
-_MOST_KNOWN = 20_000
+_MOST_KNOWN = 4_000  # some kilobytes each
 
 
 @dataclass(frozen=True, slots=True)
