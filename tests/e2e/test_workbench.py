@@ -24,7 +24,7 @@ from ladarreg_core.simulate.embedded import sample_folder
 from tests.e2e.audits import hard_to_read, lost_without_a_mouse
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Locator, Page, Route
+    from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, Route
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill -9 to send")]
 WRONG = re.compile("damaged|truncated|cut short|incomplete|cannot be read|no picture", re.IGNORECASE)
@@ -130,7 +130,12 @@ def operator(browser: Browser, server: Served, checkout: Path, request: pytest.F
     if not request.node.get_closest_marker("with_model"):
         page.route("**/viser/**", no_model)
     errors: list[str] = []
-    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+
+    def complained(message: ConsoleMessage) -> None:
+        if message.type == "error":
+            errors.append(f"{message.text} {message.location.get('url', '')}".strip())
+
+    page.on("console", complained)
     page.on("pageerror", lambda error: errors.append(str(error)))
     found = Operator(page, server, checkout / "artifacts" / request.node.name)
     found.open()
