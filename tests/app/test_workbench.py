@@ -330,7 +330,7 @@ def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(regis
     ):
         for force in (True, False):
             assert said in registered.refused("export_folder", photo="p1", folder=str(folder), force=force)
-    for odd in ("/" + "x" * 5000, "/a\0b", "/\udcff" * 300):
+    for odd in ("/" + "x" * 5000, "/a\0b", "/\ud800"):
         registered.refused("export_folder", photo="p1", folder=odd, force=True)
     assert (photographs / "IMG_0001.jpg").read_bytes() == b"precious"
     assert (project / "project.json").is_file()
