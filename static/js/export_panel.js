@@ -70,14 +70,13 @@ export const mountExport = () => {
     { class: "export-form" },
     element("label", { for: id }, "Folder on the workbench's machine"),
     folder,
-    element("label", { class: "inline" }, force, "replace earlier results"),
+    element("div", { class: "row" }, write, element("label", { class: "inline" }, force, "replace earlier results")),
     element(
       "p",
       { class: "dim" },
-      "A folder that exists is replaced only if it holds exported results and nothing else. The old results stay " +
-        "until the new ones are complete.",
+      "A folder is replaced only if it holds exported results and nothing else; the old ones stay until the new ones " +
+        "are complete.",
     ),
-    write,
     wrong,
   );
   const left = element(
