@@ -30,7 +30,7 @@ class InputArguments:
     photo: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTO")]
     """Photograph: JPEG, PNG, TIFF."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
-    """Folder to write; it must not exist, see --force."""
+    """Folder to write; one that exists is refused, but see --force."""
     matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Matches put down by hand: JSON, or CSV of points."""
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -48,7 +48,7 @@ class InputArguments:
     seed: int = 0
     """Of every random draw: the same seed, the same answer."""
     force: bool = False
-    """Replace OUT if it exists."""
+    """Replace OUT if it holds results of an earlier run and nothing else; any other folder is left as it is."""
     quiet: bool = False
     """No progress, and the verdict in one line."""
     debug: bool = False

@@ -78,11 +78,7 @@ class JobTable:
 
     def run_export(self, folder: Path, photo: object, author: str, *, force: bool) -> str:
         """Begin to export into a folder; as `run`."""
-        from ladarreg_core.export.folder import check_folder
-
-        if not folder.is_absolute():
-            raise OptionError(f"{folder} is no whole path; say where the folder is, from the root on")
-        check_folder(folder, force=force)
+        self._exports.check_folder(folder, self._bench.session.document, force=force)
         kind = Kind(f"Export into {folder.name}", self._exports.into_folder(folder, force=force))
         return self._begin("export", kind, photo, author)
 

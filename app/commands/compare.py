@@ -29,7 +29,7 @@ def run(arguments: Arguments) -> ExitCode:
     from ladarreg_core.export.folder import check_folder
 
     started = time.perf_counter()
-    check_folder(arguments.out, force=arguments.force)
+    check_folder(arguments.out, force=arguments.force, inputs=input_files(arguments))
     with step_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
         comparison = _compare(arguments, scan, photo, bar)

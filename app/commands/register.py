@@ -43,7 +43,7 @@ def run(arguments: Arguments) -> ExitCode:
     from ladarreg_core.export.folder import check_folder
 
     started = time.perf_counter()
-    check_folder(arguments.out, force=arguments.force)
+    check_folder(arguments.out, force=arguments.force, inputs=_input_files(arguments))
     check_method(arguments, arguments.method)
     _check_carry(arguments)
     with step_bar(quiet=arguments.quiet) as bar:
@@ -64,6 +64,10 @@ def run(arguments: Arguments) -> ExitCode:
         print(f"Wrote    {', '.join(names)} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED if result.accepted else ExitCode.NOT_ACCEPTED
+
+
+def _input_files(arguments: Arguments) -> list[Path]:
+    return [*input_files(arguments), *(path for path in (arguments.carry, arguments.offset) if path)]
 
 
 def _check_carry(arguments: Arguments) -> None:
@@ -124,7 +128,7 @@ def _export(
         photo,
         assessment=assessment,
         smoothed=smoothed,
-        inputs=[*input_files(arguments), *(path for path in (arguments.carry, arguments.offset) if path)],
+        inputs=_input_files(arguments),
         force=arguments.force,
         report=bar.progress,
     )

@@ -18,7 +18,7 @@ class Arguments:
     scene: tyro.conf.Positional[Literal["boxes", "desk", "office", "people"]]
     """What to build."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
-    """Folder to write; it must not exist, see --force."""
+    """Folder to write; one that exists is refused, but see --force."""
     set: Literal["standard", "hard", "wide", "rotated", "identical", "thermal", "gamma"] = "standard"
     """How hard it is to register; the last two are other instruments."""
     seed: int = 0
@@ -30,7 +30,7 @@ class Arguments:
     focal_error: float = 0.0
     """How much the focal length in camera.json is above the real one, relative: .05 is 5 percent."""
     force: bool = False
-    """Replace the folder if it exists."""
+    """Replace DIR if it holds what a command wrote and nothing else; any other folder is left as it is."""
     debug: bool = False
     """Log, and a trace back where something fails."""
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,10 +10,10 @@ from typing import TYPE_CHECKING
 from app.jobs.bench import Bench, Inputs
 from app.jobs.runner import JobContext
 from ladarreg_core.errors import OptionError
-from ladarreg_core.export.files import cannot_write
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import PhotoEntry, PoseEntry
+    from ladarreg_core.export.folder import FileJob
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
 
 Work = Callable[[Inputs, JobContext], str]
 
@@ -32,51 +30,69 @@ class ExportJobs:
 
     def export(self, inputs: Inputs, context: JobContext) -> str:
         """Write a zip."""
+        from ladarreg_core.export.zip_file import write_zip
+
         target = self.zip_path(inputs.entry.id)
-        folder = target.with_suffix("")
-        self._write(inputs, folder, context, force=True)
-        part = target.with_suffix(".zip.part")
-        try:
-            with zipfile.ZipFile(part, "w", compression=zipfile.ZIP_DEFLATED, compresslevel=1) as file:
-                for path in sorted(folder.iterdir()):
-                    context.check()
-                    file.write(path, path.name)
-            part.replace(target)
-        except OSError as error:
-            raise cannot_write(target, error) from None
-        finally:
-            part.unlink(missing_ok=True)
-            shutil.rmtree(folder, ignore_errors=True)
+        write_zip(target, lambda: self._files(inputs), report=context.progress)
         return f"The zip holds {_size(target.stat().st_size)}."
+
+    def check_folder(self, folder: Path, document: Document, *, force: bool) -> None:
+        """Refuse a folder that results must not go to.
+
+        Raises:
+            LadarregError: if it is one.
+        """
+        from ladarreg_core.export.folder import check_folder
+
+        if not folder.is_absolute():
+            raise OptionError(f"{folder} is no whole path; say where the folder is, from the root on")
+        check_folder(folder, force=force, inputs=self._sources(document), apart_from=self._projects)
 
     def into_folder(self, folder: Path, *, force: bool) -> Work:
         """Return the job that writes into a folder."""
+        from ladarreg_core.export.folder import write_folder
 
         def work(inputs: Inputs, context: JobContext) -> str:
-            self._write(inputs, folder, context, force=force)
+            write_folder(
+                folder,
+                lambda: self._files(inputs),
+                inputs=self._sources(inputs.document),
+                apart_from=self._projects,
+                force=force,
+                report=context.progress,
+            )
             return f"Wrote {', '.join(sorted(path.name for path in folder.iterdir()))}."
 
         return work
 
-    def _write(self, inputs: Inputs, folder: Path, context: JobContext, *, force: bool) -> None:
-        from ladarreg_core.export.folder import export_registration
+    def _files(self, inputs: Inputs) -> list[FileJob]:
+        from ladarreg_core.export.folder import registration_files
+        from ladarreg_core.export.replacement import MATCHES_FILE
         from ladarreg_core.formats.matches_file import write_matches
 
         pose = self._pose(inputs.entry)
-        room, folder_of = self._bench.room, self._bench.session.folder
+        room, folder = self._bench.room, self._bench.session.folder
         sources = [inputs.document.scan, inputs.entry.source, inputs.entry.camera.file]
         picks = [pick.as_pick() for pick in inputs.entry.picks]
-        export_registration(
-            folder,
+        files = registration_files(
             room.answer(pose),
             inputs.scan,
             inputs.photo,
+            inputs=[folder.source_path(source.path) for source in sources if source is not None],
             assessment=room.assessment(inputs.scan, pose),
-            inputs=[folder_of.source_path(source.path) for source in sources if source is not None],
-            more=[("matches.json", lambda path: write_matches(path, picks))] if picks else [],
-            force=force,
-            report=context.progress,
         )
+        return [*files, (MATCHES_FILE, lambda path: write_matches(path, picks))] if picks else files
+
+    @property
+    def _projects(self) -> list[Path]:
+        return [self._bench.session.folder.path]
+
+    def _sources(self, document: Document) -> list[Path]:
+        """Return every file that the document refers to."""
+        sources = [document.scan]
+        for entry in document.photos:
+            sources += [entry.source, entry.camera.file]
+        return [self._bench.session.folder.source_path(source.path) for source in sources if source is not None]
 
     def _pose(self, entry: PhotoEntry) -> PoseEntry:
         if entry.pose is None:

@@ -66,11 +66,11 @@ def export_comparison(
         scan: the scan.
         photo: the photograph.
         inputs: the files that scan and photo came from, named in `comparison.json`.
-        force: replace an existing folder, with all that is in it.
+        force: replace the results of an earlier run.
         report: told before each file and at the end.
 
     Raises:
-        ExportError: if the folder exists and `force` is off, if it holds the inputs, or if something cannot be
+        ExportError: if the folder exists and must not be replaced, as `check_folder` says, or if something cannot be
             written.
         ShapeError: if there is no column, or a picture is not on the scan's grid.
     """

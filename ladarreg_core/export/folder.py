@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
-import shutil
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
@@ -17,6 +15,8 @@ from ladarreg_core.export.glb import write_glb
 from ladarreg_core.export.images import write_labels_png, write_registered_png
 from ladarreg_core.export.ply import write_ply
 from ladarreg_core.export.registration_json import registration_document
+from ladarreg_core.export.replacement import REGISTRATION_FILES, in_words, require_apart, require_replaceable
+from ladarreg_core.export.staging import clear_leftovers, put_in_place, staging_folder
 from ladarreg_core.export.uncertainty_png import write_uncertainty_png
 from ladarreg_core.mesh import scan_mesh
 from ladarreg_core.photo import Photo
@@ -26,7 +26,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.smoothed_scan import SmoothedScan
 from ladarreg_core.texture import RegisteredTexture, model_picture, texture_scan
 
-FILE_NAMES = ("registration.json", "registered.png", "labels.png", "uncertainty.png", "model.glb", "cloud.ply")
+FILE_NAMES = REGISTRATION_FILES
 """What a folder of results holds; all but the first only where the registration is accepted."""
 FileJob = tuple[str, Callable[[Path], None]]
 """A file's name, and what writes it to a path."""
@@ -41,6 +41,7 @@ def export_registration(
     assessment: Assessment | None = None,
     smoothed: SmoothedScan | None = None,
     inputs: Sequence[str | Path] = (),
+    apart_from: Sequence[str | Path] = (),
     more: Sequence[FileJob] = (),
     force: bool = False,
     report: Report | None = None,
@@ -58,19 +59,21 @@ def export_registration(
         assessment: what there is to say of it; None: it is assessed here.
         smoothed: the scan that `model.glb` and `cloud.ply` show; None: the scan itself.
         inputs: the files that scan and photo came from, named in `registration.json`.
+        apart_from: as in `write_folder`.
         more: further files, as the matches that were drawn.
-        force: replace an existing folder, with all that is in it.
+        force: replace the results of an earlier run.
         report: told after each file.
 
     Raises:
-        ExportError: if the folder exists and `force` is off, if it holds the inputs, or if something cannot be
+        ExportError: if the folder exists and must not be replaced, as `check_folder` says, or if something cannot be
             written.
     """
     write_folder(
         folder,
-        lambda: [*_registration_files(registration, scan, photo, inputs, assessment, smoothed), *more],
+        lambda: [*registration_files(registration, scan, photo, inputs, assessment, smoothed), *more],
         inputs=inputs,
-        own_names=(*FILE_NAMES, *(name for name, _ in more)),
+        apart_from=apart_from,
+        more_names=[name for name, _ in more],
         force=force,
         report=report,
     )
@@ -81,78 +84,126 @@ def write_folder(
     files: Callable[[], Sequence[FileJob]],
     *,
     inputs: Sequence[str | Path] = (),
-    own_names: Collection[str] = (),
+    apart_from: Sequence[str | Path] = (),
+    more_names: Collection[str] = (),
     force: bool = False,
     report: Report | None = None,
 ) -> None:
     """Write files into a new folder that is there wholly or not at all.
 
-    All is written beside the folder's place and renamed into it at the end, so that an error, an interruption or a
-    `report` that raises leaves what was there before.
+    All is written beside the folder's place and put into it in one step at the end, so that an error, an interruption
+    or a `report` that raises leaves what was there before. What a killed program left beside it is cleared away first.
 
     Args:
         folder: where to; its parents are made if need be.
         files: returns the names and writers; called when the folder can be written.
         inputs: the files that the results come from; a folder that holds one of them is not replaced.
-        own_names: names that such folders hold themselves: an earlier result may be an input.
-        force: replace an existing folder, with all that is in it.
+        apart_from: folders of projects that are open; none that is, holds or lies in one of them is replaced.
+        more_names: files of such folders, beside those that every run writes.
+        force: replace the results of an earlier run.
         report: told before each file and at the end.
 
     Raises:
-        ExportError: if the folder exists and `force` is off, if it holds the inputs, or if something cannot be
+        ExportError: if the folder exists and must not be replaced, as `check_folder` says, or if something cannot be
             written.
     """
-    target = Path(os.path.abspath(folder))
-    check_folder(target, force=force)
-    _keep_inputs(target, inputs, own_names)
+    check_folder(folder, force=force, inputs=inputs, apart_from=apart_from, more_names=more_names)
+    target = _place_of(folder)
     made = _missing_parents(target)
-    aside: Path | None = None
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
-    begun = False
     try:
-        try:
-            temporary.mkdir(parents=True)
-            begun = True
-            _write_all(temporary, files(), report)
-            sync_folder(temporary)
-            check_folder(target, force=force)  # it may have appeared meanwhile
-            if target.exists():
-                aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.old")
-                os.rename(target, aside)
-            os.rename(temporary, target)
-            sync_folder(target.parent)
-        except OSError as error:
-            raise cannot_write(target, error) from None
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with staging_folder(target, more_names=more_names) as new:
+            _write_all(new, files(), report)
+            _sync(new)
+            _require_free(target, force, inputs, apart_from, more_names)  # it may have appeared meanwhile
+            put_in_place(
+                new,
+                target,
+                lambda old: require_replaceable(old, force=force, more_names=more_names, shown=target),
+            )
+    except OSError as error:
+        raise cannot_write(in_words(target), error) from None
     finally:
-        if begun and not temporary.exists():  # renamed: an interruption may fall just behind it
-            if aside is not None:
-                shutil.rmtree(aside, ignore_errors=True)
-        else:
-            if aside is not None and aside.exists() and not target.exists():
-                os.rename(aside, target)
-            shutil.rmtree(temporary, ignore_errors=True)
-            for parent in made:
-                with contextlib.suppress(OSError):
-                    parent.rmdir()
+        for parent in made:
+            with contextlib.suppress(OSError):
+                parent.rmdir()  # where nothing came into it
 
 
-def check_folder(folder: str | Path, *, force: bool = False) -> None:
+def check_folder(
+    folder: str | Path,
+    *,
+    force: bool = False,
+    inputs: Sequence[str | Path] = (),
+    apart_from: Sequence[str | Path] = (),
+    more_names: Collection[str] = (),
+) -> None:
     """Refuse a folder that results must not go to; call it before long work.
 
+    A folder that exists is replaced only if `force` is on and it holds the results of an earlier run and nothing else
+    (an empty one, too); without `force` only if these are of a registration that was refused. A project, the folder
+    of an input, and what is above or below them is never replaced. What a killed program left beside the folder is
+    cleared away: a folder that it had set aside has its name back.
+
+    Args:
+        folder: where results are to go.
+        force: whether results may be replaced.
+        inputs: as in `write_folder`.
+        apart_from: as in `write_folder`.
+        more_names: as in `write_folder`.
+
     Raises:
-        ExportError: if something exists there and `force` is off, if it is not a folder, or if none can be made there.
+        ExportError: if that is so, if it is not a folder, or if none can be made there.
     """
-    path = Path(folder)
-    if path.is_symlink() or (path.exists() and not path.is_dir()):
-        raise ExportError(f"{path} exists and is no folder; give another place for the results")
-    if path.exists() and not force:
-        raise ExportError(f"the folder {path} exists; give another one, or --force to replace it")
-    if path.exists() and Path.cwd().resolve().is_relative_to(path.resolve()):
-        raise ExportError(f"the folder {path} is the one you work in; give another place for the results")
-    home = next(parent for parent in path.absolute().parents if os.path.lexists(parent))
+    try:
+        target = _place_of(folder)
+        clear_leftovers(target.parent, more_names=more_names)
+        _require_free(target, force, inputs, apart_from, more_names)
+    except (OSError, ValueError) as error:  # a name that is too long, or holds a NUL
+        reason = (getattr(error, "strerror", None) or str(error)).lower()
+        raise ExportError(f"{in_words(folder)} cannot be a folder: {reason}; give another place") from None
+
+
+def _require_free(
+    target: Path,
+    force: bool,
+    inputs: Sequence[str | Path],
+    apart_from: Sequence[str | Path],
+    more_names: Collection[str],
+) -> None:
+    shown = in_words(target)
+    if not target.name:
+        raise ExportError(f"{shown} is the top of a file system; give a folder below it")
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        os.lstat(target)  # raises for names that no system takes
+    if target.is_symlink() or (target.exists() and not target.is_dir()):
+        what = "a symbolic link" if target.is_symlink() else "no folder"
+        raise ExportError(f"{shown} exists and is {what}; give another place for the results")
+    if target.exists():
+        here = Path.cwd()
+        if any(os.path.samefile(target, parent) for parent in (here, *here.parents)):
+            raise ExportError(f"the folder {shown} is the one you work in; give another place for the results")
+        require_apart(target, inputs=inputs, projects=apart_from)
+        require_replaceable(target, force=force, more_names=more_names)
+    home = next(parent for parent in (*target.parents, target) if os.path.lexists(parent))
     if not home.is_dir() or not os.access(home, os.W_OK | os.X_OK):
         reason = "may not be written to" if home.is_dir() else "is no folder"
-        raise ExportError(f"{path} cannot be made: {home} {reason}; give another place for the results")
+        raise ExportError(f"{shown} cannot be made: {in_words(home)} {reason}; give another place for the results")
+
+
+def _place_of(folder: str | Path) -> Path:
+    """Return a folder's place with all links above it followed, as the system does it; its own name stays."""
+    path = Path(folder)
+    if path.name in ("", ".."):
+        return Path(os.path.realpath(path))
+    return Path(os.path.realpath(path.parent), path.name)
+
+
+def _sync(folder: Path) -> None:
+    """Have the disk hold every file of a folder before the folder takes the place of another."""
+    for path in folder.iterdir():
+        with open(path, "rb+") as file:
+            os.fsync(file.fileno())
+    sync_folder(folder)
 
 
 def _write_all(folder: Path, jobs: Sequence[FileJob], report: Report | None) -> None:
@@ -164,14 +215,15 @@ def _write_all(folder: Path, jobs: Sequence[FileJob], report: Report | None) -> 
         report(Progress(len(jobs), len(jobs), "written"))
 
 
-def _registration_files(
+def registration_files(
     registration: Registration,
     scan: Scan,
     photo: Photo,
-    inputs: Sequence[str | Path],
-    assessment: Assessment | None,
-    smoothed: SmoothedScan | None,
+    inputs: Sequence[str | Path] = (),
+    assessment: Assessment | None = None,
+    smoothed: SmoothedScan | None = None,
 ) -> list[FileJob]:
+    """Return the names of a registration's files, and what writes each; the arguments are `export_registration`'s."""
     found = assess(scan, registration) if assessment is None else assessment
 
     def write_json(path: Path) -> None:
@@ -207,13 +259,6 @@ def _models(scan: Scan, texture: RegisteredTexture) -> list[FileJob]:
         ("model.glb", lambda path: write_glb(path, scan_mesh(scan), model_picture(scan, texture))),
         ("cloud.ply", lambda path: write_ply(path, scan, texture)),
     ]
-
-
-def _keep_inputs(target: Path, inputs: Sequence[str | Path], own_names: Collection[str]) -> None:
-    """Refuse to replace the folder that the inputs themselves lie in; an earlier result of ours may be an input."""
-    for path in map(Path, inputs):
-        if path.resolve().is_relative_to(target.resolve()) and path.name not in own_names:
-            raise ExportError(f"the folder {target} holds the input {path.name}; give another place for the results")
 
 
 def _missing_parents(target: Path) -> list[Path]:

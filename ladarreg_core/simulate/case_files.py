@@ -47,7 +47,7 @@ def write_case(case: SimulatedCase, folder: Path | str) -> None:
 
 def case_files(case: SimulatedCase) -> list[tuple[str, Callable[[Path], None]]]:
     """Return the names of a case's files, and what writes each to a path."""
-    truth: dict[str, Any] = {POSE_FIELD: case.camera_from_scanner.matrix.tolist()}
+    truth: dict[str, Any] = {POSE_FIELD: case.camera_from_scanner.matrix.tolist(), "made_by": "simulate"}
     if case.hot_spots_m is not None:
         truth["hot_spots_m"] = case.hot_spots_m.tolist()
 

@@ -70,8 +70,13 @@ export const mountExport = () => {
     { class: "export-form" },
     element("label", { for: id }, "Folder on the workbench's machine"),
     folder,
-    element("label", { class: "inline" }, force, "replace it if it is there"),
-    write,
+    element("div", { class: "row" }, write, element("label", { class: "inline" }, force, "replace earlier results")),
+    element(
+      "p",
+      { class: "dim" },
+      "A folder is replaced only if it holds exported results and nothing else; the old ones stay until the new ones " +
+        "are complete.",
+    ),
     wrong,
   );
   const left = element(

@@ -255,8 +255,9 @@ def test_an_existing_folder_is_refused_before_any_work(tmp_path: Path, capsys: p
     mine = tmp_path / "results"
     mine.mkdir()
     (mine / "notes.txt").write_text("mine")
-    assert main(sample("-o", str(mine))) == ExitCode.BAD_INPUT
-    assert "--force" in complaint(capsys)
+    for force in ([], ["--force"]):
+        assert main(sample("-o", str(mine), *force)) == ExitCode.BAD_INPUT
+        assert "holds notes.txt, which ladarreg did not write" in complaint(capsys)
     assert (mine / "notes.txt").read_text() == "mine"
 
 
@@ -415,6 +416,13 @@ def test_simulate_writes_what_info_reads(tmp_path: Path, capsys: pytest.CaptureF
     assert "700" in shown
     assert main(["simulate", "boxes", "-o", str(out)]) == ExitCode.BAD_INPUT
     assert "--force" in complaint(capsys)
+    scan = (out / "scan.npz").read_bytes()
+    assert main(["simulate", "boxes", "-o", str(out), "--seed", "4", "--force"]) == 0
+    assert (out / "scan.npz").read_bytes() != scan
+    (out / "truth.json").write_text(json.dumps({"camera_from_scanner": np.eye(4).tolist()}))  # measured, not simulated
+    capsys.readouterr()
+    assert main(["simulate", "boxes", "-o", str(out), "--force"]) == ExitCode.BAD_INPUT
+    assert "did not write" in complaint(capsys)
 
 
 def test_a_set_that_comes_later_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -147,8 +147,9 @@ def test_an_existing_folder_is_refused_before_any_work(
 ) -> None:
     calls = answers(monkeypatch, by_hand())
     (tmp_path / "notes.txt").write_text("mine")
-    assert main(words("-o", str(tmp_path))) == ExitCode.BAD_INPUT
-    assert "--force" in capsys.readouterr().err
+    for force in ([], ["--force"]):
+        assert main(words("-o", str(tmp_path), *force)) == ExitCode.BAD_INPUT
+        assert "holds notes.txt, which ladarreg did not write" in capsys.readouterr().err
     assert not calls
     assert (tmp_path / "notes.txt").read_text() == "mine"
 

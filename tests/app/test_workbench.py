@@ -306,7 +306,35 @@ def test_results_go_into_a_folder_and_never_over_one(registered: Bench, tmp_path
     registered.do("export_folder", photo="p1", folder=str(folder))
     registered.workbench.runner.wait(120)
     assert (folder / "registration.json").is_file()
-    assert "exists" in registered.refused("export_folder", photo="p1", folder=str(folder))
+    assert "holds earlier results" in registered.refused("export_folder", photo="p1", folder=str(folder))
+    (folder / "model.glb").write_bytes(b"old")
+    registered.do("export_folder", photo="p1", folder=str(folder), force=True)
+    registered.workbench.runner.wait(120)
+    assert (folder / "model.glb").stat().st_size > 1000
+    assert [path.name for path in tmp_path.iterdir()] == ["results"]
+
+
+def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(registered: Bench, tmp_path: Path) -> None:
+    project = registered.workbench.session.folder.path
+    photographs = tmp_path / "photographs"
+    photographs.mkdir()
+    (photographs / "IMG_0001.jpg").write_bytes(b"precious")
+    (tmp_path / "link").symlink_to(project.parent)
+    for folder, said in (
+        (photographs, "holds IMG_0001.jpg, which"),
+        (project, "is a project"),
+        (project.parent, "holds the project"),
+        (project / "exports", "lies in the project"),
+        (tmp_path / "link" / "project", "is a project"),
+        (project / "arrays" / "..", "is a project"),
+    ):
+        for force in (True, False):
+            assert said in registered.refused("export_folder", photo="p1", folder=str(folder), force=force)
+    for odd in ("/" + "x" * 5000, "/a\0b", "/\ud800"):
+        registered.refused("export_folder", photo="p1", folder=odd, force=True)
+    assert (photographs / "IMG_0001.jpg").read_bytes() == b"precious"
+    assert (project / "project.json").is_file()
+    assert not list(project.glob("exports/.*"))
 
 
 @pytest.mark.parametrize(

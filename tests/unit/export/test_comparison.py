@@ -172,10 +172,11 @@ def test_what_solvers_can_bring_is_written(tmp_path, scan, photo) -> None:
 @pytest.mark.parametrize("at", [0, 2, 7])
 def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, comparison, scan, photo, at) -> None:
     out = tmp_path / "out"
-    out.mkdir()
-    (out / "old.txt").write_text("old", encoding="utf-8")
+    export_comparison(out, comparison, scan, photo)
+    (out / "table.md").write_text("old", encoding="utf-8")
     with pytest.raises(ExportError, match="--force"):
         export_comparison(out, comparison, scan, photo)
+    written = names(out)
 
     def report(progress):
         if progress.done == at:
@@ -184,7 +185,14 @@ def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, comparison, scan, p
     with pytest.raises(Cancelled):
         export_comparison(out, comparison, scan, photo, force=True, report=report)
     assert names(tmp_path) == ["out"]
-    assert names(out) == ["old.txt"]
+    assert names(out) == written
+    assert (out / "table.md").read_text(encoding="utf-8") == "old"
+    export_comparison(out, comparison, scan, photo, force=True)
+    assert names(out) == written
+    assert (out / "table.md").read_text(encoding="utf-8") != "old"
+    (out / "registered_by_hand.png").write_bytes(b"mine")
+    with pytest.raises(ExportError, match=r"holds registered_by_hand\.png beside comparison\.json"):
+        export_comparison(out, comparison, scan, photo, force=True)
 
 
 def test_a_folder_with_an_input_is_kept_and_nothing_is_left_of_nothing(tmp_path, comparison, scan, photo) -> None:

@@ -7,14 +7,29 @@ import pytest
 from PIL import Image
 
 from ladarreg_core.errors import Cancelled, ExportError
-from ladarreg_core.export import folder as folder_module
-from ladarreg_core.export.folder import FILE_NAMES, export_registration
+from ladarreg_core.export import staging
+from ladarreg_core.export.documents import write_document
+from ladarreg_core.export.folder import FILE_NAMES, export_registration, write_folder
+from ladarreg_core.export.registration_json import registration_document
 from ladarreg_core.smoothed_scan import SmoothedScan
 from tests.unit.export.samples import sample_registration
 
 
 def names(path):
     return sorted(entry.name for entry in path.iterdir())
+
+
+def earlier(out, *, accepted=True, **more):
+    """Write what an earlier run left, with something in it that no later one writes."""
+    out.mkdir(parents=True)
+    write_document(out / "registration.json", registration_document(sample_registration(accepted=accepted)))
+    for name in FILE_NAMES[1:] if accepted else ():
+        (out / name).write_text("old", encoding="utf-8")
+    return {path.name: path.read_bytes() for path in out.iterdir()}
+
+
+def held(out):
+    return {path.name: path.read_bytes() for path in out.iterdir()}
 
 
 def test_an_accepted_registration_writes_everything(tmp_path, registration, scan, photo):
@@ -65,16 +80,44 @@ def test_every_picture_is_of_the_camera_that_was_estimated(tmp_path, registratio
         assert (tmp_path / "given" / name).read_bytes() != (tmp_path / "estimated" / name).read_bytes(), name
 
 
-def test_an_existing_folder_is_refused_or_replaced(tmp_path, registration, scan, photo):
+def test_results_are_refused_or_replaced(tmp_path, registration, scan, photo):
     out = tmp_path / "out"
-    out.mkdir()
-    (out / "old.txt").write_text("old", encoding="utf-8")
-    with pytest.raises(ExportError, match="--force"):
+    old = earlier(out)
+    with pytest.raises(ExportError, match=r"earlier results .*--force"):
         export_registration(out, registration, scan, photo)
-    assert names(out) == ["old.txt"]
+    assert held(out) == old
     export_registration(out, registration, scan, photo, force=True)
     assert names(out) == sorted(FILE_NAMES)
+    assert b"old" not in held(out).values()
     assert names(tmp_path) == ["out"]
+
+
+def test_results_that_were_refused_are_replaced_without_being_asked(tmp_path, registration, scan, photo):
+    earlier(tmp_path / "alone", accepted=False)
+    export_registration(tmp_path / "alone", registration, scan, photo)
+    assert names(tmp_path / "alone") == sorted(FILE_NAMES)
+    old = earlier(tmp_path / "beside", accepted=False)
+    (tmp_path / "beside" / "labels.png").write_bytes(b"mine")
+    with pytest.raises(ExportError, match="earlier results"):
+        export_registration(tmp_path / "beside", registration, scan, photo)
+    assert held(tmp_path / "beside") == {**old, "labels.png": b"mine"}
+
+
+def test_files_of_ones_own_choice_belong_to_the_results(tmp_path, registration, scan, photo):
+    more = [(name, lambda path: path.write_text("new")) for name in ("matches.json", "my matches.csv")]
+    export_registration(tmp_path / "out", registration, scan, photo, more=more)
+    with pytest.raises(ExportError, match=r"holds my matches\.csv beside registration\.json, which"):
+        export_registration(tmp_path / "out", registration, scan, photo, force=True)
+    export_registration(tmp_path / "out", registration, scan, photo, more=more, force=True)
+    assert names(tmp_path / "out") == sorted([*FILE_NAMES, "matches.json", "my matches.csv"])
+
+
+@pytest.fixture(params=["exchanged", "set aside"])
+def way(request, monkeypatch):
+    """Both ways of putting a folder into the place of another, on every system that has both."""
+    if request.param == "set aside":
+        monkeypatch.setattr(staging, "_exchanged", lambda first, second: False)
+    return request.param
 
 
 @pytest.mark.parametrize("stop", [Cancelled, KeyboardInterrupt, MemoryError])
@@ -82,9 +125,7 @@ def test_an_existing_folder_is_refused_or_replaced(tmp_path, registration, scan,
 @pytest.mark.parametrize("existing", [False, True])
 def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, registration, assessment, scan, photo, stop, at, existing):
     out = tmp_path / "new" / "out"
-    if existing:
-        out.mkdir(parents=True)
-        (out / "old.txt").write_text("old", encoding="utf-8")
+    old = earlier(out) if existing else {}
 
     def report(progress):
         if progress.done == at:
@@ -95,16 +136,13 @@ def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, registration, asses
     assert names(tmp_path) == (["new"] if existing else [])
     if existing:
         assert names(tmp_path / "new") == ["out"]
-        assert names(out) == ["old.txt"]
+        assert held(out) == old
 
 
 @pytest.mark.parametrize("failing", [1, 2])
-def test_a_rename_that_fails_or_is_interrupted_restores_the_old_folder(
-    tmp_path, registration, scan, photo, failing, monkeypatch
-):
+def test_a_rename_that_fails_restores_the_old_folder(tmp_path, registration, scan, photo, failing, monkeypatch):
     out = tmp_path / "out"
-    out.mkdir()
-    (out / "old.txt").write_text("old", encoding="utf-8")
+    old = earlier(out)
     real, calls = os.rename, []
 
     def rename(source, target):
@@ -113,18 +151,19 @@ def test_a_rename_that_fails_or_is_interrupted_restores_the_old_folder(
             raise OSError(28, "No space left on device")
         real(source, target)
 
-    monkeypatch.setattr(folder_module.os, "rename", rename)
+    monkeypatch.setattr(staging, "_exchanged", lambda first, second: False)
+    monkeypatch.setattr(staging.os, "rename", rename)
     with pytest.raises(ExportError, match="no space left"):
         export_registration(out, registration, scan, photo, force=True)
     assert names(tmp_path) == ["out"]
-    assert names(out) == ["old.txt"]
+    assert held(out) == old
 
 
 def test_an_interruption_just_after_the_last_rename_keeps_the_new_folder(
     tmp_path, registration, scan, photo, monkeypatch
 ):
     out = tmp_path / "out"
-    out.mkdir()
+    earlier(out)
     real = os.rename
 
     def rename(source, target):
@@ -132,11 +171,44 @@ def test_an_interruption_just_after_the_last_rename_keeps_the_new_folder(
         if target == out:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(folder_module.os, "rename", rename)
+    monkeypatch.setattr(staging, "_exchanged", lambda first, second: False)
+    monkeypatch.setattr(staging.os, "rename", rename)
     with pytest.raises(KeyboardInterrupt):
         export_registration(out, registration, scan, photo, force=True)
     assert names(tmp_path) == ["out"]
     assert names(out) == sorted(FILE_NAMES)
+
+
+def test_a_file_that_appears_at_the_last_moment_is_kept(tmp_path, registration, scan, photo, monkeypatch, way):
+    out = tmp_path / "out"
+    old = earlier(out)
+    real = staging.put_in_place
+
+    def put_in_place(new, target, verify):
+        (out / "IMG_0001.jpg").write_bytes(b"just saved")
+        real(new, target, verify)
+
+    monkeypatch.setattr("ladarreg_core.export.folder.put_in_place", put_in_place)
+    with pytest.raises(ExportError, match=r"holds IMG_0001\.jpg beside registration\.json"):
+        export_registration(out, registration, scan, photo, force=True)
+    assert names(tmp_path) == ["out"]
+    assert held(out) == {**old, "IMG_0001.jpg": b"just saved"}
+
+
+def test_two_at_once_replace_one_after_the_other_or_are_refused(tmp_path, way):
+    out = tmp_path / "out"
+    earlier(out)
+
+    def inner(path):
+        path.write_bytes(b"inner")
+        write_folder(out, lambda: [("registration.json", document)], force=True)
+
+    def document(path):
+        write_document(path, registration_document(sample_registration(accepted=False)))
+
+    write_folder(out, lambda: [("registration.json", document), ("labels.png", inner)], force=True)
+    assert names(tmp_path) == ["out"]
+    assert held(out)["labels.png"] == b"inner"
 
 
 def test_places_that_cannot_be_are_refused_in_one_line(tmp_path, registration, scan, photo, monkeypatch):

@@ -1,0 +1,47 @@
+"""Results in one zip file, which is there wholly or not at all."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ladarreg_core.export.files import cannot_write, sync_folder
+from ladarreg_core.export.folder import FileJob
+from ladarreg_core.export.staging import clear_leftovers, staging_folder
+from ladarreg_core.progress import Progress, Report
+
+
+def write_zip(path: str | Path, files: Callable[[], Sequence[FileJob]], *, report: Report | None = None) -> None:
+    """Write files into a zip file; one of that name is replaced.
+
+    All is written beside it first, so that an error, an interruption or a `report` that raises leaves what was there.
+
+    Args:
+        path: the zip file; its folder exists, and is one that only this program writes into.
+        files: returns the names and writers.
+        report: told before each file and at the end.
+
+    Raises:
+        ExportError: if it cannot be written.
+    """
+    target = Path(os.path.abspath(path))
+    clear_leftovers(target.parent, more_names=[target.name])
+    try:
+        jobs = files()
+        with staging_folder(target, more_names=[target.name, *(name for name, _ in jobs)]) as folder:
+            packed = folder / target.name
+            with zipfile.ZipFile(packed, "w", compression=zipfile.ZIP_DEFLATED, compresslevel=1) as file:
+                for done, (name, write) in enumerate(jobs):
+                    if report is not None:
+                        report(Progress(done, len(jobs), f"writing {name}"))
+                    write(folder / name)
+                    file.write(folder / name, name)
+                    (folder / name).unlink()
+            if report is not None:
+                report(Progress(len(jobs), len(jobs), "written"))
+            os.replace(packed, target)
+            sync_folder(target.parent)
+    except OSError as error:
+        raise cannot_write(target, error) from None
