@@ -8,6 +8,7 @@ to say.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, TypeVar
 
 import msgspec
@@ -86,7 +87,7 @@ def _things(before: Sequence[Any], after: Sequence[Any]) -> Change:
 
 
 def _changed(before: T, change: Any, find: FindArrays) -> T:
-    kinds = {field.name: field.type for field in msgspec.structs.fields(before)}
+    kinds = _kinds(type(before))
     found = {
         name: _things_changed(getattr(before, name), value, _LISTS[name], find)
         if name in _LISTS
@@ -97,6 +98,11 @@ def _changed(before: T, change: Any, find: FindArrays) -> T:
     if isinstance(after, PickEntry):
         after.as_pick()  # it checks itself
     return after
+
+
+@cache
+def _kinds(of: type[msgspec.Struct]) -> dict[str, Any]:
+    return {field.name: field.type for field in msgspec.structs.fields(of)}
 
 
 def _things_changed(before: Sequence[Any], change: Any, kind: type[Any], find: FindArrays) -> tuple[Any, ...]:

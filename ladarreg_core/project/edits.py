@@ -231,7 +231,9 @@ def weight(value: object) -> float:
     found = finite(value)
     if found is None or not least <= found <= most:
         shown = "no number" if found is None else f"{found:g}"
-        raise OptionError(f"the weight of a match is {shown}; it must be a positive number from {least:g} to {most:g}")
+        raise OptionError(
+            f"the weight of a match is {shown}; it must be a positive number from {least:.6f} to {most:,.0f}"
+        )
     return found
 
 
