@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -20,7 +21,10 @@ if TYPE_CHECKING:
 Fields = Mapping[str, Any]
 Answer = dict[str, Any]
 Command = Callable[["Workbench", "Person", Fields], Answer]
+log = logging.getLogger(__name__)
 _MOST_NAME = 80
+_MOST_PATH, _MOST_PART = 4000, 255
+_QUOTED, _LONGEST_SENTENCE = 40, 600
 _FOCALS = {
     "focal_px": "the focal length",
     "focal_mm": "the focal length",
@@ -31,14 +35,23 @@ _FOCALS = {
 
 def answer(workbench: Workbench, person: Person, message: Fields) -> Answer:
     """Do what a page asks for and return its reply; whatever goes wrong is a sentence."""
-    number = message.get("id")
-    command = COMMANDS.get(str(message.get("do")))
+    number, do = message.get("id"), message.get("do")
+    number = number if isinstance(number, int | str) else None
+    command = COMMANDS.get(do) if isinstance(do, str) else None
     try:
         if command is None:
-            raise OptionError(f"there is no command {str(message.get('do'))[:40]!r}")
+            raise OptionError(f"there is no command {_shown(do)}")
         return {"reply": number, "ok": True, **command(workbench, person, message)}
     except LadarregError as error:
         return {"reply": number, "ok": False, "error": _sentence(str(error))}
+    except OSError as error:
+        log.warning("%s: %s", do, error)
+        reason = f"the system refuses: {(error.strerror or type(error).__name__).lower()}"
+        return {
+            "reply": number,
+            "ok": False,
+            "error": _sentence(f"{reason}; check the path, its permissions and the space"),
+        }
     except Exception as error:
         workbench.log_fault(error)
         return {"reply": number, "ok": False, "error": f"This is a fault of the program ({type(error).__name__})."}
@@ -51,7 +64,7 @@ def add_pick(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     kind = fields.get("kind")
     if kind not in ("point", "line"):
         raise OptionError("a match is a 'point' or a 'line'")
-    pick = Pick("new", kind, edits.rows(fields.get("scan"), 3), edits.rows(fields.get("photo_uv"), 2))  # type: ignore[arg-type]
+    pick = Pick("new", kind, edits.rays(fields.get("scan")), edits.pixels(fields.get("photo_uv")))  # type: ignore[arg-type]
     made: tuple[str, ...] = ()
 
     def edit(photo: PhotoEntry) -> PhotoEntry:
@@ -68,14 +81,16 @@ def set_pick(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Move a match, switch it, or weigh it."""
     changed: dict[str, Any] = {}
     if "scan" in fields:
-        changed["scan"] = edits.rows(fields["scan"], 3)
+        changed["scan"] = edits.rays(fields["scan"])
     if "photo_uv" in fields:
-        changed["photo"] = edits.rows(fields["photo_uv"], 2)
+        changed["photo"] = edits.pixels(fields["photo_uv"])
     if "on" in fields:
         changed["on"] = _switch(fields["on"])
     if "weight" in fields:
-        changed["weight"] = _positive(fields["weight"], "the weight", most=1e6)
-    name = str(fields.get("pick"))
+        changed["weight"] = edits.weight(fields["weight"])
+    name = fields.get("pick")
+    if not isinstance(name, str):
+        raise OptionError("say which match; none is chosen")
     entry = edits.the_photo(workbench.session.document, fields.get("photo"))
     pick = entry.pick(name)
     number = pick.number if pick else "?"
@@ -91,15 +106,17 @@ def set_pick(workbench: Workbench, person: Person, fields: Fields) -> Answer:
 def remove_picks(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Remove matches."""
     ids = _names(fields.get("picks"))
-    _edit_photo(workbench, person, fields, f"Remove {_count(ids)}", lambda p: edits.without_picks(p, ids))
+    there = _those_there(workbench, fields, ids)
+    _edit_photo(workbench, person, fields, f"Remove {_count(there)}", lambda p: edits.without_picks(p, there))
     return {}
 
 
 def switch_picks(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Switch matches on or off."""
     ids, on = _names(fields.get("picks")), _switch(fields.get("on"))
-    label = f"Switch {'on' if on else 'off'} {_count(ids)}"
-    _edit_photo(workbench, person, fields, label, lambda p: edits.switched(p, dict.fromkeys(ids, on)))
+    there = _those_there(workbench, fields, ids)
+    label = f"Switch {'on' if on else 'off'} {_count(there)}"
+    _edit_photo(workbench, person, fields, label, lambda p: edits.switched(p, dict.fromkeys(there, on)))
     return {}
 
 
@@ -138,7 +155,10 @@ def set_camera(workbench: Workbench, person: Person, fields: Fields) -> Answer:
 
 def set_settings(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Change thresholds and choices."""
+    from app.settings_shown import check_bounds
+
     values = {name: value for name, value in fields.items() if name not in ("id", "do")}
+    check_bounds(values)
 
     def edit(document: Document) -> Document:
         return msgspec.structs.replace(document, settings=document.settings.changed(values))
@@ -167,7 +187,7 @@ def remove_photo(workbench: Workbench, person: Person, fields: Fields) -> Answer
 def use_stage(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Have another stage's answer count."""
     stage = fields.get("stage")
-    label = f"Show {str(stage).replace('_', ' ')}"
+    label = f"Show {stage.replace('_', ' ')}" if isinstance(stage, str) else "Show"
     _edit_photo(workbench, person, fields, label, lambda p: edits.with_stage(p, stage))
     return {}
 
@@ -187,8 +207,8 @@ def redo(workbench: Workbench, person: Person, fields: Fields) -> Answer:
 def go_to(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Go to a step of the history."""
     number = fields.get("n")
-    if isinstance(number, bool) or not isinstance(number, int):
-        raise OptionError("a step of the history is a number")
+    if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**53:
+        raise OptionError("a step of the history is a number of 0 or more")
     workbench.session.go_to(number)
     return {}
 
@@ -237,22 +257,22 @@ def predict(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     entry = edits.the_photo(workbench.session.document, fields.get("photo"))
     partners = workbench.partners(entry)
     if fields.get("side") == "scan":
-        rows = partners.in_photo(edits.rows(fields.get("scan"), 3))
+        rows = partners.in_photo(edits.rays(fields.get("scan")))
         return {"photo_uv": _or_none(rows.tolist())}
-    rows = partners.on_scan(edits.rows(fields.get("photo_uv"), 2))
+    rows = partners.on_scan(edits.pixels(fields.get("photo_uv")))
     return {"scan": _or_none(rows.tolist())}
 
 
 def where(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Return where the shown pose puts a ray."""
     entry = edits.the_photo(workbench.session.document, fields.get("photo"))
-    rows = workbench.partners(entry).in_photo(edits.rows([fields.get("scan")], 3))
+    rows = workbench.partners(entry).in_photo(edits.rays([fields.get("scan")]))
     return {"photo_uv": _or_none(rows.tolist())[0]}
 
 
 def snap(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Return the corner next to a pixel."""
-    at = edits.rows([fields.get("at")], 2)[0]
+    at = edits.pixels([fields.get("at")])[0]
     view = fields.get("view", 0)
     found = workbench.corner_near(fields.get("side"), view if isinstance(view, int) else 0, fields.get("photo"), at)
     return {"at": list(at) if found is None else found, "found": found is not None}
@@ -260,35 +280,35 @@ def snap(workbench: Workbench, person: Person, fields: Fields) -> Answer:
 
 def sample_line(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Return the samples of a line that is being drawn."""
-    return workbench.sampled(edits.rows(fields.get("scan"), 3))
+    return workbench.sampled(edits.rays(fields.get("scan")))
 
 
 def probe(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Return what the scan measured along a ray."""
-    return workbench.probed(edits.rows([fields.get("scan")], 3)[0])
+    return workbench.probed(edits.rays([fields.get("scan")])[0])
 
 
 def run(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Begin a job."""
-    return {"job": workbench.run(str(fields.get("job")), fields.get("photo"), person)}
+    job = fields.get("job")
+    if not isinstance(job, str):
+        raise OptionError("say which job")
+    return {"job": workbench.run(job, fields.get("photo"), person)}
 
 
 def job_control(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Pause, resume, stop, step or slow down the job."""
-    workbench.runner.control(str(fields.get("action")), fields.get("value"))
+    action = fields.get("action")
+    if not isinstance(action, str):
+        raise OptionError("say what the job shall do: pause, resume, stop, step or speed")
+    workbench.runner.control(action[:_MOST_NAME], fields.get("value"))
     return {}
 
 
 def export_folder(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Write the results into a folder of the server's machine."""
-    folder = fields.get("folder")
-    if not isinstance(folder, str) or not folder.strip():
-        raise OptionError("give the folder that the results shall go to")
-    return {
-        "job": workbench.run_export(
-            Path(folder.strip()), fields.get("photo"), person, force=fields.get("force") is True
-        )
-    }
+    folder = _folder(fields.get("folder"))
+    return {"job": workbench.run_export(folder, fields.get("photo"), person, force=fields.get("force") is True)}
 
 
 COMMANDS: dict[str, Command] = {
@@ -328,6 +348,26 @@ def _names(value: object) -> list[str]:
     return value
 
 
+def _those_there(workbench: Workbench, fields: Fields, ids: list[str]) -> list[str]:
+    """Return which of some ids are matches of the photograph, each once."""
+    wanted = frozenset(ids)
+    return [
+        pick.id for pick in edits.the_photo(workbench.session.document, fields.get("photo")).picks if pick.id in wanted
+    ]
+
+
+def _folder(value: object) -> Path:
+    """Return the path of a folder, if a system could have one of that name."""
+    text = value.strip() if isinstance(value, str) else ""
+    if not text:
+        raise OptionError("give the folder that the results shall go to")
+    if not text.isprintable():
+        raise OptionError("the folder's path holds control characters; write it anew")
+    if len(text.encode()) > _MOST_PATH or any(len(part.encode()) > _MOST_PART for part in Path(text).parts):
+        raise OptionError(f"the folder's path is too long: {_MOST_PATH} bytes are the most, {_MOST_PART} for each name")
+    return Path(text)
+
+
 def _name(value: object) -> str:
     words = " ".join(str(value).split()) if isinstance(value, str) else ""
     words = "".join(c for c in words if c.isprintable())[:_MOST_NAME]
@@ -343,10 +383,20 @@ def _switch(value: object) -> bool:
 
 
 def _positive(value: object, what: str, *, most: float = 1e9) -> float:
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not number or not 0 < value <= most:  # type: ignore[operator]
-        raise OptionError(f"{what.replace('_', ' ')} is {str(value)[:20]}; it must be a positive number")
-    return float(value)  # type: ignore[arg-type]
+    number = edits.finite(value)
+    if number is None or not 1 / most <= number <= most:
+        raise OptionError(f"{what} is {_shown(value)}; it must be a positive number, at most {most:g}")
+    return number
+
+
+def _shown(value: object) -> str:
+    """Return a value as an error quotes it: short, whatever a page sent."""
+    if isinstance(value, str):
+        return repr(value[:_QUOTED])
+    number = edits.finite(value)
+    if number is not None:
+        return f"{number:g}"
+    return "nothing" if value is None else f"no number ({type(value).__name__})"
 
 
 def _count(ids: list[str]) -> str:
@@ -359,4 +409,6 @@ def _or_none(rows: list[list[float]]) -> list[list[float] | None]:
 
 def _sentence(text: str) -> str:
     words = " ".join(text.split())
+    if len(words) > _LONGEST_SENTENCE:
+        words = f"{words[:_LONGEST_SENTENCE]}..."
     return f"{words[:1].upper()}{words[1:]}" + ("" if words.endswith((".", "!", "?")) else ".")

@@ -34,7 +34,7 @@ class Files:
         self.look_again()
 
     def take(self, path: Path, name: str, what: str, photo: str | None, author: str) -> str:
-        """Open a file that was uploaded; where it is refused it is removed.
+        """Open a file that was uploaded; where it is refused it is removed, but never once it is in the project.
 
         Raises:
             LadarregError: if it is not what it is said to be.
@@ -42,7 +42,8 @@ class Files:
         try:
             return self.open(path, name, what, photo, author)
         except BaseException:
-            path.unlink(missing_ok=True)
+            if not self._is_of_the_project(path):
+                path.unlink(missing_ok=True)
             raise
 
     def open_served(self, path: str, what: str, photo: str | None, author: str) -> str:
@@ -53,8 +54,12 @@ class Files:
         """
         if self._served is None:
             raise OptionError("no folder is served; start with --folder, or upload the file")
-        wanted = (self._served / path).resolve()
-        if not wanted.is_relative_to(self._served) or not wanted.is_file():
+        try:
+            wanted = (self._served / path).resolve()
+            there = wanted.is_relative_to(self._served) and wanted.is_file()
+        except (OSError, ValueError, RuntimeError):  # too long, a NUL, links in a circle
+            there = False
+        if not there:
             raise OptionError("there is no such file in the served folder; look again")
         return self.open(wanted, wanted.name, what, photo, author)
 
@@ -66,7 +71,13 @@ class Files:
         """
         if what not in get_args(What):
             raise OptionError(f"a file is opened as {', '.join(get_args(What))}")
-        source = Source(path=self._workbench.session.folder.relative(path), name=name, size=path.stat().st_size)
+        if not _is_text(name) or not _is_text(str(path)):
+            raise OptionError("the file's name, or its folder's, is no Unicode text; rename it")
+        try:
+            size = path.stat().st_size
+        except OSError as error:
+            raise OptionError(f"the file cannot be read: {error.strerror or error}; choose another") from None
+        source = Source(path=self._workbench.session.folder.relative(path), name=name, size=size)
         if what == "scan":
             return self._scan(source, author)
         if what == "photo":
@@ -81,7 +92,7 @@ class Files:
 
     def _scan(self, source: Source, author: str) -> str:
         room, session = self._workbench.room, self._workbench.session
-        room.kept("scan", source, lambda: room.read_scan(source))
+        room.try_scan(source)  # before the commit: a scan that cannot be viewed would keep everybody out
         name = session.document.name
 
         def edit(document: Document) -> Document:
@@ -118,6 +129,16 @@ class Files:
         self._edit(entry, f"Read {len(picks)} matches of {name}", lambda p: edits.with_picks(p, picks)[0], author)
         return entry.id
 
+    def _is_of_the_project(self, path: Path) -> bool:
+        """Return whether any step of the history refers to a file."""
+        session = self._workbench.session
+        name = session.folder.relative(path)
+        for document in {id(entry.document): entry.document for entry in session.history.entries}.values():
+            sources = [document.scan, *(s for p in document.photos for s in (p.source, p.camera.file))]
+            if any(source is not None and source.path == name for source in sources):
+                return True
+        return False
+
     def _photo_meant(self, photo: str | None) -> PhotoEntry:
         if photo:
             return edits.the_photo(self._workbench.session.document, photo)
@@ -141,7 +162,7 @@ class Files:
             for name in sorted(names):
                 path = here / name
                 kind = _kind(path)
-                if kind is None or name.startswith("."):
+                if kind is None or name.startswith(".") or not _is_text(str(path)):
                     continue
                 try:
                     size = path.stat().st_size
@@ -173,3 +194,12 @@ def _kind(path: Path) -> str | None:
     except LadarregError:
         return None
     return found if found in get_args(What) else None
+
+
+def _is_text(name: str) -> bool:
+    """Return whether a name can be written and sent: on some systems a file's name is any bytes."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _JPEG_ABOVE_PIXELS = 2_500_000
 _JPEG_QUALITY = 93
+_MOST_DIGITS = 9
 
 
 class Pictures:
@@ -67,6 +68,8 @@ class Pictures:
                 self._scan({})
             except LadarregError as error:
                 log.debug("there is nothing to draw: %s", error)
+            except Exception:  # whoever asks for the picture is told
+                log.exception("the scan could not be drawn")
 
         threading.Thread(target=draw, name="picture", daemon=True).start()
 
@@ -123,8 +126,8 @@ class Pictures:
         if not views:
             raise OptionError("there is no scan; open one")
         index = query.get("view", "0")
-        if not index.isdecimal() or int(index) >= len(views):
-            raise OptionError(f"there is no view {index!r}; the scan has {len(views)}")
+        if not index.isdecimal() or len(index) > _MOST_DIGITS or int(index) >= len(views):
+            raise OptionError(f"there is no view {index[:20]!r}; the scan has {len(views)}")
         return views[int(index)].view
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -10,10 +11,12 @@ from dataclasses import dataclass
 
 from app.quiet import Quiet
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.project.changes import check_readable
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 
+log = logging.getLogger(__name__)
 Edit = Callable[[Document], Document]
 _ONE_MOVE_S = 1.5
 """Moves of the same end that follow each other as quickly are one step of the history."""
@@ -68,7 +71,10 @@ class Session:
         return self._unsaved
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
-        """Have a listener called after each change, in their order; return what ends that."""
+        """Have a listener called after each change, in their order; return what ends that.
+
+        An exception in a listener is logged: the commit stands, and the other listeners are called all the same.
+        """
         with self._lock:
             self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
@@ -83,13 +89,15 @@ class Session:
             one_move: names a movement; edits of the same one that follow quickly become one step.
 
         Raises:
-            LadarregError: whatever the edit refuses; nothing has changed then.
+            LadarregError: whatever the edit refuses, or a document that could not be read again; nothing has changed
+                then.
         """
         with self._lock:
             before = self.document
             after = edit(before)
             if after is before or after == before:
                 return before
+            check_readable(before, after)
             clock = time.monotonic()
             amends = bool(one_move) and self._goes_on(one_move, author, clock)
             if amends:
@@ -164,7 +172,10 @@ class Session:
     def _tell(self, before: Document) -> None:
         change = Change(before, self.document)
         for listener in list(self._listeners):
-            listener(change)
+            try:
+                listener(change)
+            except Exception:
+                log.exception("a listener failed after a change")
 
 
 def now() -> str:

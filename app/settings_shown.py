@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
+
+from ladarreg_core.errors import OptionError
+from ladarreg_core.project.edits import finite
 
 if TYPE_CHECKING:
     from ladarreg_core.project.settings import Settings
@@ -66,6 +70,23 @@ WORDS = {
     "focal": "focal length free",
     "focal_k1": "focal length and k1 free",
 }
+
+
+def check_bounds(values: Mapping[str, Any]) -> None:
+    """Refuse numbers beyond what the page says of a setting.
+
+    Raises:
+        OptionError: naming the setting and its bounds.
+    """
+    for name, value in values.items():
+        shown = SHOWN.get(name)
+        if shown is None or shown.least is None or shown.most is None or isinstance(value, bool):
+            continue  # what is no number is checked with the setting's type
+        if isinstance(value, int | float) and not shown.least <= value <= shown.most:
+            number = finite(value)
+            found = "too large" if number is None else f"{number:g}"
+            unit = f" {shown.unit}" if shown.unit else ""
+            raise OptionError(f"{shown.label} is {found}; it must be from {shown.least:g} to {shown.most:g}{unit}")
 
 
 def settings_shown(settings: Settings) -> dict[str, dict[str, Any]]:

@@ -49,23 +49,29 @@ def entry_shown(entry: Entry) -> dict[str, Any]:
 
 
 def scan_slice(room: Workroom, document: Document) -> dict[str, Any] | None:
-    """Return the scan and its views; with `error` where its file cannot be read any more."""
+    """Return the scan and its views; with `error` where it cannot be read any more, or not be viewed."""
+    from ladarreg_core.inspection.views import resolution_note
+
     source = document.scan
     if source is None:
         return None
     try:
         scan, views = room.scan(document), room.views(document)
     except LadarregError as error:
-        return {"id": "missing", "name": source.name, "error": str(error), "views": [], "notes": []}
+        return _missing_scan(source.name, str(error))
+    except Exception as error:  # what one scan does must not keep everybody out
+        log.exception("the scan")
+        return _missing_scan(source.name, f"it cannot be read ({type(error).__name__}); open another scan")
     assert scan is not None
     rows, columns = scan.shape
+    note = resolution_note(scan, views)
     return {
         "id": f"s{_mark(source)}",
         "name": source.name,
         "rows": rows,
         "columns": columns,
         "returns": int(scan.valid.sum()),
-        "notes": list(scan.notes),
+        "notes": [*scan.notes, *([note] if note else [])],
         "has_color": scan.color is not None,
         "has_intensity": True,
         "views": [
@@ -81,6 +87,10 @@ def scan_slice(room: Workroom, document: Document) -> dict[str, Any] | None:
             for named in views
         ],
     }
+
+
+def _missing_scan(name: str, error: str) -> dict[str, Any]:
+    return {"id": "missing", "name": name, "error": error, "views": [], "notes": []}
 
 
 def _mark(*known: Struct) -> str:
@@ -108,6 +118,10 @@ def photo_slice(room: Workroom, entry: PhotoEntry) -> dict[str, Any]:
             photo = room.photo_to_look_at(entry)
     except LadarregError as error:
         return {**found, "width": 0, "height": 0, "thermal": False, "error": str(error)}
+    except Exception as error:  # what one photograph does must not keep everybody out
+        log.exception("the photograph %s", entry.id)
+        trouble = f"it cannot be read ({type(error).__name__}); remove it, or open it anew"
+        return {**found, "width": 0, "height": 0, "thermal": False, "error": trouble}
     height, width = photo.pixels.shape[:2]
     found.update(width=width, height=height, thermal=photo.temperature_k is not None, notes=list(photo.notes))
     pose = entry.pose

@@ -70,9 +70,15 @@ class Teller:
             return dict(self._told)
 
     def tell(self, *, slow: bool = False) -> None:
-        """Tell what has changed; with `slow`, what takes time to compute follows."""
+        """Tell what has changed; with `slow`, what takes time to compute follows.
+
+        Never raises: whoever joins or edits must not be stopped by what cannot be shown.
+        """
         with self._lock:
-            self._tell_difference(self._quick(), slow=False)
+            try:
+                self._tell_difference(self._quick(), slow=False)
+            except Exception:
+                log.exception("slices could not be computed")
         if slow:
             self._quiet.ask()
 
@@ -80,8 +86,7 @@ class Teller:
         """Tell something that passes by."""
         with self._lock:
             listeners = list(self._listeners)
-        for listener in listeners:
-            listener(event)
+        _send(listeners, event)
 
     def close(self) -> None:
         """End the thread."""
@@ -102,8 +107,7 @@ class Teller:
         if changed or gone:
             self._version += 1
             message = {"slices": {**changed, **dict.fromkeys(gone)}, "version": self._version}
-            for listener in list(self._listeners):
-                listener(message)
+            _send(list(self._listeners), message)
 
     def _work(self) -> None:
         while self._quiet.wait():
@@ -116,6 +120,14 @@ class Teller:
                 self._last()
             except Exception:
                 log.exception("slices could not be computed")
+
+
+def _send(listeners: list[Callable[[Message], None]], message: Message) -> None:
+    for listener in listeners:
+        try:
+            listener(message)
+        except Exception:
+            log.exception("a listener failed at %s", message.get("event", "slices"))
 
 
 def _is_slow(name: str) -> bool:

@@ -25,7 +25,7 @@ from app.slices_of_poses import judged_slice, line_shown, poses_slice
 from app.stage_link import StageLink
 from app.teller import Teller
 from app.workroom import Workroom
-from ladarreg_core.errors import CameraError, LadarregError, OptionError
+from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.project import edits
 from ladarreg_core.project.edits import MOST_PHOTOS, the_photo
 
@@ -291,12 +291,13 @@ class Workbench:
         session, room = self.session, self.room
         document = session.document
         shown = self.shown
+        scan = room.kept("picture", ("scan slice", document.scan), lambda: scan_slice(room, document))
         with self._lock:
             names = [person.name for person in self._people]
         found: dict[str, Any] = {
-            "project": {**project_slice(session), "opened": self.said_at_start},
+            "project": {**project_slice(session), "opened": self._opened(scan)},
             "history": history_slice(session.history, self._entries_shown),
-            "scan": room.kept("picture", ("scan slice", document.scan), lambda: scan_slice(room, document)),
+            "scan": scan,
             "photos": [photo_slice(room, entry) for entry in document.photos],
             "shown": shown.id if shown else None,
             "settings": self.teller.once(document.settings, lambda: _settings(document.settings)),
@@ -312,6 +313,13 @@ class Workbench:
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
             found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
         return found
+
+    def _opened(self, scan: Mapping[str, Any] | None) -> str:
+        """Return what a page says when it comes."""
+        trouble = None if scan is None else scan.get("error")
+        if not trouble:
+            return self.said_at_start
+        return f"{self.said_at_start} The scan cannot be shown: {trouble}.".strip()
 
     def _shown_answer(self) -> PoseResult | None:
         shown = self.shown
@@ -377,8 +385,8 @@ class Workbench:
         """Load the scan before anybody asks for it."""
         try:
             self.room.views(self.session.document)
-        except (LadarregError, CameraError) as error:
-            log.info("the scan is missing: %s", error)
+        except LadarregError as error:
+            log.info("the scan cannot be shown: %s", error)
         self.pictures.draw_ahead()
         self.teller.tell(slow=True)
 

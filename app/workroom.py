@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from app.each_once import EachOnce
-from ladarreg_core.errors import CameraError, LadarregError
+from ladarreg_core.errors import CameraError, FormatError, LadarregError
 
 if TYPE_CHECKING:
     from ladarreg_core.assessment import Assessment
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
 
+log = logging.getLogger(__name__)
 T = TypeVar("T")
 _KEPT = {
     "scan": 1,
@@ -120,11 +122,24 @@ class Workroom:
         return read_photo(self._folder.source_path(entry.source.path), focal_mm=36.0, sensor_mm=36.0)
 
     def views(self, document: Document) -> tuple[NamedView, ...]:
-        """Return the views of the scan; none where no scan is open."""
-        from ladarreg_core.inspection.views import inspection_views
+        """Return the views of the scan; none where no scan is open.
 
+        Raises:
+            LadarregError: if its file cannot be read any more, or it cannot be viewed.
+        """
         scan = self.scan(document)
-        return () if scan is None else self.kept("views", document.scan, lambda: inspection_views(scan))
+        return () if scan is None else self.kept("views", document.scan, lambda: _views_of(scan))
+
+    def try_scan(self, source: Source) -> None:
+        """Read a scan and compute its views, and keep both; of one that is refused nothing is kept.
+
+        Raises:
+            LadarregError: if it cannot be read, or cannot be viewed.
+        """
+        scan = self.read_scan(source)
+        views = _views_of(scan)
+        self.kept("scan", source, lambda: scan)
+        self.kept("views", source, lambda: views)
 
     def answer(self, pose: PoseEntry) -> Registration:
         """Return a stage's answer."""
@@ -158,3 +173,19 @@ class Workroom:
         from ladarreg_core.inspection.judged import Measured
 
         return self.kept("measured", (id(scan), id(photo)), lambda: Measured(scan, photo))
+
+
+def _views_of(scan: Scan) -> tuple[NamedView, ...]:
+    from ladarreg_core.inspection.views import inspection_views
+
+    try:
+        return inspection_views(scan)
+    except LadarregError:
+        raise
+    except MemoryError:
+        raise FormatError("there is not enough memory for a view of the scan; open a smaller one") from None
+    except Exception as error:
+        log.exception("the views of a scan")
+        raise FormatError(
+            f"the scan cannot be drawn in perspective ({type(error).__name__}); check the file's angles or points"
+        ) from None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import ShapeError
@@ -42,14 +42,13 @@ class Pick:
         if self.kind not in ("point", "line"):
             raise ShapeError(f"match {self.id!r} is a {self.kind!r}; it must be a 'point' or a 'line'")
         ends = 1 if self.kind == "point" else 2
-        scan = np.array(read_only(self.scan, np.float64, (ends, 3), f"the scan side of match {self.id!r}"))
+        scan = read_only(self.scan, np.float64, (ends, 3), f"the scan side of match {self.id!r}")
         photo = read_only(self.photo, np.float64, (ends, 2), f"the photo side of match {self.id!r}")
-        length = np.linalg.norm(scan, axis=-1, keepdims=True)
-        if not (np.isfinite(scan).all() and np.isfinite(photo).all() and (length > 0).all()):
+        if not (np.isfinite(scan).all() and np.isfinite(photo).all() and scan.any(axis=-1).all()):
             raise ShapeError(f"match {self.id!r} has a coordinate that is not finite, or a ray of no length")
         if not (np.isfinite(self.weight) and self.weight > 0):
             raise ShapeError(f"match {self.id!r} has the weight {self.weight}; it must be positive")
-        object.__setattr__(self, "scan", read_only(scan / length, np.float64, (ends, 3), "rays"))
+        object.__setattr__(self, "scan", read_only(unit_rays(scan), np.float64, (ends, 3), "rays"))
         object.__setattr__(self, "photo", photo)
 
 
@@ -152,6 +151,16 @@ class Matches:
         """(M,) how many coordinates each is known in: 2, or 1 across a line."""
         assert self.across is not None
         return np.where(self.across, 1, 2)
+
+
+def unit_rays(vectors: FloatArray) -> NDArray[np.float64]:
+    """Return the directions (..., 3) of vectors (..., 3), float64, finite and not zero, whatever their length.
+
+    The vectors are scaled by a power of two first, which is exact: squares of 1e308 overflow, those of 1e-308 vanish.
+    """
+    _, exponent = np.frexp(np.abs(vectors).max(axis=-1, keepdims=True))
+    scaled = np.ldexp(vectors, -exponent)
+    return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
 
 
 def across_lines(matches: Matches, vectors: FloatArray) -> FloatArray:

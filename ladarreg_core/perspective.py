@@ -24,6 +24,9 @@ _DEPTH_EDGE = 0.04
 _OUTSIDE = -1e4
 _LONGEST_SIDE = 32_000
 _MOST_PIXELS = 100_000_000
+_MOST_PIXELS_PER_CELL = 16
+_LEAST_SHOWN_PX = 8
+_LARGEST_FOCAL_PX = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,23 +94,29 @@ def perspective_view(
     *,
     whole_scan: bool = False,
     view_from_scanner: Rigid | None = None,
+    most_pixels: int = _MOST_PIXELS,
 ) -> View:
     """Return the scan's intensity in perspective.
 
     Args:
         scan: the scan.
         camera: focal length and size of the picture, normally the photo's; its distortion is left out, and its
-            principal point moved to the middle. None: one pixel per cell, wide enough for the whole scan.
+            principal point moved to the middle. None: one pixel per cell, wide enough for the whole scan, but coarser
+            where it would have more than 16 times the scan's cells, 32,000 pixels a side, or `most_pixels`: a grid
+            that is finer in one direction than in the other has more pixels than cells.
         whole_scan: widen the picture until it holds every return, up to 120 degrees each way.
         view_from_scanner: where to look; its translation must be zero. None: along the mean valid direction, without
             roll.
+        most_pixels: of a view without `camera`.
 
     Returns:
         the view, filled by inverse mapping. Pixels that look past the grid have intensity 0.
 
     Raises:
-        OptionError: if `view_from_scanner` moves the centre, or the view would have more than 100 Mpixel.
-        DegenerateGeometryError: if no camera is given and the scan's rays do not spread.
+        OptionError: if `view_from_scanner` moves the centre, or the view would have more than 100 Mpixel or 32,000
+            pixels a side.
+        DegenerateGeometryError: if no camera is given and the scan's rays do not spread, or spread so little one way
+            that no picture of this many pixels shows its rows and columns.
 
     Source: thesis 2.2.2, Eq 2.2-2.5.
     """
@@ -118,14 +127,15 @@ def perspective_view(
         raise OptionError("the view is not taken from the scanner's centre; its transform must be a rotation only")
     turn = view_from_scanner or Rigid(look_along(scan.mean_direction), np.zeros(3))
     if camera is None:
-        camera, whole_scan = Camera.from_focal(2, 2, native_focal_px(scan)), True
-    ideal = Camera.from_focal(camera.width, camera.height, camera.focal_px)
-    if whole_scan:
-        ideal = _widened(ideal, scan, turn)
-    if ideal.width * ideal.height > _MOST_PIXELS:
+        ideal = _native_camera(scan, turn, most_pixels)
+    else:
+        ideal = Camera.from_focal(camera.width, camera.height, camera.focal_px)
+        if whole_scan:
+            ideal = _widened(ideal, _extent(scan, turn))
+    if ideal.width * ideal.height > _MOST_PIXELS or max(ideal.size) > _LONGEST_SIDE:
         raise OptionError(
-            f"the view would have {ideal.width:,} x {ideal.height:,} pixels; at most {_MOST_PIXELS:,} are made: take a "
-            "smaller picture or a shorter focal length"
+            f"the view would have {ideal.width:,} x {ideal.height:,} pixels; at most {_MOST_PIXELS:,} are made, and "
+            f"{_LONGEST_SIDE:,} a side: take a smaller picture or a shorter focal length"
         )
     cells = _cell_maps(scan, ideal, turn)
     return View(scan, ideal, turn, _values_at(scan.intensity, cells, cv2.INTER_LINEAR), cells)
@@ -143,15 +153,55 @@ def native_focal_px(scan: Scan) -> float:
             f"the scan's neighbouring rays are {finest:g} rad apart; they must spread along rows and columns: check "
             "the scan's angles or points"
         )
-    return float(1 / finest)
+    return float(min(1 / finest, _LARGEST_FOCAL_PX))
 
 
-def _widened(camera: Camera, scan: Scan, view_from_scanner: Rigid) -> Camera:
-    """Grow the picture, at the same focal length, until every return in front is inside."""
+def most_view_pixels(scan: Scan) -> int:
+    """Return how many pixels a view of a scan may have: 16 for each cell; more would only repeat its cells."""
+    return _MOST_PIXELS_PER_CELL * scan.ranges.size
+
+
+def check_viewable(scan: Scan, focal_px: float) -> None:
+    """Refuse a focal length, coarser than a pixel per cell, at which too little is left of the scan's rows or columns.
+
+    Raises:
+        DegenerateGeometryError: if a direction of more than 8 cells has fewer than 8 pixels.
+    """
+    spans = [cells * step for cells, step in zip(scan.shape, scan.geometry.step_rad, strict=True)]
+    if any(span * focal_px < min(_LEAST_SHOWN_PX, cells) for span, cells in zip(spans, scan.shape, strict=True)):
+        rows, columns = np.degrees(spans)
+        raise DegenerateGeometryError(
+            f"the scan's {scan.shape[0]} rows span {rows:.3g} deg and its {scan.shape[1]} columns {columns:.3g} deg, "
+            "which no picture shows together; check the file's angles per row and per column"
+        )
+
+
+def _native_camera(scan: Scan, view_from_scanner: Rigid, most_pixels: int) -> Camera:
+    """Return a camera that sees the whole scan at one pixel per cell, or as finely as the bounds allow."""
+    most = min(most_pixels, most_view_pixels(scan))
+    extent, native = _extent(scan, view_from_scanner), native_focal_px(scan)
+    focal = native
+    while True:
+        camera = _widened(Camera.from_focal(2, 2, focal), extent)
+        share = min(np.sqrt(most / (camera.width * camera.height)), _LONGEST_SIDE / max(camera.size))
+        if share >= 1:
+            break
+        focal *= min(float(share), 0.999)  # sizes are rounded up
+        check_viewable(scan, focal)
+    return camera
+
+
+def _extent(scan: Scan, view_from_scanner: Rigid) -> tuple[float, float]:
+    """Return how far the returns in front reach right or left and up or down, as tangents, within 120 degrees."""
     rays = scan.rays[scan.valid] @ view_from_scanner.rotation.T
     rays = rays[rays[:, 2] > np.cos(WIDEST_VIEW_RAD / 2) * 0.5]
-    limit = np.tan(WIDEST_VIEW_RAD / 2)
-    extent = [min(float(np.abs(rays[:, k] / rays[:, 2]).max(initial=0.0)), limit) for k in (0, 1)]
+    limit = float(np.tan(WIDEST_VIEW_RAD / 2))
+    across, down = (min(float(np.abs(rays[:, k] / rays[:, 2]).max(initial=0.0)), limit) for k in (0, 1))
+    return across, down
+
+
+def _widened(camera: Camera, extent: tuple[float, float]) -> Camera:
+    """Grow the picture, at the same focal length, until what reaches so far is inside."""
     width = max(camera.width, int(np.ceil(2 * extent[0] * camera.fx)) + 1)
     height = max(camera.height, int(np.ceil(2 * extent[1] * camera.fy)) + 1)
     return Camera.from_focal(width, height, camera.focal_px)

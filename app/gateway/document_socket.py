@@ -93,6 +93,7 @@ class DocumentSocket:
         except NotJson:
             return encode({"reply": None, "ok": False, "error": _NO_JSON})
         number = message.get("id")
+        number = number if isinstance(number, int | str) else None
         try:
             return encode({"reply": number} | self._workbench.answer(client, message))
         except Exception:

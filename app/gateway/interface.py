@@ -84,7 +84,10 @@ class Workbench(Protocol):
         """Return the folder that uploads are written to before they are looked at."""
 
     def take_upload(self, path: Path, name: str, what: str, photo: str | None, client: Any) -> str:
-        """Take a file that has arrived and return its id; raises `LadarregError`."""
+        """Take a file that has arrived and return its id; raises `LadarregError`.
+
+        The file is the workbench's from then on: it removes what it refuses, and never what is in the project.
+        """
 
     def export_file(self, photo: str) -> tuple[Path, str] | None:
         """Return the last export of a photograph and the name to save it by."""

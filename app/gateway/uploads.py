@@ -88,8 +88,7 @@ class Uploads:
         try:
             page = self._visitors.newest(browser)
             taken = await run_in_threadpool(self._workbench.take_upload, path, name, what, photo, page)
-        except Exception as error:  # not where we are stopped: the thread may be taking the file all the same
-            path.unlink(missing_ok=True)
+        except Exception as error:  # the workbench has removed the file, unless it is in the project
             if not isinstance(error, LadarregError):
                 raise
             # Readers name a file by where it lies, which is nobody's business.

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.matching.views import viewing_directions
-from ladarreg_core.perspective import View, native_focal_px, perspective_view
+from ladarreg_core.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
 from ladarreg_core.scan import Scan
 
 _MOST_PIXELS = 8_000_000
 _ONE_VIEW_HALF_RAD = math.radians(50.0)
 _FIELD_RAD = math.radians(90.0)
+_WORTH_SAYING = 1.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,26 +32,35 @@ class NamedView:
 def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
     """Return one view of all that a scan sees, or several beside each other where one would be too wide.
 
-    Each has about a pixel per cell, but no more than 8 Mpixel. Source: thesis 2.2.2.
+    Each has about a pixel per cell, but no more than 8 Mpixel, 16 pixels for each cell of the scan, or 32,000 pixels a
+    side; where that asks for it the views are coarser. Source: thesis 2.2.2.
+
+    Raises:
+        DegenerateGeometryError: if the scan spreads so little one way that no such view shows its rows and columns.
     """
     rays = scan.sampled_directions
     away = np.arccos(np.clip(rays @ scan.mean_direction, -1, 1))
-    focal = native_focal_px(scan)
     if float(np.percentile(away, 99)) <= _ONE_VIEW_HALF_RAD:
-        view = perspective_view(scan)
-        pixels = view.camera.width * view.camera.height
-        if pixels > _MOST_PIXELS:
-            share = math.sqrt(_MOST_PIXELS / pixels)
-            view = perspective_view(scan, Camera.from_focal(2, 2, focal * share), whole_scan=True)
-        return (NamedView(view, "the whole scan"),)
+        return (NamedView(perspective_view(scan, most_pixels=_MOST_PIXELS), "the whole scan"),)
+    focal = native_focal_px(scan)
     side = 2 * focal * math.tan(_FIELD_RAD / 2)
-    share = min(1.0, math.sqrt(_MOST_PIXELS) / side)
+    share = min(1.0, math.sqrt(min(_MOST_PIXELS, most_view_pixels(scan))) / side)
+    if share < 1:
+        check_viewable(scan, focal * share)
     camera = Camera.from_focal(max(2, round(side * share)), max(2, round(side * share)), focal * share)
     directions = sorted(viewing_directions(scan, camera), key=lambda d: -_azimuth(d.rotation[2]))
     return tuple(
         NamedView(perspective_view(scan, camera, view_from_scanner=d), _named(_azimuth(d.rotation[2])))
         for d in directions
     )
+
+
+def resolution_note(scan: Scan, views: Sequence[NamedView]) -> str | None:
+    """Return a sentence where views show fewer pixels than the scan has cells in its finer direction."""
+    cells = max((native_focal_px(scan) / named.view.camera.fx for named in views), default=1.0)
+    if cells < _WORTH_SAYING:
+        return None
+    return f"shown at one pixel for {cells:.2g} cells of its finer direction, which is as fine as a view is made"
 
 
 def _azimuth(forward: np.ndarray) -> float:

@@ -8,13 +8,14 @@ to say.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, TypeVar
 
 import msgspec
 from msgspec.structs import replace
 
 from ladarreg_core.errors import FormatError, LadarregError
-from ladarreg_core.project.codec import FindArrays, plain_as
+from ladarreg_core.project.codec import FindArrays, arrays_of, encode, plain_as
 from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
 
 Change = dict[str, Any]
@@ -25,6 +26,22 @@ _LISTS: Mapping[str, type[PhotoEntry] | type[PickEntry]] = {"photos": PhotoEntry
 def change_between(before: Document, after: Document) -> Change:
     """Return what makes `after` of `before`; `codec.encode` writes it."""
     return _fields(before, after)
+
+
+def check_readable(before: Document, after: Document) -> None:
+    """Write the change between two documents and read it again, as whoever opens the project will.
+
+    Raises:
+        FormatError: if it cannot be written, or would not be read.
+    """
+    arrays = arrays_of(after)
+    try:
+        written = msgspec.json.decode(encode(change_between(before, after)))
+        read = changed(before, written, arrays.__getitem__)
+    except (FormatError, msgspec.MsgspecError, NotImplementedError, TypeError, ValueError, RecursionError) as error:
+        raise FormatError(f"this cannot be kept in the project, so that nothing was changed: {error}") from None
+    if read != after:
+        raise FormatError("this would be read again as something else, so that nothing was changed")
 
 
 def changed(document: Document, change: object, find: FindArrays) -> Document:
@@ -70,7 +87,7 @@ def _things(before: Sequence[Any], after: Sequence[Any]) -> Change:
 
 
 def _changed(before: T, change: Any, find: FindArrays) -> T:
-    kinds = {field.name: field.type for field in msgspec.structs.fields(before)}
+    kinds = _kinds(type(before))
     found = {
         name: _things_changed(getattr(before, name), value, _LISTS[name], find)
         if name in _LISTS
@@ -81,6 +98,11 @@ def _changed(before: T, change: Any, find: FindArrays) -> T:
     if isinstance(after, PickEntry):
         after.as_pick()  # it checks itself
     return after
+
+
+@cache
+def _kinds(of: type[msgspec.Struct]) -> dict[str, Any]:
+    return {field.name: field.type for field in msgspec.structs.fields(of)}
 
 
 def _things_changed(before: Sequence[Any], change: Any, kind: type[Any], find: FindArrays) -> tuple[Any, ...]:
@@ -94,7 +116,9 @@ def _things_changed(before: Sequence[Any], change: Any, kind: type[Any], find: F
         for pick in new.picks if isinstance(new, PhotoEntry) else (new,):
             pick.as_pick()
         things[new.id] = new
-    order = change.get("order", list(things))
+    order = change.get("order")
+    if order is None:
+        return tuple(things.values())
     if sorted(order) != sorted(things):
         raise ValueError("the order names other things")
     return tuple(things[name] for name in order)

@@ -6,10 +6,11 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from msgspec.structs import replace
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.matches import Pick
+from ladarreg_core.matches import Pick, unit_rays
 from ladarreg_core.project.document import (
     STAGES,
     CameraGiven,
@@ -23,6 +24,11 @@ from ladarreg_core.project.document import (
 
 MOST_PHOTOS = 32
 MOST_PICKS = 5000
+MOST_PIXEL = 1e6
+"""A pixel of a match lies no farther than this from the picture's corner, along each side."""
+_LONGEST_LINE_RAD = math.radians(150)
+WEIGHTS = 1e-6, 1e6
+"""The least and the greatest weight of a match."""
 
 
 def with_scan(document: Document, scan: Source) -> Document:
@@ -77,7 +83,7 @@ def with_picks(photo: PhotoEntry, picks: Iterable[Pick]) -> tuple[PhotoEntry, tu
     """Return the photograph with picks more, under ids of its own, and these.
 
     Raises:
-        OptionError: if there would be too many.
+        OptionError: if there would be too many, or one has a pixel or a weight beyond all bounds.
     """
     new: list[PickEntry] = []
     number = photo.numbered
@@ -88,10 +94,10 @@ def with_picks(photo: PhotoEntry, picks: Iterable[Pick]) -> tuple[PhotoEntry, tu
                 id=str(number),
                 number=number,
                 kind=pick.kind,
-                scan=rows(pick.scan.tolist(), 3),
-                photo=rows(pick.photo.tolist(), 2),
-                on=pick.on,
-                weight=pick.weight,
+                scan=rays(pick.scan.tolist()),
+                photo=pixels(pick.photo.tolist()),
+                on=bool(pick.on),
+                weight=weight(pick.weight),
                 origin=pick.origin,
             )
         )
@@ -126,6 +132,7 @@ def changed_pick(photo: PhotoEntry, pick_id: str, fields: Mapping[str, Any]) -> 
 
     Raises:
         OptionError: if there is no such pick.
+        OptionError: if a new pixel or weight is beyond all bounds.
         ShapeError: if it would be no sound pick.
     """
     old = photo.pick(pick_id)
@@ -133,7 +140,12 @@ def changed_pick(photo: PhotoEntry, pick_id: str, fields: Mapping[str, Any]) -> 
         raise OptionError("the match is not there any more: somebody removed it")
     new = replace(old, **fields)
     sound = new.as_pick()
-    new = replace(new, scan=rows(sound.scan.tolist(), 3))
+    new = replace(
+        new,
+        scan=rays(sound.scan.tolist()) if "scan" in fields else old.scan,
+        photo=pixels(new.photo) if "photo" in fields else old.photo,
+        weight=weight(new.weight) if "weight" in fields else old.weight,
+    )
     return replace(photo, picks=tuple(new if p.id == pick_id else p for p in photo.picks))
 
 
@@ -172,11 +184,65 @@ def rows(values: object, columns: int) -> Rows:
     found = []
     for row in values:
         sound = isinstance(row, Sequence) and not isinstance(row, str | bytes) and len(row) == columns
-        if not sound or not all(_is_number(value) for value in row):
+        if not sound or any(finite(value) is None for value in row):
             raise OptionError(f"a coordinate is no list of {columns} numbers")
         found.append(tuple(float(value) for value in row))
     return tuple(found)
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def rays(values: object) -> Rows:
+    """Return one or two unit rays of vectors of any length.
+
+    Raises:
+        OptionError: if they are no rows of three finite numbers, one has no length, or two are more than 150 degrees
+            apart.
+    """
+    vectors = np.array(rows(values, 3))
+    if not vectors.any(axis=-1).all():
+        raise OptionError("a ray has no length; a ray is a direction [x, y, z]")
+    found = unit_rays(vectors)
+    if len(found) == 2 and float(found[0] @ found[1]) < math.cos(_LONGEST_LINE_RAD):
+        longest = math.degrees(_LONGEST_LINE_RAD)
+        raise OptionError(f"a line's ends are more than {longest:.0f} degrees apart; no picture shows such a line")
+    return rows(found.tolist(), 3)
+
+
+def pixels(values: object) -> Rows:
+    """Return one or two pixels.
+
+    Raises:
+        OptionError: if they are no rows of two finite numbers, or farther away than any picture reaches.
+    """
+    found = rows(values, 2)
+    if any(abs(value) > MOST_PIXEL for row in found for value in row):
+        raise OptionError(
+            f"a pixel lies more than {MOST_PIXEL:,.0f} px from the picture's corner; no picture is so large"
+        )
+    return found
+
+
+def weight(value: object) -> float:
+    """Return the weight of a match.
+
+    Raises:
+        OptionError: if it is no number within `WEIGHTS`.
+    """
+    least, most = WEIGHTS
+    found = finite(value)
+    if found is None or not least <= found <= most:
+        shown = "no number" if found is None else f"{found:g}"
+        raise OptionError(
+            f"the weight of a match is {shown}; it must be a positive number from {least:.6f} to {most:,.0f}"
+        )
+    return found
+
+
+def finite(value: object) -> float | None:
+    """Return a number as a finite float; None for anything else, a switch or an integer beyond 1.8e308 among it."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    try:
+        found = float(value)
+    except OverflowError:
+        return None
+    return found if math.isfinite(found) else None

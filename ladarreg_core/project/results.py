@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ladarreg_core.errors import FormatError, LadarregError
+from ladarreg_core.errors import DegenerateGeometryError, FormatError, LadarregError
 from ladarreg_core.export.documents import plain
 from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.frames import Rigid
@@ -32,7 +32,15 @@ def pose_entry(
         method: the registration method, where the result does not tell it.
         seconds: how long it took, where its steps do not tell it.
         note: a sentence of the estimator.
+
+    Raises:
+        DegenerateGeometryError: if its covariance or a noise is not finite: the file of a project holds numbers only.
     """
+    sigmas = [result.sigma_px, result.sigma_range_m, *result.camera_sigmas.values()]
+    if not (np.isfinite(result.covariance).all() and np.isfinite(sigmas).all()):
+        raise DegenerateGeometryError(
+            "the matches leave the pose undetermined, so that the answer is not kept; add more"
+        )
     arrays: dict[str, Any] = {name: getattr(result.matches, name) for name in _OF_MATCHES}
     arrays |= {name: getattr(result, name) for name in _OF_RESULT}
     arrays["pick_ids"] = np.array(result.matches.pick_ids, dtype=np.str_)

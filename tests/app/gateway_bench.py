@@ -101,6 +101,7 @@ class CountingBench:
     def take_upload(self, path: Path, name: str, what: str, photo: str | None, client: Page | None) -> str:
         data = path.read_bytes()
         if data.startswith(b"bad"):
+            path.unlink()
             raise FormatError(f"{path}: this is no scan; choose another than {path.name}")
         path.unlink()
         self.taken.append((name, what, photo, data, client))

@@ -135,7 +135,14 @@ def test_only_what_changed_is_told_again(bench: Bench) -> None:
         ("set_camera", {"photo": "p1", "focal_35mm": 26, "focal_px": 900}, "or pixels"),
         ("set_camera", {"photo": "p1", "focal_px": 5}, "most lenses have 384 to 7680 px"),
         ("set_camera", {"photo": "p1", "focal_mm": 35, "sensor_mm": 36000}, "check the figures"),
-        ("set_settings", {"t1": 9}, "t1"),
+        ("set_settings", {"t1": 9}, "t1 is 9; it must be from 0 to 1"),
+        ("set_settings", {"seed": 10**400}, "seed is too large"),
+        ("set_pick", {"photo": "p1", "pick": 1, "on": True}, "none is chosen"),
+        ("set_camera", {"photo": "p1", "focal_px": 10**400}, "must be a positive number"),
+        ("open_served", {"path": "a\0b", "what": "scan"}, "no folder is served"),
+        ("export_folder", {"photo": "p1", "folder": "/tmp/a\0b"}, "control characters"),
+        ("export_folder", {"photo": "p1", "folder": "/tmp/" + "a" * 300}, "too long"),
+        ("go_to", {"n": 10**400}, "0 or more"),
         ("rename", {"name": " \n "}, "name"),
         ("go_to", {"n": 999}, "no step 999"),
         ("use_stage", {"photo": "p1", "stage": "simplex"}, "no pose yet"),
@@ -406,6 +413,125 @@ def test_files_are_looked_at_before_they_are_taken(bench: Bench, tmp_path: Path)
     assert second == "p2"
     assert bench.workbench.shown is not None
     assert bench.workbench.shown.id == "p2"
+
+
+def unviewable_scan(path: Path) -> Path:
+    """Write a sound scan of 24 x 36 cells whose rows lie within a hundredth of a degree."""
+    counts = np.random.default_rng(0).integers(100, 200, (24, 36)).astype(np.uint16)
+    steps = {"d_azimuth_rad": 0.01, "d_elevation_rad": 1e-5}
+    np.savez(path, intensity=np.ones((24, 36), np.float32), counts=counts, r0_m=0.5, dr_m=0.01, **steps)
+    return path
+
+
+def test_a_scan_that_cannot_be_viewed_is_refused_and_stops_nobody(bench: Bench) -> None:
+    before = bench.workbench.session.document
+    path = unviewable_scan(bench.workbench.upload_room() / "sliver.npz")
+    with pytest.raises(LadarregError, match="no picture shows") as caught:
+        bench.workbench.take_upload(path, "sliver.npz", "scan", None, bench.person)
+    assert "\n" not in str(caught.value)
+    assert not path.exists()
+    assert bench.workbench.session.document is before
+    bench.workbench.leave(bench.workbench.join("somebody else"))
+    assert bench.slice("scan")["views"]
+
+
+def test_a_project_whose_scan_cannot_be_viewed_opens_and_says_so(tmp_path: Path) -> None:
+    import msgspec
+
+    bench = sample_bench(tmp_path / "p")
+    truth = json.loads((sample_folder() / "truth.json").read_bytes())
+    draw_matches(bench, np.array(truth["camera_from_scanner"]))
+    job = bench.job("linear")
+    assert job.state == "done", job.said
+    path = unviewable_scan(bench.workbench.upload_room() / "sliver.npz")
+    source = msgspec.structs.replace(bench.workbench.session.document.scan, path="inputs/sliver.npz", name="sliver")
+    bench.workbench.session.commit("Open it", lambda d: msgspec.structs.replace(d, scan=source), author="older program")
+    assert path.exists()
+    before = bench.workbench.session.history
+    bench.workbench.close()
+
+    bench = open_bench(tmp_path / "p")
+    try:
+        assert bench.workbench.session.document == before.document
+        assert labels(bench) == [entry.label for entry in before.entries]
+        assert "The scan cannot be shown: the scan's 24 rows span" in bench.slice("project")["opened"]
+        assert "which no picture shows" in bench.slice("scan")["error"]
+        assert bench.slice("scan")["views"] == []
+        with pytest.raises(LadarregError, match="no picture"):
+            bench.workbench.picture("scan", {})
+        bench.workbench.leave(bench.workbench.join("somebody else"))
+        matches = len(bench.slice("picks:p1"))
+        bench.do("add_pick", photo="p1", **LINE)
+        job = bench.job("export")
+        assert job.state == "done", job.said
+        zipped, _ = bench.workbench.export_file("p1") or (None, None)
+        assert zipped is not None
+        with zipfile.ZipFile(zipped) as file:
+            assert len(json.loads(file.read("matches.json"))["matches"]) == matches + 1
+        bench.do("undo")
+        bench.do("undo")
+        assert bench.slice("scan")["views"], "the scan before it is back"
+        assert "cannot be shown" not in bench.slice("project")["opened"]
+    finally:
+        bench.workbench.close()
+
+
+def draw_matches(bench: Bench, pose: np.ndarray) -> None:
+    """Draw two dozen exact points."""
+    scan = bench.workbench.room.scan(bench.workbench.session.document)
+    camera = bench.workbench.room.photo(bench.workbench.session.document.photos[0]).camera
+    assert scan is not None
+    points = scan.points[20::60, 20::60].reshape(-1, 3).astype(float)
+    points = points[np.isfinite(points).all(axis=1)]
+    uv = camera.project(points @ pose[:3, :3].T + pose[:3, 3])
+    seen = np.flatnonzero(camera.contains(uv))
+    for k in seen[:: max(1, len(seen) // 24)].tolist():
+        bench.do("add_pick", photo="p1", kind="point", scan=[points[k].tolist()], photo_uv=[uv[k].tolist()])
+
+
+def test_what_fails_after_a_commit_stops_neither_it_nor_the_others(bench: Bench) -> None:
+    def fails(*_: object) -> None:
+        raise RuntimeError("a listener of nobody's")
+
+    bench.workbench.session._listeners.insert(0, fails)
+    bench.workbench.teller._listeners.insert(0, fails)
+    path = bench.workbench.upload_room() / "second.png"
+    path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
+    bench.told.clear()
+    assert bench.workbench.take_upload(path, "second.png", "photo", None, bench.person) == "p2"
+    assert path.exists()
+    assert any("photos" in message.get("slices", {}) for message in bench.told), "the others are told"
+    bench.do("add_pick", photo="p2", **LINE)
+    bench.workbench.leave(bench.workbench.join("somebody else"))
+
+
+def test_a_file_of_the_project_is_never_removed(bench: Bench) -> None:
+    path = bench.workbench.upload_room() / "second.png"
+    path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
+    bench.workbench.take_upload(path, "second.png", "photo", None, bench.person)
+    bench.do("undo")
+    with pytest.raises(LadarregError):
+        bench.workbench.take_upload(path, "second.png", "scan", None, bench.person)
+    assert path.exists(), "the history refers to it"
+    bench.do("redo")
+    assert bench.slice("photos")[-1]["width"] > 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text here")
+def test_a_name_that_is_no_text_keeps_nobody_out(tmp_path: Path) -> None:
+    served = tmp_path / "served"
+    served.mkdir()
+    name = os.fsdecode(b"b\xfcro.npz")
+    (served / name).write_bytes((sample_folder() / "scan.npz").read_bytes())
+    bench = open_bench(tmp_path / "project", folder=served)
+    try:
+        assert bench.slice("served")["files"] == []
+        with pytest.raises(OptionError, match="no Unicode text"):
+            bench.workbench.files.open(served / name, name, "scan", None, "")
+        assert bench.workbench.session.document.scan is None
+        bench.do("rename", name="still works")
+    finally:
+        bench.workbench.close()
 
 
 def test_a_photo_without_focal_length_is_shown_and_asked_about(bench: Bench, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.figures import figures, parameters, scanners_place
 from ladarreg_core.inspection.judged import Measured, judge_picks, picks_in_space, sample_line
@@ -20,14 +20,14 @@ from ladarreg_core.inspection.partners import Partners
 from ladarreg_core.inspection.probing import probe
 from ladarreg_core.inspection.scan_pictures import Stretch, compensated, scan_picture
 from ladarreg_core.inspection.snapping import nearest_corner
-from ladarreg_core.inspection.views import inspection_views
+from ladarreg_core.inspection.views import inspection_views, resolution_note
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.model_pictures import texture_without_z_buffer
 from ladarreg_core.picked import matches_from_picks
 from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import solve_pose
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner import AzimuthElevation, SphericalGrid
 from ladarreg_core.simulate import SimulatedCase, simulate_case
 from ladarreg_core.texture import Label, texture_scan
 
@@ -98,6 +98,36 @@ def test_a_narrow_scan_has_one_view_and_a_wide_one_several_that_cover_it() -> No
     for named in views:
         seen |= named.view.camera.contains(named.view.project(rays))
     assert seen.all()
+
+
+def test_views_have_no_more_pixels_than_a_scan_has_use_for() -> None:
+    usual = wall()
+    assert resolution_note(usual, inspection_views(usual)) is None
+    rng = np.random.default_rng(0)
+    seen = 0
+    for _ in range(60):
+        rows, columns = rng.integers(2, 60, 2).tolist()
+        steps = (np.minimum(10 ** rng.uniform(-7, -1, 2), 3.0 / np.array([rows, columns]))).tolist()
+        geometry = SphericalGrid(rows, columns, steps[1], steps[0], float(rng.uniform(-3, 3)), steps[0] * rows / 2)
+        scan = Scan(geometry, np.full((rows, columns), 3.0), np.ones((rows, columns)))
+        try:
+            views = inspection_views(scan)
+        except DegenerateGeometryError:
+            continue
+        seen += 1
+        for named in views:
+            width, height = named.view.camera.size
+            assert width * height <= max(16 * rows * columns, 9)
+            assert scan_picture(named.view, "intensity").shape == (height, width, 3)
+    assert seen > 10
+    note = resolution_note(fine := wall_of_unlike_steps(), inspection_views(fine))
+    assert note is not None
+    assert "one pixel for" in note
+
+
+def wall_of_unlike_steps() -> Scan:
+    geometry = AzimuthElevation(600, 30, 0.02, 5e-4)
+    return Scan(geometry, np.full((600, 30), 3.0), np.ones((600, 30)))
 
 
 # overlays

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError
+from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.perspective import perspective_view
+from ladarreg_core.perspective import native_focal_px, perspective_view
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
 
@@ -116,3 +116,34 @@ def test_a_view_from_elsewhere_is_refused() -> None:
     scan = linear_in_grid(GRIDS["azimuth-elevation"])
     with pytest.raises(OptionError, match="rotation only"):
         perspective_view(scan, view_from_scanner=Rigid(np.eye(3), np.array([0.1, 0, 0])))
+
+
+def sliver(rows: int, columns: int, row_step: float, column_step: float) -> Scan:
+    return linear_in_grid(AzimuthElevation(rows, columns, column_step, row_step))
+
+
+def test_a_view_of_a_grid_with_unlike_steps_is_coarser_than_its_finest_cells() -> None:
+    scan = sliver(1000, 60, 2e-4, 0.008)
+    view = perspective_view(scan)
+    width, height = view.camera.size
+    assert 0.9 * 16 * 60 * 1000 <= width * height <= 16 * 60 * 1000
+    assert view.camera.contains(view.project(scan.rays[[0, 0, -1, -1], [0, -1, 0, -1]]), border=-1).all()
+    assert view.camera.fx < native_focal_px(scan)
+    fewer = perspective_view(scan, most_pixels=5000)
+    assert fewer.camera.width * fewer.camera.height <= 5000
+
+
+def test_a_view_of_a_long_strip_is_not_longer_than_pictures_can_be() -> None:
+    scan = sliver(400, 45_000, 2e-5, 2e-5)
+    assert max(perspective_view(scan).camera.size) <= 32_000
+
+
+def test_what_no_picture_shows_is_refused() -> None:
+    with pytest.raises(DegenerateGeometryError, match=r"24 rows span 0\.0138 deg"):
+        perspective_view(sliver(24, 36, 1e-5, 0.01))
+    for least in (1e-9, 1e-100, 5e-324):
+        with pytest.raises(DegenerateGeometryError, match="no picture"):
+            perspective_view(sliver(24, 36, least, 0.01))
+    for size in ((40_000, 2), (20_000, 20_000)):
+        with pytest.raises(OptionError, match="32,000 a side"):
+            perspective_view(sliver(24, 36, 0.01, 0.01), Camera.from_focal(*size, 300.0))

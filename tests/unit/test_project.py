@@ -6,6 +6,8 @@ import json
 import multiprocessing
 import os
 import shutil
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -15,12 +17,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
+from ladarreg_core.errors import DegenerateGeometryError, ExportError, FormatError, LadarregError, OptionError
 from ladarreg_core.frames import ThesisParameters
-from ladarreg_core.matches import Matches, Pick
+from ladarreg_core.matches import Matches, Pick, unit_rays
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.project import edits
-from ladarreg_core.project.changes import change_between, changed
+from ladarreg_core.project.changes import change_between, changed, check_readable
 from ladarreg_core.project.codec import decode_document, encode
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 from ladarreg_core.project.folder import ProjectFolder
@@ -153,6 +155,75 @@ def test_settings_reach_the_options() -> None:
 def test_coordinates_are_checked(rows: object) -> None:
     with pytest.raises(OptionError):
         edits.rows(rows, 3)
+
+
+@pytest.mark.parametrize(
+    ("vector", "ray"),
+    [
+        ([1e308, 0, 0], [1, 0, 0]),
+        ([1e308, -1e308, 0], [0.5**0.5, -(0.5**0.5), 0]),
+        ([5e-324, 0, 0], [1, 0, 0]),
+        ([3e-200, 4e-200, 0], [0.6, 0.8, 0]),
+        ([1e308, 1e-308, 0], [1, 0, 0]),
+    ],
+)
+def test_a_ray_of_any_length_is_a_direction_and_is_read_again(vector: list[float], ray: list[float]) -> None:
+    pick = Pick("1", "point", np.array([vector]), np.array([[1.0, 2.0]]))
+    np.testing.assert_allclose(pick.scan, [ray], atol=1e-15)
+    document = edits.edited_photo(a_document(), "p1", lambda p: edits.with_picks(p, [pick])[0])
+    moved = edits.edited_photo(document, "p1", lambda p: edits.changed_pick(p, "4", {"scan": edits.rays([vector])}))
+    assert reading(document) == document
+    assert reading(moved) == moved
+
+
+def test_usual_rays_are_normalised_to_the_same_digits_as_by_their_norm() -> None:
+    vectors = np.random.default_rng(0).normal(size=(1000, 3)) * 10 ** np.random.default_rng(1).uniform(-3, 3, (1000, 1))
+    plain = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    np.testing.assert_array_equal(unit_rays(vectors), plain)
+
+
+@pytest.mark.parametrize(
+    ("check", "value", "says"),
+    [
+        (edits.rays, [[10**400, 0, 0]], "list of 3 numbers"),
+        (edits.rays, [[0, 0, 0]], "no length"),
+        (edits.rays, [[1, 0, 0], [-1, 0, 1e-3]], "150 degrees"),
+        (edits.pixels, [[1000001, 0]], "1,000,000 px"),
+        (edits.pixels, [[-1e308, 0]], "1,000,000 px"),
+        (edits.pixels, [[10**400, 0]], "list of 2 numbers"),
+        (edits.weight, 1e-7, "from 0.000001 to 1,000,000"),
+        (edits.weight, 10**400, "no number"),
+        (edits.weight, True, "no number"),
+    ],
+)
+def test_what_enters_a_document_is_within_bounds(check: Callable[[object], object], value: object, says: str) -> None:
+    with pytest.raises(OptionError, match=says):
+        check(value)
+
+
+@pytest.mark.parametrize(("field", "value"), [("photo", [[2e6, 0]]), ("weight", 1e7)])
+def test_picks_of_a_file_are_within_the_same_bounds(field: str, value: object) -> None:
+    pick = replace(a_pick(1), **{field: value})
+    with pytest.raises(OptionError):
+        edits.with_picks(a_document().photos[0], [pick])
+
+
+def test_what_could_not_be_read_again_is_not_kept() -> None:
+    document = a_document()
+    check_readable(document, with_an_answer(document))
+    for name in ("\ud800", "a\udcffb"):
+        with pytest.raises(FormatError, match="nothing was changed"):
+            check_readable(document, named(document, name))
+    blank = msgspec.structs.replace(with_an_answer(document).photos[0].poses[0], sigma_px=float("nan"))
+    with pytest.raises(FormatError, match="nothing was changed"):
+        check_readable(document, edits.edited_photo(document, "p1", lambda p: edits.with_pose(p, blank)))
+
+
+def test_an_answer_that_is_not_finite_is_not_kept() -> None:
+    for field in ("covariance", "sigma_px"):
+        answer = replace(a_result(), **{field: getattr(a_result(), field) * np.nan})
+        with pytest.raises(DegenerateGeometryError, match="undetermined"):
+            pose_entry("robust", answer)
 
 
 # history

@@ -1,0 +1,242 @@
+"""Every command of a page, with arguments that are extreme, hostile or of another type.
+
+A command is refused in one plain sentence and changes nothing, or what it did is found by a fresh reader of the
+project's folder, document and history.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.commands_of_page import COMMANDS
+from app.gateway.json_text import NotJson, decode_object, encode
+from ladarreg_core.formats import read_scan
+from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.project.folder import ProjectFolder
+from ladarreg_core.project.history import History
+from ladarreg_core.project.settings import Settings
+from ladarreg_core.simulate.embedded import sample_folder
+from tests.app.workbench_bench import Bench, sample_bench
+
+DEEP = "[" * 900 + "]" * 900
+NUMBERS = (
+    "0", "-0.0", "-1", "1", "2.5", "5e-324", "1e-308", "1e308", "-1e308", "1.7976931348623157e308", "1e400", "NaN",
+    "1" + "0" * 400, "-1" + "0" * 400, "1" + "0" * 5000, "9007199254740993", "2147483648",
+)  # fmt: skip
+WORDS = (
+    '""', '" "', '"\\u0000"', '"a\\u0000b"', '"\\ud800"', '"\\u202e\\u2028"', '"../../x"', '"/"', '"\\\\\\\\x\\\\y"',
+    '"' + "a" * 300 + '"', '"' + "a/" * 3000 + '"', '"' + "ä" * 100_000 + '"',
+    '"p1"', '"1"', '"new"', '"id"', '"linear"',
+)  # fmt: skip
+OTHERS = (
+    "null", "true", "false", "{}", "[]", "[[]]", DEEP, '{"a": ' * 300 + "1" + "}" * 300, "[" + "1," * 50_000 + "1]",
+)  # fmt: skip
+ROWS = (
+    "[[1e308, 1e308, 1e308]]", "[[1e308, 1e308]]", "[[-1e308, 1e308, 0], [1, 0, 0]]", "[[5e-324, 5e-324, 0]]",
+    "[[5e-324, 0], [0, 5e-324]]", "[[0, 0, 0]]", "[[0, 0]]", "[[1, 0, 0], [-1, 0, 0]]", "[[1, 0, 0], [1, 0, 0]]",
+    "[[3, 4], [3, 4]]", "[[1e6, -1e6]]", "[[1000001, 0]]", "[[-1, 0, 0]]", "[[0, 0, 1]]", "[[0, 0, -1], [0, 1, 0]]",
+    "[[1, 2, 3, 4]]", "[[1, 2, 3], [1, 2]]", "[[true, 0, 0]]", "[[1, null, 0]]", "[[\"1\", 0, 0]]",
+    "[[1" + "0" * 400 + ", 0, 0]]", "[[1, 1" + "0" * 400 + "]]", "[" + "[1, 0, 0]," * 20_000 + "[1, 0, 0]]",
+    "[1, 0, 0]", "[1e308, 1e308, 1e308]", "[1e308, 1e308]", "[0, 0, 0]", "[-5, 1e5]",
+)  # fmt: skip
+LISTS = ('["1"]', '["1", "1", "nobody"]', '["nobody"]', "[1]", json.dumps([str(k) for k in range(100_000)]))
+HOSTILE = (*NUMBERS, *WORDS, *OTHERS, *ROWS, *LISTS)
+BAD_FOLDERS = tuple(json.dumps(name) for name in ("\0", "a\0b", "a" * 300, "a/" * 3000, "\u202e\u2028", "\ud800"))
+FEW = {
+    ("open_served", "photo"): OTHERS[:3],
+    ("export_folder", "photo"): (*OTHERS, *WORDS),
+    ("export_folder", "folder"): BAD_FOLDERS,
+    ("export_folder", "force"): OTHERS[:2],
+    **dict.fromkeys(
+        (("set_settings", name) for name in Settings.__struct_fields__), (*NUMBERS, *OTHERS[:6], *WORDS[:6])
+    ),
+}
+"""By command and argument: where there are many, or much is done with them."""
+
+LINE = {"scan": [[1, 0.05, 0.0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
+SOUND: dict[str, list[dict[str, Any]]] = {
+    "add_pick": [
+        {"photo": "p1", "kind": "line", **LINE},
+        {"photo": "p1", "kind": "point", "scan": [[1, 0, 0]], "photo_uv": [[300.25, 200.5]]},
+    ],
+    "set_pick": [
+        {"photo": "p1", "pick": "2", "on": False, "weight": 2.5},
+        {"photo": "p1", "pick": "1", "scan": [[1, 0.01, 0]], "photo_uv": [[300, 200]]},
+    ],
+    "remove_picks": [{"photo": "p1", "picks": ["3"]}],
+    "switch_picks": [{"photo": "p1", "picks": ["1", "2"], "on": False}],
+    "reject": [{"photo": "p1", "by": "px", "above": 2.0}, {"photo": "p1", "by": "depth", "above": 0.05}],
+    "set_camera": [
+        {"photo": "p2", "focal_px": 700.0},
+        {"photo": "p2", "focal_mm": 35, "sensor_mm": 36},
+        {"photo": "p2", "focal_35mm": 26},
+    ],
+    "set_settings": [
+        {
+            "t1": 0.25, "corners": 400, "window_px": 17, "t2_px": 25, "search_px": 12, "constrained_t1": 0.2,
+            "mutual": True,
+            "depth_edges": "foreground", "culling": "two_sided", "lines": "equal", "samples_per_line": 11,
+        },
+        {
+            "residual": "stereo", "start_from": "robust", "step_m": 0.1, "step_rad": 0.2, "restarts": 1,
+            "reject_sigma": 3, "intrinsics": "fixed", "sigma_px": 0.7, "sigma_range_m": None, "seed": 7,
+        },
+    ],
+    "rename": [{"name": "Office 7"}],
+    "remove_photo": [{"photo": "p3"}],
+    "use_stage": [{"photo": "p1", "stage": "linear"}],
+    "undo": [{}],
+    "redo": [{}],
+    "go_to": [{"n": 3}],
+    "show_photo": [{"photo": "p1"}],
+    "set_model": [{"texture": "range", "z_buffer": False, "light": True, "cameras": False, "matches": False}],
+    "call_me": [{"name": "Ann"}],
+    "hover_pick": [{"pick": "1"}],
+    "open_served": [{"path": "matches.csv", "what": "matches", "photo": "p1"}, {"path": "scan.npz", "what": "scan"}],
+    "list_served": [{}],
+    "predict": [
+        {"photo": "p1", "side": "scan", "scan": [[1, 0, 0]]},
+        {"photo": "p1", "side": "photo", "photo_uv": [[300, 200]]},
+    ],
+    "where": [{"photo": "p1", "scan": [1, 0, 0]}],
+    "snap": [{"photo": "p1", "side": "photo", "at": [300, 200]}, {"side": "scan", "view": 0, "at": [200, 150]}],
+    "sample_line": [{"scan": LINE["scan"]}],
+    "probe": [{"scan": [1, 0, 0]}],
+    "run": [{"photo": "p1", "job": "linear"}],
+    "job_control": [{"action": "speed", "value": 3}],
+    "export_folder": [{"photo": "p1", "folder": "FOLDER", "force": False}],
+}  # fmt: skip
+"""What each command takes: each argument is exchanged for hostile ones, one at a time."""
+
+
+class Page:
+    """A page that sends any text, and a second reader that opens the project after whatever changed it."""
+
+    def __init__(self, bench: Bench, aside: Path) -> None:
+        self.bench, self._aside = bench, aside
+        self._read: History | None = None
+
+    def ask(self, text: str) -> dict[str, Any] | None:
+        """Send a text as the websocket takes it; return the reply, or None where it is no JSON."""
+        try:
+            message = decode_object(text)
+        except NotJson:
+            return None
+        reply = self.bench.workbench.answer(self.bench.person, message)
+        self.bench.workbench.runner.wait(60)
+        return json.loads(encode(reply), parse_constant=pytest.fail)  # type: ignore[no-any-return]
+
+    def try_it(self, text: str) -> bool:
+        """Send a text, check the reply and what is on the disk; return whether it was done."""
+        before = self.bench.workbench.session.history
+        reply = self.ask(text)
+        history = self.bench.workbench.session.history
+        done = reply is not None and reply["ok"]
+        if reply is not None and not done:
+            sentence = reply["error"]
+            assert sentence.endswith((".", "!", "?")), sentence
+            assert len(sentence) < 700
+            assert sentence.isprintable()
+            assert "fault of the program" not in sentence, (text[:200], sentence)
+        if not done:
+            assert history is before, text[:200]
+        elif history is not before:
+            self.check_the_folder()
+        return done
+
+    def check_the_folder(self) -> None:
+        """Open a copy of the project as another program would, and compare."""
+        session = self.bench.workbench.session
+        shutil.rmtree(self._aside, ignore_errors=True)
+        shutil.copytree(session.folder.path, self._aside, ignore=shutil.ignore_patterns("inputs", "lock"))
+        folder = ProjectFolder(self._aside)
+        try:
+            found = folder.read()
+        finally:
+            folder.close()
+        kept = session.history
+        assert found.at == kept.at
+        assert [(e.number, e.label, e.author, e.when) for e in found.entries] == [
+            (e.number, e.label, e.author, e.when) for e in kept.entries
+        ]
+        assert all(a.document == b.document for a, b in zip(found.entries, kept.entries, strict=True))
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """A workbench with matches, a pose, a served folder and three photographs."""
+    home, sample = tmp_path_factory.mktemp("commands"), sample_folder()
+    served = home / "served"
+    served.mkdir()
+    shutil.copy(sample / "scan.npz", served / "scan.npz")
+    (served / "matches.csv").write_text("x,y,z,u,v\n1,0.01,0,310,200\n")
+    bench = sample_bench(home / "project", folder=served)
+    for name in ("second.png", "third.png"):
+        path = bench.workbench.upload_room() / name
+        shutil.copy(sample / "photo.png", path)
+        bench.workbench.take_upload(path, name, "photo", None, bench.person)
+    pose, camera, scan = (
+        read_pose(sample / "truth.json"), read_camera(sample / "camera.json"), read_scan(sample / "scan.npz"),
+    )  # fmt: skip
+    points = scan.points[20::60, 20::60].reshape(-1, 3).astype(float)
+    points = points[np.isfinite(points).all(axis=1)]
+    uv = camera.project(pose @ points)
+    seen = np.flatnonzero(camera.contains(uv))
+    for k in seen[:: max(1, len(seen) // 24)].tolist():
+        point, at = points[k].tolist(), uv[k].tolist()
+        bench.do("add_pick", photo="p1", kind="point", scan=[point], photo_uv=[at])
+    job = bench.job("linear")
+    assert job.state == "done", job.said
+    yield Page(bench, home / "aside")
+    bench.workbench.close()
+
+
+def message(do: str, fields: dict[str, str]) -> str:
+    """Return the text of a message whose fields are JSON already."""
+    return json.dumps({"id": 1, "do": do})[:-1] + "".join(f", {json.dumps(k)}: {v}" for k, v in fields.items()) + "}"
+
+
+def as_json(fields: dict[str, Any], folder: Path) -> dict[str, str]:
+    return {name: json.dumps(str(folder) if value == "FOLDER" else value) for name, value in fields.items()}
+
+
+def test_the_sweep_knows_every_command() -> None:
+    assert set(SOUND) == set(COMMANDS)
+
+
+@pytest.mark.parametrize("do", sorted(SOUND))
+def test_a_command_is_refused_or_kept(page: Page, tmp_path: Path, do: str) -> None:
+    page.bench.do("go_to", n=max(entry["n"] for entry in page.bench.slice("history")["entries"]))
+    last = page.bench.workbench.session.history.present.number
+    for sound in SOUND[do]:
+        fields = as_json(sound, tmp_path / "results")
+        page.try_it(message(do, fields))
+        for name in fields:
+            for hostile in FEW.get((do, name), HOSTILE):
+                if name == "folder":
+                    hostile = json.dumps(f"{tmp_path}/out/")[:-1] + hostile[1:]
+                page.try_it(message(do, {**fields, name: hostile}))
+            page.try_it(message(do, {k: v for k, v in fields.items() if k != name}))
+    page.try_it(message(do, dict.fromkeys(["photo", "pick", "picks", "n", "at", "scan", "name", "path"], DEEP)))
+    page.bench.workbench._slow_slices()  # whatever was let in can be judged
+    page.bench.do("go_to", n=last)
+    assert page.bench.slice("scan")["views"]
+
+
+@pytest.mark.parametrize("hostile", [*OTHERS, *NUMBERS, *WORDS])
+def test_a_message_of_any_kind_is_answered(page: Page, hostile: str) -> None:
+    for text in (
+        hostile,
+        f'{{"id": {hostile}, "do": "undo"}}',
+        f'{{"id": 1, "do": {hostile}}}',
+        f'{{"id": 1, "do": "rename", "name": "x", {json.dumps("a" * 1000)}: {hostile}}}',
+    ):
+        page.try_it(text)
