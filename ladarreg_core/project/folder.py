@@ -283,7 +283,7 @@ class ProjectFolder:
         try:
             write_bytes(aside, data)
             if target in self._damaged and target.exists():
-                _set_aside(target)
+                self._said.append(f"The file as it was is kept as {_set_aside(target).name}.")
             self._damaged.discard(target)
             os.replace(aside, target)
             sync_folder(target.parent)
@@ -384,8 +384,11 @@ class ProjectFolder:
         return self._missing[name]
 
 
-def _set_aside(path: Path, *, keep: bool = True) -> None:
+def _set_aside(path: Path, *, keep: bool = True) -> Path:
     """Have a damaged file under another name, and with `keep` under its own until another takes its place.
+
+    Returns:
+        The other name.
 
     Raises:
         OSError: if that fails.
@@ -396,12 +399,13 @@ def _set_aside(path: Path, *, keep: bool = True) -> None:
     if keep:
         with contextlib.suppress(OSError):
             os.link(path, other)
-            return
+            return other
         with contextlib.suppress(OSError):  # a file system without links
             shutil.copy2(path, other)
-            return
+            return other
         other.unlink(missing_ok=True)
     os.rename(path, other)
+    return other
 
 
 def _entry_fields(entry: Entry) -> dict[str, Any]:

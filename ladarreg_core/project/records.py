@@ -93,7 +93,10 @@ class _Reader:
     def _embedded(self, text: bytes) -> Iterator[Record | None]:
         """Yield the records within a text, and None for what is between them."""
         begins = [found.start() for found in _BEGINNINGS.finditer(text)]
-        lost = not begins or begins[0] > 0
+        if not begins:
+            yield None
+            return
+        lost = begins[0] > 0
         for begin, end in zip(begins, [*begins[1:], len(text)], strict=True):
             record = self._record(text[begin:end]) or self._record(text[begin : end - 1])  # without the line's end
             if record is None:

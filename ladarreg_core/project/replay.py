@@ -75,7 +75,6 @@ class _Replay:
         self._entries: list[Entry] = []
         self._at = 0
         self._seq: int | None = None
-        self._last_number = -1
         self._numbers: dict[int, int] = {}
         self._passed: list[Document] = []
         self._lost = 0
@@ -131,7 +130,8 @@ class _Replay:
         if self._entries and self._entries[self._at].document == snapshot.document:
             return
         self._recovered = True
-        self._add(Entry(self._last_number + 1, RECOVERED, "", snapshot.when, snapshot.document))
+        number = self._entries[-1].number + 1 if self._entries else 0
+        self._add(Entry(number, RECOVERED, "", snapshot.when, snapshot.document))
 
     def _commit(self, record: Record) -> None:
         amends = "amend" in record
@@ -142,7 +142,8 @@ class _Replay:
             number = self._entries[self._at].number
             self._entries[self._at :] = [_entry(number, fields, after)]
         else:
-            self._numbers[number] = new = max(number, self._last_number + 1)
+            after_present = self._entries[self._at].number + 1 if self._entries else number
+            self._numbers[number] = new = max(number, after_present)
             self._add(_entry(new, fields, after))
         self._passed.append(after)
 
@@ -156,10 +157,12 @@ class _Replay:
     def _add(self, entry: Entry) -> None:
         self._entries[self._at + 1 :] = [entry]
         self._at = len(self._entries) - 1
-        self._last_number = max(self._last_number, entry.number)
 
     def _index(self, number: int) -> int:
-        return next(k for k, entry in enumerate(self._entries) if entry.number == number)
+        for index, entry in enumerate(self._entries):
+            if entry.number == number:
+                return index
+        raise KeyError(number)
 
     def _not_passed(self, document: Document) -> bool:
         return document not in reversed(self._passed)
