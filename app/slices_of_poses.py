@@ -11,6 +11,7 @@ from app.jobs.solving import STAGE_NAMES
 from app.wording import verdict
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.inspection.figures import figures, parameters
+from ladarreg_core.project.results import pose_of
 
 if TYPE_CHECKING:
     from app.workroom import Workroom
@@ -70,7 +71,7 @@ def _cautions(room: Workroom, matches: Matches, photo: Photo, entry: PhotoEntry)
         return []
     pose = entry.pose
     try:
-        known = room.answer(pose).camera_from_scanner if pose is not None and pose.accepted else None
+        known = pose_of(pose) if pose is not None and pose.accepted else None
         return list(stereo_cautions(matches, photo.camera, pose=known))
     except LadarregError as error:
         log.debug("nothing can be foreseen: %s", error)
