@@ -80,10 +80,12 @@ def _run(name: str, words: list[str], *, debug: bool) -> int:
 
 def _explain(error: BaseException) -> tuple[str, ExitCode]:
     """Return one line for a person and the exit code of an error."""
-    from ladarreg_core.errors import Cancelled, LadarregError
+    from ladarreg_core.errors import Cancelled, LadarregError, UnsavedError
 
     if isinstance(error, KeyboardInterrupt | Cancelled):
         return "interrupted; nothing half-made is left", ExitCode.INTERRUPTED
+    if isinstance(error, UnsavedError):
+        return str(error), ExitCode.FAILED
     if isinstance(error, LadarregError):
         return str(error), ExitCode.BAD_INPUT
     if isinstance(error, BrokenPipeError):

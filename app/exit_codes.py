@@ -9,7 +9,7 @@ class ExitCode(IntEnum):
     ACCEPTED = 0
     """Done; a registration was accepted."""
     FAILED = 1
-    """A fault of the program."""
+    """A fault of the program, or work that could not be saved."""
     BAD_INPUT = 2
     """Input or arguments that cannot be used."""
     NOT_ACCEPTED = 3

@@ -32,9 +32,14 @@ class Quiet:
         self._closed = True
         self._asked.set()
 
-    def wait(self) -> bool:
-        """Return after somebody has asked and nobody did since for a moment; False: it is over."""
-        self._asked.wait()
+    def wait(self, at_most_s: float | None = None) -> bool:
+        """Return after somebody has asked and nobody did since for a moment; False: it is over.
+
+        Args:
+            at_most_s: return after so long even if nobody asks; None: never.
+        """
+        if not self._asked.wait(at_most_s):
+            return not self._closed
         begun = time.monotonic()
         while not self._closed and time.monotonic() - begun < _AT_MOST_S:
             self._asked.clear()

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import sys
 from collections.abc import Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
     from app.viser_lock import ViserAddress
     from app.workbench import Workbench
 
-_PROJECT = "project.json"
 _LAST = "last.json"
 _VISER_OPENS_S = 60.0
 
@@ -51,16 +52,16 @@ def open_workbench(
     """
     from app.workbench import Workbench
     from ladarreg_core.project.document import Document
-    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.project.folder import ProjectFolder, is_project
     from ladarreg_core.project.history import History
 
     given = [Path(os.path.abspath(path)) for path in inputs]
     for path in given:
         if not path.exists():
             raise OptionError(f"{path}: there is no such file; give a project's folder, or a scan and photographs")
-    old = given[0] if len(given) == 1 and (given[0] / _PROJECT).is_file() else None
+    old = given[0] if len(given) == 1 and is_project(given[0]) else None
     if old is None and len(given) == 1 and given[0].is_dir():
-        raise OptionError(f"{given[0]} is no project: it has no {_PROJECT}; give the folder of a project, or a scan")
+        raise OptionError(f"{given[0]} is no project: it has no project.json; give the folder of a project, or a scan")
     files = [] if old else given
     where = project or old or (_place_of(files[0], name) if files else _last_project())
     kept = ProjectFolder(where)
@@ -73,7 +74,7 @@ def open_workbench(
             history = History.begun(Document(name=name or "untitled"), label="Begin", author="", when=now())
             kept.begin(history)
             said = ""
-        session = Session(kept, history)
+        session = Session(kept, history, elsewhere=_other_places(kept.path))
         workbench = Workbench(session, Workroom(kept), upload_bytes=upload_bytes, served=folder)
     except BaseException:
         kept.close()
@@ -102,9 +103,12 @@ def serve_and_close(workbench: Workbench, *, token: str, options: GatewayOptions
     Raises:
         OptionError: if there is no such address, no free port, or no such certificate.
         DependencyError: if this version of viser cannot be locked.
+        UnsavedError: if there are edits that the project's disk did not take.
     """
     from app.gateway.serving import serve_until_interrupted
 
+    for sentence in workbench.session.folder.said:
+        print(f"ladarreg: {sentence}", file=sys.stderr)
     where: Future[ViserAddress] = Future()
     opened: list[viser.ViserServer] = []
 
@@ -128,11 +132,13 @@ def serve_and_close(workbench: Workbench, *, token: str, options: GatewayOptions
     finally:
         if not where.done():  # whoever waits for the 3-D view need wait no longer
             where.set_exception(ConnectionError("the workbench was closed"))
-        workbench.close()
-        for server in opened:
-            from app.viser_server import close_server
+        try:
+            workbench.close()
+        finally:
+            for server in opened:
+                from app.viser_server import close_server
 
-            close_server(server)
+                close_server(server)
 
 
 def _add(workbench: Workbench, files: Sequence[Path], camera: Path | None) -> None:
@@ -183,6 +189,16 @@ def data_folder() -> Path:
     return Path(platformdirs.user_data_dir("ladarreg", appauthor=False))
 
 
+def _other_places(project: Path) -> tuple[Path, ...]:
+    """Return where a project may be written whose own folder takes nothing more; what lasts comes first."""
+    import tempfile
+
+    homes = []
+    with suppress(RuntimeError, OSError):
+        homes.append(Path.home())
+    return (data_folder() / "projects", *homes, project.parent, Path(tempfile.gettempdir()))
+
+
 def _place_of(scan: Path, name: str) -> Path:
     """Return where the project of a scan is kept: the same for the same file, so that work on it is found again."""
     mark = hashlib.sha256(os.fsencode(scan)).hexdigest()[:8]
@@ -192,9 +208,11 @@ def _place_of(scan: Path, name: str) -> Path:
 
 def _last_project() -> Path:
     """Return the project that was open last, or the place of an empty one."""
+    from ladarreg_core.project.folder import is_project
+
     try:
         last = Path(json.loads((data_folder() / _LAST).read_text(encoding="utf-8"))["project"])
-        if (last / _PROJECT).is_file():
+        if is_project(last):
             return last
     except (OSError, ValueError, KeyError, TypeError):
         pass

@@ -6,13 +6,15 @@ import datetime
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from app.quiet import Quiet
-from ladarreg_core.errors import LadarregError
+from ladarreg_core.errors import LadarregError, UnsavedError
 from ladarreg_core.project.changes import check_readable
 from ladarreg_core.project.document import Document
+from ladarreg_core.project.elsewhere import write_elsewhere
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 
@@ -20,6 +22,8 @@ log = logging.getLogger(__name__)
 Edit = Callable[[Document], Document]
 _ONE_MOVE_S = 1.5
 """Moves of the same end that follow each other as quickly are one step of the history."""
+RETRY_S = 5.0
+"""What could not be saved is tried again as often, and with every edit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,17 +40,27 @@ Listener = Callable[[Change], None]
 
 
 class Session:
-    """Keeps the document and its history, and saves every commit before anybody is told of it."""
+    """Keeps the document and its history, and saves every commit before anybody is told of it.
 
-    def __init__(self, folder: ProjectFolder, history: History) -> None:
+    Args:
+        folder: where it is saved.
+        history: what was read from there, or what it was begun with.
+        elsewhere: folders that take the project at the end if its own does not.
+    """
+
+    def __init__(self, folder: ProjectFolder, history: History, *, elsewhere: Sequence[Path] = ()) -> None:
         self.folder = folder
+        self._elsewhere = tuple(elsewhere)
         self._history = history
         self._lock = threading.RLock()
         self._listeners: list[Listener] = []
         self._last_move: tuple[str, str, float] = ("", "", 0.0)
         self._saved_at = now()
         self._unsaved = ""
+        self._unsettled = ""
         self._quiet = Quiet()
+        if folder.behind:
+            self._quiet.ask()
         self._thread = threading.Thread(target=self._settle, name="session", daemon=True)
         self._thread.start()
 
@@ -67,8 +81,8 @@ class Session:
 
     @property
     def unsaved(self) -> str:
-        """Why the last commit could not be saved; empty where it was."""
-        return self._unsaved
+        """Why something could not be saved, the document or its history; empty where both are on the disk."""
+        return self._unsaved or self._unsettled
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
         """Have a listener called after each change, in their order; return what ends that.
@@ -127,12 +141,30 @@ class Session:
         self._go(lambda history: history.gone_to(number))
 
     def close(self) -> None:
-        """Save what could not be saved before, and let the folder go."""
+        """Save what could not be saved before, and let the folder go.
+
+        Raises:
+            UnsavedError: if the disk lacks edits still; it says which other place has the whole project, if any.
+        """
         self._quiet.close()
         self._thread.join(30)
         with self._lock:
-            self._save(self.folder.settle)
-            self.folder.close()
+            try:
+                self._save(self.folder.settle)
+                if self.folder.behind:
+                    raise UnsavedError(self._saved_elsewhere())
+            finally:
+                self.folder.close()
+
+    def _saved_elsewhere(self) -> str:
+        """Save the project where there is room, and return what there is to say of that."""
+        lacking = f"the project {self.folder.path} lacks what was done since {self._saved_at} ({self.unsaved})"
+        name = f"{self.folder.path.name}-unsaved-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+        try:
+            place = write_elsewhere(self.folder, self._history, self._elsewhere, name=name)
+        except LadarregError as error:
+            return f"{lacking}, and that is lost: {error}"
+        return f"{lacking}; the whole project, that included, is in {place}: open it with 'ladarreg serve {place}'"
 
     def _go(self, way: Callable[[History], History]) -> None:
         with self._lock:
@@ -150,23 +182,26 @@ class Session:
     def _save(self, save: Callable[[], None]) -> None:
         """Save; a full disk must not stop the work, which goes on in memory and is saved as soon as it can be."""
         try:
-            if self._unsaved:
-                self.folder.begin(self._history)
-            else:
-                save()
+            save()
             self._unsaved, self._saved_at = "", now()
         except LadarregError as error:
             self._unsaved = str(error)
         self._quiet.ask()
 
     def _settle(self) -> None:
-        """Let project.json follow: what was committed is in the history's file, and that is on the disk."""
-        while self._quiet.wait():
+        """Let project.json follow, and save what could not be saved: again and again, as long as that fails."""
+        while self._quiet.wait(RETRY_S if self.unsaved else None):
             try:
                 self.folder.settle()
+                why = ""
             except LadarregError as error:
-                with self._lock:
-                    self._unsaved = str(error)
+                why = str(error)
+            with self._lock:
+                was = self.unsaved
+                self._unsettled = why
+                if self._unsaved and not self.folder.behind:
+                    self._unsaved, self._saved_at = "", now()
+                if was != self.unsaved:
                     self._tell(self.document)
 
     def _tell(self, before: Document) -> None:

@@ -11,6 +11,7 @@ from app.jobs.solving import STAGE_NAMES
 from app.wording import verdict
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.inspection.figures import figures, parameters
+from ladarreg_core.project.results import pose_of
 
 if TYPE_CHECKING:
     from app.workroom import Workroom
@@ -46,7 +47,11 @@ def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEn
     found["cautions"] = _cautions(room, measured.joined([pick for pick in picks if pick.on]), photo, entry)
     if entry.pose is None or not picks:
         return found
-    for name, judged in judge_picks(measured, picks, room.answer(entry.pose)).items():
+    try:
+        answer = room.answer(entry.pose)
+    except LadarregError:  # its matches are missing, which its stage says in its verdict
+        return found
+    for name, judged in judge_picks(measured, picks, answer).items():
         found["by_pick"][name] = {
             "px": number(judged.px),
             "mm": number(judged.mm),
@@ -65,8 +70,8 @@ def _cautions(room: Workroom, matches: Matches, photo: Photo, entry: PhotoEntry)
     if len(matches) < _LEAST_TO_WARN:
         return []
     pose = entry.pose
-    known = room.answer(pose).camera_from_scanner if pose is not None and pose.accepted else None
     try:
+        known = pose_of(pose) if pose is not None and pose.accepted else None
         return list(stereo_cautions(matches, photo.camera, pose=known))
     except LadarregError as error:
         log.debug("nothing can be foreseen: %s", error)

@@ -120,7 +120,10 @@ class StageLink:
                     photo = room.photo(entry)
                 except LadarregError:
                     photo = None
-                answer = None if pose is None or photo is None else room.answer(pose)
+                try:
+                    answer = None if pose is None or photo is None else room.answer(pose)
+                except LadarregError:  # its matches are missing, which its stage says in its verdict
+                    answer = None
                 stage.show_registration(scan, photo, answer, name=entry.source.name)
         if scan is None or entry is None:
             return

@@ -19,7 +19,7 @@ from app.jobs.bench import Bench
 from app.jobs.runner import Job, JobRunner
 from app.model_choice import ModelChoice
 from app.pictures import Pictures
-from app.session import Change, Session
+from app.session import RETRY_S, Change, Session
 from app.slices import entry_shown, history_slice, job_slice, photo_slice, pick_shown, project_slice, scan_slice
 from app.slices_of_poses import judged_slice, line_shown, poses_slice
 from app.stage_link import StageLink
@@ -65,6 +65,7 @@ class Workbench:
         self.room = room
         self.limits = Limits(upload_bytes)
         self.said_at_start = ""
+        self._told_unsaved = False
         self._lock = threading.RLock()
         self._people: list[Person] = []
         self._joined = 0
@@ -115,7 +116,8 @@ class Workbench:
 
     def answer(self, person: Person, message: Mapping[str, Any]) -> dict[str, Any]:
         """Do what a page asks for; never raises."""
-        return answer(self, person, message)
+        found = answer(self, person, message)
+        return found | {"saved": False} if self.session.unsaved else found
 
     def picture(self, path: str, query: Mapping[str, str]) -> Picture:
         """Return a picture.
@@ -142,7 +144,11 @@ class Workbench:
         return self.jobs.export_file(photo)
 
     def close(self) -> None:
-        """End all work; whatever was committed is on the disk."""
+        """End all work; whatever was committed is on the disk.
+
+        Raises:
+            UnsavedError: if something is not; it says where it is, if anywhere.
+        """
         self._off()
         self.runner.close()
         self.teller.close()
@@ -368,8 +374,15 @@ class Workbench:
                     self.teller.tell()
 
     def _changed(self, change: Change) -> None:
-        if self.session.unsaved:
-            self.notice(f"The project cannot be saved: {self.session.unsaved}", level="bad")
+        unsaved = self.session.unsaved
+        if bool(unsaved) != self._told_unsaved:
+            self._told_unsaved = bool(unsaved)
+            if unsaved:
+                self.notice(
+                    f"The project cannot be saved: {unsaved}. It is tried again every {RETRY_S:.0f} s.", level="bad"
+                )
+            else:
+                self.notice("Everything is saved again.")
         if change.document.scan != change.before.scan:
             self.pictures.draw_ahead()
         self.teller.tell(slow=True)

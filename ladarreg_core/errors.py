@@ -37,5 +37,13 @@ class ExportError(LadarregError):
     """A result that could not be written where it was asked for."""
 
 
+class NewerVersionError(FormatError):
+    """A file that a newer version of the program wrote, and that is left as it is."""
+
+
+class UnsavedError(ExportError):
+    """Work that could not be saved where it belongs; its text says where it is, if anywhere."""
+
+
 class Cancelled(Exception):  # noqa: N818 - it is no error
     """Raised by a `report` callback to stop the work that reports to it."""

@@ -45,7 +45,7 @@ class Inputs:
             OptionError: if nothing is drawn.
         """
         from ladarreg_core.picked import matches_from_picks
-        from ladarreg_core.project.results import registration_of
+        from ladarreg_core.project.results import pose_of
 
         if not self.picks:
             drawn = len(self.entry.picks)
@@ -61,7 +61,7 @@ class Inputs:
             camera=self.photo.camera,
             lines=self.settings.lines,
             samples_per_line=self.settings.samples_per_line,
-            pose=None if pose is None else registration_of(pose).camera_from_scanner,
+            pose=None if pose is None else pose_of(pose),
         )
         if not len(found):
             raise OptionError(

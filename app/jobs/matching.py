@@ -10,6 +10,7 @@ from app.jobs.bench import Bench, Inputs
 from app.jobs.runner import JobContext
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import switched, with_picks, without_origin
+from ladarreg_core.project.results import pose_of
 
 if TYPE_CHECKING:
     from ladarreg_core.matches import Pick
@@ -91,7 +92,7 @@ class MatchingJobs:
         if pose is None:
             raise OptionError("the second search needs a pose; solve linearly first")
         search = self._search(inputs, context)
-        first = self._bench.room.answer(pose).camera_from_scanner
+        first = pose_of(pose)
         with _timed(context, "constrained search") as note:
             found = search.search.constrained(first)
             note.update(matches=len(found))
@@ -108,7 +109,7 @@ class MatchingJobs:
         if search is None or search.found is None or search.key != self._key(inputs):
             raise OptionError("there are no corner matches to draw lines between; match corners first")
         pose = inputs.entry.pose
-        answer = None if pose is None else self._bench.room.answer(pose).camera_from_scanner
+        answer = None if pose is None else pose_of(pose)
         on = {pick.id for pick in inputs.entry.picks if pick.on}
         kept = search.found.subset([k for k, name in enumerate(search.ids) if name in on])
         with _timed(context, "lines between matches") as note:

@@ -11,6 +11,7 @@ from app.jobs.bench import Bench, Inputs
 from app.jobs.runner import JobContext
 from app.jobs.solving import SolvingJobs
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
+from ladarreg_core.project.results import pose_of
 
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
@@ -92,7 +93,7 @@ class SimplexJobs:
 
         if rejecting:
             before = inputs.entry.stage("simplex")
-            return None if before is None else self._bench.room.answer(before).camera_from_scanner
+            return None if before is None else pose_of(before)
         wanted = inputs.settings.start_from
         if wanted == "linear":
             return None  # which is the linear pose, or one aimed at the matches where that is refused
@@ -101,7 +102,7 @@ class SimplexJobs:
         if wanted == "shown":
             if inputs.entry.pose is None:
                 raise OptionError("no pose is shown that the simplex could start from; choose another start")
-            return self._bench.room.answer(inputs.entry.pose).camera_from_scanner
+            return pose_of(inputs.entry.pose)
         try:
             options = replace(inputs.settings.pose_options, intrinsics="fixed")
             robust: PoseResult = solve_pose(matches, inputs.photo.camera, options)

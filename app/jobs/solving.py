@@ -12,7 +12,7 @@ from app.wording import matches as matches_in_words
 from app.wording import verdict
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import with_pose
-from ladarreg_core.project.results import pose_entry
+from ladarreg_core.project.results import pose_entry, pose_of
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import StageId
@@ -52,7 +52,7 @@ class SolvingJobs:
 
         _ = inputs.matches()  # which says what is missing before any work
         pose = inputs.entry.pose
-        initial = None if pose is None else self._bench.room.answer(pose).camera_from_scanner
+        initial = None if pose is None else pose_of(pose)
         result = lr.register(
             inputs.scan,
             inputs.photo,

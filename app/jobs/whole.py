@@ -9,7 +9,7 @@ from app.jobs.bench import Bench, Inputs
 from app.jobs.runner import JobContext
 from app.jobs.solving import SolvingJobs
 from ladarreg_core.project.edits import with_picks, with_pose, without_origin
-from ladarreg_core.project.results import pose_entry
+from ladarreg_core.project.results import pose_entry, pose_of
 
 if TYPE_CHECKING:
     from ladarreg_core.matches import Pick
@@ -33,11 +33,11 @@ class WholeJobs:
         import ladarreg_core as lr
 
         pose = inputs.entry.pose
-        known = self._bench.room.answer(pose) if pose is not None and pose.accepted else None
+        known = pose_of(pose) if pose is not None and pose.accepted else None
         result = lr.register(
             inputs.scan,
             inputs.photo,
-            initial=None if known is None else known.camera_from_scanner,
+            initial=known,
             options=inputs.settings.register_options,
             report=context.step,
         )

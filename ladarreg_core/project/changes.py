@@ -93,6 +93,7 @@ def _changed(before: T, change: Any, find: FindArrays) -> T:
         if name in _LISTS
         else plain_as(kinds[name], value, find)
         for name, value in change.items()
+        if name in kinds  # what a newer version added is kept with the whole document, see `unknown_fields`
     }
     after = replace(before, **found)
     if isinstance(after, PickEntry):

@@ -7,9 +7,14 @@ from typing import Any
 
 import msgspec
 
-from ladarreg_core.errors import FormatError
+from ladarreg_core.errors import FormatError, NewerVersionError
 from ladarreg_core.project.document import VERSION, Document, PoseEntry
 from ladarreg_core.project.stored_arrays import StoredArrays
+
+
+class _Versioned(msgspec.Struct):
+    version: int = VERSION
+
 
 FindArrays = Callable[[str], StoredArrays]
 """Returns the arrays of a name; raises FormatError where they are missing."""
@@ -17,7 +22,7 @@ FindArrays = Callable[[str], StoredArrays]
 
 def encode(value: object) -> bytes:
     """Return a document, or a part of one, as JSON; arrays are named only."""
-    return msgspec.json.encode(value, enc_hook=_name_arrays)
+    return msgspec.json.encode(value, enc_hook=name_arrays)
 
 
 def decode_document(data: bytes, find: FindArrays) -> Document:
@@ -28,14 +33,23 @@ def decode_document(data: bytes, find: FindArrays) -> Document:
         find: returns the arrays that it names.
 
     Raises:
+        NewerVersionError: if a newer version of the program wrote it.
         FormatError: if it is no document of this version.
     """
     try:
+        version = msgspec.json.decode(data, type=_Versioned).version
+        if version > VERSION:
+            raise NewerVersionError(
+                f"the project has version {version} and this program reads version {VERSION}; nothing in it was"
+                " changed: open it with a newer version of ladarreg"
+            )
         found = msgspec.json.decode(data, type=Document, dec_hook=_finding(find))
     except msgspec.DecodeError as error:
         raise FormatError(f"it is no project of ladarreg, or damaged: {error}") from None
+    except UnicodeDecodeError as error:
+        raise FormatError(f"it is no project of ladarreg, or damaged: {error.reason}") from None
     if found.version != VERSION:
-        raise FormatError(f"the project has version {found.version}; this program reads version {VERSION}: update it")
+        raise FormatError(f"there is no version {found.version} of projects; the file is damaged")
     for photo in found.photos:
         for pick in photo.picks:
             pick.as_pick()  # it checks itself
@@ -71,7 +85,8 @@ def _finding(find: FindArrays) -> Callable[[type, Any], Any]:
     return hook
 
 
-def _name_arrays(value: Any) -> Any:
+def name_arrays(value: Any) -> Any:
+    """Return what stands for arrays in JSON; the `enc_hook` of msgspec."""
     if isinstance(value, StoredArrays):
         return value.name
     raise NotImplementedError(f"cannot write a {type(value).__name__}")

@@ -68,6 +68,21 @@ def pose_entry(
     )
 
 
+def pose_of(entry: PoseEntry) -> Rigid:
+    """Return the pose of an answer, which is there even where its matches are missing.
+
+    Returns:
+        camera_from_scanner.
+
+    Raises:
+        FormatError: if it is no pose.
+    """
+    try:
+        return Rigid.from_matrix(np.array(entry.camera_from_scanner))
+    except LadarregError as error:
+        raise FormatError(f"the pose of the stage '{entry.stage}' is damaged ({error}); solve again") from None
+
+
 def registration_of(entry: PoseEntry) -> Registration:
     """Return the answer that a document keeps.
 

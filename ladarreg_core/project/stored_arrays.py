@@ -15,13 +15,19 @@ _NAME_CHARACTERS = 40
 
 
 class StoredArrays:
-    """Named arrays, frozen, with a name made of their content."""
+    """Named arrays, frozen, with a name made of their content.
 
-    __slots__ = ("data", "name")
+    Args:
+        data: as `of` stores them.
+        lost: the name of arrays that are missing; they keep their place in the document, and come back with their file.
+    """
 
-    def __init__(self, data: bytes) -> None:
+    __slots__ = ("data", "lost", "name")
+
+    def __init__(self, data: bytes, *, lost: str = "") -> None:
         self.data = data
-        self.name = hashlib.sha256(data).hexdigest()[:_NAME_CHARACTERS]
+        self.lost = bool(lost)
+        self.name = lost or hashlib.sha256(data).hexdigest()[:_NAME_CHARACTERS]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, StoredArrays) and other.name == self.name
@@ -40,8 +46,10 @@ class StoredArrays:
         """Return the arrays.
 
         Raises:
-            FormatError: if they are damaged.
+            FormatError: if they are missing or damaged.
         """
+        if self.lost:
+            raise FormatError(f"the stored matches {self.name[:8]} are missing; solve again")
         try:
             with np.load(io.BytesIO(self.data), allow_pickle=False) as file:
                 return {name: file[name] for name in file.files}

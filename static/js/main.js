@@ -79,6 +79,7 @@ let welcomed = false;
 const welcome = () => {
   if (welcomed || !store.get("project")) return;
   welcomed = true;
+  if (store.get("project").amiss) notice(store.get("project").amiss, "warn");
   const nothing = !store.get("scan") && !(store.get("photos") ?? []).length;
   if (nothing && !document.querySelector("dialog[open]")) openFiles();
   else sayOnce(store.get("project").opened);

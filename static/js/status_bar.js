@@ -95,8 +95,10 @@ export const mountStatusBar = (footer) => {
   const showSaved = () => {
     const project = store.get("project");
     saved.classList.toggle("warn", Boolean(project?.unsaved));
-    say(saved, project ? (project.unsaved ? "not saved" : project.saved_at ? `saved ${project.saved_at}` : "") : "");
-    saved.title = project?.unsaved_why || "Everything is saved with every step";
+    say(saved, project ? (project.unsaved ? "NOT SAVED: trying again" : project.saved_at ? `saved ${project.saved_at}` : "") : "");
+    saved.title = project?.unsaved
+      ? `${project.unsaved_why}. It is tried again every 5 s; what is done meanwhile is lost if the machine stops.`
+      : "Everything is saved with every step";
   };
   const showConnection = () => {
     const [shape, text, level] = CONNECTIONS[connectionState()];

@@ -636,21 +636,54 @@ def test_opened_again_it_shows_the_photograph_that_was_worked_on(tmp_path: Path)
 
 def test_a_disk_that_is_full_does_not_stop_the_work(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     from ladarreg_core.errors import ExportError
+    from ladarreg_core.export.files import AppendedFile
     from ladarreg_core.project.folder import ProjectFolder
 
     def full(*arguments: Any, **options: Any) -> None:
         raise ExportError("cannot write project.json: no space left on device")
 
-    for count, writing in enumerate(("_append", "_replace"), start=1):
+    def notices() -> list[str]:
+        return [message["text"] for message in bench.told if message.get("event") == "notice"]
+
+    monkeypatch.setattr("app.session.RETRY_S", 0.05)
+    for count, (kind, writing) in enumerate(((AppendedFile, "append"), (ProjectFolder, "_replace")), start=1):
         with monkeypatch.context() as patch:
-            patch.setattr(ProjectFolder, writing, full)
+            patch.setattr(kind, writing, full)
             bench.do("add_pick", photo="p1", **LINE)
             bench.eventually(lambda: bench.slice("project")["unsaved"])
-            assert any("no space" in message.get("text", "") for message in bench.told)
+            assert bench.do("add_pick", photo="p1", **LINE)["saved"] is False
+            assert bench.do("set_model", light=count == 1)["saved"] is False, "every answer says so"
+            assert ["no space" in text for text in notices()] == [True], "and a notice once"
+        bench.eventually(lambda: not bench.slice("project")["unsaved"])
+        assert notices()[1:] == ["Everything is saved again."], "although nobody did anything"
         bench.told.clear()
-        bench.do("add_pick", photo="p1", **LINE)
-        assert not bench.slice("project")["unsaved"]
-        assert len(kept_picks(bench)) == 2 * count, "what could not be saved is saved whole, at once"
+        assert "saved" not in bench.do("add_pick", photo="p1", **LINE)
+        bench.workbench.session.folder.settle()
+        assert len(kept_picks(bench)) == 3 * count, "what could not be saved is saved whole"
+
+
+def test_a_project_whose_matches_are_missing_shows_everything_else(tmp_path: Path) -> None:
+    bench = sample_bench(tmp_path / "p")
+    bench.do("add_pick", photo="p1", **LINE)
+    bench.job("auto")
+    picks = bench.slice("picks:p1")
+    bench.workbench.close()
+    for path in (tmp_path / "p" / "arrays").iterdir():
+        path.unlink()
+    (tmp_path / "p" / "project.json").unlink()
+    bench = open_bench(tmp_path / "p")
+    try:
+        assert "missing" in bench.slice("project")["amiss"]
+        assert bench.slice("scan")["views"]
+        assert bench.slice("picks:p1") == picks
+        (stage,) = bench.slice("poses:p1")["stages"]
+        assert "solve again" in stage["verdict"]
+        judged = bench.eventually(lambda: bench.slice("judged:p1"))
+        assert list(judged["lines"]) == ["1"], "what the scan measures under a line does not need the answer"
+        assert bench.job("auto").state == "done"
+        assert bench.slice("poses:p1")["stages"][0]["accepted"] is True
+    finally:
+        bench.workbench.close()
 
 
 def test_what_is_given_at_the_start_is_checked(tmp_path: Path) -> None:
