@@ -118,6 +118,11 @@ class Session:
         """
         self._go(lambda history: history.gone_to(number))
 
+    def save_now(self) -> None:
+        """Have everything on the disk, `project.json` included; what cannot be saved is said by `unsaved`."""
+        with self._lock:
+            self._save(self.folder.settle)
+
     def close(self) -> None:
         """Save what could not be saved before, and let the folder go."""
         self._quiet.close()
