@@ -54,9 +54,17 @@ def test_a_terminal_that_is_closed_ends_the_server(tmp_path: Path) -> None:
         while b"Ctrl-C" not in shown:
             shown += os.read(terminal, 4096)
         os.close(terminal)
-        assert soon(lambda: os.waitpid(process, os.WNOHANG)[0] == process if project.exists() else False, seconds=30)
+        ended: list[int] = []
+
+        def has_ended() -> bool:
+            found, status = os.waitpid(process, os.WNOHANG)
+            ended.extend([status] if found else [])
+            return bool(found)
+
+        assert soon(has_ended, seconds=30)
+        assert [os.waitstatus_to_exitcode(status) for status in ended] == [0]
     finally:
-        with contextlib.suppress(ProcessLookupError, ChildProcessError):
+        with contextlib.suppress(ProcessLookupError):
             os.kill(process, signal.SIGKILL)
     assert name_of(project) == "untitled"
 
