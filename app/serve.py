@@ -8,6 +8,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from app.gateway.options import GatewayOptions
     from app.viser_lock import ViserAddress
     from app.workbench import Workbench
+    from ladarreg_core.project.folder import ProjectFolder
 
 _PROJECT = "project.json"
 _LAST = "last.json"
@@ -80,6 +82,7 @@ def open_workbench(
             history = History.begun(Document(name=name or "untitled"), label="Begin", author="", when=now())
             kept.begin(history)
             said = ""
+        _remove_leftovers(kept)
         session = Session(kept, history)
         workbench = Workbench(session, Workroom(kept), upload_bytes=upload_bytes, served=folder)
     except BaseException:
@@ -160,6 +163,17 @@ def _save_and_exit(session: Session) -> None:
         exit_now(ExitCode.FAILED)
     say("ladarreg: ended at once; everything is saved")
     exit_now(ExitCode.INTERRUPTED)
+
+
+def _remove_leftovers(folder: ProjectFolder) -> None:
+    """Remove what a program left unfinished that was killed; nobody else has the project open now."""
+    from ladarreg_core.export.leftovers import remove_leftovers
+
+    for place in (folder.path, folder.path / "arrays", folder.exports):
+        remove_leftovers(place, unchanged_s=0)
+    for part in folder.exports.glob("*.zip.part"):
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def _add(workbench: Workbench, files: Sequence[Path], camera: Path | None, check: Callable[[], None]) -> None:

@@ -27,9 +27,11 @@ def run(arguments: Arguments) -> ExitCode:
     """Read, let every stage register, export, and tell the table."""
     from ladarreg_core.export.comparison_table import default_of, verdict_of
     from ladarreg_core.export.folder import check_folder
+    from ladarreg_core.export.leftovers import remove_leftovers
 
     started = time.perf_counter()
     check_folder(arguments.out, force=arguments.force)
+    remove_leftovers(arguments.out.absolute().parent, of=arguments.out.name)
     with step_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
         comparison = _compare(arguments, scan, photo, bar)

@@ -41,9 +41,11 @@ def run(arguments: Arguments) -> ExitCode:
     """Read, register, export, and tell the verdict."""
     from ladarreg_core.assessment import assess
     from ladarreg_core.export.folder import check_folder
+    from ladarreg_core.export.leftovers import remove_leftovers
 
     started = time.perf_counter()
     check_folder(arguments.out, force=arguments.force)
+    remove_leftovers(arguments.out.absolute().parent, of=arguments.out.name)
     check_method(arguments, arguments.method)
     _check_carry(arguments)
     with step_bar(quiet=arguments.quiet) as bar:

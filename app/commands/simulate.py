@@ -38,10 +38,12 @@ class Arguments:
 def run(arguments: Arguments) -> ExitCode:
     """Simulate and write `scan.npz`, `photo.png`, `camera.json` and `truth.json`."""
     from ladarreg_core.export.folder import check_folder, write_folder
+    from ladarreg_core.export.leftovers import remove_leftovers
     from ladarreg_core.simulate import simulate_case
     from ladarreg_core.simulate.case_files import case_files
 
     check_folder(arguments.out, force=arguments.force)  # before the work, not after it
+    remove_leftovers(arguments.out.absolute().parent, of=arguments.out.name)
     case = simulate_case(
         arguments.scene,
         set_name=arguments.set,

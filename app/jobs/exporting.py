@@ -13,6 +13,7 @@ from app.jobs.bench import Bench, Inputs
 from app.jobs.runner import JobContext
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.files import cannot_write
+from ladarreg_core.export.leftovers import remove_leftovers
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import PhotoEntry, PoseEntry
@@ -53,6 +54,7 @@ class ExportJobs:
         """Return the job that writes into a folder."""
 
         def work(inputs: Inputs, context: JobContext) -> str:
+            remove_leftovers(folder.parent, of=folder.name)
             self._write(inputs, folder, context, force=force)
             return f"Wrote {', '.join(sorted(path.name for path in folder.iterdir()))}."
 

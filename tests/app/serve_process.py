@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -79,3 +80,11 @@ def ask(page: ClientConnection, do: str, **fields: Any) -> dict[str, Any]:
 def name_of(project: Path) -> str:
     """Return the name that a project's file gives it."""
     return str(json.loads((project / "project.json").read_bytes())["name"])
+
+
+def begin_upload(there: Running) -> socket.socket:
+    """Begin an upload that never comes to its end."""
+    line = socket.create_connection(("127.0.0.1", there.port), timeout=10)
+    head = "POST /upload?what=scan HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nX-File-Name: a.e57\r\n"
+    line.sendall(f"{head}Cookie: {there.cookie}\r\nContent-Length: 100000\r\n\r\nabc".encode())
+    return line

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -16,18 +15,10 @@ import pytest
 from app.exit_codes import ExitCode
 from app.stop_signals import ONE_REQUEST_S
 from ladarreg_core.simulate import sample_folder
-from tests.app.gateway_bench import Running, soon
-from tests.app.serve_process import ask, name_of, serving, start
+from tests.app.gateway_bench import soon
+from tests.app.serve_process import ask, begin_upload, name_of, serving, start
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
-
-
-def begin_upload(there: Running) -> socket.socket:
-    """Begin an upload that never comes to its end."""
-    line = socket.create_connection(("127.0.0.1", there.port), timeout=10)
-    head = "POST /upload?what=scan HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nX-File-Name: a.e57\r\n"
-    line.sendall(f"{head}Cookie: {there.cookie}\r\nContent-Length: 100000\r\n\r\nabc".encode())
-    return line
 
 
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP])
