@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import importlib
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
 from app.exit_codes import ExitCode
+from app.stop_signals import interrupt_on_stop_signals
 
 COMMANDS = {
     "register": "Register a scan with a photograph: pose, registered picture, textured model.",
@@ -44,7 +44,7 @@ def main(args: Sequence[str] | None = None) -> int:
             f"{words[0]!r} is no command; use one of {', '.join(COMMANDS)} (see ladarreg --help)", ExitCode.BAD_INPUT
         )
     debug = "--debug" in words
-    _interrupt_on_sigterm()
+    interrupt_on_stop_signals()
     try:
         return _run(words[0], words[1:], debug=debug)
     except SystemExit as stop:  # help and errors of the argument parser
@@ -134,16 +134,3 @@ def _set_up_log(*, debug: bool) -> None:
     else:
         warnings.simplefilter("ignore")
         logging.getLogger().addHandler(logging.NullHandler())
-
-
-def _interrupt_on_sigterm() -> None:
-    """Let a polite kill clean up like Ctrl-C does."""
-
-    def interrupt(signum: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    if hasattr(signal, "SIGTERM"):
-        try:
-            signal.signal(signal.SIGTERM, interrupt)
-        except ValueError:  # called from another thread than the main one
-            return

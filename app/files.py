@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import stat
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -22,6 +24,8 @@ _DEEPEST = 4
 _PHOTOS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"}
 _SCANS = {".e57", ".pcd", ".npz"}
 _MANY = {".json", ".yaml", ".yml", ".csv"}
+_HEAD_BYTES = 4096
+_DESCRIPTOR = re.compile(rb'"kind"\s*:\s*"(depth-image|counts)"')
 
 
 class Files:
@@ -54,13 +58,10 @@ class Files:
         """
         if self._served is None:
             raise OptionError("no folder is served; start with --folder, or upload the file")
-        try:
-            wanted = (self._served / path).resolve()
-            there = wanted.is_relative_to(self._served) and wanted.is_file()
-        except (OSError, ValueError, RuntimeError):  # too long, a NUL, links in a circle
-            there = False
-        if not there:
+        offered = self._offered(self._served / path)
+        if offered is None:  # by the rule of the list: a reader's error quotes what it found
             raise OptionError("there is no such file in the served folder; look again")
+        wanted, _ = offered
         return self.open(wanted, wanted.name, what, photo, author)
 
     def open(self, path: Path, name: str, what: str, photo: str | None, author: str) -> str:
@@ -158,14 +159,15 @@ class Files:
         for folder, below, names in os.walk(self._served):
             here = Path(folder)
             depth = len(here.relative_to(self._served).parts)
-            below[:] = sorted(name for name in below if not name.startswith(".")) if depth < _DEEPEST else []
+            below[:] = sorted(name for name in below if not _is_hidden(here / name)) if depth < _DEEPEST else []
             for name in sorted(names):
                 path = here / name
-                kind = _kind(path)
-                if kind is None or name.startswith(".") or not _is_text(str(path)):
+                offered = self._offered(path)
+                if offered is None:
                     continue
+                target, kind = offered
                 try:
-                    size = path.stat().st_size
+                    size = target.stat().st_size
                 except OSError:
                     continue
                 found.append({"path": path.relative_to(self._served).as_posix(), "size": size, "kind": kind})
@@ -173,9 +175,39 @@ class Files:
                 break
         self._listed = found[:_MOST_SERVED]
 
+    def _offered(self, path: Path) -> tuple[Path, str] | None:
+        """Return the file that a path below the served folder means, and its kind; None where it is not for the page.
+
+        A file is for the page where nothing on the way to it is hidden, by its own name and by that of what a link
+        leads to, and where it is of a kind that can be opened.
+        """
+        served = self._served
+        if served is None or not _is_text(str(path)):
+            return None
+        try:
+            target = path.resolve()
+            for way in (path, target):
+                steps = way.relative_to(served).parts
+                if any(_is_hidden(served.joinpath(*steps[: k + 1])) for k in range(len(steps))):
+                    return None
+            kind = _kind(target) if target.is_file() else None
+        except (OSError, ValueError, RuntimeError):  # no path at all, one that leads out of the folder, or in circles
+            return None
+        return None if kind is None else (target, kind)
+
     def served_slice(self) -> dict[str, Any] | None:
         """Return the served files; None where no folder is served."""
         return None if self._served is None else {"label": self._served.name, "files": self._listed}
+
+
+def _is_hidden(path: Path) -> bool:
+    """Return whether a file or folder is one that its owner does not show: by a dot, or on Windows by an attribute."""
+    if path.name.startswith("."):
+        return True
+    try:
+        return bool(getattr(path.lstat(), "st_file_attributes", 0) & stat.FILE_ATTRIBUTE_HIDDEN)
+    except OSError:
+        return True
 
 
 def _kind(path: Path) -> str | None:
@@ -191,7 +223,9 @@ def _kind(path: Path) -> str | None:
         return None
     try:
         found = recognise(path).kind
-    except LadarregError:
+        if found == "scan" and not _describes_scan(path):
+            return None
+    except (LadarregError, OSError):
         return None
     return found if found in get_args(What) else None
 
@@ -203,3 +237,9 @@ def _is_text(name: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+def _describes_scan(path: Path) -> bool:
+    """Return whether a JSON file says itself that it describes a scan; any other object is taken for one, too."""
+    with path.open("rb") as file:
+        return _DESCRIPTOR.search(file.read(_HEAD_BYTES)) is not None

@@ -6,14 +6,17 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.exit_codes import ExitCode
 from app.session import Session, now
+from app.stop_signals import StopSignals, exit_now, say
 from app.workroom import Workroom
 from ladarreg_core.errors import LadarregError, OptionError
 
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 
 _LAST = "last.json"
 _VISER_OPENS_S = 60.0
+_SAVED_WITHIN_S = 10.0
 
 
 def open_workbench(
@@ -36,6 +40,7 @@ def open_workbench(
     upload_bytes: int = 2 << 30,
     name: str = "",
     camera: Path | None = None,
+    check: Callable[[], None] = lambda: None,
 ) -> Workbench:
     """Open a workbench; whoever opens it closes it.
 
@@ -46,14 +51,17 @@ def open_workbench(
         upload_bytes: the largest upload.
         name: of the project that scan and photographs begin; empty: the scan's.
         camera: a camera file for the photographs that are new.
+        check: called between files; may raise `Cancelled`.
 
     Raises:
         LadarregError: if a file cannot be opened, or another program has the project open.
+        Cancelled: if `check` raised it; what was opened before is saved.
     """
     from app.workbench import Workbench
     from ladarreg_core.project.document import Document
     from ladarreg_core.project.folder import ProjectFolder, is_project
     from ladarreg_core.project.history import History
+    from ladarreg_core.project.leftovers import remove_leftovers
 
     given = [Path(os.path.abspath(path)) for path in inputs]
     for path in given:
@@ -74,13 +82,15 @@ def open_workbench(
             history = History.begun(Document(name=name or "untitled"), label="Begin", author="", when=now())
             kept.begin(history)
             said = ""
+        remove_leftovers(kept.path)
         session = Session(kept, history, elsewhere=_other_places(kept.path))
         workbench = Workbench(session, Workroom(kept), upload_bytes=upload_bytes, served=folder)
     except BaseException:
         kept.close()
         raise
     try:
-        _add(workbench, files, camera)
+        check()
+        _add(workbench, files, camera, check)
     except BaseException:
         workbench.close()
         raise
@@ -89,8 +99,10 @@ def open_workbench(
     return workbench
 
 
-def serve_and_close(workbench: Workbench, *, token: str, options: GatewayOptions, browser: bool) -> None:
-    """Serve a workbench until Ctrl-C, and close it.
+def serve_and_close(
+    workbench: Workbench, *, token: str, options: GatewayOptions, browser: bool, stop: StopSignals
+) -> None:
+    """Serve a workbench until a signal asks to stop, and close it.
 
     The page and the pictures come first: viser takes a good part of a second to load, and is asked for last.
 
@@ -99,6 +111,7 @@ def serve_and_close(workbench: Workbench, *, token: str, options: GatewayOptions
         token: what opens the page.
         options: where to listen.
         browser: whether to open a browser, too.
+        stop: receives the signals; one that comes again later ends the process as soon as everything is saved.
 
     Raises:
         OptionError: if there is no such address, no free port, or no such certificate.
@@ -111,6 +124,7 @@ def serve_and_close(workbench: Workbench, *, token: str, options: GatewayOptions
         print(f"ladarreg: {sentence}", file=sys.stderr)
     where: Future[ViserAddress] = Future()
     opened: list[viser.ViserServer] = []
+    stop.end_at_once_by(lambda: _save_and_exit(workbench.session))
 
     def open_viser() -> None:
         from app.viser_server import open_locked_server
@@ -127,6 +141,7 @@ def serve_and_close(workbench: Workbench, *, token: str, options: GatewayOptions
             token=token,
             options=options,
             browser=browser,
+            stop=stop,
             then=open_viser,
         )
     finally:
@@ -141,7 +156,22 @@ def serve_and_close(workbench: Workbench, *, token: str, options: GatewayOptions
                 close_server(server)
 
 
-def _add(workbench: Workbench, files: Sequence[Path], camera: Path | None) -> None:
+def _save_and_exit(session: Session) -> None:
+    """Save, and end the process without waiting for pages and jobs."""
+    lost: list[str] = []
+    # Not here: a disk that hangs must not keep the process.
+    saving = threading.Thread(target=lambda: lost.append(session.save_now()), name="saving", daemon=True)
+    saving.start()
+    saving.join(_SAVED_WITHIN_S)
+    if not lost or lost[0]:
+        reason = lost[0] if lost else f"the last changes are not saved: no disk answered within {_SAVED_WITHIN_S:g} s"
+        say(f"ladarreg: ended at once; {reason}")
+        exit_now(ExitCode.FAILED)
+    say("ladarreg: ended at once; everything is saved")
+    exit_now(ExitCode.INTERRUPTED)
+
+
+def _add(workbench: Workbench, files: Sequence[Path], camera: Path | None, check: Callable[[], None]) -> None:
     """Open what is not in the project yet."""
     if not files:
         return
@@ -151,6 +181,7 @@ def _add(workbench: Workbench, files: Sequence[Path], camera: Path | None) -> No
         workbench.files.open(scan, scan.name, "scan", None, "")
     there = {place.source_path(photo.source.path) for photo in workbench.session.document.photos}
     for photo in photos:
+        check()
         if photo not in there:
             made = workbench.files.open(photo, photo.name, "photo", None, "")
             if camera is not None:

@@ -140,6 +140,12 @@ class Session:
         """
         self._go(lambda history: history.gone_to(number))
 
+    def save_now(self) -> str:
+        """Save everything, `project.json` included; return what became of edits that the disk has no room for."""
+        with self._lock:
+            self._save(self.folder.settle)
+            return self._saved_elsewhere() if self.folder.behind else ""
+
     def close(self) -> None:
         """Save what could not be saved before, and let the folder go.
 

@@ -37,14 +37,18 @@ def run(arguments: Arguments) -> ExitCode:
     from app.gateway.door import new_token
     from app.gateway.options import GatewayOptions
     from app.serve import open_workbench, serve_and_close
+    from app.stop_signals import StopSignals
     from ladarreg_core.simulate import sample_folder
 
+    stop = StopSignals()
+    stop.listen()
     folder = sample_folder()
     workbench = open_workbench(
         (folder / "scan.npz", next(folder.glob("photo.*"))),
         camera=folder / "camera.json",
         project=arguments.project,
         name=_NAME,
+        check=stop.check,
     )
     try:
         _begin(workbench, fresh=arguments.fresh)
@@ -52,7 +56,7 @@ def run(arguments: Arguments) -> ExitCode:
         workbench.close()
         raise
     options = GatewayOptions(port=arguments.port)
-    serve_and_close(workbench, token=new_token(), options=options, browser=not arguments.no_browser)
+    serve_and_close(workbench, token=new_token(), options=options, browser=not arguments.no_browser, stop=stop)
     return ExitCode.ACCEPTED
 
 

@@ -50,7 +50,7 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Open the workbench and serve it until Ctrl-C."""
+    """Open the workbench and serve it until a signal asks to stop."""
     from app.gateway.door import checked_token, new_token
     from app.gateway.options import GatewayOptions
     from app.gateway.server import check_certificate
@@ -78,11 +78,15 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _serve(arguments: Arguments, token: str, options: GatewayOptions) -> None:
     from app.serve import open_workbench, serve_and_close
+    from app.stop_signals import StopSignals
 
+    stop = StopSignals()
+    stop.listen()
     workbench = open_workbench(
         arguments.inputs,
         project=arguments.project,
         folder=arguments.folder,
         upload_bytes=arguments.upload_limit_mb << 20,
+        check=stop.check,
     )
-    serve_and_close(workbench, token=token, options=options, browser=not arguments.no_browser)
+    serve_and_close(workbench, token=token, options=options, browser=not arguments.no_browser, stop=stop)

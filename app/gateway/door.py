@@ -10,6 +10,8 @@ from ladarreg_core.errors import OptionError
 
 SHORTEST = 12
 """Characters that a token needs at least."""
+_UNGUESSABLE = 22
+"""Characters of base64 that hold 128 random bits."""
 _ID_BYTES = 16
 
 
@@ -46,6 +48,8 @@ class Door:
 
     def __init__(self, token: str, *, port: int) -> None:
         self.cookie_name = f"ladarreg-{port}"
+        self.unguessable = len(token) >= _UNGUESSABLE
+        """Whether the token is so long that trying does not help."""
         self._token = hashlib.sha256(token.encode()).digest()
         self._key = hmac.digest(token.encode(), b"ladarreg cookie", "sha256")
 

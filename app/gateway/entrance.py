@@ -6,7 +6,6 @@ import asyncio
 import base64
 import hashlib
 import html
-import math
 from urllib.parse import parse_qs
 
 from starlette.requests import ClientDisconnect, Request
@@ -18,6 +17,8 @@ from app.gateway.forwarded import Asked
 
 _LONGEST_FORM = 4096
 _WRONG_DELAY_S = 0.3
+_LATER_S = 30
+_KINDS = {"none": "typed", "same-origin": "typed", "same-site": "linked", "cross-site": "linked"}
 _STYLE = (
     ":root{color-scheme:dark light;--back:#0f1115;--panel:#161a21;--line:#2a313d;--ink:#e8ecf2;--dim:#8f9bad;"
     "--accent:#5cc8ff;--bad:#f2726f}"
@@ -34,14 +35,27 @@ _STYLE = (
     "button{background:transparent;border:1px solid var(--accent);color:var(--accent);cursor:pointer}"
     "input:focus-visible,button:focus-visible{outline:2px solid var(--accent);outline-offset:2px}"
 )
-_STYLE_HASH = base64.b64encode(hashlib.sha256(_STYLE.encode()).digest()).decode()
+# An address that holds a token, even a wrong one, does not stay where the browser's Back button leads.
+_GO_ON = 'location.replace("./")'
+_FORGET = 'history.replaceState(null, "", "./")'
+
+
+def _headers(script: str, *, referrer: str) -> dict[str, str]:
+    return {
+        "content-security-policy": f"default-src 'none'; style-src '{_digest(_STYLE)}'; "
+        f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'",
+        "referrer-policy": referrer,
+        "x-frame-options": "DENY",
+    }
+
+
+def _digest(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+_GO_ON_HEADERS = _headers(_GO_ON, referrer="no-referrer")
 # With `no-referrer` the form's own Origin would be `null`.
-_HEADERS = {
-    "content-security-policy": f"default-src 'none'; style-src 'sha256-{_STYLE_HASH}'; base-uri 'none'; "
-    "form-action 'self'; frame-ancestors 'none'",
-    "referrer-policy": "same-origin",
-    "x-frame-options": "DENY",
-}
+_FORM_HEADERS = _headers(_FORGET, referrer="strict-origin")
 
 
 class Entrance:
@@ -54,16 +68,27 @@ class Entrance:
     def __init__(self, door: Door) -> None:
         self._door, self._attempts = door, Attempts()
 
-    async def show(self, asked: Asked, token: str) -> Response:
-        """Answer somebody who shows a token."""
-        wait_s = self._attempts.wait_s(asked.address)
-        if wait_s > 0:
-            seconds = max(1, math.ceil(wait_s))
-            text = f"Too many wrong tokens came from this address. Try again in {seconds} s."
-            return _form(text, status=429, headers={"retry-after": str(seconds)})
-        if self._door.knows(token):
+    async def show(self, asked: Asked, token: str, *, by_form: bool = False) -> Response:
+        """Answer somebody who shows a token.
+
+        A page of another site can have a browser show wrong ones. It must not shut out those who use that browser, or
+        its address: what such a page causes is counted apart from what a person types, the form (which no other site
+        can send, its Origin being checked) apart from both, and a token that cannot be guessed opens whatever else was
+        tried.
+        """
+        if asked.shown_as not in ("", "document"):
+            return PlainTextResponse("A token is shown by opening a page with it.\n", status_code=403)
+        right, kind = self._door.knows(token), "form" if by_form else _KINDS.get(asked.from_site, "unsaid")
+        if not (right and self._door.unguessable):
+            turn_s = self._attempts.turn_s(asked.address, kind)
+            if turn_s is None:
+                text = "Too many wrong tokens came from this address. Enter the right one here, or try again later."
+                return _form(text, status=429, headers={"retry-after": str(_LATER_S)})
+            if turn_s > 0:
+                await asyncio.sleep(turn_s)
+        if right:
             return self._welcome(asked)
-        self._attempts.wrong(asked.address)
+        self._attempts.wrong(asked.address, kind)
         await asyncio.sleep(_WRONG_DELAY_S)
         return _form("This is not the token of the running workbench.", status=401)
 
@@ -78,7 +103,7 @@ class Entrance:
         except ClientDisconnect:
             return Response(status_code=400)
         words = parse_qs(body.decode(errors="replace"))
-        return await self.show(asked, words.get("token", [""])[-1].strip())
+        return await self.show(asked, words.get("token", [""])[-1].strip(), by_form=True)
 
     def ask(self) -> Response:
         """Answer somebody who shows nothing."""
@@ -100,7 +125,8 @@ class Entrance:
 def go_on() -> Response:
     """Return a page that moves on to the workbench: a strict cookie set by a redirect is lost after a foreign link."""
     body = '<h1>ladarreg</h1><p>Opening. <a href="./">Continue</a></p>'
-    return HTMLResponse(_page(body, head='<meta http-equiv="refresh" content="0; url=./">'), headers=_HEADERS)
+    head = f'<script>{_GO_ON}</script><noscript><meta http-equiv="refresh" content="0; url=./"></noscript>'
+    return HTMLResponse(_page(body, head=head), headers=_GO_ON_HEADERS)
 
 
 def _form(said: str, *, status: int, headers: dict[str, str] | None = None) -> Response:
@@ -111,9 +137,10 @@ def _form(said: str, *, status: int, headers: dict[str, str] | None = None) -> R
         " started.</p>"
         '<form method="post" action="./enter"><label for="token">Token</label>'
         '<input id="token" name="token" type="password" autocomplete="current-password" required autofocus>'
-        "<button>Enter</button></form>"
+        "<button>Enter</button></form>",
+        head=f"<script>{_FORGET}</script>",
     )
-    return HTMLResponse(page, status_code=status, headers=_HEADERS | (headers or {}))
+    return HTMLResponse(page, status_code=status, headers=_FORM_HEADERS | (headers or {}))
 
 
 def _page(body: str, *, head: str = "") -> str:

@@ -28,6 +28,10 @@ class Asked:
     """The folder that the page lives under, `/` at least."""
     origin: str
     """The header Origin, empty if there is none, or several."""
+    from_site: str = ""
+    """The header Sec-Fetch-Site: whose page asks, empty where the browser does not say."""
+    shown_as: str = ""
+    """The header Sec-Fetch-Dest: what the answer becomes in the browser, empty where it does not say."""
 
     @property
     def name(self) -> str:
@@ -65,7 +69,15 @@ def asked_of(scope: Scope, *, behind_proxy: bool) -> Asked:
         host = _last(headers, b"x-forwarded-host") or host
         secure = secure or _last(headers, b"x-forwarded-proto") == "https"
         prefix = _prefix(_last(headers, b"x-forwarded-prefix"))
-    return Asked(address, host if _HOST.fullmatch(host) else "", secure, prefix, _only(headers, b"origin"))
+    return Asked(
+        address,
+        host if _HOST.fullmatch(host) else "",
+        secure,
+        prefix,
+        _only(headers, b"origin"),
+        _only(headers, b"sec-fetch-site"),
+        _only(headers, b"sec-fetch-dest"),
+    )
 
 
 def _only(headers: Iterable[tuple[bytes, str]], name: bytes) -> str:

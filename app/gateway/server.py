@@ -61,7 +61,6 @@ class Gateway:
         )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._run, name="gateway", daemon=True)
-        # Not `join`: a Ctrl-C inside it makes Python 3.11 take the thread for dead.
         self._ended = threading.Event()
         self._failure: BaseException | None = None
 
@@ -84,9 +83,13 @@ class Gateway:
         if self._failure is not None:
             raise self._failure
 
-    def wait(self) -> None:
-        """Return when the server has ended, or by KeyboardInterrupt."""
-        while not self._ended.wait(timeout=1.0):
+    def wait(self, stopped: Callable[[float], bool]) -> None:
+        """Return when the server has ended or is to end.
+
+        Args:
+            stopped: waits for so many seconds at most and returns whether the server is to end.
+        """
+        while not self._ended.is_set() and not stopped(1.0):
             pass
         if self._failure is not None:
             raise self._failure

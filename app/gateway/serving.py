@@ -1,4 +1,4 @@
-"""Serve a workbench until Ctrl-C."""
+"""Serve a workbench until a stop signal."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from app.gateway.interface import Workbench
 from app.gateway.options import GatewayOptions
 from app.gateway.server import Gateway
 from app.gateway.site import site
+from app.stop_signals import StopSignals, say
 from app.viser_lock import ViserAddress
 
 _GIVE_WAY_S = 0.0005
@@ -25,9 +26,10 @@ def serve_until_interrupted(
     token: str,
     options: GatewayOptions,
     browser: bool,
+    stop: StopSignals,
     then: Callable[[], None] = lambda: None,
 ) -> None:
-    """Serve, say where, and return after Ctrl-C or a polite kill.
+    """Serve, say where, and return when a signal asks to stop.
 
     Args:
         workbench: what is behind the page.
@@ -35,6 +37,7 @@ def serve_until_interrupted(
         token: what opens the page.
         options: where to listen.
         browser: whether to open a browser, too.
+        stop: receives the signals.
         then: called once pages can come.
 
     Raises:
@@ -53,13 +56,10 @@ def serve_until_interrupted(
         if browser:
             open_browser(address)
         then()
-        gateway.wait()
-    except KeyboardInterrupt:
-        print(file=sys.stderr)
+        gateway.wait(stop.wait)
+        if stop.first == signal.SIGINT:
+            say("")  # behind the terminal's ^C
     finally:
-        # A terminal sends Ctrl-C to everyone in it, and `make` passes it on once more: the second must not hurt.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
         gateway.close()
 
 

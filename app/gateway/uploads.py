@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
+import re
 import secrets
 import shutil
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncGenerator, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -31,6 +33,13 @@ _BLOCK = 1 << 20
 _LEFT_FREE = 1 << 28
 """Bytes of the disk that uploads leave to others."""
 _HEARD_OUT_S = 5.0
+_SILENT_S = 60.0
+"""A browser that sends nothing for so long is taken for gone."""
+_PART = re.compile(r"[0-9a-f]{32}\.part")
+_MOVED = (
+    "the folder of the project is not where it was: it was moved, renamed or deleted, or its disk is gone; the work is"
+    " still in memory: put the folder back, then send the file again"
+)
 
 
 class UploadError(LadarregError):
@@ -52,8 +61,10 @@ class Uploads:
     def __init__(self, workbench: Workbench, visitors: Visitors) -> None:
         self._workbench, self._visitors = workbench, visitors
         self._under_way: Counter[str] = Counter()
-        for part in workbench.upload_room().glob("*.part"):  # of a program that was killed
-            part.unlink(missing_ok=True)
+        # Of a program that was killed: the project is open in this one alone, and this one has taken nothing yet.
+        for part in workbench.upload_room().glob("*.part"):
+            if _PART.fullmatch(part.name):
+                part.unlink(missing_ok=True)
 
     async def serve(self, request: Request) -> Response:
         """Take a file."""
@@ -68,6 +79,10 @@ class Uploads:
             return _Refusal({"ok": False, "error": str(error)}, status_code=error.status)
         except LadarregError as error:
             return _Refusal({"ok": False, "error": str(error)}, status_code=400)
+        except OSError as error:
+            log.warning("an upload failed: %s", error)
+            refusal = await run_in_threadpool(_refusal, error, self._workbench.upload_room())
+            return _Refusal({"ok": False, "error": str(refusal)}, status_code=refusal.status)
 
     async def _take(self, request: Request, browser: str) -> Response:
         what, photo = request.query_params.get("what", ""), request.query_params.get("photo") or None
@@ -75,6 +90,7 @@ class Uploads:
             raise OptionError(f"a file can be sent as {', '.join(KINDS)}; say which by ?what=")
         name = upload_name(request.headers.get("x-file-name"))
         room, most = self._workbench.upload_room(), self._workbench.limits.upload_bytes
+        await run_in_threadpool(room.mkdir, exist_ok=True)  # its parent is the project's folder, which must be there
         _check_size(_declared_size(request), most, room)
         part = room / f"{secrets.token_hex(16)}.part"
         path = part.with_suffix(safe_suffix(name))
@@ -82,8 +98,7 @@ class Uploads:
             await _stream(request, part, most)
             await run_in_threadpool(part.replace, path)
         except BaseException:
-            part.unlink(missing_ok=True)
-            path.unlink(missing_ok=True)
+            _remove(part, path)
             raise
         try:
             page = self._visitors.newest(browser)
@@ -136,7 +151,8 @@ async def _stream(request: Request, part: Path, most: int) -> None:
 
 async def _copy(request: Request, file: BinaryIO, room: Path, most: int) -> None:
     received, block = 0, bytearray()
-    async for chunk in request.stream():
+    chunks = request.stream()
+    while (chunk := await _next(chunks)) is not None:
         received += len(chunk)
         block += chunk
         _check_size(received, most, None)
@@ -147,6 +163,33 @@ async def _copy(request: Request, file: BinaryIO, room: Path, most: int) -> None
     await run_in_threadpool(file.write, bytes(block))
     if not received:
         raise OptionError("the file is empty; choose another")
+
+
+async def _next(chunks: AsyncGenerator[bytes, None]) -> bytes | None:
+    """Return the next piece of a body, None at its end."""
+    try:
+        async with asyncio.timeout(_SILENT_S):
+            return await anext(chunks, None)
+    except TimeoutError:
+        raise UploadError(f"nothing came for {_SILENT_S:g} s; send the file again", status=408) from None
+
+
+def _remove(*paths: Path) -> None:
+    for path in paths:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+def _refusal(error: OSError, room: Path) -> UploadError:
+    """Return what to say where the disk refused a file."""
+    if not room.is_dir():
+        return UploadError(_MOVED, status=409)
+    if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None)):
+        return UploadError("the disk of the workbench is full; make room there", status=507)
+    reason = (error.strerror or type(error).__name__).lower()
+    return UploadError(
+        f"the file cannot be kept: {reason}; see to the project's folder, then send it again", status=507
+    )
 
 
 def _declared_size(request: Request) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import http.client
 import logging
+import re
 from collections.abc import Callable, Iterator
 
 from starlette.concurrency import run_in_threadpool
@@ -19,6 +20,8 @@ from app.viser_lock import HEADER, ViserAddress
 
 log = logging.getLogger(__name__)
 _PASSED_ON = ("content-type", "content-length", "content-encoding")
+_PLAIN = re.compile(r"[A-Za-z0-9/._~-]*")
+"""Paths of viser's own files; anything else is not there, and some of it cannot be asked for."""
 _BLOCK = 1 << 16
 _TIMEOUT_S = 10.0
 _LOST, _NOT_BINARY, _GOING = 1011, 1003, 1001
@@ -38,7 +41,7 @@ class ViserProxy:
     async def page(self, request: Request) -> Response:
         """Forward a page; its query stays here."""
         path = "/" + request.path_params.get("path", "")
-        if any(part in (".", "..") for part in path.replace("\\", "/").split("/")) or not path.isascii():
+        if any(part in (".", "..") for part in path.split("/")) or not _PLAIN.fullmatch(path):
             return PlainTextResponse("Not Found", status_code=404)
         try:
             answer = await run_in_threadpool(self._get, path, request.headers.get("accept-encoding", "identity"))

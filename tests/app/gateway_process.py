@@ -5,15 +5,17 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from app.cli import _interrupt_on_sigterm, _set_up_log
+from app.cli import _set_up_log
 from app.gateway.options import GatewayOptions
 from app.gateway.serving import serve_until_interrupted
+from app.stop_signals import StopSignals
 from app.viser_server import close_server, open_locked_server
 from tests.app.gateway_bench import TOKEN, CountingBench
 
 
 def main(folder: str, port: str = "0") -> None:
-    _interrupt_on_sigterm()
+    stop = StopSignals()
+    stop.listen()
     _set_up_log(debug=False)
     server, address = open_locked_server(label="test")
     try:
@@ -23,6 +25,7 @@ def main(folder: str, port: str = "0") -> None:
             token=TOKEN,
             options=GatewayOptions(port=int(port)),
             browser=False,
+            stop=stop,
         )
     finally:
         close_server(server)

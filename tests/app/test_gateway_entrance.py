@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import string
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlencode
@@ -13,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from websockets.exceptions import InvalidStatus
 
-from app.gateway.attempts import Attempts
+from app.gateway.attempts import _PACE_S, Attempts
 from app.gateway.door import Door, checked_token, new_token
 from app.gateway.forwarded import asked_of
 from app.gateway.headers import PAGE_POLICY, VISER_POLICY
@@ -75,44 +76,93 @@ def test_the_form_takes_the_token_too(run: Running) -> None:
     assert run.ask("POST", "/enter", form, b"\xff\xfe&&&&===%%%", known=False)[0] == 401
 
 
-def test_after_ten_wrong_tokens_an_address_waits_even_with_the_right_one(
+def test_many_wrong_tokens_slow_an_address_down_and_shut_nobody_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("app.gateway.entrance._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("app.gateway.attempts._PACE_S", 0.4)
     with running(tmp_path) as run:
-        seen = [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(12)]
-        assert seen == [401] * 10 + [429] * 2
-        status, headers, _ = run.ask("GET", f"/?token={TOKEN}", known=False)
-        assert status == 429
-        assert 1 <= int(headers["retry-after"]) <= 60
+        assert [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(11)] == [401] * 11
+        begun = time.monotonic()
+        assert run.ask("GET", f"/?token={TOKEN}", known=False)[0] == 200, "the right one opens all the same"
+        assert 0.1 < time.monotonic() - begun < 5
+        monkeypatch.setattr("app.gateway.attempts._PACE_S", 100.0)
+        run.ask("GET", "/?token=wrong", known=False)
+        status, headers, body = run.ask("GET", "/?token=wrong", known=False)
+        assert (status, headers["retry-after"]) == (429, "30")
+        assert b"<form" in body
+        assert run.ask("POST", "/enter", {}, urlencode({"token": TOKEN}), known=False)[0] == 200, (
+            "it has turns of its own"
+        )
         assert run.ask("GET", "/")[0] == 200, "who is in stays in"
+
+
+def test_a_token_that_nobody_can_guess_opens_whatever_was_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.gateway.entrance._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("app.gateway.attempts._PACE_S", 100.0)
+    monkeypatch.setattr("tests.app.gateway_bench.TOKEN", token := new_token())
+    with running(tmp_path) as run:
+        seen = [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(13)]
+        assert seen == [401] * 11 + [429] * 2
+        assert run.ask("GET", f"/?token={token}", known=False)[0] == 200
+
+
+@pytest.mark.parametrize("shown_as", ["image", "script", "iframe", "empty"])
+def test_what_a_page_embeds_neither_shows_a_token_nor_counts_as_a_try(run: Running, shown_as: str) -> None:
+    from_elsewhere = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": shown_as, "Origin": ""}
+    for token in [*map(str, range(12)), TOKEN]:
+        status, headers, _ = run.ask("GET", f"/?token={token}", from_elsewhere, known=False)
+        assert status == 403
+        assert "set-cookie" not in headers
+
+
+def test_links_of_other_sites_use_up_no_turns_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.gateway.entrance._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("app.gateway.attempts._PACE_S", 100.0)
+    with running(tmp_path) as run:
+        for site in ("cross-site", "same-site"):
+            for n in range(12):
+                run.ask("GET", f"/?token={n}", {"Sec-Fetch-Site": site, "Sec-Fetch-Dest": "document"}, known=False)
+        for site in ("none", "same-origin", ""):
+            headers = {"Sec-Fetch-Site": site, "Sec-Fetch-Dest": "document"}
+            assert run.ask("GET", f"/?token={TOKEN}", headers, known=False)[0] == 200
+        linked = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "document"}
+        assert run.ask("GET", f"/?token={TOKEN}", linked, known=False)[0] == 429
 
 
 @given(times=st.lists(st.floats(0, 300), max_size=60), most=st.integers(1, 12))
 def test_an_address_never_has_more_tries_in_a_minute_than_it_may(times: list[float], most: int) -> None:
     now = [0.0]
     attempts = Attempts(most=most, window_s=60, clock=lambda: now[0])
-    tried = []
-    for now[0] in sorted(times):
-        wait_s = attempts.wait_s("10.0.0.1")
-        assert attempts.wait_s("10.0.0.2") == 0
-        if wait_s == 0:
+    tried: list[float] = []
+    for moment in sorted(times):
+        now[0] = moment
+        assert attempts.turn_s("10.0.0.2") == 0
+        turn_s = attempts.turn_s("10.0.0.1")
+        assert turn_s is None or 0 <= turn_s <= 30
+        if turn_s is not None:
+            now[0] = moment + turn_s
             attempts.wrong("10.0.0.1")
-            tried.append(now[0])
-        else:
-            assert wait_s == pytest.approx(tried[-most] + 60 - now[0])
-    assert all(later - earlier >= 60 for earlier, later in zip(tried, tried[most:], strict=False))
+            now[0] = moment
+            tried.append(moment + turn_s)
+    for k, begun in enumerate(sorted(tried)):
+        within = [at for at in sorted(tried)[k:] if at < begun + 60]
+        assert len(within) <= most + 60 / _PACE_S + 1
 
 
 def test_a_network_of_ipv6_addresses_is_one_visitor_and_memory_is_bounded() -> None:
     attempts = Attempts(most=2)
     attempts.wrong("2001:db8::1")
     attempts.wrong("2001:db8::2%eth0")
-    assert attempts.wait_s("2001:db8::ffff") > 0
-    assert attempts.wait_s("2001:db8:0:1::1") == 0
+    assert attempts.turn_s("2001:db8::fffe") == 0
+    assert attempts.turn_s("2001:db8::ffff") == pytest.approx(_PACE_S, abs=0.5)
+    assert attempts.turn_s("2001:db8::ffff", "form") == 0
+    assert attempts.turn_s("2001:db8:0:1::1") == 0
     for n in range(5000):
         attempts.wrong(f"10.{n >> 8}.{n & 255}.1")
-        assert attempts.wait_s(f"net{n}") == 0
+        assert attempts.turn_s(f"net{n}") == 0
     assert len(attempts._wrong) <= 4096
 
 
@@ -267,7 +317,7 @@ def test_every_answer_carries_the_headers(run: Running, path: str, known: bool) 
     assert "'unsafe-eval'" not in policy
     assert "frame-ancestors" in policy
     assert headers["x-content-type-options"] == "nosniff"
-    assert headers["referrer-policy"] in ("no-referrer", "same-origin")
+    assert headers["referrer-policy"] in ("no-referrer", "strict-origin")
     assert headers["cross-origin-opener-policy"] == "same-origin"
     assert headers["cross-origin-resource-policy"] == "same-origin"
     assert "server" not in headers

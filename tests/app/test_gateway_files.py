@@ -131,10 +131,30 @@ def test_what_is_no_scan_is_refused_and_gone(run: Running) -> None:
 
 
 def test_what_a_killed_program_left_is_cleared_away(tmp_path: Path) -> None:
-    (tmp_path / "0123.part").write_bytes(b"half")
+    (tmp_path / f"{'0a' * 16}.part").write_bytes(b"half")
     (tmp_path / "kept.e57").write_bytes(b"whole")
+    (tmp_path / "mine.part").write_bytes(b"somebody else's")
     with running(tmp_path):
-        assert [path.name for path in tmp_path.iterdir()] == ["kept.e57"]
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["kept.e57", "mine.part"]
+
+
+def test_a_browser_that_falls_silent_is_taken_for_gone(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.gateway.uploads._SILENT_S", 0.3)
+    with begin(run, b"Content-Length: 200000\r\n\r\nabc") as line:
+        assert b" 408 " in line.recv(100)
+        assert not left(run)
+    assert send(run, b"data")[0] == 200
+
+
+def test_what_the_disk_refuses_is_no_fault_of_the_program(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, *_: object) -> str:
+        raise OSError(5, "Input/output error", str(path))
+
+    monkeypatch.setattr(run.bench, "take_upload", refuse)
+    status, body = send(run, b"data")
+    assert status == 507
+    assert b"input/output error" in body
+    assert not left(run)
 
 
 def test_a_full_disk_is_said_before(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:

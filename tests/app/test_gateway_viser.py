@@ -136,6 +136,11 @@ def test_its_page_comes_through(run: Running, path: str) -> None:
     assert run.ask("GET", "/viser")[1]["location"] == "viser/"
 
 
+@pytest.mark.parametrize("path", ["%00", "a%20b", "%0d%0aHost:x", "%7f", "%3Fx", "%C3%A9", "%", "a%", "..%2f", "%5c"])
+def test_a_path_that_viser_cannot_be_asked_for_is_not_there(run: Running, path: str) -> None:
+    assert run.ask("GET", f"/viser/{path}")[0] == 404
+
+
 @pytest.mark.parametrize("path", ["/viser", "/viser/"])
 def test_its_websocket_comes_through_and_ends_with_the_page(
     run: Running, viewer: tuple[viser.ViserServer, ViserAddress], path: str

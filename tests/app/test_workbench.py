@@ -572,6 +572,39 @@ def test_a_served_folder_gives_its_files_and_nothing_else(tmp_path: Path) -> Non
         bench.workbench.close()
 
 
+def test_what_is_hidden_in_a_served_folder_is_neither_listed_nor_opened(tmp_path: Path) -> None:
+    served = tmp_path / "served"
+    scan = (sample_folder() / "scan.npz").read_bytes()
+    camera = (sample_folder() / "camera.json").read_bytes()
+    secret = "password: correct horse battery staple\n"
+    for folder in ("", ".ssh", "deep/.config"):
+        (served / folder).mkdir(parents=True, exist_ok=True)
+        (served / folder / ".hidden.npz").write_bytes(scan)
+        (served / folder / "secret.yaml").write_text(secret)
+    (served / ".ssh" / "scan.npz").write_bytes(scan)
+    (served / "deep" / ".config" / "camera.json").write_bytes(camera)
+    (served / "accounts.json").write_text(json.dumps({"client_secret": "staple"}))
+    (served / "notes.csv").write_text("name,password\nme,staple\n")
+    (served / "camera.json").write_bytes(camera)
+    if sys.platform != "win32":
+        (served / "looks-plain.npz").symlink_to(served / ".ssh" / "scan.npz")
+        (served / "plain").symlink_to(served / ".ssh")
+    bench = open_bench(tmp_path / "project", folder=served)
+    try:
+        bench.do("list_served")
+        assert [entry["path"] for entry in bench.slice("served")["files"]] == ["camera.json"]
+        for path in (
+            ".hidden.npz", ".ssh/.hidden.npz", ".ssh/scan.npz", "deep/.config/camera.json", "deep/../.ssh/scan.npz",
+            "./.ssh/scan.npz", ".ssh/secret.yaml", "secret.yaml", "accounts.json", "notes.csv", "looks-plain.npz",
+            "plain/scan.npz", "a\0b.npz", ".", "..", "",
+        ):  # fmt: skip
+            for what in ("scan", "photo", "camera", "matches"):
+                said = bench.refused("open_served", path=path, what=what)
+                assert said == "There is no such file in the served folder; look again."
+    finally:
+        bench.workbench.close()
+
+
 # people, crashes, starts
 
 

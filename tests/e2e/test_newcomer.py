@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import os
 import re
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -53,7 +52,7 @@ def started(project: Path, port: int = 0) -> Iterator[Served]:
         parts = urlsplit(address)
         yield Served(process, parts.hostname or "", parts.port or 0, TOKEN)
     finally:
-        process.send_signal(signal.SIGINT)
+        process.terminate()  # a shell's background jobs, and so the tests it started there, ignore SIGINT
         process.wait(60)
 
 

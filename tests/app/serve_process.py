@@ -1,0 +1,90 @@
+"""`ladarreg serve` as a process of its own, and a page's connection to it."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from websockets.sync.client import ClientConnection
+
+from tests.app.gateway_bench import TOKEN, Running, hear
+from tests.processes import hear_ctrl_c
+
+CHECKOUT = Path(__file__).parents[2]
+
+
+class At:
+    """A gateway of another process, as far as `Running` needs one."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+
+
+class Server:
+    """A running `ladarreg serve`; somebody has shown it the token."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert "://" in line, process.communicate(timeout=60)[1]
+        self.process = process
+        self.address = line.split()[1]
+        self.there = Running(None, At(urlsplit(self.address).port or 0))  # type: ignore[arg-type]
+        self.there.enter()
+
+    def end(self, seconds: float = 60) -> str:
+        """Wait until the process has ended and return what it printed on stderr."""
+        return self.process.communicate(timeout=seconds)[1]
+
+
+def start(project: Path, *words: str, **surroundings: str) -> subprocess.Popen[str]:
+    """Start the program on a project, new or not."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "app", "serve", "--project", str(project), "--port", "0", "--no-browser", *words],
+        cwd=CHECKOUT,
+        env=os.environ | {"LADARREG_TOKEN": TOKEN, "LADARREG_HOME": str(project.parent)} | surroundings,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=hear_ctrl_c if os.name == "posix" else None,
+    )
+
+
+@contextmanager
+def serving(project: Path, *words: str) -> Iterator[Server]:
+    """Run the program on a project; what is left of it at the end is killed."""
+    process = start(project, *words)
+    try:
+        yield Server(process)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def ask(page: ClientConnection, do: str, **fields: Any) -> dict[str, Any]:
+    """Ask for something and return the reply."""
+    page.send(json.dumps({"id": 1, "do": do, **fields}))
+    while "reply" not in (message := hear(page)):
+        pass
+    return message
+
+
+def name_of(project: Path) -> str:
+    """Return the name that a project's file gives it."""
+    return str(json.loads((project / "project.json").read_bytes())["name"])
+
+
+def begin_upload(there: Running) -> socket.socket:
+    """Begin an upload that never comes to its end."""
+    line = socket.create_connection(("127.0.0.1", there.port), timeout=10)
+    head = "POST /upload?what=scan HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nX-File-Name: a.e57\r\n"
+    line.sendall(f"{head}Cookie: {there.cookie}\r\nContent-Length: 100000\r\n\r\nabc".encode())
+    return line
