@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.isolated_readers import READERS
 from app.session import Session, now
 from app.workroom import Workroom
 from ladarreg_core.errors import LadarregError, OptionError
@@ -49,6 +50,7 @@ def open_workbench(
     Raises:
         LadarregError: if a file cannot be opened, or another program has the project open.
     """
+    READERS.warm()  # it loads while this process does
     from app.workbench import Workbench
     from ladarreg_core.project.document import Document
     from ladarreg_core.project.folder import ProjectFolder
