@@ -50,7 +50,6 @@ def open_workbench(
     Raises:
         LadarregError: if a file cannot be opened, or another program has the project open.
     """
-    READERS.warm()  # it loads while this process does
     from app.workbench import Workbench
     from ladarreg_core.project.document import Document
     from ladarreg_core.project.folder import ProjectFolder
@@ -130,6 +129,7 @@ def serve_and_close(workbench: Workbench, *, token: str, options: GatewayOptions
     finally:
         if not where.done():  # whoever waits for the 3-D view need wait no longer
             where.set_exception(ConnectionError("the workbench was closed"))
+        READERS.close()
         workbench.close()
         for server in opened:
             from app.viser_server import close_server

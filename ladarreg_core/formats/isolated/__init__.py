@@ -40,6 +40,7 @@ _END_S = 5.0
 _PIPE_BYTES = 1 << 20
 _DAMAGED = "the file is probably damaged: copy or export it again"
 _HARMLESS = (CameraError, OptionError)
+_FOLLOWS_DESCRIPTORS = ("read_scan", "describe")
 _REMEMBERED = 256
 
 log = logging.getLogger(__name__)
@@ -59,6 +60,8 @@ class ReaderLimits:
     """Time without any progress after which a reader counts as hanging."""
     silent_s_per_mb: float = 2.0
     """More for large files: not every reader reports progress."""
+    most_silent_s: float = 300.0
+    """The most, however large the file."""
     longest_s: float = 3600.0
     """Time after which a reader is stopped, whatever it reports."""
     result_bytes: int = 6 << 30
@@ -70,7 +73,7 @@ class ReaderLimits:
 
     def silence_for(self, file_bytes: int) -> float:
         """Return how long the reader of a file of that size may report nothing."""
-        return self.silent_s + self.silent_s_per_mb * file_bytes / 2**20
+        return min(self.silent_s + self.silent_s_per_mb * file_bytes / 2**20, max(self.silent_s, self.most_silent_s))
 
 
 class IsolatedReaders:
@@ -213,7 +216,8 @@ class _FileState:
         try:
             state = os.stat(path)
             size = state.st_size
-            if path.lower().endswith(".json"):  # a descriptor stands for the files beside it
+            if path.lower().endswith(".json") and function.__name__ in _FOLLOWS_DESCRIPTORS:
+                # It is small itself, but may stand for any of the files beside it.
                 size = sum(entry.stat().st_size for entry in os.scandir(os.path.dirname(path)) if entry.is_file())
             return _FileState(shown_name(path), path, called, size, state.st_mtime_ns)
         except (OSError, ValueError):  # the reader says what is wrong with it

@@ -22,7 +22,7 @@ from ladarreg_core.errors import ShapeError
 
 _MARK = "#"
 _LENGTH_BYTES = 8
-_LONGEST_TEXT = 64 << 20
+_LONGEST_TEXT = 16 << 20
 _UNIT_TOLERANCE = 1e-6
 
 
