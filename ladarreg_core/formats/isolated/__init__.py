@@ -95,7 +95,10 @@ class IsolatedReaders:
     def warm(self) -> None:
         """Have a process ready; returns at once, while it loads the readers."""
         with self._lock:
-            if self._ready is None or self._ready.ended:
+            if self._ready is not None and self._ready.ended:
+                self._all.discard(self._ready)
+                self._ready = None
+            if self._ready is None:
                 with suppress(OSError):  # the next read says so, if it is still so
                     self._ready = self._started()
 
@@ -145,6 +148,7 @@ class IsolatedReaders:
         """Stop all processes; reads under way fail. It can be used again."""
         with self._lock:
             processes, self._ready = list(self._all), None
+            self._all.clear()
         for process in processes:
             process.stop()
 
