@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import msgspec
 
-from ladarreg_core.errors import CameraError, LadarregError, OptionError
+from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 
@@ -104,11 +104,8 @@ class Files:
         return "scan"
 
     def _photo(self, source: Source, author: str) -> str:
-        trial = PhotoEntry(id="trial", source=source)
-        try:
-            self._workbench.room.photo(trial)
-        except CameraError:
-            self._workbench.room.photo_to_look_at(trial)  # it is a picture; the page asks for the focal length
+        # Without a camera it is a picture all the same: the page asks for the focal length.
+        self._workbench.room.try_photo(PhotoEntry(id="trial", source=source))
         made = ""
 
         def edit(document: Document) -> Document:
@@ -121,12 +118,11 @@ class Files:
         return made
 
     def _matches(self, path: Path, name: str, entry: PhotoEntry, author: str) -> str:
-        from ladarreg_core.formats.matches_file import read_matches
-
-        scan = self._workbench.room.scan(self._workbench.session.document)
+        room = self._workbench.room
+        scan = room.scan(self._workbench.session.document)
         if scan is None:
             raise OptionError("matches belong to a scan; open the scan first")
-        picks = [replace(pick, origin="file") for pick in read_matches(path, scan)]
+        picks = [replace(pick, origin="file") for pick in room.read_matches(path, scan)]
         self._edit(entry, f"Read {len(picks)} matches of {name}", lambda p: edits.with_picks(p, picks)[0], author)
         return entry.id
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.exit_codes import ExitCode
+from app.isolated_readers import READERS
 from app.session import Session, now
 from app.stop_signals import StopSignals, exit_now, say
 from app.workroom import Workroom
@@ -147,6 +148,7 @@ def serve_and_close(
     finally:
         if not where.done():  # whoever waits for the 3-D view need wait no longer
             where.set_exception(ConnectionError("the workbench was closed"))
+        READERS.close()
         try:
             workbench.close()
         finally:

@@ -217,7 +217,9 @@ class Workbench:
         """
         import msgspec
 
-        self.room.photo(msgspec.structs.replace(entry, camera=camera))
+        trial = msgspec.structs.replace(entry, camera=camera)
+        self.room.try_photo(trial)
+        self.room.photo(trial)
 
     def open_served(self, path: str, what: str, photo: str | None, person: Person) -> str:
         """Open a file of the served folder."""

@@ -9,9 +9,12 @@ from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from app.each_once import EachOnce
+from app.isolated_readers import READERS
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from ladarreg_core.assessment import Assessment
     from ladarreg_core.inspection.judged import Measured
     from ladarreg_core.inspection.partners import Partners
@@ -80,7 +83,27 @@ class Workroom:
         """Read a scan's file."""
         from ladarreg_core.formats import read_scan
 
-        return read_scan(self._folder.source_path(source.path), scan_index=source.index)
+        return READERS.run(read_scan, self._folder.source_path(source.path), scan_index=source.index)
+
+    def read_matches(self, path: Path, scan: Scan) -> list[Pick]:
+        """Read a file of matches."""
+        from ladarreg_core.formats.matches_file import read_matches
+
+        return READERS.run(read_matches, path, scan)
+
+    def try_photo(self, entry: PhotoEntry) -> None:
+        """Read a photograph and keep it; meanwhile nobody waits who asks for another one.
+
+        Raises:
+            LadarregError: if its file cannot be read; a missing or wrong camera is told by `photo`.
+        """
+        there = self._kept["photo"]
+        key, without_camera = (entry.source, entry.camera), (entry.source, "no camera")
+        found = there.get(key) or self._read_photo(entry)
+        self.kept("photo", key, lambda: found)
+        if isinstance(found, CameraError) and without_camera not in there:
+            to_look_at = self._without_camera(entry)
+            self.kept("photo", without_camera, lambda: to_look_at)
 
     def photo(self, entry: PhotoEntry) -> Photo:
         """Return a photograph.
@@ -103,12 +126,17 @@ class Workroom:
 
     def _read_photo(self, entry: PhotoEntry) -> Photo | LadarregError:
         from ladarreg_core.formats import read_photo
+        from ladarreg_core.formats.camera_file import read_camera
 
         given = entry.camera
         try:
-            return read_photo(
+            # By itself, so that a camera file that cannot be read is not laid to the photograph.
+            file = given.file
+            camera = None if file is None else READERS.run(read_camera, self._folder.source_path(file.path))
+            return READERS.run(
+                read_photo,
                 self._folder.source_path(entry.source.path),
-                camera=None if given.file is None else self._folder.source_path(given.file.path),
+                camera=camera,
                 focal_px=given.focal_px,
                 focal_mm=given.focal_mm,
                 sensor_mm=given.sensor_mm,
@@ -119,7 +147,8 @@ class Workroom:
     def _without_camera(self, entry: PhotoEntry) -> Photo:
         from ladarreg_core.formats import read_photo
 
-        return read_photo(self._folder.source_path(entry.source.path), focal_mm=36.0, sensor_mm=36.0)
+        path = self._folder.source_path(entry.source.path)
+        return READERS.run(read_photo, path, focal_mm=36.0, sensor_mm=36.0)
 
     def views(self, document: Document) -> tuple[NamedView, ...]:
         """Return the views of the scan; none where no scan is open.

@@ -34,6 +34,9 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Open the workbench on the embedded sample and register it before everybody's eyes."""
+    from app.isolated_readers import READERS
+
+    READERS.warm()  # it loads the readers while this process loads the rest
     from app.gateway.door import new_token
     from app.gateway.options import GatewayOptions
     from app.serve import open_workbench, serve_and_close

@@ -51,6 +51,9 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Open the workbench and serve it until a signal asks to stop."""
+    from app.isolated_readers import READERS
+
+    READERS.warm()  # it loads the readers while this process loads the rest
     from app.gateway.door import checked_token, new_token
     from app.gateway.options import GatewayOptions
     from app.gateway.server import check_certificate
