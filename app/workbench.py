@@ -19,6 +19,7 @@ from app.jobs.bench import Bench
 from app.jobs.runner import Job, JobRunner
 from app.model_choice import ModelChoice
 from app.pictures import Pictures
+from app.process_resources import return_memory_soon
 from app.session import Change, Session
 from app.slices import entry_shown, history_slice, job_slice, photo_slice, pick_shown, project_slice, scan_slice
 from app.slices_of_poses import judged_slice, line_shown, poses_slice
@@ -370,6 +371,8 @@ class Workbench:
     def _job_changed(self, job: Job) -> None:
         self.teller.tell()
         self.stage.job_changed(job)
+        if not job.runs:
+            return_memory_soon()
         if job.state == "failed":
             self.notice(f"{job.label}: {job.said}", level="bad")
 

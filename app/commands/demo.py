@@ -36,9 +36,11 @@ def run(arguments: Arguments) -> ExitCode:
     """Open the workbench on the embedded sample and register it before everybody's eyes."""
     from app.gateway.door import new_token
     from app.gateway.options import GatewayOptions
+    from app.process_resources import limit_arenas
     from app.serve import open_workbench, serve_and_close
     from ladarreg_core.simulate import sample_folder
 
+    limit_arenas()
     folder = sample_folder()
     workbench = open_workbench(
         (folder / "scan.npz", next(folder.glob("photo.*"))),

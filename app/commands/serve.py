@@ -77,8 +77,10 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _serve(arguments: Arguments, token: str, options: GatewayOptions) -> None:
+    from app.process_resources import limit_arenas
     from app.serve import open_workbench, serve_and_close
 
+    limit_arenas()
     workbench = open_workbench(
         arguments.inputs,
         project=arguments.project,
