@@ -8,16 +8,22 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import gc
+import os
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 _WANTED_DESCRIPTORS = 4096
 _M_ARENA_MAX = -8
 """Of `mallopt`, from glibc's malloc.h."""
 _ARENAS = 2
-_TRIM_AFTER_S = 1.0
+_RETURN_AFTER_S = 1.0
+_WORTH_WHILE = 32 << 20
+"""Bytes of growth from which on it is done again: everybody waits while it is."""
 _pending = threading.Lock()
+_resident_before = 0
 
 
 def raised_descriptor_limit() -> int | None:
@@ -43,23 +49,39 @@ def limit_arenas() -> None:
         libc.mallopt(_M_ARENA_MAX, _ARENAS)
 
 
+def keep_what_is_loaded() -> None:
+    """Take what is in memory now for what stays: the garbage collector need not look at it again."""
+    gc.collect()
+    gc.freeze()
+
+
 def return_memory_soon() -> None:
-    """Give freed memory back to the system in a moment; many calls at once are one."""
-    if _glibc() is None or not _pending.acquire(blocking=False):
+    """Give freed memory back to the system in a moment, where the process has grown; many calls at once are one."""
+    global _resident_before
+    if _glibc() is None:
         return
-    timer = threading.Timer(_TRIM_AFTER_S, _trim)
-    timer.daemon = True
-    timer.start()
+    resident = _resident()
+    if resident < _resident_before + _WORTH_WHILE:
+        _resident_before = min(_resident_before, resident)
+    elif _pending.acquire(blocking=False):
+        timer = threading.Timer(_RETURN_AFTER_S, _return_memory)
+        timer.daemon = True
+        timer.start()
 
 
-def _trim() -> None:
+def _return_memory() -> None:
+    global _resident_before
     _pending.release()
-    import gc, time
-    t=time.perf_counter(); n=gc.collect(); t1=time.perf_counter()
+    gc.collect()  # closed connections hold their last message in circles of references
     libc = _glibc()
     assert libc is not None
     libc.malloc_trim(0)
-    print("collected", n, len(gc.get_objects()), gc.get_freeze_count(), t1-t, "trim", time.perf_counter()-t1, file=open("/tmp/floods/log","a"))
+    _resident_before = _resident()
+
+
+def _resident() -> int:
+    """Return the resident memory, bytes."""
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 @functools.cache

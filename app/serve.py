@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from app.process_resources import keep_what_is_loaded
 from app.session import Session, now
 from app.workroom import Workroom
 from ladarreg_core.errors import LadarregError, OptionError
@@ -115,6 +116,7 @@ def serve_and_close(workbench: Workbench, *, token: str, options: GatewayOptions
         opened.append(server)
         _attach(workbench, server)
         where.set_result(address)
+        keep_what_is_loaded()
 
     try:
         serve_until_interrupted(

@@ -100,7 +100,9 @@ class Workbench:
         """
         with self._lock:
             if len(self._people) >= _MOST_PEOPLE:
-                raise OptionError(f"{_MOST_PEOPLE} pages are open, which is the most; close one")
+                raise OptionError(
+                    f"{_MOST_PEOPLE} pages are open, which is the most: close one, and this one comes up."
+                )
             self._joined += 1
             person = Person(f"Operator {self._joined}", address)
             self._people.append(person)
@@ -367,6 +369,7 @@ class Workbench:
             self.pictures.draw_ahead()
         self.teller.tell(slow=True)
         self.stage.refresh()
+        return_memory_soon()
 
     def _job_changed(self, job: Job) -> None:
         self.teller.tell()

@@ -1,4 +1,4 @@
-"""Floods of connections against a running workbench: python -m benchmarks.floods [--seconds S] [--soft-limit N] [KIND ...].
+"""Floods of connections against a running workbench: python -m benchmarks.floods [--seconds S] [KIND ...].
 
 A process of its own opens the connections and opens again what the server closes; meanwhile one page edits, and
 newcomers ask for the first page. Kinds: idle, loris, cookie, document, viser.
@@ -18,7 +18,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,9 @@ class Held:
             return f"GET / HTTP/1.1\r\n{host}X-Slow: ".encode()
         if self.kind == "cookie":
             return f"GET / HTTP/1.1\r\n{host}{known}\r\n".encode()
-        path, more = ("/viser", f"Sec-WebSocket-Protocol: {_PROTOCOL}\r\n") if self.kind == "viser" else ("/document", "")
+        path, more = (
+            ("/viser", f"Sec-WebSocket-Protocol: {_PROTOCOL}\r\n") if self.kind == "viser" else ("/document", "")
+        )
         return (
             f"GET {path} HTTP/1.1\r\n{host}{known}Origin: http://{self.address[0]}:{self.address[1]}\r\n{more}"
             "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
@@ -234,19 +236,15 @@ def main() -> None:
     arguments = parser.parse_args()
     figures = {}
     for kind in arguments.kinds:
-        with tempfile.TemporaryDirectory() as folder:
-            context = served(Path(folder) / "project")
+        with tempfile.TemporaryDirectory() as folder, ExitStack() as running:
             with limited(arguments.soft_limit):
-                found, _ = context.__enter__()
-            try:
-                page = Page(found)
-                with_camera_and_picks(page, 50)
-                page.ask("run", photo="p1", job="auto")
-                page.until(lambda slices: slices["job"] and slices["job"]["state"] not in ("running", "paused"))
-                time.sleep(6)
-                figures[kind] = flood(found, page, kind, arguments.seconds)
-            finally:
-                context.__exit__(None, None, None)
+                found, _ = running.enter_context(served(Path(folder) / "project"))
+            page = Page(found)
+            with_camera_and_picks(page, 50)
+            page.ask("run", photo="p1", job="auto")
+            page.until(lambda slices: slices["job"] and slices["job"]["state"] not in ("running", "paused"))
+            time.sleep(6)
+            figures[kind] = flood(found, page, kind, arguments.seconds)
         print(kind)
         for name, value in figures[kind].items():
             print(f"    {name:22} {value if isinstance(value, int | dict) else f'{value:.3g}'}", flush=True)

@@ -12,6 +12,7 @@ peer never begins.
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import logging
 import socket
 import time
@@ -25,7 +26,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from app.gateway.attempts import _household
 from app.gateway.options import ConnectionLimits
 
 log = logging.getLogger(__name__)
@@ -59,6 +59,11 @@ class Connection:
         """Whether a protocol reads it, after the TLS handshake if there is one."""
         return self._transport is not None
 
+    @property
+    def is_served(self) -> bool:
+        """Whether a whole request is being answered."""
+        return self.is_busy and not self.awaits_body
+
     def establish(self, transport: asyncio.Transport) -> None:
         """Note what it is read from and written to."""
         self._transport = transport
@@ -88,7 +93,7 @@ class Connection:
     def is_overdue(self, now: float, limits: ConnectionLimits) -> bool:
         """Tell whether it has kept the gateway waiting for too long."""
         if self._transport is None or self._carrier is None or not self.is_member:
-            return now - self._since > limits.header_s
+            return now - self._since > (limits.stall_s if self.is_served else limits.header_s)
         unsent = self._carrier.get_write_buffer_size()
         if unsent != self._unsent:
             self._unsent, self._since = unsent, now
@@ -124,14 +129,16 @@ class Connections:
         """Return a new connection; where that is one too many, another stranger makes room."""
         while self._strangers and self.strangers >= self.limits.strangers:
             self.make_room()
-        connection = Connection(_household(address), self)
+        connection = Connection(_peer(address), self)
         self._strangers.setdefault(connection.peer, {})[connection] = None
         return connection
 
     def make_room(self) -> None:
-        """Drop the oldest stranger of the peer that has the most."""
+        """Drop the oldest stranger of the peer that has the most, if possible one that is not being served."""
         if self._strangers:
-            next(iter(max(self._strangers.values(), key=len))).drop()
+            greediest = max(self._strangers, key=lambda peer: len(self._strangers[peer]))
+            own = self._strangers[greediest]
+            next((one for one in own if not one.is_served), next(iter(own))).drop()
 
     def admit(self, connection: Connection) -> bool:
         """Make a member of a stranger; return whether there was room, which an idle member may have to make."""
@@ -297,3 +304,14 @@ class _Listener:
         while True:
             await asyncio.sleep(min(_LONGEST_SWEEP_S, connections.limits.header_s / 4))
             connections.sweep()
+
+
+def _peer(address: str) -> str:
+    """Return what one person may have many addresses of: the network of an IPv6 address."""
+    try:
+        parsed = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if parsed.version == 6 and parsed.ipv4_mapped is None:
+        return str(ipaddress.ip_network((parsed, 64), strict=False))
+    return address

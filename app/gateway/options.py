@@ -19,9 +19,9 @@ class ConnectionLimits:
 
     header_s: float = 10.0
     """For the whole header of a request, TLS included, from the connection or the last answer on; and for a stranger's
-    whole request."""
+    form."""
     stall_s: float = 120.0
-    """For the next bytes of an upload to come, or of an answer to be taken."""
+    """For the next bytes of an upload to come, or of an answer to be taken; and for a stranger's whole answer."""
     strangers: int = 128
     """Connections on which nobody has shown a valid cookie."""
     members: int = 512

@@ -22,6 +22,8 @@ log = logging.getLogger(__name__)
 _PASSED_ON = ("content-type", "content-length", "content-encoding")
 _BLOCK = 1 << 16
 _TIMEOUT_S = 10.0
+_APART_S = 0.1
+"""Between the beginnings of two views: many that come at once must not keep the others waiting."""
 _CLOSE_S = 0.5
 """viser in the middle of a scene that nobody takes any more does not hear of the end."""
 _LOST, _NOT_BINARY, _GOING = 1011, 1003, 1001
@@ -40,6 +42,7 @@ class ViserProxy:
     def __init__(self, viser: Callable[[], ViserAddress], *, most: int) -> None:
         self._viser, self._most = viser, most
         self._views = 0
+        self._opening = asyncio.Semaphore(1)
 
     async def page(self, request: Request) -> Response:
         """Forward a page; its query stays here."""
@@ -75,6 +78,8 @@ class ViserProxy:
         offered = [Subprotocol(name) for name in websocket.scope["subprotocols"]]
         try:
             address = await run_in_threadpool(self._viser)
+            async with self._opening:
+                await asyncio.sleep(_APART_S)
             viser = await connect(
                 f"ws://{address.host}:{address.port}/",
                 subprotocols=offered or None,
