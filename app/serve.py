@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.exit_codes import ExitCode
 from app.isolated_readers import READERS
+from app.process_resources import keep_what_is_loaded
 from app.session import Session, now
 from app.stop_signals import StopSignals, exit_now, say
 from app.workroom import Workroom
@@ -134,6 +135,7 @@ def serve_and_close(
         opened.append(server)
         _attach(workbench, server)
         where.set_result(address)
+        keep_what_is_loaded()
 
     try:
         serve_until_interrupted(

@@ -19,6 +19,7 @@ from app.jobs.bench import Bench
 from app.jobs.runner import Job, JobRunner
 from app.model_choice import ModelChoice
 from app.pictures import Pictures
+from app.process_resources import return_memory_soon
 from app.session import RETRY_S, Change, Session
 from app.slices import entry_shown, history_slice, job_slice, photo_slice, pick_shown, project_slice, scan_slice
 from app.slices_of_poses import judged_slice, line_shown, poses_slice
@@ -100,7 +101,9 @@ class Workbench:
         """
         with self._lock:
             if len(self._people) >= _MOST_PEOPLE:
-                raise OptionError(f"{_MOST_PEOPLE} pages are open, which is the most; close one")
+                raise OptionError(
+                    f"{_MOST_PEOPLE} pages are open, which is the most: close one, and this one comes up."
+                )
             self._joined += 1
             person = Person(f"Operator {self._joined}", address)
             self._people.append(person)
@@ -389,10 +392,13 @@ class Workbench:
             self.pictures.draw_ahead()
         self.teller.tell(slow=True)
         self.stage.refresh()
+        return_memory_soon()
 
     def _job_changed(self, job: Job) -> None:
         self.teller.tell()
         self.stage.job_changed(job)
+        if not job.runs:
+            return_memory_soon()
         if job.state == "failed":
             self.notice(f"{job.label}: {job.said}", level="bad")
 

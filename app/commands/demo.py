@@ -39,10 +39,12 @@ def run(arguments: Arguments) -> ExitCode:
     READERS.warm()  # it loads the readers while this process loads the rest
     from app.gateway.door import new_token
     from app.gateway.options import GatewayOptions
+    from app.process_resources import limit_arenas
     from app.serve import open_workbench, serve_and_close
     from app.stop_signals import StopSignals
     from ladarreg_core.simulate import sample_folder
 
+    limit_arenas()
     stop = StopSignals()
     stop.listen()
     folder = sample_folder()

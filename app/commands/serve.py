@@ -80,9 +80,11 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _serve(arguments: Arguments, token: str, options: GatewayOptions) -> None:
+    from app.process_resources import limit_arenas
     from app.serve import open_workbench, serve_and_close
     from app.stop_signals import StopSignals
 
+    limit_arenas()
     stop = StopSignals()
     stop.listen()
     workbench = open_workbench(

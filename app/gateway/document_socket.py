@@ -17,11 +17,15 @@ from app.gateway.json_text import NotJson, decode_object, encode
 from app.gateway.outbox import Outbox
 from app.gateway.told import Told
 from app.gateway.visitors import Visitors
+from app.process_resources import return_memory_soon
+from ladarreg_core.errors import LadarregError
 
 log = logging.getLogger(__name__)
 LONGEST_MESSAGE = 1_000_000
 """Characters of a message from a page."""
-_TOO_LONG, _FAULT = 1009, 1011
+_TOO_LONG, _FAULT, _FULL = 1009, 1011, 1013
+_LONGEST_REASON = 123
+"""Bytes of the reason that a websocket is closed with."""
 _NO_JSON = "This message is no JSON object: the page is of another version than the program; load the page anew."
 _BROKEN = "The program failed here and what it shows is as it was before or after; start it with --debug to see why."
 
@@ -42,7 +46,11 @@ class DocumentSocket:
         """Serve one page until it goes."""
         browser = websocket.state.browser
         await websocket.accept()
-        client = await run_in_threadpool(self._workbench.join, websocket.state.address)
+        try:
+            client = await run_in_threadpool(self._workbench.join, websocket.state.address)
+        except LadarregError as refusal:
+            await websocket.close(_FULL, str(refusal).encode()[:_LONGEST_REASON].decode(errors="ignore"))
+            return
         self._visitors.enter(browser, client)
         try:
             await self._serve(websocket, client)
@@ -55,6 +63,7 @@ class DocumentSocket:
         finally:
             self._visitors.leave(browser, client)
             await asyncio.shield(run_in_threadpool(self._workbench.leave, client))
+            return_memory_soon()
 
     async def _serve(self, websocket: WebSocket, client: Client) -> None:
         loop, news, replied = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event()

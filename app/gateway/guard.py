@@ -8,6 +8,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
+from app.gateway.connections import KEY, Connection
 from app.gateway.door import Door
 from app.gateway.entrance import Entrance, go_on
 from app.gateway.forwarded import Asked, asked_of
@@ -40,6 +41,7 @@ class Guard:
         if scope["type"] == "websocket":
             if refusal is None and not self._know(scope):
                 refusal = _plain(401, "Open the workbench's page with its token first.")
+            refusal = refusal or _no_room(scope)
             if refusal is None:
                 await self._inner(scope, receive, send)
             else:
@@ -75,7 +77,7 @@ class Guard:
         if path == "/enter" and request.method == "POST":
             return await self._entrance.take_form(request, asked)
         if known:
-            return None
+            return _no_room(request.scope)
         if path in ("/", "/enter") and request.method in _READING:
             return self._entrance.ask()
         return _plain(401, "Open the workbench's page with its token first.")
@@ -97,6 +99,14 @@ class Guard:
             await send(message)
 
         return with_headers
+
+
+def _no_room(scope: Scope) -> Response | None:
+    """Count the connection of somebody who is in; return the answer where there are too many."""
+    connection: Connection | None = scope["state"].get(KEY)
+    if connection is None or connection.identify():
+        return None
+    return _plain(503, "More connections are open than the workbench serves; close pages of it that nobody needs.")
 
 
 def _plain(status: int, text: str) -> Response:

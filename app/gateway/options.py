@@ -4,11 +4,43 @@ from __future__ import annotations
 
 import ipaddress
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 from ladarreg_core.errors import OptionError
 
 _NAME = re.compile(r"[A-Za-z0-9._-]+|[0-9A-Fa-f:]+")
+_RESERVED = 128
+"""Descriptors that connections leave to everything else."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionLimits:
+    """How many connections the gateway keeps open, and how long it waits for them."""
+
+    header_s: float = 10.0
+    """For the whole header of a request, TLS included, from the connection or the last answer on; and for a stranger's
+    form."""
+    stall_s: float = 120.0
+    """For the next bytes of an upload to come, or of an answer to be taken; and for a stranger's whole answer."""
+    strangers: int = 128
+    """Connections on which nobody has shown a valid cookie."""
+    members: int = 512
+    """Connections on which somebody has."""
+    views: int = 64
+    """Open 3-D views: each costs megabytes as long as it does not take what it is sent."""
+
+    def within(self, descriptors: int | None) -> ConnectionLimits:
+        """Return limits that leave files and jobs what they need of a process's descriptors.
+
+        Args:
+            descriptors: that the process may have open; None: no matter how many.
+        """
+        if descriptors is None:
+            return self
+        strangers, views = min(self.strangers, descriptors // 8), min(self.views, descriptors // 8)
+        # A view is forwarded by two more descriptors, and a member may have a file on its way.
+        rest = descriptors - min(_RESERVED, descriptors // 4) - strangers - 2 * views
+        return replace(self, strangers=strangers, views=views, members=min(self.members, rest // 2))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,6 +59,8 @@ class GatewayOptions:
     """Whether a reverse proxy stands in front, whose X-Forwarded headers are believed."""
     allowed_hosts: tuple[str, ...] = ()
     """Names, beside loopback's, under which browsers may ask for the page."""
+    limits: ConnectionLimits = field(default_factory=ConnectionLimits)
+    """How many connections are kept, and for how long; fewer where the system allows fewer descriptors."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:

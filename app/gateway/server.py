@@ -13,7 +13,9 @@ from collections.abc import Callable
 import uvicorn
 from starlette.types import ASGIApp
 
+from app.gateway.connections import PROTOCOLS, LimitedServer, WatchedApp
 from app.gateway.options import GatewayOptions
+from app.process_resources import raised_descriptor_limit
 from ladarreg_core.errors import OptionError
 
 _PORTS_TRIED = 100
@@ -42,9 +44,8 @@ class Gateway:
         self._socket = _bound_socket(options)
         self.port: int = self._socket.getsockname()[1]
         config = uvicorn.Config(
-            build(self.port),
-            http="h11",
-            ws="websockets-sansio",
+            WatchedApp(build(self.port)),
+            **PROTOCOLS,
             loop="asyncio",
             ws_max_size=_LONGEST_MESSAGE,
             ws_ping_interval=_PING_S,
@@ -59,7 +60,7 @@ class Gateway:
             ssl_certfile=options.certfile,
             ssl_keyfile=options.keyfile,
         )
-        self._server = uvicorn.Server(config)
+        self._server = LimitedServer(config, options.limits.within(raised_descriptor_limit()))
         self._thread = threading.Thread(target=self._run, name="gateway", daemon=True)
         self._ended = threading.Event()
         self._failure: BaseException | None = None
@@ -75,7 +76,6 @@ class Gateway:
 
     def start(self) -> None:
         """Listen, and return when browsers can come."""
-        self._socket.listen(128)
         self._thread.start()
         until = time.monotonic() + _START_S
         while not self._server.started and not self._ended.is_set() and time.monotonic() < until:

@@ -22,6 +22,7 @@ from app.gateway.pictures import Pictures
 from app.gateway.uploads import Uploads
 from app.gateway.viser_proxy import ViserProxy
 from app.gateway.visitors import Visitors
+from app.process_resources import raised_descriptor_limit
 from app.static_files import static_folder
 from app.viser_lock import ViserAddress
 
@@ -45,7 +46,8 @@ def site(
         port: where it listens, for the cookie's name.
         folder: of the page's files; None: those of the installation.
     """
-    visitors, proxy = Visitors(), ViserProxy(viser)
+    limits = options.limits.within(raised_descriptor_limit())
+    visitors, proxy = Visitors(), ViserProxy(viser, most=limits.views)
     folder = folder or static_folder()
     pages = Pages(folder)
 

@@ -16,6 +16,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.typing import Subprotocol
 
+from app.process_resources import return_memory_soon
 from app.viser_lock import HEADER, ViserAddress
 
 log = logging.getLogger(__name__)
@@ -24,8 +25,13 @@ _PLAIN = re.compile(r"[A-Za-z0-9/._~-]*")
 """Paths of viser's own files; anything else is not there, and some of it cannot be asked for."""
 _BLOCK = 1 << 16
 _TIMEOUT_S = 10.0
+_APART_S = 0.1
+"""Between the beginnings of two views: many that come at once must not keep the others waiting."""
+_CLOSE_S = 0.5
+"""viser in the middle of a scene that nobody takes any more does not hear of the end."""
 _LOST, _NOT_BINARY, _GOING = 1011, 1003, 1001
 _AWAY = "The 3-D view does not answer; start the workbench again."
+_FULL = "{most} pages show the 3-D view, which is the most; close one of them and load this page again."
 
 
 class ViserProxy:
@@ -33,16 +39,21 @@ class ViserProxy:
 
     Args:
         viser: tells where its server listens; may wait for it, and raises `OSError` where it does not come.
+        most: websockets at a time.
     """
 
-    def __init__(self, viser: Callable[[], ViserAddress]) -> None:
-        self._viser = viser
+    def __init__(self, viser: Callable[[], ViserAddress], *, most: int) -> None:
+        self._viser, self._most = viser, most
+        self._views = 0
+        self._opening = asyncio.Semaphore(1)
 
     async def page(self, request: Request) -> Response:
         """Forward a page; its query stays here."""
         path = "/" + request.path_params.get("path", "")
         if any(part in (".", "..") for part in path.split("/")) or not _PLAIN.fullmatch(path):
             return PlainTextResponse("Not Found", status_code=404)
+        if path == "/" and self._views >= self._most:
+            return self._full()
         try:
             answer = await run_in_threadpool(self._get, path, request.headers.get("accept-encoding", "identity"))
         except (OSError, http.client.HTTPException) as error:
@@ -53,18 +64,35 @@ class ViserProxy:
 
     async def websocket(self, websocket: WebSocket) -> None:
         """Forward a websocket, both ways, until either side closes."""
+        if self._views >= self._most:
+            await websocket.send_denial_response(self._full())
+            return
+        self._views += 1
+        try:
+            await self._serve(websocket)
+        finally:
+            self._views -= 1
+            return_memory_soon()
+
+    def _full(self) -> Response:
+        return PlainTextResponse(_FULL.format(most=self._most) + "\n", status_code=503)
+
+    async def _serve(self, websocket: WebSocket) -> None:
         offered = [Subprotocol(name) for name in websocket.scope["subprotocols"]]
         try:
             address = await run_in_threadpool(self._viser)
+            async with self._opening:
+                await asyncio.sleep(_APART_S)
             viser = await connect(
                 f"ws://{address.host}:{address.port}/",
                 subprotocols=offered or None,
                 additional_headers={HEADER: address.secret},
                 compression=None,
                 max_size=None,
-                max_queue=4,
+                max_queue=1,
                 ping_interval=None,
                 open_timeout=_TIMEOUT_S,
+                close_timeout=_CLOSE_S,
                 proxy=None,
             )
         except (OSError, WebSocketException) as error:  # a TimeoutError is an OSError

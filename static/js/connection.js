@@ -11,7 +11,12 @@ const OFFLINE =
   "There is no connection to the workbench, so nothing was changed: wait until the status bar says " +
   "connected, and do it again.";
 
-/** @typedef {"connecting" | "connected" | "lost" | "refused"} ConnectionState */
+/** The code that a page is turned away with where too many are open, and the status of an answer that says so. */
+const FULL = 1013;
+const UNAVAILABLE = 503;
+const CROWDED = "More pages are open than the workbench serves: close one that nobody needs.";
+
+/** @typedef {"connecting" | "connected" | "lost" | "refused" | "full"} ConnectionState */
 
 let socket = null;
 let wait_ms = FIRST_WAIT_MS;
@@ -19,6 +24,7 @@ let timer = 0;
 let next = 1;
 /** @type {ConnectionState} */
 let state = "connecting";
+let reason = "";
 const unanswered = new Map();
 const listeners = new Set();
 
@@ -30,6 +36,9 @@ const become = (now) => {
 
 /** @returns {ConnectionState} */
 export const connectionState = () => state;
+
+/** @returns {string} why there is no place, in the state "full" */
+export const fullReason = () => reason;
 
 /**
  * Call `listen(state)` at each change.
@@ -91,23 +100,31 @@ const anew = () => {
   mine.close();
 };
 
+const full = (said) => {
+  reason = said || CROWDED;
+  become("full");
+  wait_ms = LONGEST_WAIT_MS;
+};
+
 /** A websocket does not tell why it was turned away; the page's own address does. */
 const lookWhy = async () => {
   try {
     const { status } = await fetch("./", { method: "HEAD", cache: "no-store" });
-    const refused = status === 401 || status === 403;
-    if (state !== "connected") become(refused ? "refused" : "lost");
+    if (state === "connected") return;
+    if (status === UNAVAILABLE) full("");
+    else become(status === 401 || status === 403 ? "refused" : "lost");
   } catch {
     if (state === "refused") become("lost");
   }
 };
 
-const ended = (mine, opened) => {
+const ended = (mine, opened, { code = 0, reason: said = "" } = {}) => {
   if (socket !== mine) return;
   socket = null;
   for (const { reject } of unanswered.values()) reject(new Error(LOST));
   unanswered.clear();
-  if (state !== "refused") become("lost");
+  if (code === FULL) full(said);
+  else if (state !== "refused") become("lost");
   if (!opened) lookWhy();
   timer = setTimeout(connect, wait_ms);
   wait_ms = Math.min(2 * wait_ms, LONGEST_WAIT_MS);
@@ -121,14 +138,14 @@ export const connect = () => {
   socket = mine;
   mine.addEventListener("open", () => {
     opened = true;
-    wait_ms = FIRST_WAIT_MS;
-    become("connected");
   });
   mine.addEventListener("message", (event) => {
     if (socket !== mine || typeof event.data !== "string") return;
+    wait_ms = FIRST_WAIT_MS;
+    become("connected"); // not before: a page too many is heard, too, only to be turned away
     heard(event.data);
   });
-  mine.addEventListener("close", () => ended(mine, opened));
+  mine.addEventListener("close", (event) => ended(mine, opened, event));
 };
 
 /** Try at once instead of at the end of the wait. */

@@ -1,7 +1,7 @@
 /** Puts the page together. */
 
 import { runs } from "./chain_state.js";
-import { ask, connect, connectionState, onConnection } from "./connection.js";
+import { ask, connect, connectionState, fullReason, onConnection } from "./connection.js";
 import { mountDividers } from "./dividers.js";
 import { mountDock } from "./dock.js";
 import { acceptDrops } from "./drop.js";
@@ -93,6 +93,7 @@ onConnection((state) => {
     "The workbench no longer knows this page: open its address again, with the token that it printed.",
     "bad",
   );
+  if (state === "full") notice(fullReason(), "bad");
   wasLost = state !== "connected";
 });
 if (connectionState() !== "connected") connect();

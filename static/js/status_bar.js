@@ -15,6 +15,7 @@ const CONNECTIONS = {
   connected: ["dot", "connected", "ok"],
   lost: ["warn", "not connected: trying again", "warn"],
   refused: ["bad", "refused: open the address with its token again", "bad"],
+  full: ["warn", "too many pages are open: trying again", "warn"],
 };
 /** Done is not yet good: the verdict on the pose says that. */
 const ENDS = { done: ["tick", "dim"], failed: ["bad", "bad"], stopped: ["stop", "warn"] };

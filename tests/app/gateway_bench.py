@@ -44,7 +44,7 @@ class CountingBench:
     def __init__(self, room: Path) -> None:
         self.room, self.limits = room, Limits()
         self.lock = threading.Lock()
-        self.number, self.version, self.joined = 0, 0, 0
+        self.number, self.version, self.joined, self.most = 0, 0, 0, 100
         self.listeners: list[Callable[[Message], None]] = []
         self.pages: list[Page] = []
         self.taken: list[tuple[str, str, str | None, bytes, Page | None]] = []
@@ -70,6 +70,8 @@ class CountingBench:
 
     def join(self, address: str) -> Page:
         with self.lock:
+            if len(self.pages) >= self.most:
+                raise OptionError(f"{self.most} page is open, the most: close it.")
             self.joined += 1
             page = Page(f"Operator {self.joined}", address)
             self.pages.append(page)

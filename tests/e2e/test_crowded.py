@@ -1,0 +1,41 @@
+"""What a page shows that comes when as many are open as the workbench serves."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from benchmarks.floods import Held
+from benchmarks.workbench import served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill to send")]
+
+
+def test_the_page_beyond_the_limit_says_why_and_comes_up_when_another_goes(browser: Browser, tmp_path: Path) -> None:
+    with served(tmp_path / "project") as (found, _):
+        others = Held("document", 64, found.host, found.port, found.cookie)
+        views = Held("viser", 64, found.host, found.port, found.cookie)
+        others.fill()
+        views.fill()
+        time.sleep(2)  # the views begin one after the other
+        context = browser.new_context(viewport={"width": 1280, "height": 720})
+        page = context.new_page()
+        try:
+            page.goto(f"{found.address}?token={found.token}")
+            page.get_by_role("alert").get_by_text("64 pages are open").wait_for(timeout=15_000)
+            page.get_by_role("button", name="too many pages are open: trying again").wait_for()
+            page.frame_locator(".model-frame").get_by_text("64 pages show the 3-D view").wait_for()
+            for line in others.open:
+                line.close()
+            page.get_by_role("button", name="connected", exact=True).wait_for(timeout=15_000)
+        finally:
+            for line in (*others.open, *views.open):
+                line.close()
+            context.close()
