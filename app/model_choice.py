@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.model_pictures import texture_choices, usable_texture
+from ladarreg_core.inspection.model_textures import texture_choices, usable_texture
 
 if TYPE_CHECKING:
     from ladarreg_core.results import PoseResult

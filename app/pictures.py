@@ -15,9 +15,9 @@ from app.workroom import Workroom
 from ladarreg_core.errors import LadarregError, OptionError
 
 if TYPE_CHECKING:
-    from ladarreg_core.perspective import View
     from ladarreg_core.project.document import PhotoEntry, PoseEntry
     from ladarreg_core.scan import Scan
+    from ladarreg_core.surface.perspective import View
 
 log = logging.getLogger(__name__)
 _JPEG_ABOVE_PIXELS = 2_500_000
@@ -74,7 +74,7 @@ class Pictures:
         threading.Thread(target=draw, name="picture", daemon=True).start()
 
     def _scan(self, query: Mapping[str, str]) -> Picture:
-        from ladarreg_core.inspection.scan_pictures import Stretch, scan_picture
+        from ladarreg_core.inspection.pictures import Stretch, scan_picture
 
         view, show = self._view(query), query.get("show", "intensity")
         stretch = Stretch(
@@ -104,9 +104,9 @@ class Pictures:
         return _png(scan_over_photo(self._the_scan(), answer.camera, answer.camera_from_scanner, show))
 
     def _registered(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> Picture:
+        from ladarreg_core.inspection.model_textures import texture_without_z_buffer
         from ladarreg_core.inspection.overlays import photo_over_scan
-        from ladarreg_core.model_pictures import texture_without_z_buffer
-        from ladarreg_core.texture import texture_scan
+        from ladarreg_core.surface.texture import texture_scan
 
         scan, answer, photo = self._the_scan(), self._room.answer(pose), self._room.photo(entry)
         if query.get("z_buffer") == "0":

@@ -15,10 +15,10 @@ from ladarreg_core.project.results import pose_of
 
 if TYPE_CHECKING:
     from app.workroom import Workroom
-    from ladarreg_core.assessment import Assessment
     from ladarreg_core.matches import Matches
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import PhotoEntry, PoseEntry
+    from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.scan import Scan
 
 
@@ -28,7 +28,7 @@ _LEAST_TO_WARN = 4
 
 def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEntry) -> dict[str, Any]:
     """Return what the shown pose says of the picks, and what the scan measures under drawn lines."""
-    from ladarreg_core.inspection.judged import judge_picks
+    from ladarreg_core.inspection.picks import judge_picks
 
     picks = room.picks(entry)
     lines = {pick.id: line_shown(room, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
@@ -65,7 +65,7 @@ def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEn
 
 def _cautions(room: Workroom, matches: Matches, photo: Photo, entry: PhotoEntry) -> list[str]:
     """Return what is to be feared of the thesis's methods on these matches, before anybody solves by them."""
-    from ladarreg_core.pose.cautions import stereo_cautions
+    from ladarreg_core.quality.stereo_limits import stereo_cautions
 
     if len(matches) < _LEAST_TO_WARN:
         return []
@@ -80,7 +80,7 @@ def _cautions(room: Workroom, matches: Matches, photo: Photo, entry: PhotoEntry)
 
 def line_shown(room: Workroom, scan: Scan, ends: Any) -> dict[str, Any]:
     """Return a line's samples and which of them have a range."""
-    from ladarreg_core.inspection.judged import sample_line
+    from ladarreg_core.inspection.picks import sample_line
 
     key = ("line", id(scan), tuple(tuple(ray) for ray in ends))
     line = room.kept("line", key, lambda: sample_line(scan, ends))

@@ -105,7 +105,7 @@ class StageLink:
         if stage is None:
             return
         from app.stage3d.colours import MATCH_COLOURS
-        from ladarreg_core.inspection.judged import picks_in_space
+        from ladarreg_core.inspection.picks import picks_in_space
 
         room, document = workbench.room, workbench.session.document
         scan, entry = room.scan(document), workbench.shown

@@ -10,7 +10,7 @@ import tyro
 from app.inputs import InputArguments
 
 if TYPE_CHECKING:
-    from ladarreg_core.register import RegisterOptions
+    from ladarreg_core.registration import RegisterOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +59,8 @@ def register_options(arguments: ThresholdArguments) -> RegisterOptions:
     """Return the options of a registration."""
     from dataclasses import replace
 
-    from ladarreg_core.matching.thesis import ThesisOptions
-    from ladarreg_core.register import RegisterOptions
+    from ladarreg_core.matching.thesis.chain import ThesisOptions
+    from ladarreg_core.registration import RegisterOptions
 
     default = ThesisOptions()
     side = _name(arguments.culling)

@@ -7,10 +7,10 @@ import unicodedata
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ladarreg_core.assessment import Assessment
     from ladarreg_core.comparison import Comparison
     from ladarreg_core.export.comparison_table import Table
-    from ladarreg_core.pose.findings import Finding
+    from ladarreg_core.quality.assessment import Assessment
+    from ladarreg_core.quality.findings import Finding
     from ladarreg_core.results import PoseResult, Registration
     from ladarreg_core.scan import Scan
     from ladarreg_core.self_test.report import SelfTest

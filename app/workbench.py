@@ -182,7 +182,7 @@ class Workbench:
 
     def corner_near(self, side: object, view: int, photo: object, at: Sequence[float]) -> list[float] | None:
         """Return the corner next to a pixel of one side, (u, v)."""
-        from ladarreg_core.inspection.snapping import gray_of_photo, gray_of_view, nearest_corner
+        from ladarreg_core.inspection.corners import gray_of_photo, gray_of_view, nearest_corner
 
         if side == "scan":
             views = self.room.views(self.session.document)

@@ -15,14 +15,14 @@ from ladarreg_core.errors import CameraError, FormatError, LadarregError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ladarreg_core.assessment import Assessment
-    from ladarreg_core.inspection.judged import Measured
     from ladarreg_core.inspection.partners import Partners
+    from ladarreg_core.inspection.picks import Measured
     from ladarreg_core.inspection.views import NamedView
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, PoseEntry, Source
     from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
 
@@ -178,7 +178,7 @@ class Workroom:
 
     def assessment(self, scan: Scan, pose: PoseEntry) -> Assessment:
         """Return what there is to say of a stage's answer."""
-        from ladarreg_core.assessment import assess
+        from ladarreg_core.quality.assessment import assess
 
         return self.kept("assessment", id(pose), lambda: (pose, assess(scan, self.answer(pose))))[1]
 
@@ -199,7 +199,7 @@ class Workroom:
 
     def measured(self, scan: Scan, photo: Photo) -> Measured:
         """Return what the scan measures under picks of a photograph."""
-        from ladarreg_core.inspection.judged import Measured
+        from ladarreg_core.inspection.picks import Measured
 
         return self.kept("measured", (id(scan), id(photo)), lambda: Measured(scan, photo))
 

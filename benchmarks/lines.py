@@ -19,11 +19,11 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches, Pick
-from ladarreg_core.picked import matches_from_picks
+from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
 
 _STEP_RAD = np.deg2rad(0.11)
 _GEOMETRY = AzimuthElevation(350, 500, _STEP_RAD, _STEP_RAD)

@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 
 import ladarreg_core as lr
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.features.correlation import edge_picture
 from ladarreg_core.frames import look_along
-from ladarreg_core.matching.correlation import edge_picture
-from ladarreg_core.matching.densify import DensifyOptions
 from ladarreg_core.matching.nid import NidPair
-from ladarreg_core.matching.thesis import ThesisOptions
-from ladarreg_core.matching.thesis_matches import ThesisMatchOptions
+from ladarreg_core.matching.thesis.chain import ThesisOptions
+from ladarreg_core.matching.thesis.densify import DensifyOptions
+from ladarreg_core.matching.thesis.matcher import ThesisMatchOptions
 from ladarreg_core.pose.estimate import PoseOptions
 from ladarreg_core.pose.ransac import ransac_pose
-from ladarreg_core.pose.stereo_simplex import SimplexOptions
+from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
 from ladarreg_core.simulate import SimulatedCase
-from ladarreg_core.surface_range import surface_range
+from ladarreg_core.surface.ranges import surface_range
 
 THESIS = {
     "thesis": ThesisOptions(),

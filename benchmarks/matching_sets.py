@@ -14,7 +14,7 @@ import ladarreg_core as lr
 from benchmarks.register import Row, by_default, by_peers, timed
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.register import RegisterOptions
+from ladarreg_core.registration import RegisterOptions
 from ladarreg_core.simulate import SCENES, simulate_case
 
 _LENSES: tuple[dict[str, float], ...] = (

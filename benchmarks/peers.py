@@ -15,7 +15,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.ransac import ransac_pose
-from ladarreg_core.pose.stereo_simplex import Residual, SimplexOptions, fit_simplex
+from ladarreg_core.pose.thesis.stereo_simplex import Residual, SimplexOptions, fit_simplex
 
 Answer = tuple[Rigid, np.ndarray | None]
 """A pose, and its covariance (6, 6) where one is given."""

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.perspective import perspective_view
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.perspective import perspective_view
 
 ROUNDS = 25
 BUDGET = 3.0

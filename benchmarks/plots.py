@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ladarreg_core.export.sheet import (
+from ladarreg_core.export.layout import (
     ACCENT,
     BACKGROUND,
     BAD,

@@ -14,8 +14,8 @@ from benchmarks.peers import HAS_POSELIB, PEERS, Solver, default, opencv_peer, p
 from benchmarks.pose_report import Bar, Section, number, percent, table
 from benchmarks.room import room_case
 from ladarreg_core.frames import Rigid
-from ladarreg_core.pose.epipolar import epipolar_cost
-from ladarreg_core.pose.stereo import StereoPairs, stereo_cost
+from ladarreg_core.pose.thesis.epipolar import epipolar_cost
+from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
 
 OUTLIERS = (0.0, 0.3, 0.5, 0.7)
 SAME_SIGMAS = 0.1

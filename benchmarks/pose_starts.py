@@ -14,9 +14,9 @@ from benchmarks.pose_report import Bar, Section, percent, table
 from benchmarks.room import plane_case, repeated_case, room_case
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.pose.basin import probe_basin
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.stereo_simplex import SimplexOptions
+from ladarreg_core.pose.multistart import probe_basin
+from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
 
 STARTS = ((5.0, 0.25), (10.0, 0.5), (20.0, 1.0), (40.0, 2.0))
 """How far away: degrees and metres, any way."""

@@ -11,7 +11,7 @@ from benchmarks.apple import APPLE_READINGS, apple_case, apple_error_percent
 from benchmarks.case import first_third
 from benchmarks.peers import PEERS, Solver, linear, simplex_poses
 from benchmarks.pose_report import Bar, Section, number, table
-from ladarreg_core.pose.stereo_simplex import Residual
+from ladarreg_core.pose.thesis.stereo_simplex import Residual
 
 THRESHOLD_M = 0.5
 """Of the stereo-simplex's depth errors; from .35 to .7 the results are the same."""

@@ -32,7 +32,7 @@ from benchmarks.thesis_descents import convergence, convergence_picture, depth_e
 from benchmarks.thesis_scenes import printed_text, scene_run, scene_text, scenes_picture, scenes_text, simplex_of_scene
 from benchmarks.thesis_smoothing import poles_text, smoothing, smoothing_picture, smoothing_text
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.pose.stereo_simplex import fit_simplex
+from ladarreg_core.pose.thesis.stereo_simplex import fit_simplex
 from ladarreg_core.simulate import SCENES
 
 
@@ -141,7 +141,7 @@ depth and ranges are the noisier side. It is meant for rooms and short baselines
 
 _SMOOTHING = """\
 A match shows a range of its own: where the ray's point projects nearest to the pixel. Where the laser's range lies
-far from that, it was a spike, and gives way (`ladarreg_core.smoothing`). It stays where the disparity does not
+far from that, it was a spike, and gives way (`ladarreg_core.quality.smoothing`). It stays where the disparity does not
 determine a range, where the pixels' noise explains the difference, and where the match lies off its epipolar line.
 Each vertex is replaced by itself alone, so that edges stay. Pose: the default's."""
 

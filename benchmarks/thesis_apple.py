@@ -17,7 +17,7 @@ from benchmarks.table_3_1 import THRESHOLD_M
 from ladarreg_core.export.comparison_table import NOTHING, Table, markdown_table
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.stereo_simplex import Residual, SimplexFit, SimplexOptions, fit_simplex
+from ladarreg_core.pose.thesis.stereo_simplex import Residual, SimplexFit, SimplexOptions, fit_simplex
 
 PARAMETERS = ("Tx", "Ty", "Tz", "alpha", "beta", "gamma")
 SHOWN_READING, SHOWN_SEED = "B", 0

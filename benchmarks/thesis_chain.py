@@ -11,7 +11,7 @@ import argparse
 import numpy as np
 
 import ladarreg_core as lr
-from ladarreg_core.matching.thesis import ThesisOptions, solve_thesis
+from ladarreg_core.matching.thesis.chain import ThesisOptions, solve_thesis
 from ladarreg_core.pose.estimate import solve_pose
 from ladarreg_core.simulate import SCENES, SimulatedCase, simulate_case
 from ladarreg_core.steps import StepLog

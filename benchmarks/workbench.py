@@ -27,7 +27,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from app.gateway.changes import changed
 from benchmarks.model_drawn import model_drawn
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 
 _MANY = 500
 _WATCH_MOVES = """

@@ -21,16 +21,16 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import ThesisParameters as ThesisParameters
     from ladarreg_core.matches import Matches as Matches
     from ladarreg_core.matches import Pick as Pick
-    from ladarreg_core.perspective import View as View
-    from ladarreg_core.perspective import perspective_view as perspective_view
     from ladarreg_core.photo import Photo as Photo
     from ladarreg_core.pose.estimate import estimate_pose as estimate_pose
     from ladarreg_core.progress import Progress as Progress
     from ladarreg_core.progress import Step as Step
-    from ladarreg_core.register import register as register
+    from ladarreg_core.registration import register as register
     from ladarreg_core.results import PoseResult as PoseResult
     from ladarreg_core.results import Registration as Registration
     from ladarreg_core.scan import Scan as Scan
+    from ladarreg_core.surface.perspective import View as View
+    from ladarreg_core.surface.perspective import perspective_view as perspective_view
 
 __version__ = "0.1.0"
 
@@ -48,12 +48,12 @@ _HOMES = {
     "PoseResult": "results",
     "Registration": "results",
     "Scan": "scan",
-    "View": "perspective",
-    "perspective_view": "perspective",
+    "View": "surface.perspective",
+    "perspective_view": "surface.perspective",
     "read_photo": "formats",
     "read_scan": "formats",
     "compare": "comparison",
-    "register": "register",
+    "register": "registration",
     "estimate_pose": "pose.estimate",
 }
 __all__ = sorted(_HOMES)

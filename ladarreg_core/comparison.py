@@ -9,14 +9,14 @@ from threadpoolctl import threadpool_limits
 
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
-from ladarreg_core.matching.thesis import thesis_stages
+from ladarreg_core.matching.thesis.chain import thesis_stages
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepReport
-from ladarreg_core.register import RegisterOptions, register
+from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.results import Stage
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
-from ladarreg_core.texture import RegisteredTexture, texture_scan
+from ladarreg_core.surface.texture import RegisteredTexture, texture_scan
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

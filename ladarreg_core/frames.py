@@ -244,3 +244,9 @@ def rotation_about(axis: str, angle_rad: float) -> NDArray[np.float64]:
     R[i, i] = R[j, j] = c
     R[i, j], R[j, i] = -s, s
     return R
+
+
+def principal_extents(points: FloatArray) -> FloatArray:
+    """Return the root mean square extents (3,) of points (N, 3) along their principal axes, largest first, m."""
+    centred = points - points.mean(axis=0)
+    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(points))[::-1], 0)))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.scanner import ScanGeometry
+from ladarreg_core.scanner.grids import ScanGeometry
 
 IntensityKind = Literal["raw", "range_normalised"]
 _SMALLEST_SIDE = 2

@@ -12,10 +12,10 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec, rotvec_from_rotation
-from ladarreg_core.lookup import look_up
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.remap import look_up
 
 BOXES = [  # lower and upper corner, m
     ((4.5, -3.0, -1.2), (4.8, 3.0, 2.0)),  # the wall

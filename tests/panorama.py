@@ -8,10 +8,10 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along, rotation_about
-from ladarreg_core.lookup import look_up
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import SphericalGrid
+from ladarreg_core.scanner.grids import SphericalGrid
+from ladarreg_core.surface.remap import look_up
 from tests.painted_room import paintings
 
 _WALL_M = 3.0

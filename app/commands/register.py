@@ -16,11 +16,11 @@ from app.thresholds import ThresholdArguments, check_method, register_options
 from app.wording import assessed, report, verdict
 
 if TYPE_CHECKING:
-    from ladarreg_core.assessment import Assessment
     from ladarreg_core.photo import Photo
+    from ladarreg_core.quality.assessment import Assessment
+    from ladarreg_core.quality.smoothed_scan import SmoothedScan
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
-    from ladarreg_core.smoothed_scan import SmoothedScan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +39,8 @@ class Arguments(ThresholdArguments):
 
 def run(arguments: Arguments) -> ExitCode:
     """Read, register, export, and tell the verdict."""
-    from ladarreg_core.assessment import assess
     from ladarreg_core.export.folder import check_folder
+    from ladarreg_core.quality.assessment import assess
 
     started = time.perf_counter()
     check_folder(arguments.out, force=arguments.force, inputs=_input_files(arguments))
@@ -84,7 +84,7 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: StepBar) -> R
     import ladarreg_core as lr
 
     if arguments.carry and arguments.offset:
-        from ladarreg_core.carried import carry_over
+        from ladarreg_core.carry import carry_over
         from ladarreg_core.formats.registration_file import read_offset, read_registration
 
         first, offset = read_registration(arguments.carry), read_offset(arguments.offset)
@@ -102,7 +102,7 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: StepBar) -> R
 
 
 def _smooth(arguments: Arguments, result: Registration, scan: Scan, bar: StepBar) -> SmoothedScan | None:
-    from ladarreg_core.smoothed_scan import smoothed_scan
+    from ladarreg_core.quality.smoothed_scan import smoothed_scan
 
     if not arguments.smooth or not result.accepted:
         return None

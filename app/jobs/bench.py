@@ -44,7 +44,7 @@ class Inputs:
         Raises:
             OptionError: if nothing is drawn.
         """
-        from ladarreg_core.picked import matches_from_picks
+        from ladarreg_core.picks.measure import matches_from_picks
         from ladarreg_core.project.results import pose_of
 
         if not self.picks:

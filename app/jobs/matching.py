@@ -14,7 +14,7 @@ from ladarreg_core.project.results import pose_of
 
 if TYPE_CHECKING:
     from ladarreg_core.matches import Pick
-    from ladarreg_core.matching.thesis_matches import FoundMatches, ThesisSearch
+    from ladarreg_core.matching.thesis.matcher import FoundMatches, ThesisSearch
     from ladarreg_core.project.document import PhotoEntry
 
 CORNER, BETWEEN = "corner", "between corners"
@@ -147,7 +147,7 @@ class MatchingJobs:
         known = self._searches.get(inputs.entry.id)
         if known is not None and known.key == key:
             return known
-        from ladarreg_core.matching.thesis import search_of
+        from ladarreg_core.matching.thesis.chain import search_of
 
         context.job.said = "looking for corners"
         found = search_of(inputs.scan, inputs.photo, inputs.settings.match_options, report=context.step)

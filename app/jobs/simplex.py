@@ -16,7 +16,7 @@ from ladarreg_core.project.results import pose_of
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Matches
-    from ladarreg_core.pose.stereo_simplex import DescentStep, SimplexFit
+    from ladarreg_core.pose.thesis.stereo_simplex import DescentStep, SimplexFit
     from ladarreg_core.results import PoseResult
 
 FIRST_SPEED = 60.0
@@ -57,8 +57,8 @@ class SimplexJobs:
 
     def _walk(self, inputs: Inputs, context: JobContext, *, rejecting: bool) -> str:
         from ladarreg_core.pose.estimate import STATED_SIGMA_PX
-        from ladarreg_core.pose.simplex_answer import simplex_answer
-        from ladarreg_core.pose.stereo_simplex import descend
+        from ladarreg_core.pose.simplex_result import simplex_answer
+        from ladarreg_core.pose.thesis.stereo_simplex import descend
 
         begun = time.perf_counter()
         matches = inputs.matches()
@@ -114,7 +114,7 @@ class SimplexJobs:
         self, steps: Generator[DescentStep, None, SimplexFit], inputs: Inputs, matches: Matches, context: JobContext
     ) -> SimplexFit:
         """Walk to the end, or until it is stopped, and show what there is time for; the last step always."""
-        from ladarreg_core.pose.stereo_simplex import stopped_at
+        from ladarreg_core.pose.thesis.stereo_simplex import stopped_at
 
         shown = due = time.monotonic()
         last: DescentStep | None = None

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from app.stage3d.colours import ACCENT, REFUSED, SCANNER
-from ladarreg_core.blend import intensity_picture
-from ladarreg_core.export.true_colours import line_colours_for_viewer
-from ladarreg_core.model_pictures import small_picture, view_picture
-from ladarreg_core.scene_lines import camera_outline, dashed, for_both_ends, repeated
-from ladarreg_core.standpoint import field_of_view
+from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.inspection.model_textures import small_picture, view_picture
+from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
+from ladarreg_core.inspection.viewpoints import field_of_view
+from ladarreg_core.surface.blend import intensity_picture
 
 if TYPE_CHECKING:
     import viser
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ladarreg_core.arrays import ByteArray
     from ladarreg_core.camera import Camera
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.model_pictures import Colour
+    from ladarreg_core.inspection.model_textures import Colour
 
 NOT_ACCEPTED = "not accepted"
 _DASHES = 9

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ladarreg_core.model_pictures import Colour
+from ladarreg_core.inspection.model_textures import Colour
 
 BACKGROUND: Colour = (15, 17, 21)
 ACCENT: Colour = (92, 200, 255)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 
 from app.stage3d.colours import as_css
-from ladarreg_core.model_pictures import Legend
+from ladarreg_core.inspection.model_textures import Legend
 
 
 def legend_html(legend: Legend, said: str = "") -> str:

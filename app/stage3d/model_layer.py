@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ladarreg_core.export.glb import glb_bytes
-from ladarreg_core.model_pictures import Legend, scattered
+from ladarreg_core.inspection.model_textures import Legend, scattered
 
 if TYPE_CHECKING:
     import viser
 
     from app.stage3d.subject import ModelNow, ScanShown, Subject
     from app.stage3d.wishes import Wishes
-    from ladarreg_core.model_pictures import ModelTexture
+    from ladarreg_core.inspection.model_textures import ModelTexture
 
 REPLACED_AFTER_S, REPLACED_BY_COARSE_AFTER_S = 2.0, 0.8
 _POINT_OF_RANGE = 0.004

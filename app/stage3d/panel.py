@@ -9,14 +9,14 @@ from app.stage3d.colours import ACCENT
 from app.stage3d.legend import legend_html
 from app.static_files import static_text
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.model_pictures import texture_choices
+from ladarreg_core.inspection.model_textures import texture_choices
 
 if TYPE_CHECKING:
     import viser
 
     from app.stage3d.actions import StageActions
     from app.stage3d.subject import ModelNow
-    from ladarreg_core.model_pictures import Legend
+    from ladarreg_core.inspection.model_textures import Legend
     from ladarreg_core.results import PoseResult
 
 OVERVIEW, SCANNER, CAMERA = "Overview", "Scanner", "Camera"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from app.stage3d.colours import BACKGROUND, HIGHLIGHT, MATCH_COLOURS
-from ladarreg_core.export.true_colours import line_colours_for_viewer
-from ladarreg_core.scene_lines import Marks, for_both_ends, marks_of_result, rays_to, repeated, spread
+from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.inspection.scene_geometry import Marks, for_both_ends, marks_of_result, rays_to, repeated, spread
 
 if TYPE_CHECKING:
     import viser

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from app.stage3d.colours import MATCH_COLOURS, REFUSED, as_css
-from ladarreg_core.simplex_curves import CURVE_NAMES, DrawnCurves, SimplexCurves
+from ladarreg_core.inspection.simplex_curves import CURVE_NAMES, DrawnCurves, SimplexCurves
 
 if TYPE_CHECKING:
     import viser

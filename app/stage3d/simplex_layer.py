@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING
 
 from app.stage3d.cameras_layer import add_camera, placed
 from app.stage3d.colours import ACCENT, BACKGROUND, REFUSED
-from ladarreg_core.export.true_colours import line_colours_for_viewer
-from ladarreg_core.scene_lines import camera_outline, camera_outlines, dashed, faded, for_both_ends, repeated
+from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.inspection.scene_geometry import (
+    camera_outline,
+    camera_outlines,
+    dashed,
+    faded,
+    for_both_ends,
+    repeated,
+)
 
 if TYPE_CHECKING:
     import viser
@@ -17,7 +24,7 @@ if TYPE_CHECKING:
     from ladarreg_core.arrays import FloatArray
     from ladarreg_core.camera import Camera
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.model_pictures import Colour
+    from ladarreg_core.inspection.model_textures import Colour
 
 _FAINT, _DASHES = 0.45, 9
 

@@ -17,8 +17,8 @@ from app.stage3d.simplex_folder import SimplexFolder
 from app.stage3d.simplex_layer import SimplexLayer
 from app.stage3d.subject import ModelNow, ScanShown, Subject
 from app.stage3d.wishes import Wishes
-from ladarreg_core.model_pictures import plain_picture
-from ladarreg_core.simplex_curves import CURVE_NAMES, SimplexCurves
+from ladarreg_core.inspection.model_textures import plain_picture
+from ladarreg_core.inspection.simplex_curves import CURVE_NAMES, SimplexCurves
 
 if TYPE_CHECKING:
     import viser
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
     from app.stage3d.actions import StageActions
     from app.stage3d.simplex_frame import SimplexFrame
+    from ladarreg_core.inspection.viewpoints import Standpoint
     from ladarreg_core.photo import Photo
     from ladarreg_core.results import PoseResult
     from ladarreg_core.scan import Scan
-    from ladarreg_core.standpoint import Standpoint
 
 SIMPLEX_EVERY_S = 0.04
 FINE_AGAIN_S = 1.0

@@ -9,14 +9,20 @@ from app.model_choice import ModelChoice
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.mesh import Mesh, scan_mesh
-from ladarreg_core.model_pictures import ModelTexture, TextureKind, model_texture, registered_texture, usable_texture
-from ladarreg_core.perspective import View, perspective_view
+from ladarreg_core.inspection.model_textures import (
+    ModelTexture,
+    TextureKind,
+    model_texture,
+    registered_texture,
+    usable_texture,
+)
+from ladarreg_core.inspection.viewpoints import Standpoint, from_pose, overview, typical_range
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.standpoint import Standpoint, from_pose, overview, typical_range
-from ladarreg_core.texture import RegisteredTexture
+from ladarreg_core.surface.mesh import Mesh, scan_mesh
+from ladarreg_core.surface.perspective import View, perspective_view
+from ladarreg_core.surface.texture import RegisteredTexture
 
 _VERTICES, _LIGHT_VERTICES, _COARSE_VERTICES = 150_000, 60_000, 12_000
 _TEXTURE_PX, _LIGHT_TEXTURE_PX, _COARSE_TEXTURE_PX = 8192, 1536, 1024

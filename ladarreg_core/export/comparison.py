@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.comparison import Column, Comparison
+from ladarreg_core.export.atomic_write import write_bytes
 from ladarreg_core.export.comparison_table import (
     Difference,
     cautions_of,
@@ -22,7 +23,9 @@ from ladarreg_core.export.comparison_table import (
     verdict_of,
 )
 from ladarreg_core.export.contact_sheet import write_contact_sheet
-from ladarreg_core.export.documents import (
+from ladarreg_core.export.folder import FileJob, write_folder
+from ladarreg_core.export.images import write_registered_png
+from ladarreg_core.export.json import (
     CAMERA_FROM_SCANNER_IS,
     input_document,
     plain,
@@ -30,9 +33,6 @@ from ladarreg_core.export.documents import (
     thesis_document,
     write_document,
 )
-from ladarreg_core.export.files import write_bytes
-from ladarreg_core.export.folder import FileJob, write_folder
-from ladarreg_core.export.images import write_registered_png
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Report
 from ladarreg_core.results import PoseResult

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray
-from ladarreg_core.blend import intensity_picture
 from ladarreg_core.comparison import Column, Comparison
 from ladarreg_core.export.comparison_table import (
     NOTHING,
@@ -34,8 +33,7 @@ from ladarreg_core.export.detail import (
     whole_window,
 )
 from ladarreg_core.export.images import write_png
-from ladarreg_core.export.match_panels import best_enlargement, match_panel
-from ladarreg_core.export.sheet import (
+from ladarreg_core.export.layout import (
     ACCENT,
     BACKGROUND,
     BAD,
@@ -64,10 +62,12 @@ from ladarreg_core.export.sheet import (
     with_mark,
     wrapped,
 )
+from ladarreg_core.export.match_panels import best_enlargement, match_panel
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.texture import RegisteredTexture, model_picture
+from ladarreg_core.surface.blend import intensity_picture
+from ladarreg_core.surface.texture import RegisteredTexture, model_picture
 
 SHEET_WIDTH = 2560
 """Pixels."""

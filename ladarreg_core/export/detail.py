@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray
-from ladarreg_core.blend import intensity_picture
-from ladarreg_core.mesh import grid_edges
 from ladarreg_core.scan import Scan
-from ladarreg_core.texture import RegisteredTexture
+from ladarreg_core.surface.blend import intensity_picture
+from ladarreg_core.surface.mesh import grid_edges
+from ladarreg_core.surface.texture import RegisteredTexture
 
 DETAIL_ASPECT = 4 / 3
 _DETAIL_SHARE = 0.17

@@ -7,24 +7,24 @@ import os
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
-from ladarreg_core.assessment import Assessment, assess
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.documents import write_document
-from ladarreg_core.export.files import cannot_write, sync_folder
+from ladarreg_core.export.atomic_write import cannot_write, sync_folder
 from ladarreg_core.export.glb import write_glb
 from ladarreg_core.export.images import write_labels_png, write_registered_png
+from ladarreg_core.export.json import write_document
 from ladarreg_core.export.ply import write_ply
 from ladarreg_core.export.registration_json import registration_document
 from ladarreg_core.export.replacement import REGISTRATION_FILES, in_words, require_apart, require_replaceable
 from ladarreg_core.export.staging import clear_leftovers, put_in_place, staging_folder
 from ladarreg_core.export.uncertainty_png import write_uncertainty_png
-from ladarreg_core.mesh import scan_mesh
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
+from ladarreg_core.quality.assessment import Assessment, assess
+from ladarreg_core.quality.smoothed_scan import SmoothedScan
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.smoothed_scan import SmoothedScan
-from ladarreg_core.texture import RegisteredTexture, model_picture, texture_scan
+from ladarreg_core.surface.mesh import scan_mesh
+from ladarreg_core.surface.texture import RegisteredTexture, model_picture, texture_scan
 
 FILE_NAMES = REGISTRATION_FILES
 """What a folder of results holds; all but the first only where the registration is accepted."""

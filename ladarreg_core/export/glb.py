@@ -12,9 +12,9 @@ import numpy as np
 
 from ladarreg_core.arrays import ByteArray, read_only
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.files import write_bytes
-from ladarreg_core.export.true_colours import VISER_BASE_COLOUR, texture_for_viewer
-from ladarreg_core.mesh import Mesh
+from ladarreg_core.export.atomic_write import write_bytes
+from ladarreg_core.export.viser_colors import VISER_BASE_COLOUR, texture_for_viewer
+from ladarreg_core.surface.mesh import Mesh
 
 _LARGEST_TEXTURE_PX = 8192
 # glTF is Y up, and viewers start by looking along -Z: the scanner's X goes there, its Y to -X, its Z to Y.

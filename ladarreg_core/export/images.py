@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from ladarreg_core.arrays import ByteArray
-from ladarreg_core.export.files import write_bytes
-from ladarreg_core.texture import Label, RegisteredTexture
+from ladarreg_core.export.atomic_write import write_bytes
+from ladarreg_core.surface.texture import Label, RegisteredTexture
 
 LABEL_COLOURS = {
     Label.NO_RETURN: (15, 17, 21),

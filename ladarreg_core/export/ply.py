@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.export.files import write_bytes
+from ladarreg_core.export.atomic_write import write_bytes
 from ladarreg_core.scan import Scan
-from ladarreg_core.texture import Label, RegisteredTexture, model_picture
+from ladarreg_core.surface.texture import Label, RegisteredTexture, model_picture
 
 _VERTEX = np.dtype(
     [

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.assessment import Assessment
-from ladarreg_core.export.documents import (
+from ladarreg_core.export.json import (
     CAMERA_FROM_SCANNER_IS,
     input_document,
     plain,
     software_document,
     thesis_document,
 )
+from ladarreg_core.quality.assessment import Assessment
+from ladarreg_core.quality.smoothed_scan import SmoothedScan
 from ladarreg_core.results import Registration
-from ladarreg_core.smoothed_scan import SmoothedScan
-from ladarreg_core.texture import Label
+from ladarreg_core.surface.texture import Label
 
 _VERSION = 1
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Literal
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.files import sync_folder
+from ladarreg_core.export.atomic_write import sync_folder
 from ladarreg_core.export.replacement import content_of, in_words, remove_results
 
 _LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?:(?P<pid>\d{1,10})-)?[0-9a-f]{8}\.(?P<state>part|old)")

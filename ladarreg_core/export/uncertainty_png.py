@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.export.images import write_png
-from ladarreg_core.export.sheet import BACKGROUND, DIM, INK, padded, stacked, text_block
+from ladarreg_core.export.layout import BACKGROUND, DIM, INK, padded, stacked, text_block
 
 _NOTHING = (48, 48, 48)
 _SHARE_SHOWN = 98.0  # per cent: a few cells far off must not flatten all others

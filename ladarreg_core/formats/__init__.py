@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from ladarreg_core.camera import Camera
-    from ladarreg_core.formats.boundary import PathLike
     from ladarreg_core.formats.e57_images import ExtractedImage
+    from ladarreg_core.formats.untrusted import PathLike
     from ladarreg_core.photo import Photo
     from ladarreg_core.progress import Report
     from ladarreg_core.scan import Scan
@@ -78,7 +78,7 @@ class FileInfo:
 
 def formats() -> tuple[FileFormat, ...]:
     """Return the table of all formats, in the order in which they are tried."""
-    from ladarreg_core.formats.table import FORMATS
+    from ladarreg_core.formats.registry import FORMATS
 
     return FORMATS
 
@@ -94,8 +94,8 @@ def recognise(path: PathLike, *, kinds: tuple[FileKind, ...] = ()) -> FileFormat
         FormatError: if there is no such file, or it is of no known format.
     """
     from ladarreg_core.errors import FormatError
-    from ladarreg_core.formats.boundary import reading
-    from ladarreg_core.formats.table import FORMATS, foreign_format
+    from ladarreg_core.formats.registry import FORMATS, foreign_format
+    from ladarreg_core.formats.untrusted import reading
 
     with reading(path) as file:
         with open(file, "rb") as stream:

@@ -7,9 +7,9 @@ from typing import Any
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, FormatError
-from ladarreg_core.formats.boundary import PathLike, one_line, reading
 from ladarreg_core.formats.json_file import number, read_json_object, whole_number, write_json
-from ladarreg_core.formats.yaml_subset import parse_yaml
+from ladarreg_core.formats.opencv_yaml import parse_yaml
+from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 
 _LARGEST_BYTES = 4 << 20
 _MATRIX = ("cameramatrix", "k", "intrinsicmatrix", "intrinsics", "mtx", "m1", "m")

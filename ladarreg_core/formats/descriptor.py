@@ -11,7 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.errors import CameraError, FormatError, ShapeError
-from ladarreg_core.formats.boundary import (
+from ladarreg_core.formats.camera_file import camera_from_fields
+from ladarreg_core.formats.image_file import read_image
+from ladarreg_core.formats.json_file import choice, number, read_json_object, whole_number
+from ladarreg_core.formats.npz import OFFSETS, SCALARS, counts_geometry
+from ladarreg_core.formats.untrusted import (
     PathLike,
     as_float32,
     inside_folder,
@@ -20,13 +24,9 @@ from ladarreg_core.formats.boundary import (
     require_cells,
     unit_notes,
 )
-from ladarreg_core.formats.camera_file import camera_from_fields
-from ladarreg_core.formats.image_file import read_image
-from ladarreg_core.formats.json_file import choice, number, read_json_object, whole_number
-from ladarreg_core.formats.npz import OFFSETS, SCALARS, counts_geometry
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import IntensityKind, Scan
-from ladarreg_core.scanner import PinholeGrid, range_from_counts
+from ladarreg_core.scanner.grids import PinholeGrid, range_from_counts
 
 KINDS = ("depth-image", "counts")
 _DTYPE = re.compile(r"([<>|]?)([iuf])([1248])")

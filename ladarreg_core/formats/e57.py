@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, ShapeError
-from ladarreg_core.formats.boundary import PathLike, as_float32, one_line, reading, unit_notes
 from ladarreg_core.formats.e57_header import E57Info, E57ScanInfo, read_e57_info
 from ladarreg_core.formats.grid_order import order_of, unit_rays
-from ladarreg_core.gridding import LARGEST_GRID, grid_points
+from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, unit_notes
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import TabulatedGrid
+from ladarreg_core.scanner.gridding import LARGEST_GRID, grid_points
+from ladarreg_core.scanner.grids import TabulatedGrid
 
 _CHUNK = 500_000
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")

@@ -17,8 +17,8 @@ from xml.parsers import expat
 import numpy as np
 
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.boundary import one_line
 from ladarreg_core.formats.pcd import pose_of_quaternion
+from ladarreg_core.formats.untrusted import one_line
 from ladarreg_core.frames import Rigid
 
 SIGNATURE = b"ASTM-E57"

@@ -10,11 +10,11 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, ExportError, FormatError
-from ladarreg_core.formats.boundary import PathLike, reading
 from ladarreg_core.formats.camera_file import write_camera
 from ladarreg_core.formats.e57 import e57_file
 from ladarreg_core.formats.e57_header import E57ImageInfo, E57Info, read_e57_info
 from ladarreg_core.formats.pose_file import write_pose
+from ladarreg_core.formats.untrusted import PathLike, reading
 from ladarreg_core.frames import Rigid
 
 _OPENCV_FROM_E57 = Rigid(np.diag([1.0, -1.0, -1.0]), np.zeros(3))  # E57: x right, y up, looking along -z

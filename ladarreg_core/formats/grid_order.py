@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.gridding import away_from_the_pole
+from ladarreg_core.scanner.gridding import away_from_the_pole
 
 _JUMP_STEPS = 4.0
 _MOST_JUMPS = 0.005

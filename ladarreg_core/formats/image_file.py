@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.boundary import one_line
+from ladarreg_core.formats.untrusted import one_line
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ladarreg_core.errors import ExportError, FormatError
-from ladarreg_core.formats.boundary import PathLike, one_line, shown_name
+from ladarreg_core.formats.untrusted import PathLike, one_line, shown_name
 
 _LARGEST_BYTES = 64 << 20
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import ExportError, FormatError
-from ladarreg_core.formats.boundary import PathLike, one_line, reading, shown_name
 from ladarreg_core.formats.json_file import choice, number, read_json_object, write_json
+from ladarreg_core.formats.untrusted import PathLike, one_line, reading, shown_name
 from ladarreg_core.matches import Pick, PickKind
 from ladarreg_core.scan import Scan
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.errors import ExportError, FormatError, OptionError, ShapeError
-from ladarreg_core.formats.boundary import (
+from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
+from ladarreg_core.formats.untrusted import (
     PathLike,
     as_float32,
     one_line,
@@ -23,10 +24,9 @@ from ladarreg_core.formats.boundary import (
     shown_name,
     unit_notes,
 )
-from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import IntensityKind, Scan
-from ladarreg_core.scanner import AzimuthElevation, ScanGeometry, TabulatedGrid, range_from_counts
+from ladarreg_core.scanner.grids import AzimuthElevation, ScanGeometry, TabulatedGrid, range_from_counts
 
 SCALARS = ("r0_m", "dr_m", "d_azimuth_rad", "d_elevation_rad")
 OFFSETS = ("azimuth_offset_rad", "elevation_offset_rad")

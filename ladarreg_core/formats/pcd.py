@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.errors import FormatError, ShapeError
-from ladarreg_core.formats.boundary import PathLike, as_float32, one_line, reading, require_cells, unit_notes
 from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.formats.lzf import lzf_decompress
+from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, require_cells, unit_notes
 from ladarreg_core.frames import Rigid
-from ladarreg_core.gridding import grid_points
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import TabulatedGrid
+from ladarreg_core.scanner.gridding import grid_points
+from ladarreg_core.scanner.grids import TabulatedGrid
 
 INTENSITY_NAMES = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "amplitude", "signal")
 RING_NAMES = ("ring", "channel", "laser_id", "laserid", "beam", "line")

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
-from ladarreg_core.formats.boundary import PathLike, one_line, reading
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.exif import focal_from_exif, orientation_of, upright
 from ladarreg_core.formats.image_file import as_rgb, read_image
+from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.photo import Photo
 from ladarreg_core.thermal import kelvin_of, thermal_photo
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, ShapeError
-from ladarreg_core.formats.boundary import PathLike, one_line, reading
 from ladarreg_core.formats.json_file import number, read_json_object, write_json
+from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.frames import Rigid
 
 POSE_FIELD = "camera_from_scanner"

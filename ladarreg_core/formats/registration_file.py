@@ -8,10 +8,10 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.boundary import PathLike, one_line, reading
 from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.formats.json_file import choice, number, read_json_object
 from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.matches import Matches
 from ladarreg_core.mount import STATED_OFFSET_SIGMA_M, STATED_OFFSET_SIGMA_RAD, Offset
 from ladarreg_core.results import Evidence, Registration

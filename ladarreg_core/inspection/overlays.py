@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.blend import intensity_picture
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.perspective import View
-from ladarreg_core.render import render_scan_colors
 from ladarreg_core.scan import Scan
-from ladarreg_core.texture import RegisteredTexture
+from ladarreg_core.surface.blend import intensity_picture
+from ladarreg_core.surface.perspective import View
+from ladarreg_core.surface.render import render_scan_colors
+from ladarreg_core.surface.texture import RegisteredTexture
 
 OverlayShow = Literal["intensity", "edges", "range"]
 _EDGE_COLOUR = (92, 200, 255)

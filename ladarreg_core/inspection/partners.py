@@ -11,8 +11,8 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface_range import measured_ranges
-from ladarreg_core.visibility import ScanProjection, project_scan
+from ladarreg_core.surface.ranges import measured_ranges
+from ladarreg_core.surface.visibility import ScanProjection, project_scan
 
 _REACH_PX = 6
 _REFINED_CELLS = 1.5

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface_range import measured_ranges
+from ladarreg_core.surface.ranges import measured_ranges
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.matching.views import viewing_directions
-from ladarreg_core.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
 
 _MOST_PIXELS = 8_000_000
 _ONE_VIEW_HALF_RAD = math.radians(50.0)

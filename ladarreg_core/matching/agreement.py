@@ -15,9 +15,9 @@ from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.features.channels import ORIENTATIONS as CHANNELS
 from ladarreg_core.features.channels import channel_products
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.compared import Target, project_visible
-from ladarreg_core.matching.occlusion import Occluder
-from ladarreg_core.matching.points import ViewPoints
+from ladarreg_core.matching.blocks import Target, project_visible
+from ladarreg_core.matching.sampling import ViewPoints
+from ladarreg_core.matching.zbuffer import Occluder
 
 _LEAST_POINTS = 12
 _LEAST_NEIGHBOURS = 5

@@ -11,15 +11,15 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement, agreement
 from ladarreg_core.matching.block_matches import BlockMatches, block_matches
+from ladarreg_core.matching.blocks import BlockComparison, Target, compare_blocks
 from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
-from ladarreg_core.matching.climb import ClimbOptions, climb
-from ladarreg_core.matching.compared import BlockComparison, Target, compare_blocks
-from ladarreg_core.matching.evidence import RegionEvidence, region_evidence
+from ladarreg_core.matching.covariance import RegionEvidence, region_evidence
+from ladarreg_core.matching.ecc import ClimbOptions, climb
 from ladarreg_core.matching.flow import flow_step
-from ladarreg_core.matching.levels import LEVELS, PhotoLevels, ScanLevels
-from ladarreg_core.matching.occlusion import Occluder
-from ladarreg_core.matching.points import ViewPoints, draw_points, edge_strength
-from ladarreg_core.matching.verify import GateOptions, Verification, verify
+from ladarreg_core.matching.pyramid import LEVELS, PhotoLevels, ScanLevels
+from ladarreg_core.matching.sampling import ViewPoints, draw_points, edge_strength
+from ladarreg_core.matching.verification import GateOptions, Verification, verify
+from ladarreg_core.matching.zbuffer import Occluder
 
 _CLIMB = {2: ClimbOptions(tau_px=8, iterations=8), 1: ClimbOptions(tau_px=6, iterations=6)}
 _FINISH = ClimbOptions(tau_px=3, iterations=6)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.matches import Matches
-from ladarreg_core.matching.compared import BlockComparison
-from ladarreg_core.matching.points import ViewPoints
+from ladarreg_core.matching.blocks import BlockComparison
+from ladarreg_core.matching.sampling import ViewPoints
 
 _LEAST_CORRELATION = 0.4  # a block that is less alike is no match
 _LEAST_SHARED = 0.1

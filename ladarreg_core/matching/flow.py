@@ -6,8 +6,8 @@ import numpy as np
 
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement
-from ladarreg_core.matching.compared import Target
-from ladarreg_core.matching.points import ViewPoints
+from ladarreg_core.matching.blocks import Target
+from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.pose.ransac import ransac_pose
 
 _LEAST_HEIGHT_SD = 2.2

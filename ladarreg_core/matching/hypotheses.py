@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.features.corners import CornerOptions, find_corners
+from ladarreg_core.features.correlation import correlation_product, unique_matches
 from ladarreg_core.features.descriptors import describe
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.correlation import correlation_product, unique_matches
-from ladarreg_core.matching.levels import PhotoLevels, ScanLevels
+from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels
 from ladarreg_core.pose.ransac import ransac_pose
 
 _RANSAC_PX = 5.0

@@ -13,9 +13,9 @@ import numpy as np
 
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
-from ladarreg_core.matching.levels import ChannelSet
 from ladarreg_core.matching.pictures import Pictures
-from ladarreg_core.matching.verify import GateOptions, Verification
+from ladarreg_core.matching.pyramid import ChannelSet
+from ladarreg_core.matching.verification import GateOptions, Verification
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog

@@ -17,7 +17,7 @@ from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.lookup import look_up
+from ladarreg_core.surface.remap import look_up
 
 BINS = 16
 _LEAST_POINTS = 200

@@ -5,10 +5,17 @@ from __future__ import annotations
 from collections import deque
 
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.levels import ChannelSet, PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
-from ladarreg_core.perspective import perspective_view
+from ladarreg_core.matching.pyramid import (
+    ChannelSet,
+    PhotoLevels,
+    ScanLevels,
+    photo_levels,
+    scan_levels,
+    working_camera,
+)
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.perspective import perspective_view
 
 _KEPT_VIEWS = 2  # some ten bytes a pixel and channel: what a scan of one view needs, upright and rolled
 

@@ -10,8 +10,8 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement
-from ladarreg_core.matching.verify import NEAR_PX, Verification
-from ladarreg_core.uncertainty import pixel_sigma
+from ladarreg_core.matching.verification import NEAR_PX, Verification
+from ladarreg_core.surface.uncertainty import pixel_sigma
 
 _MOST_SIGMA_PX = 1.0  # two sigma are the 2 px that an accepted pose stays below
 _STANDARD_PIXELS = 1_000_000

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.levels import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.verify import GateOptions, Verification
+from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.verification import GateOptions, Verification
 from ladarreg_core.matching.views import viewing_directions
-from ladarreg_core.perspective import perspective_view
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.perspective import perspective_view
 
 
 def verify_pose(

@@ -7,8 +7,8 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along, rotation_about
-from ladarreg_core.perspective import View
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.perspective import View
 
 _STEP = 0.6
 _MARGIN = 1.4

@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, DegenerateGeometryError, OptionError, ShapeError
-from ladarreg_core.frames import Rigid
+from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.diagnostics import singular_values
-from ladarreg_core.pose.verdict import distinct
+from ladarreg_core.pose.acceptance import distinct
 
 LEAST_MATCHES = 4
 _UNIT_TOLERANCE = 1e-3
@@ -75,7 +74,7 @@ def checked_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> 
         raise DegenerateGeometryError(
             f"only {different} of the {count} matches are different and a pose needs {LEAST_MATCHES}; add matches"
         )
-    extent = singular_values(matches.points)
+    extent = principal_extents(matches.points)
     if extent[1] <= _LINE * extent[0]:
         raise DegenerateGeometryError("the matches' scan points lie on one line; add matches off that line")
     if np.abs(length - 1).max() < 1e-14:

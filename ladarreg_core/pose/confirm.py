@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from ladarreg_core.frames import Rigid
-from ladarreg_core.pose.basin import BasinVerdict, probe_basin
+from ladarreg_core.pose.multistart import BasinVerdict, probe_basin
 from ladarreg_core.results import PoseResult
 
 

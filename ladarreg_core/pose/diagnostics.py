@@ -9,9 +9,9 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.frames import Rigid
+from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.stereo import STEREO_AXES_FROM_SCANNER, StereoPairs, rectify, stereo_frame
+from ladarreg_core.pose.thesis.stereo import STEREO_AXES_FROM_SCANNER, StereoPairs, rectify, stereo_frame
 
 _LEAST_DISPARITY_SIGMA = 3.0
 
@@ -100,7 +100,7 @@ def diagnose(
     }
     if len(points) < 2:
         return figures
-    s = singular_values(points)
+    s = principal_extents(points)
     figures["planarity"] = float(s[2] / s[1]) if s[1] > 0 else 0.0
     figures["linearity"] = float(s[1] / s[0]) if s[0] > 0 else 0.0
     figures["range_near_m"], figures["range_far_m"] = float(ranges.min()), float(ranges.max())
@@ -114,9 +114,3 @@ def diagnose(
         if median > 0:
             figures["stereo_sigma_z_over_z"] = float(np.sqrt(2) * sigma_px / median)
     return figures
-
-
-def singular_values(points: FloatArray) -> FloatArray:
-    """Return the root mean square extents (3,) of points (N, 3) along their principal axes, largest first, m."""
-    centred = points - points.mean(axis=0)
-    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(points))[::-1], 0)))

@@ -13,18 +13,18 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.answer import Fit, answer
 from ladarreg_core.pose.bundle import Measurements, States, settle
 from ladarreg_core.pose.checks import checked_matches
 from ladarreg_core.pose.intrinsics import Intrinsics
-from ladarreg_core.pose.linear import linear_covariance, linear_pose
 from ladarreg_core.pose.options import STATED_SIGMA_PX as STATED_SIGMA_PX
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M as STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.options import Method as Method
 from ladarreg_core.pose.options import PoseOptions as PoseOptions
+from ladarreg_core.pose.result import Fit, answer
 from ladarreg_core.pose.robust import solve_robust
-from ladarreg_core.pose.simplex_answer import simplex_answer
-from ladarreg_core.pose.stereo_simplex import Residual, fit_simplex
+from ladarreg_core.pose.simplex_result import simplex_answer
+from ladarreg_core.pose.thesis.linear import linear_covariance, linear_pose
+from ladarreg_core.pose.thesis.stereo_simplex import Residual, fit_simplex
 from ladarreg_core.results import PoseResult
 
 

@@ -11,7 +11,7 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.pose.gnc import DEFAULT_GNC, GncOptions
 from ladarreg_core.pose.intrinsics import Intrinsics
 from ladarreg_core.pose.ransac import Backend
-from ladarreg_core.pose.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
+from ladarreg_core.pose.thesis.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
 
 Method = Literal["robust", "linear", "stereo_simplex", "epipolar_simplex"]
 

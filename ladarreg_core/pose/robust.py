@@ -17,10 +17,10 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
-from ladarreg_core.frames import Rigid
+from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches
+from ladarreg_core.pose.acceptance import LEAST_INLIERS
 from ladarreg_core.pose.ambiguity import likelihood_scores, mirrored
-from ladarreg_core.pose.answer import Fit, answer, noise_shown
 from ladarreg_core.pose.bundle import (
     UNSEEN,
     Measurements,
@@ -32,14 +32,13 @@ from ladarreg_core.pose.bundle import (
     settle,
 )
 from ladarreg_core.pose.checks import LEAST_MATCHES
-from ladarreg_core.pose.diagnostics import singular_values
+from ladarreg_core.pose.cross_validation import choose_intrinsics, intrinsics_in_words, worse_when_held_out
 from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score, wide_scales
-from ladarreg_core.pose.held_out import choose_intrinsics, intrinsics_in_words, worse_when_held_out
 from ladarreg_core.pose.intrinsics import IntrinsicsFit, estimate_intrinsics
 from ladarreg_core.pose.line_ends import repair_ends
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.pose.ransac import sample_pose
-from ladarreg_core.pose.verdict import LEAST_INLIERS
+from ladarreg_core.pose.result import Fit, answer, noise_shown
 from ladarreg_core.results import PoseResult
 
 _GATE_ROUNDS = 5
@@ -192,7 +191,7 @@ def _on_its_right_side(measured: Measurements, fit: Fit, options: PoseOptions) -
     if fit.count < LEAST_MATCHES:
         return fit
     points = (measured.rays * fit.state.rho[0])[:, fit.inliers].T
-    extent = singular_values(points)
+    extent = principal_extents(points)
     if extent[2] > _FLAT * extent[1]:
         return fit
     start = States.of([mirrored(fit.state.pose(), points)], measured)

@@ -27,7 +27,7 @@ from typing import Any
 import msgspec
 
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, NewerVersionError
-from ladarreg_core.export.files import AppendedFile, cannot_write, sync_folder, write_bytes
+from ladarreg_core.export.atomic_write import AppendedFile, cannot_write, sync_folder, write_bytes
 from ladarreg_core.project.changes import change_between
 from ladarreg_core.project.codec import arrays_of, decode_document, encode
 from ladarreg_core.project.document import Document

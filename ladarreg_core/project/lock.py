@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.files import cannot_write
+from ladarreg_core.export.atomic_write import cannot_write
 
 
 class FolderLock:

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, LadarregError
-from ladarreg_core.export.documents import plain
+from ladarreg_core.export.json import plain
 from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches

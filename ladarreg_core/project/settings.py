@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from ladarreg_core.features.corners import CornerOptions
-from ladarreg_core.matching.thesis_matches import ThesisMatchOptions
-from ladarreg_core.picked import SAMPLES_PER_LINE
+from ladarreg_core.matching.thesis.matcher import ThesisMatchOptions
+from ladarreg_core.picks.measure import SAMPLES_PER_LINE
 from ladarreg_core.pose.options import PoseOptions
-from ladarreg_core.pose.stereo_simplex import SimplexOptions
+from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
 
 if TYPE_CHECKING:
-    from ladarreg_core.register import RegisterOptions
+    from ladarreg_core.registration import RegisterOptions
 
 _MATCHING = ThesisMatchOptions()
 _SIMPLEX = SimplexOptions()
@@ -116,8 +116,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         """
         # What only opens a project waits for none of these.
         from ladarreg_core.matching.auto import AutoOptions
-        from ladarreg_core.matching.thesis import ThesisOptions
-        from ladarreg_core.register import RegisterOptions
+        from ladarreg_core.matching.thesis.chain import ThesisOptions
+        from ladarreg_core.registration import RegisterOptions
 
         pose = self.pose_options
         return RegisterOptions(

@@ -17,8 +17,8 @@ from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.photo import Photo
-from ladarreg_core.render import render_scan_colors
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.render import render_scan_colors
 
 _AMBIENT = (0.35, 0.6)
 _KNOTS = 5

@@ -15,7 +15,7 @@ from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.register import RegisterOptions, register
+from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.scan import Scan
 from ladarreg_core.self_test.made_photo import MadePhoto, another_place, made_photo, random_pose
 

@@ -5,5 +5,5 @@ from ladarreg_core.simulate.case import CaseSet as CaseSet
 from ladarreg_core.simulate.case import SimulatedCase as SimulatedCase
 from ladarreg_core.simulate.case import simulate_case as simulate_case
 from ladarreg_core.simulate.case_files import write_case as write_case
-from ladarreg_core.simulate.embedded import sample_folder as sample_folder
+from ladarreg_core.simulate.sample import sample_folder as sample_folder
 from ladarreg_core.simulate.scenes import SCENES as SCENES

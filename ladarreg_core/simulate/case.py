@@ -17,7 +17,7 @@ from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import range_from_counts
+from ladarreg_core.scanner.grids import range_from_counts
 from ladarreg_core.simulate.gamma import GAMMA_CAMERA, take_gamma_image
 from ladarreg_core.simulate.ladar import DR_M, GEOMETRY, R0_M, scan_world
 from ladarreg_core.simulate.photograph import Lighting, take_photograph

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.rays import SampleGrid, in_strips
 from ladarreg_core.simulate.world import Viewpoint, World

@@ -24,7 +24,7 @@ def make_sample(folder: Path) -> None:
 def main() -> None:
     """Write the sample into the package, or into the folder named on the command line."""
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parent / "sample"
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parent / "sample_files"
     make_sample(folder)
     for path in sorted(folder.iterdir()):
         _log.info("%s: %.0f kB", path, path.stat().st_size / 1000)

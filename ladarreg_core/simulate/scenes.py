@@ -9,7 +9,7 @@ import numpy as np
 
 from ladarreg_core.simulate import furniture as make
 from ladarreg_core.simulate.furniture import Workshop
-from ladarreg_core.simulate.inks import InkWell
+from ladarreg_core.simulate.materials import InkWell
 from ladarreg_core.simulate.textures import Printer
 from ladarreg_core.simulate.world import Placement, World, WorldBuilder
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ladarreg_core.simulate.inks import Ink, InkWell
+from ladarreg_core.simulate.materials import Ink, InkWell
 from ladarreg_core.simulate.world import Picture, Texture
 
 PITCH_M = 0.0016

@@ -23,7 +23,7 @@ from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 from ladarreg_core.project.settings import Settings
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.app.workbench_bench import Bench, sample_bench
 
 DEEP = "[" * 900 + "]" * 900

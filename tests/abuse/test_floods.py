@@ -16,7 +16,7 @@ import pytest
 
 from benchmarks.floods import Held, descriptors, edits_until, newcomers_until
 from benchmarks.workbench import Page, Served, with_camera_and_picks
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 DESCRIPTORS = 256

@@ -22,11 +22,11 @@ from app.exit_codes import ExitCode
 from app.session import Session
 from benchmarks.workbench import Page, Served
 from ladarreg_core.errors import ExportError, UnsavedError
-from ladarreg_core.export.files import AppendedFile
+from ladarreg_core.export.atomic_write import AppendedFile
 from ladarreg_core.project.document import Source
 from ladarreg_core.project.elsewhere import write_elsewhere
 from ladarreg_core.project.folder import ProjectFolder
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.abuse.drawing import begin, draw, work_until_killed
 from tests.abuse.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
 from tests.processes import hear_ctrl_c

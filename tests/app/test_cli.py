@@ -19,7 +19,7 @@ from PIL import Image
 from app.cli import COMMANDS, main
 from app.exit_codes import ExitCode
 from ladarreg_core.errors import Cancelled
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.processes import hear_ctrl_c
 
 REGISTER_OPTIONS = (

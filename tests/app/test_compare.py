@@ -20,7 +20,7 @@ from ladarreg_core.errors import Cancelled, DegenerateGeometryError
 from ladarreg_core.export.comparison_table import Table
 from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.progress import Step
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.unit.export.comparisons import NOTE, STAGES, comparison_of
 
 

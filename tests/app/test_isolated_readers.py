@@ -15,7 +15,7 @@ from app.isolated_readers import READERS
 from ladarreg_core import formats
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.isolated import ReaderLimits
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.app.workbench_bench import Bench, open_bench, sample_bench
 from tests.formats import misbehaving
 

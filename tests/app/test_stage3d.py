@@ -23,12 +23,12 @@ from app.viser_server import close_server
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, ThesisParameters
+from ladarreg_core.inspection.model_textures import Legend, model_texture
 from ladarreg_core.matches import Matches
-from ladarreg_core.model_pictures import Legend, model_texture
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
 from tests.open_viser import open_server
 
 GEOMETRY = AzimuthElevation(40, 60, 0.01, 0.01)
@@ -397,7 +397,7 @@ def test_the_walks_controls_reach_the_job(server: viser.ViserServer, stage: Stag
 
 
 def test_frames_are_those_of_the_descent() -> None:
-    from ladarreg_core.pose.stereo_simplex import SimplexOptions, descend
+    from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions, descend
 
     rng = np.random.default_rng(4)
     result = pose()

@@ -55,7 +55,7 @@ def test_the_wheel_holds_its_page_and_its_sample(installed: Path, checkout: Path
         "print(static_folder()); print(sample_folder())"
     )
     static, sample = map(Path, run([str(installed / "python"), "-c", code], cwd=tmp_path).split("\n")[:2])
-    for folder, source in ((static, checkout / "static"), (sample, checkout / "ladarreg_core/simulate/sample")):
+    for folder, source in ((static, checkout / "static"), (sample, checkout / "ladarreg_core/simulate/sample_files")):
         assert not folder.is_relative_to(checkout)
         names = {path.name for path in source.iterdir() if path.is_file()}
         assert names == {path.name for path in folder.iterdir() if path.is_file()}

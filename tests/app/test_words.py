@@ -13,9 +13,9 @@ from app.arguments import condensed
 from app.exit_codes import ExitCode
 from app.step_bar import step_bar
 from app.wording import assessed, one_line
-from ladarreg_core.assessment import Assessment
-from ladarreg_core.pose.findings import LEVELS, Finding
 from ladarreg_core.progress import Progress, Step
+from ladarreg_core.quality.assessment import Assessment
+from ladarreg_core.quality.findings import LEVELS, Finding
 from tests.unit.export.samples import sample_registration
 
 

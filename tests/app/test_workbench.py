@@ -22,7 +22,7 @@ from app.commands_of_page import COMMANDS
 from app.serve import open_workbench
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.formats import read_scan
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.app.workbench_bench import Bench, open_bench, sample_bench
 
 LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
@@ -669,7 +669,7 @@ def test_opened_again_it_shows_the_photograph_that_was_worked_on(tmp_path: Path)
 
 def test_a_disk_that_is_full_does_not_stop_the_work(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     from ladarreg_core.errors import ExportError
-    from ladarreg_core.export.files import AppendedFile
+    from ladarreg_core.export.atomic_write import AppendedFile
     from ladarreg_core.project.folder import ProjectFolder
 
     def full(*arguments: Any, **options: Any) -> None:

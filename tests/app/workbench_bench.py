@@ -12,7 +12,7 @@ from typing import Any
 
 from app.serve import open_workbench
 from app.workbench import Person, Workbench
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 
 
 @dataclass

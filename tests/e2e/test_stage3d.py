@@ -17,7 +17,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
 from tests.e2e.pages import wait_for_pixels
 from tests.open_viser import address, open_server
 

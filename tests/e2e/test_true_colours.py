@@ -9,9 +9,9 @@ import numpy as np
 from app.stage3d.colours import BACKGROUND
 from app.viser_server import close_server
 from ladarreg_core.export.glb import glb_bytes
-from ladarreg_core.mesh import scan_mesh
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.mesh import scan_mesh
 from tests.e2e.pages import SIZE, wait_for_pixels
 from tests.open_viser import address, open_server
 

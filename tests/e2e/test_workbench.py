@@ -20,7 +20,7 @@ from PIL import Image
 
 from benchmarks.workbench import Page as Socket
 from benchmarks.workbench import Served, served
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.e2e.audits import hard_to_read, lost_without_a_mouse
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
 
 
 def make_scan(rows: int = 24, columns: int = 36, *, seed: int = 3) -> Scan:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.descriptor import read_descriptor
-from ladarreg_core.scanner import AzimuthElevation, PinholeGrid
+from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid
 
 
 def test_z_depth_becomes_a_plane_through_the_lens(tmp_path: Path, make: Any) -> None:

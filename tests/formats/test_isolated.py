@@ -27,12 +27,12 @@ from ladarreg_core.formats.isolated import IsolatedReaders, ReaderLimits
 from ladarreg_core.formats.isolated.messages import MessageError, read_message, write_message
 from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.frames import Rigid
-from ladarreg_core.gridding import RingGrid, TurnedGrid
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.scanner.gridding import RingGrid, TurnedGrid
+from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
+from ladarreg_core.simulate.sample import sample_folder
 from tests.formats import misbehaving
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="the kernel's part of the limits is Linux's")

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from ladarreg_core.errors import FormatError, LadarregError, ShapeError
 from ladarreg_core.formats.npz import read_npz, write_npz_counts, write_npz_xyz
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
 
 SCALARS = {"r0_m": 1.0, "dr_m": 0.0022, "d_azimuth_rad": 0.01, "d_elevation_rad": 0.012}
 

@@ -9,7 +9,7 @@ import numpy as np
 from ladarreg_core.formats import describe, extract_images, read_photo, read_scan
 from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import PinholeGrid
+from ladarreg_core.scanner.grids import PinholeGrid
 
 
 def assert_upright(scan: Scan) -> None:

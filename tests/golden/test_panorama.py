@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.panorama import (
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.scanner.pan_tilt import (
     azimuth_elevation_from_spherical,
     pan_tilt_pose,
     rays_from_spherical,
     spherical_from_azimuth_elevation,
     spherical_from_points,
 )
-from ladarreg_core.scanner import AzimuthElevation
 
 ANGLES = st.floats(-1.4, 1.4)
 

@@ -1,6 +1,7 @@
 """The thesis's formulae as printed, and what is wrong with them, each with the number that shows it.
 
-Source: thesis 2.2.1, 2.4.1, 2.4.2 and 3.1; the corrections are those of `ladarreg_core.pose.stereo` and `frames`.
+Source: thesis 2.2.1, 2.4.1, 2.4.2 and 3.1; the corrections are those of `ladarreg_core.pose.thesis.stereo`
+and `ladarreg_core.frames`.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from benchmarks.apple import APPLE_TRUTH, apple_points
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.linear import linear_pose
-from ladarreg_core.pose.stereo import (
+from ladarreg_core.pose.thesis.linear import linear_pose
+from ladarreg_core.pose.thesis.stereo import (
     STEREO_AXES_FROM_SCANNER,
     StereoPairs,
     equal_baseline,

@@ -18,7 +18,7 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.stereo_simplex import SimplexOptions
+from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
 from ladarreg_core.results import PoseResult
 
 LENSES = {

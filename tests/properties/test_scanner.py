@@ -12,8 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
 from ladarreg_core.frames import rotation_from_rotvec
-from ladarreg_core.ray_table import interpolate_rays
-from ladarreg_core.scanner import (
+from ladarreg_core.scanner.grids import (
     AzimuthElevation,
     PinholeGrid,
     ScanGeometry,
@@ -21,6 +20,7 @@ from ladarreg_core.scanner import (
     TabulatedGrid,
     range_from_counts,
 )
+from ladarreg_core.scanner.ray_table import interpolate_rays
 from tests.properties.test_camera import CAMERAS, DEPTH
 
 STEP = np.deg2rad(0.055)

@@ -10,7 +10,7 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import look_along, rotation_from_rotvec
-from ladarreg_core.render import render_scan_colors
+from ladarreg_core.surface.render import render_scan_colors
 
 
 def truth_of(folder: Path) -> lr.Rigid:

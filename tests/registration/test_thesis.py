@@ -10,8 +10,8 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.comparison import compare
 from ladarreg_core.frames import rotation_about
-from ladarreg_core.matching.thesis import ThesisOptions, solve_thesis
-from ladarreg_core.register import RegisterOptions
+from ladarreg_core.matching.thesis.chain import ThesisOptions, solve_thesis
+from ladarreg_core.registration import RegisterOptions
 from ladarreg_core.simulate import SimulatedCase, simulate_case
 from ladarreg_core.steps import StepLog
 from tests.painted_room import PaintedRoom, painted_room

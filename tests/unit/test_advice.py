@@ -4,17 +4,17 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from ladarreg_core.advice import advise, part_of_photo
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import Measurements, States, information_matrix
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
+from ladarreg_core.quality.next_match import advise, part_of_photo
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
-from ladarreg_core.surface_range import surface_range
-from ladarreg_core.visibility import project_scan
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.ranges import surface_range
+from ladarreg_core.surface.visibility import project_scan
 from tests.painted_room import shoot
 
 SIGMA_PX, SIGMA_M = 1.0, 0.01

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ladarreg_core.advice import advise
-from ladarreg_core.assessment import assess
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.influence import influence
+from ladarreg_core.quality.assessment import assess
+from ladarreg_core.quality.influence import influence
+from ladarreg_core.quality.next_match import advise
+from ladarreg_core.quality.smoothed_scan import smoothed_scan
 from ladarreg_core.results import PoseResult
-from ladarreg_core.smoothed_scan import smoothed_scan
-from ladarreg_core.uncertainty import pixel_sigma
+from ladarreg_core.surface.uncertainty import pixel_sigma
 from tests.unit.test_advice import clustered
 from tests.unit.test_smoothing import SPIKES, matched, stepped_scan
 

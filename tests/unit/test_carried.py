@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ladarreg_core as lr
-from ladarreg_core.carried import carry_over
+from ladarreg_core.carry import carry_over
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.export.registration_json import registration_document
 from ladarreg_core.formats.registration_file import read_offset, read_registration

@@ -16,7 +16,7 @@ from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
 
 GEOMETRY = AzimuthElevation(4, 6, 0.01, 0.01)
 NUMBERS = hnp.arrays(np.float64, (4, 6), elements=st.floats(allow_nan=True, allow_infinity=True, width=32))

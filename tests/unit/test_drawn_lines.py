@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ladarreg_core.drawn_lines import line_on_scan
+from ladarreg_core.picks.lines import line_on_scan
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
 
 SIGMA_M = 0.015
 STEP_RAD = np.deg2rad(0.11)

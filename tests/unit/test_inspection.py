@@ -13,23 +13,23 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid
+from ladarreg_core.inspection.corners import nearest_corner
 from ladarreg_core.inspection.figures import figures, parameters, scanners_place
-from ladarreg_core.inspection.judged import Measured, judge_picks, picks_in_space, sample_line
+from ladarreg_core.inspection.model_textures import texture_without_z_buffer
 from ladarreg_core.inspection.overlays import photo_over_scan, scan_over_photo
 from ladarreg_core.inspection.partners import Partners
+from ladarreg_core.inspection.picks import Measured, judge_picks, picks_in_space, sample_line
+from ladarreg_core.inspection.pictures import Stretch, compensated, scan_picture
 from ladarreg_core.inspection.probing import probe
-from ladarreg_core.inspection.scan_pictures import Stretch, compensated, scan_picture
-from ladarreg_core.inspection.snapping import nearest_corner
 from ladarreg_core.inspection.views import inspection_views, resolution_note
 from ladarreg_core.matches import Matches, Pick
-from ladarreg_core.model_pictures import texture_without_z_buffer
-from ladarreg_core.picked import matches_from_picks
+from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import solve_pose
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation, SphericalGrid
+from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from ladarreg_core.simulate import SimulatedCase, simulate_case
-from ladarreg_core.texture import Label, texture_scan
+from ladarreg_core.surface.texture import Label, texture_scan
 
 
 @cache

@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.mesh import grid_edges, scan_mesh
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation, SphericalGrid, TabulatedGrid
+from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid, TabulatedGrid
+from ladarreg_core.surface.mesh import grid_edges, scan_mesh
 
 
 def plane_ranges(rays, normal, distance):

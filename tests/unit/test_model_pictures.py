@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
-from ladarreg_core.matches import Matches
-from ladarreg_core.model_pictures import (
+from ladarreg_core.inspection.model_textures import (
     LABEL_COLOURS,
     NOTHING_KNOWN,
     model_texture,
@@ -26,11 +25,12 @@ from ladarreg_core.model_pictures import (
     texture_choices,
     usable_texture,
 )
+from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
-from ladarreg_core.texture import Label, texture_scan
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.texture import Label, texture_scan
 from tests.painted_room import PaintedRoom, painted_room
 
 KINDS = ("colour", "intensity", "range", "residual", "uncertainty", "label")

@@ -13,9 +13,9 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.errors import CameraError, ExportError, FormatError, LadarregError, OptionError, ShapeError
 from ladarreg_core.export.folder import check_folder
-from ladarreg_core.matching.levels import photo_levels, working_camera
-from ladarreg_core.picked import matches_from_picks
-from ladarreg_core.scanner import AzimuthElevation, TabulatedGrid
+from ladarreg_core.matching.pyramid import photo_levels, working_camera
+from ladarreg_core.picks.measure import matches_from_picks
+from ladarreg_core.scanner.grids import AzimuthElevation, TabulatedGrid
 from tests.painted_room import PaintedRoom, painted_room
 
 GEOMETRY = AzimuthElevation(6, 8, 0.01, 0.01)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.perspective import native_focal_px, perspective_view
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
+from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
+from ladarreg_core.surface.perspective import native_focal_px, perspective_view
 
 STEP = np.deg2rad(0.2)
 GRIDS = {

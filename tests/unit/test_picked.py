@@ -7,11 +7,11 @@ import pytest
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.matches import Pick
-from ladarreg_core.perspective import perspective_view
-from ladarreg_core.picked import matches_from_picks
+from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
-from ladarreg_core.surface_range import surface_range
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.perspective import perspective_view
+from ladarreg_core.surface.ranges import surface_range
 
 STEP_RAD = np.deg2rad(0.2)
 

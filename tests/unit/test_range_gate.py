@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.range_gate import fill_from_nearest, gate_spikes
+from ladarreg_core.surface.spikes import fill_from_nearest, gate_spikes
 
 
 def test_spikes_go_and_surfaces_stay() -> None:

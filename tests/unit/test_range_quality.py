@@ -7,10 +7,10 @@ import zlib
 import numpy as np
 import pytest
 
-from ladarreg_core.range_quality import range_quality
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation, range_from_counts
-from ladarreg_core.surface_range import surface_range
+from ladarreg_core.scanner.grids import AzimuthElevation, range_from_counts
+from ladarreg_core.surface.range_quality import range_quality
+from ladarreg_core.surface.ranges import surface_range
 
 STEP_RAD = np.deg2rad(0.11)
 GEOMETRY = AzimuthElevation(150, 240, STEP_RAD, STEP_RAD)

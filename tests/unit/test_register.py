@@ -12,9 +12,9 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import rotation_from_rotvec
-from ladarreg_core.picked import matches_from_picks
-from ladarreg_core.register import RegisterOptions, register
-from ladarreg_core.surface_range import surface_range
+from ladarreg_core.picks.measure import matches_from_picks
+from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.surface.ranges import surface_range
 from tests.painted_room import PaintedRoom, painted_room
 
 
@@ -82,7 +82,7 @@ def test_every_step_is_reported_as_it_ends(room: PaintedRoom) -> None:
 _FINGERPRINT = """
 import sys, cv2
 cv2.setNumThreads(int(sys.argv[1]))
-from ladarreg_core.register import register
+from ladarreg_core.registration import register
 from tests.painted_room import painted_room
 room = painted_room(seed=3)
 print(register(room.scan, room.photo).camera_from_scanner.matrix.tobytes().hex())

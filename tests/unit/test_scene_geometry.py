@@ -11,13 +11,21 @@ from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.export.true_colours import line_colours_for_viewer, shown_colours
+from ladarreg_core.export.viser_colors import line_colours_for_viewer, shown_colours
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, look_along
+from ladarreg_core.inspection.scene_geometry import (
+    Marks,
+    camera_outline,
+    camera_outlines,
+    dashed,
+    faded,
+    rays_to,
+    spread,
+)
+from ladarreg_core.inspection.simplex_curves import SimplexCurves
+from ladarreg_core.inspection.viewpoints import from_pose, overview
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
-from ladarreg_core.scene_lines import Marks, camera_outline, camera_outlines, dashed, faded, rays_to, spread
-from ladarreg_core.simplex_curves import SimplexCurves
-from ladarreg_core.standpoint import from_pose, overview
+from ladarreg_core.scanner.grids import AzimuthElevation
 from tests.properties.strategies import poses
 
 CAMERA = Camera.from_focal(600, 400, 500.0)

@@ -9,12 +9,12 @@ import pytest
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import Cancelled, OptionError
-from ladarreg_core.lookup import look_up
 from ladarreg_core.progress import Progress
 from ladarreg_core.self_test.made_photo import another_place, made_photo, random_pose
 from ladarreg_core.self_test.report import SelfTest, self_test
 from ladarreg_core.self_test.trials import SelfTestOptions, Trial, run_trials
-from ladarreg_core.visibility import project_scan
+from ladarreg_core.surface.remap import look_up
+from ladarreg_core.surface.visibility import project_scan
 from tests.painted_room import PaintedRoom, painted_room
 
 

@@ -16,10 +16,10 @@ from ladarreg_core.errors import CameraError, LadarregError, OptionError, ShapeE
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
+from ladarreg_core.quality.smoothing import SmoothedRanges, SmoothOptions, smooth_ranges, smooth_scan
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
-from ladarreg_core.smoothing import SmoothedRanges, SmoothOptions, smooth_ranges, smooth_scan
+from ladarreg_core.scanner.grids import AzimuthElevation
 
 BENT = Camera(768, 512, 974.0, 940.0, 380.0, 260.0, (-0.25, 0.1, 1e-3, -7e-4))
 SEEDS = st.integers(0, 10_000)

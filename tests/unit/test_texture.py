@@ -9,10 +9,10 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.photo import Photo
-from ladarreg_core.render import render_scan_colors
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
-from ladarreg_core.texture import BACKGROUND, Label, model_picture, pixel_sigma, texture_scan
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.render import render_scan_colors
+from ladarreg_core.surface.texture import BACKGROUND, Label, model_picture, pixel_sigma, texture_scan
 
 LENSES = [(), (0.12, -0.04, 0.002, -0.001), (-0.25, 0.08, 0.001, 0.0005, -0.01)]
 

@@ -10,8 +10,8 @@ from ladarreg_core.export.uncertainty_png import scale_end, uncertainty_picture,
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.pose.jacobian import pose_jacobian
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation, SphericalGrid
-from ladarreg_core.uncertainty import picture_sigma, pixel_sigma
+from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
+from ladarreg_core.surface.uncertainty import picture_sigma, pixel_sigma
 
 LENSES = [(), (0.12, -0.04, 0.002, -0.001), (-0.45, 0.12, 0.001, 0.0005, -0.01)]
 

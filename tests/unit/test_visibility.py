@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation, SphericalGrid
-from ladarreg_core.visibility import project_scan, visible_cells
+from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
+from ladarreg_core.surface.visibility import project_scan, visible_cells
 
 NEAR, FAR = 2.5, 4.0
 PANEL = ((-0.45, 0.35), (-0.4, 0.5))  # Y and Z of the panel at X = NEAR

@@ -214,7 +214,7 @@ class _FileState:
         called = f"{function.__module__}.{function.__qualname__}"
         if not args or not isinstance(args[0], str | os.PathLike):  # not remembered: it has no state
             return _FileState(function.__qualname__, "", called, 0, 0)
-        from ladarreg_core.formats.boundary import shown_name
+        from ladarreg_core.formats.untrusted import shown_name
 
         path = os.path.abspath(os.fspath(args[0]))
         try:
@@ -357,8 +357,8 @@ class _Exchange:
             self._news.set()
 
     def _exchange(self) -> None:
-        from ladarreg_core.formats.boundary import one_line
         from ladarreg_core.formats.isolated.messages import MessageError, read_message, write_message
+        from ladarreg_core.formats.untrusted import one_line
 
         requests, answers = self._popen.stdin, self._popen.stdout
         assert requests is not None
@@ -396,7 +396,7 @@ def _hung(file: _FileState, seconds: float) -> str:
 
 def _error_in(answer: dict[str, Any], file: _FileState) -> LadarregError | None:
     """Return the error that a reader answered with; None where it answered with a result."""
-    from ladarreg_core.formats.boundary import one_line
+    from ladarreg_core.formats.untrusted import one_line
 
     if "answer" in answer:
         return None

@@ -166,8 +166,8 @@ def _records() -> dict[str, type[Any]]:
 
 
 def _geometries() -> tuple[type[Any], ...]:
-    from ladarreg_core.gridding import RingGrid, TurnedGrid
-    from ladarreg_core.scanner import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
+    from ladarreg_core.scanner.gridding import RingGrid, TurnedGrid
+    from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
 
     return AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid, RingGrid, TurnedGrid
 

@@ -20,7 +20,7 @@ from ladarreg_core.progress import Progress
 
 _PRELOADED = (
     "ladarreg_core.formats.isolated.messages",
-    "ladarreg_core.formats.table",
+    "ladarreg_core.formats.registry",
     "ladarreg_core.formats.photo_file",
     "ladarreg_core.formats.matches_file",
     "PIL.Image",

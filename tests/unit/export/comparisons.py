@@ -15,7 +15,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.results import PoseResult, Stage, StageName
 from ladarreg_core.scan import Scan
-from ladarreg_core.texture import texture_scan
+from ladarreg_core.surface.texture import texture_scan
 
 STAGES: tuple[StageName, ...] = get_args(StageName)
 OFF = {"linear": 1.5, "constrained_linear": 0.6, "simplex": 0.25, "simplex_outliers_removed": 0.08, "default": 0.0}

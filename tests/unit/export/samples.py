@@ -11,7 +11,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Step
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
 
 CAMERA = Camera(120, 90, 100.0, 101.0, 59.0, 45.0, (0.1, -0.02, 0.0, 0.001))
 POSE = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0.05, -0.4, 0.02))

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from ladarreg_core.errors import ExportError, ShapeError
 from ladarreg_core.export.glb import glb_bytes, write_glb
-from ladarreg_core.export.true_colours import VISER_BASE_COLOUR, shown_colours, texture_for_viewer
-from ladarreg_core.mesh import Mesh, scan_mesh
+from ladarreg_core.export.viser_colors import VISER_BASE_COLOUR, shown_colours, texture_for_viewer
+from ladarreg_core.surface.mesh import Mesh, scan_mesh
 
 
 def parts(data):

@@ -3,7 +3,7 @@ import numpy as np
 from PIL import Image
 
 from ladarreg_core.export.images import LABEL_COLOURS, write_labels_png, write_registered_png
-from ladarreg_core.texture import Label, RegisteredTexture
+from ladarreg_core.surface.texture import Label, RegisteredTexture
 
 
 def test_the_registered_picture_is_upright_and_lossless(tmp_path, texture):

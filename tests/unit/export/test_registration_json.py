@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.documents import write_document
+from ladarreg_core.export.json import write_document
 from ladarreg_core.export.registration_json import registration_document
 from ladarreg_core.frames import Rigid
 from ladarreg_core.results import Registration
@@ -64,7 +64,7 @@ def test_numbers_come_back_exactly_and_absent_ones_as_null(document, registratio
 
 
 def test_what_there_is_to_say_of_it_is_said(scan, registration, tmp_path):
-    from ladarreg_core.assessment import assess
+    from ladarreg_core.quality.assessment import assess
 
     inliers = np.array([True] * 5)  # five rays at random places, some behind the camera
     found = assess(scan, replace(registration, inliers=inliers))
@@ -86,7 +86,7 @@ def test_what_there_is_to_say_of_it_is_said(scan, registration, tmp_path):
 
 
 def test_influence_stands_in_every_match(tmp_path):
-    from ladarreg_core.assessment import assess
+    from ladarreg_core.quality.assessment import assess
     from tests.unit.test_advice import clustered
 
     room, _, _, pose, _ = clustered(2, count=14)

@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from ladarreg_core.camera import Camera
+from ladarreg_core.features.correlation import unique_matches
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
-from ladarreg_core.matching.constrained import (
+from ladarreg_core.matching.thesis.search import (
     alike_displacements,
     candidates_near,
     matches_near,
     predicted_pixels,
     recentred,
 )
-from ladarreg_core.matching.correlation import unique_matches
 
 CAMERA = Camera.from_focal(320, 240, 400.0)
 POSE = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0.1, -0.3, 0.05))

@@ -15,13 +15,13 @@ from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
-from ladarreg_core.matching.climb import _jacobian
-from ladarreg_core.matching.evidence import RegionEvidence
-from ladarreg_core.matching.free_camera import Finished, finished, with_camera_free
-from ladarreg_core.matching.levels import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.verify import GateOptions
-from ladarreg_core.perspective import perspective_view
+from ladarreg_core.matching.covariance import RegionEvidence
+from ladarreg_core.matching.ecc import _jacobian
+from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.self_calibration import Finished, finished, with_camera_free
+from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.photo import Photo
+from ladarreg_core.surface.perspective import perspective_view
 from tests.painted_room import PaintedRoom, painted_room
 
 LENS = (-0.12, 0.0, 0.0, 0.0)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.global_search import MOST_STARTS, likely_places
-from ladarreg_core.matching.levels import PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
-from ladarreg_core.perspective import perspective_view
+from ladarreg_core.matching.grid_search import MOST_STARTS, likely_places
+from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
+from ladarreg_core.surface.perspective import perspective_view
 from tests.painted_room import PaintedRoom, painted_room
 
 _BASIN_PX = 40.0

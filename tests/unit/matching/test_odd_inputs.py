@@ -8,14 +8,14 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError
+from ladarreg_core.features.correlation import windows_at
 from ladarreg_core.features.descriptors import describe
 from ladarreg_core.frames import look_along, rotation_from_rotvec
-from ladarreg_core.matching.correlation import windows_at
-from ladarreg_core.matching.levels import photo_levels, working_camera
+from ladarreg_core.matching.pyramid import photo_levels, working_camera
 from ladarreg_core.matching.views import towards_seen, viewing_directions
-from ladarreg_core.perspective import perspective_view
-from ladarreg_core.register import register
-from ladarreg_core.scanner import AzimuthElevation, PinholeGrid
+from ladarreg_core.registration import register
+from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid
+from ladarreg_core.surface.perspective import perspective_view
 from tests.painted_room import PaintedRoom, painted_room
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ladarreg_core.frames import Rigid, look_along
-from ladarreg_core.matching.levels import ChannelSet, scan_levels
 from ladarreg_core.matching.pictures import Pictures
-from ladarreg_core.perspective import perspective_view
+from ladarreg_core.matching.pyramid import ChannelSet, scan_levels
+from ladarreg_core.surface.perspective import perspective_view
 from tests.painted_room import PaintedRoom, painted_room
 
 

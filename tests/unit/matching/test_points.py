@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.matching.levels import ScanLevels, scan_levels, working_camera
-from ladarreg_core.matching.points import _strongest_in_strata, draw_points, edge_strength
-from ladarreg_core.perspective import perspective_view
+from ladarreg_core.matching.pyramid import ScanLevels, scan_levels, working_camera
+from ladarreg_core.matching.sampling import _strongest_in_strata, draw_points, edge_strength
+from ladarreg_core.surface.perspective import perspective_view
 from tests.painted_room import painted_room
 
 

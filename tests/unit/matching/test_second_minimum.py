@@ -10,9 +10,9 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import look_along
-from ladarreg_core.lookup import look_up
-from ladarreg_core.register import register
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.registration import register
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.remap import look_up
 from tests.painted_room import paintings
 
 _WALL_M = 4.0

@@ -10,12 +10,12 @@ import pytest
 from ladarreg_core.errors import OptionError
 from ladarreg_core.features.corners import CornerOptions
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.levels import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.thesis_matches import FoundMatches, ThesisMatchOptions, ThesisSearch
-from ladarreg_core.perspective import perspective_view
+from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.thesis.matcher import FoundMatches, ThesisMatchOptions, ThesisSearch
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate import SCENES, SimulatedCase, simulate_case
+from ladarreg_core.surface.perspective import perspective_view
 from tests.painted_room import PaintedRoom, painted_room
 
 MANY = CornerOptions(count=1500)

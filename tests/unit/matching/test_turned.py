@@ -14,12 +14,12 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
 from ladarreg_core.features.corners import CornerOptions, find_corners
 from ladarreg_core.frames import ThesisParameters
-from ladarreg_core.matching.levels import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.turned import Turn, seems_turned
-from ladarreg_core.perspective import perspective_view
+from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.roll import Turn, seems_turned
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.case import simulate_case
+from ladarreg_core.surface.perspective import perspective_view
 from tests.painted_room import PaintedRoom, painted_room
 
 CORNERS = CornerOptions(count=400)

@@ -17,12 +17,12 @@ from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.density import NEEDED_POINTS, density_in
-from ladarreg_core.matching.levels import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.verify import GateOptions, verify
+from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.verification import GateOptions, verify
 from ladarreg_core.matching.verify_finished import judged_by_precision, regions_of
-from ladarreg_core.perspective import perspective_view
-from ladarreg_core.register import register
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.registration import register
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.perspective import perspective_view
 from tests.painted_room import PaintedRoom, painted_room
 
 _RADIUS = 6

@@ -12,9 +12,9 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.cautions import stereo_cautions
-from ladarreg_core.pose.picture_roll import picture_roll
-from ladarreg_core.pose.stereo import StereoPairs
+from ladarreg_core.pose.thesis.picture_roll import picture_roll
+from ladarreg_core.pose.thesis.stereo import StereoPairs
+from ladarreg_core.quality.stereo_limits import stereo_cautions
 
 BIG = Camera.from_focal(1400, 1400, 974.0)
 SAME_PLACE, AHEAD, ROLLED = "same place", "hardly beside", "rolled"

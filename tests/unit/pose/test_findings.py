@@ -14,9 +14,9 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import Measurements, States, information_matrix
 from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.findings import COST, LEVELS, findings
-from ladarreg_core.pose.lens_hint import lens_hint
-from ladarreg_core.pose.well_placed import placement
+from ladarreg_core.quality.conditioning import placement
+from ladarreg_core.quality.findings import COST, LEVELS, findings
+from ladarreg_core.quality.lens_check import lens_hint
 
 SEEDS = st.integers(0, 10_000)
 WIDE = Camera(768, 512, 420.0, 421.0, 380.0, 250.0, (-0.12, 0.03, 1e-3, -5e-4))

@@ -11,7 +11,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.influence import WORTH_A_CHECK, influence
+from ladarreg_core.quality.influence import WORTH_A_CHECK, influence
 
 LENS = Camera(768, 512, 974.0, 974.0, 383.5, 255.5, (0.12, -0.05, 0.001, -0.002))
 

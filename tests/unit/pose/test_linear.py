@@ -10,7 +10,7 @@ from benchmarks.room import room_case
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import estimate_pose
-from ladarreg_core.pose.linear import linear_pose
+from ladarreg_core.pose.thesis.linear import linear_pose
 
 
 def test_it_is_exact_on_exact_matches():

@@ -12,9 +12,9 @@ from benchmarks.room import room_case, room_ranges
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
-from ladarreg_core.picked import matches_from_picks
+from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
-from ladarreg_core.register import RegisterOptions
+from ladarreg_core.registration import RegisterOptions
 
 STATED = {"sigma_px": 1.0, "sigma_range_m": 0.015}
 

@@ -14,8 +14,8 @@ from scipy.optimize import minimize, rosen
 
 from benchmarks.room import room_case
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
-from ladarreg_core.pose.simplex import nelder_mead, start_simplex
-from ladarreg_core.pose.stereo import StereoPairs, stereo_cost
+from ladarreg_core.pose.thesis.nelder_mead import nelder_mead, start_simplex
+from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
 
 
 def walked(cost, simplex, **options):

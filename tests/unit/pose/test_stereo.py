@@ -12,8 +12,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error
-from ladarreg_core.pose.epipolar import epipolar_cost, epipolar_residuals
-from ladarreg_core.pose.stereo import StereoPairs, stereo_cost, stereo_frame
+from ladarreg_core.pose.thesis.epipolar import epipolar_cost, epipolar_residuals
+from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost, stereo_frame
 from tests.properties.strategies import rotvecs
 
 WIDE = Camera(1000, 800, 500.0, 510.0, 490.0, 405.0)

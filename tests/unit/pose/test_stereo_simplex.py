@@ -17,9 +17,9 @@ from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
-from ladarreg_core.pose.simplex import SimplexStep
-from ladarreg_core.pose.stereo import StereoPairs, stereo_cost
-from ladarreg_core.pose.stereo_simplex import SimplexOptions, descend, fit_simplex
+from ladarreg_core.pose.thesis.nelder_mead import SimplexStep
+from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
+from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions, descend, fit_simplex
 
 METHODS = ("stereo_simplex", "epipolar_simplex")
 BESIDE = (0.1, 1.0, 0.2)

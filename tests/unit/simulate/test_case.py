@@ -24,9 +24,9 @@ from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParamete
 from ladarreg_core.progress import Progress
 from ladarreg_core.simulate import SCENES, SETS, SimulatedCase, sample_maker, simulate_case, write_case
 from ladarreg_core.simulate.case import CAMERA, _pose
-from ladarreg_core.simulate.embedded import SAMPLE_FILES, sample_folder
-from ladarreg_core.simulate.inks import InkWell
 from ladarreg_core.simulate.ladar import GEOMETRY, LadarImages
+from ladarreg_core.simulate.materials import InkWell
+from ladarreg_core.simulate.sample import SAMPLE_FILES, sample_folder
 from ladarreg_core.simulate.scenes import build_scene
 
 

@@ -1,0 +1,5 @@
+"""Camera models."""
+
+from ladarreg_core.camera.pinhole import Camera
+
+__all__ = ["Camera"]

@@ -1,0 +1,74 @@
+"""The corner that an operator means when he clicks beside it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.features.corners import CornerOptions, find_corners
+from ladarreg_core.inspection.pictures import Stretch, compensated, stretched
+from ladarreg_core.photo import Photo
+from ladarreg_core.surface.perspective import View
+
+_HALF = 16
+_REFINED_HALF, _MOST_MOVED_PX = 4, 2.5
+_OPTIONS = CornerOptions(count=40, q_min=0.3, pre_blur_px=1.0, non_maximum_px=2, sub_pixel=True, border_px=3)
+
+
+def nearest_corner(gray: FloatArray, at: ArrayLike, *, reach_px: float = 8.0) -> FloatArray | None:
+    """Return the sub-pixel corner (2,) nearest to a pixel; None where there is none within reach.
+
+    Args:
+        gray: (h, w) picture, 0 to 255.
+        at: (u, v).
+        reach_px: how far away it may be, px.
+
+    Source: the thesis's corner detector (2.3.2).
+    """
+    u, v = np.asarray(at, dtype=np.float64)
+    height, width = gray.shape
+    if not (np.isfinite([u, v]).all() and 0 <= u <= width - 1 and 0 <= v <= height - 1):
+        return None
+    left, top = max(round(u) - _HALF, 0), max(round(v) - _HALF, 0)
+    window = np.ascontiguousarray(gray[top : round(v) + _HALF + 1, left : round(u) + _HALF + 1], dtype=np.float32)
+    if min(window.shape) < 2 * _OPTIONS.border_px + 3:
+        return None
+    corners = find_corners(window, _OPTIONS)
+    if not len(corners):
+        return None
+    corner = np.array([left, top])
+    away = np.linalg.norm(corners.uv + corner - (u, v), axis=1)
+    # of two nearby ones the stronger is meant: a weak one beside it is its own texture
+    strong = corners.w >= 0.05 * corners.w.max()
+    away = np.where(strong, away, np.inf)
+    best = int(np.argmin(away))
+    if not away[best] <= reach_px:
+        return None
+    refined = _refined(window, corners.uv[best])
+    return np.asarray(refined + corner)
+
+
+def _refined(window: FloatArray, at: FloatArray) -> FloatArray:
+    """Return where the gradients around a corner (2,) all point past, which is the corner itself, not its inside.
+
+    The detector's own maximum lies up to a pixel inside the angle. Source: Foerstner and Guelch (1987), as
+    `cv2.cornerSubPix`.
+    """
+    start = np.array([[at]], np.float32)
+    ends = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 40, 0.005)
+    no_dead_zone = (-1, -1)
+    found = np.asarray(cv2.cornerSubPix(window, start, (_REFINED_HALF, _REFINED_HALF), no_dead_zone, ends))[0, 0]
+    moved = float(np.linalg.norm(found - at))
+    return np.asarray(found if np.isfinite(moved) and moved <= _MOST_MOVED_PX else at, dtype=np.float64)
+
+
+def gray_of_view(view: View) -> FloatArray:
+    """Return a view's intensity, stretched, (h, w) float32, 0 to 255."""
+    return stretched(compensated(view), np.isfinite(view.ranges), Stretch()).astype(np.float32)
+
+
+def gray_of_photo(photo: Photo) -> FloatArray:
+    """Return a photo in gray, (h, w) float32, 0 to 255."""
+    return np.asarray(cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY), dtype=np.float32)

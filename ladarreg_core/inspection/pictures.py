@@ -1,0 +1,153 @@
+"""The scan in perspective, as pictures that can be read before any pose exists."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.surface.perspective import View
+
+Show = Literal["intensity", "raw", "range", "normals", "edges", "color"]
+_EMPTY = np.array((11, 12, 15), np.uint8)  # where nothing came back
+_BINS = 4096
+_MOST_GAMMA = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """How intensities become gray levels.
+
+    Raises:
+        OptionError: if the percentiles do not rise, or gamma is not positive.
+    """
+
+    low: float = 1.0
+    """Percentile that becomes black."""
+    high: float = 99.5
+    """Percentile that becomes white."""
+    gamma: float = 0.6
+    """Exponent; below 1 dark parts open up."""
+    equalise: bool = False
+    """Spread the levels evenly instead."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.low < self.high <= 100:
+            raise OptionError(f"the contrast runs from {self.low} to {self.high} %; give rising percentiles, 0 to 100")
+        if not 0 < self.gamma <= _MOST_GAMMA:
+            raise OptionError(f"gamma is {self.gamma}; it must be positive, at most {_MOST_GAMMA:g}")
+
+
+def scan_picture(view: View, show: str, stretch: Stretch | None = None) -> NDArray[np.uint8]:
+    """Return a view of the scan as a picture, (h, w, 3) uint8 RGB.
+
+    Args:
+        view: the view.
+        show: `intensity`, stretched, what falls with range made up for; `raw`, as the sensor gives it; `range`,
+            colours by inverse range, which is what parallax sees; `normals`, the
+            surface's direction as a colour; `edges`, of intensity and of range together; `color`, the scanner's own.
+        stretch: of the intensity; of the range its percentiles.
+
+    Raises:
+        OptionError: if there is no such picture.
+        ShapeError: if the scan has no colour of its own.
+    """
+    if show not in get_args(Show):
+        raise OptionError(f"the scan is to be shown as {show!r}; it can be {', '.join(get_args(Show))}")
+    if show == "color":
+        if view.scan.color is None:
+            raise ShapeError("the scan has no colour of its own; show its intensity")
+        planes = [view.resample(view.scan.color[..., k].astype(np.float32)) for k in range(3)]
+        picture = np.rint(np.stack(planes, axis=-1)).astype(np.uint8)
+        return np.where(view.inside[..., None], picture, _EMPTY)
+    seen = np.isfinite(view.ranges)
+    if show in ("intensity", "raw"):
+        values = view.intensity if show == "raw" else compensated(view)
+        gray = stretched(values, seen, stretch or Stretch())
+        picture = np.repeat(gray[..., None], 3, axis=-1)
+    elif show == "range":
+        picture = _range_colours(view.ranges, seen, stretch or Stretch(low=1, high=99))
+    elif show == "normals":
+        picture = _normal_colours(view)
+    else:
+        gray = 255 - edge_strength(view)
+        picture = np.repeat(gray[..., None], 3, axis=-1)
+    return np.where(seen[..., None], picture, _EMPTY)
+
+
+def compensated(view: View) -> FloatArray:
+    """Return a view's intensity, (h, w), as if all of it came from the median range.
+
+    Light that comes back falls with the square of the range, which says nothing of the surface; without it, what lies
+    behind is as legible as what lies in front. Beyond a factor of four in range, noise would be all that is raised.
+    """
+    seen = np.isfinite(view.ranges)
+    if view.scan.intensity_is != "raw" or not seen.any():
+        return view.intensity
+    share = view.ranges / np.float32(np.median(view.ranges[seen]))
+    return np.asarray(view.intensity * np.clip(np.nan_to_num(share, nan=1.0), 0.25, 4.0) ** 2, dtype=np.float32)
+
+
+def stretched(values: FloatArray, known: NDArray[np.bool_], stretch: Stretch) -> NDArray[np.uint8]:
+    """Return gray levels (h, w) of values (h, w), by the known ones' distribution."""
+    if not known.any():
+        return np.zeros(values.shape, np.uint8)
+    chosen = values[known]
+    low, high = (float(v) for v in np.percentile(chosen, (stretch.low, stretch.high)))
+    share = np.clip((values - np.float32(low)) / np.float32(max(high - low, 1e-12)), 0, 1)
+    if stretch.equalise:
+        counts, edges = np.histogram(share[known], bins=_BINS, range=(0, 1))
+        rank = np.concatenate([[0.0], np.cumsum(counts)]) / max(int(counts.sum()), 1)
+        share = np.interp(share, edges, rank).astype(np.float32)
+    else:
+        share = share ** np.float32(stretch.gamma)
+    return np.asarray(np.rint(share * 255), dtype=np.uint8)
+
+
+def edge_strength(view: View) -> NDArray[np.uint8]:
+    """Return how strong an edge is, (h, w) 0 to 255: of intensity, or of inverse range, whichever is the stronger."""
+    seen = np.isfinite(view.ranges)
+    gray = stretched(compensated(view), seen, Stretch()).astype(np.float32)
+    depth = np.where(seen, 1 / np.where(seen, view.ranges, 1), 0).astype(np.float32)
+    typical = float(np.median(depth[seen])) if seen.any() else 1.0
+    of_gray = _magnitude(gray) / 160
+    of_depth = _magnitude(depth) / (0.25 * typical)
+    return np.asarray(np.rint(255 * np.clip(np.maximum(of_gray, of_depth), 0, 1)), dtype=np.uint8)
+
+
+def _magnitude(values: FloatArray) -> FloatArray:
+    return np.hypot(cv2.Sobel(values, cv2.CV_32F, 1, 0), cv2.Sobel(values, cv2.CV_32F, 0, 1))
+
+
+def _range_colours(ranges: FloatArray, seen: NDArray[np.bool_], stretch: Stretch) -> NDArray[np.uint8]:
+    inverse = np.where(seen, 1 / np.where(seen, ranges, 1), 0)
+    if not seen.any():
+        return np.zeros((*ranges.shape, 3), np.uint8)
+    low, high = np.percentile(inverse[seen], (stretch.low, stretch.high))
+    level = np.rint(255 * np.clip((inverse - low) / max(high - low, 1e-12), 0, 1)).astype(np.uint8)
+    return np.asarray(cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def _normal_colours(view: View) -> NDArray[np.uint8]:
+    """Colour a surface by its normal in the view's axes, as renderers do: facing us is blue, right red, up green."""
+    ranges = np.nan_to_num(view.ranges)
+    smooth = cv2.bilateralFilter(np.log(np.maximum(ranges, 1e-3)).astype(np.float32), 7, 0.03, 3)
+    v, u = np.mgrid[: view.camera.height, : view.camera.width].astype(np.float32)
+    rays = np.stack(
+        [(u - view.camera.cx) / view.camera.fx, (v - view.camera.cy) / view.camera.fy, np.ones_like(u)], axis=-1
+    )
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    points = rays * np.exp(smooth)[..., None]
+    across, down = (
+        np.stack([cv2.Sobel(points[..., k], cv2.CV_32F, dx, dy, ksize=5) for k in range(3)], axis=-1)
+        for dx, dy in ((1, 0), (0, 1))
+    )
+    normal = np.cross(down, across)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    shown = normal * np.array([1, -1, -1], np.float32)  # y up and z towards us, as people draw axes
+    return np.asarray(np.rint(127.5 * (shown + 1)), dtype=np.uint8)

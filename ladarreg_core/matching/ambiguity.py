@@ -1,0 +1,132 @@
+"""Whether a verified photo would be verified elsewhere, too: mirrored about a flat scene, or a repetition further.
+
+Source: Schweighofer and Pinz, Robust pose estimation from a planar target (2006), for the two-fold ambiguity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.features.channels import ORIENTATIONS
+from ladarreg_core.frames import Rigid, rotation_about
+from ladarreg_core.matching.aligner import Aligner
+from ladarreg_core.matching.alike import Places
+from ladarreg_core.matching.blocks import project_visible
+from ladarreg_core.matching.ecc import ClimbOptions, climb
+from ladarreg_core.matching.pyramid import LEVELS
+from ladarreg_core.matching.verification import Verification
+from ladarreg_core.pose.ambiguity import mirrored
+
+_COARSEST = LEVELS[-1]
+_CLIMB = ClimbOptions(tau_px=8, iterations=8)
+_LEAST_SHIFT_PX = 3.0  # level pixels; less is the same basin
+_LEAST_OVERLAP = 0.4
+_PEAK_OF_ZERO = 0.4
+_MOST_PEAKS = 2
+_RIVAL_CORRELATION = 0.8
+_NEARLY, _NEARLY_AS_MANY = 0.8, 0.6
+_MOST_CLIMBED = 2
+_TURNED_RAD = np.deg2rad(3.0)
+_LEAST_POINTS = 30
+
+
+def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: Places) -> Rigid | None:
+    """Return another pose that the same pictures verify, or nearly so, or None where none was found.
+
+    A wall of bricks agrees with the picture of any such wall, and with the next brick nearly as well as with this one.
+    So a rival need not pass the gate that the pose itself has just passed.
+
+    Args:
+        aligner: the pair that the pose was verified with.
+        pose: `camera_from_scanner`, verified.
+        own: its verdict.
+        places: what tells that two poses are one place.
+    """
+    ends = []
+    for start in (pose, *_starts(aligner, pose)):
+        end = climb(aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder, start, _CLIMB)
+        if end is not None:
+            ends.append(end)
+        elif start is pose:
+            return None
+    first, *others = ends
+    others = [e for e in others if e.correlation >= _RIVAL_CORRELATION * first.correlation]
+    others.sort(key=lambda e: -e.correlation)
+    elsewhere = [e for e in others if _differ(places, pose, e.camera_from_scanner)]
+    for end in elsewhere[:_MOST_CLIMBED]:
+        candidate = aligner.approach(end.camera_from_scanner)
+        if candidate is None or not _rivals(candidate.first_look, own):
+            continue
+        if not _differ(places, pose, candidate.camera_from_scanner):
+            continue
+        rival = aligner.finish(candidate.camera_from_scanner)
+        if _differ(places, pose, rival) and _rivals(aligner.judge(rival)[0], own):
+            return rival
+    return None
+
+
+def _rivals(other: Verification, own: Verification) -> bool:
+    """Return whether another pose is verified, or agrees with nearly as much of the picture as the verified one."""
+    nearly = other.fraction >= _NEARLY * own.fraction and other.agreeing >= _NEARLY_AS_MANY * own.agreeing
+    return other.accepted or nearly
+
+
+def _differ(places: Places, first: Rigid, second: Rigid) -> bool:
+    """Return whether two poses put the photo elsewhere, or show it there from another side."""
+    return places.apart(first, second) or first.angle_to(second) > _TURNED_RAD
+
+
+def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
+    """Yield the mirrored pose, and where the coarse picture agrees again if it is shifted as a whole."""
+    points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
+    buffer = aligner.occluder.depth_buffer(pose)
+    in_camera, uv, visible = project_visible(points, target, aligner.occluder, buffer, pose, border=1)
+    if np.count_nonzero(visible) < _LEAST_POINTS:
+        return
+    seen = points.points[visible].astype(np.float64)
+    yield mirrored(pose, seen)
+    depth, camera = float(np.median(in_camera[visible, 2])), target.camera
+    for du, dv in _peaks(points.channels[visible], uv[visible], target.channels):
+        # Seen from further left, a wall stands further right; a turned camera moves what is near and far alike.
+        shift = np.array([du / camera.fx, dv / camera.fy, 0.0]) * depth
+        yield Rigid(pose.rotation, pose.translation + shift)
+        turn = rotation_about("y", np.arctan2(du, camera.fx)) @ rotation_about("x", -np.arctan2(dv, camera.fy))
+        yield Rigid(turn, np.zeros(3)) @ pose
+
+
+def _peaks(channels: FloatArray, uv: FloatArray, picture: FloatArray) -> list[tuple[int, int]]:
+    """Return the far shifts (du, dv), level pixels, at which points agree with the picture nearly as well, best first.
+
+    Args:
+        channels: (N, 8) of the points.
+        uv: (N, 2) where they are in the picture.
+        picture: (h, w, 8) its channels.
+    """
+    height, width = picture.shape[:2]
+    shape = (2 * height, 2 * width)
+    column, row = np.rint(uv).astype(np.intp).T
+    mask = np.zeros((height, width), np.float32)
+    mask[row, column] = 1
+    scan = np.zeros((height, width, ORIENTATIONS), np.float32)
+    scan[row, column] = channels - channels.mean(axis=0)
+    centred = picture - picture.mean(axis=(0, 1))
+    seen = np.conj(np.fft.rfft2(mask, shape))
+    product = sum(
+        np.conj(np.fft.rfft2(scan[..., k], shape)) * np.fft.rfft2(centred[..., k], shape) for k in range(ORIENTATIONS)
+    )
+    energy = np.fft.irfft2(seen * np.fft.rfft2((centred**2).sum(axis=-1), shape), shape)
+    overlap = np.fft.irfft2(seen * np.fft.rfft2(np.ones_like(mask), shape), shape) / mask.sum()
+    score = np.fft.irfft2(product, shape) / np.sqrt(np.maximum(energy, 1e-6 * float(energy.max()) + 1e-12))
+    score = np.fft.fftshift(np.where(overlap >= _LEAST_OVERLAP, score, -np.inf))
+    at_zero = float(score[height, width])
+    v, u = np.mgrid[-height:height, -width:width]
+    near = int(2 * _LEAST_SHIFT_PX) | 1
+    highest = score >= cv2.dilate(score, np.ones((near, near)))
+    peak = highest & (np.hypot(u, v) > _LEAST_SHIFT_PX) & (score > _PEAK_OF_ZERO * at_zero)
+    rows, columns = np.nonzero(peak)
+    best = np.argsort(-score[rows, columns], kind="stable")[:_MOST_PEAKS]
+    return [(int(columns[k]) - width, int(rows[k]) - height) for k in best]

@@ -1,0 +1,175 @@
+"""The scan's points beside the photo at a pose, block by block: how alike they are, and where each block would move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.features.channels import channel_products
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matching.sampling import Blocks, ViewPoints, runs
+from ladarreg_core.matching.zbuffer import Occluder
+
+LEAST_POINTS = 8
+"""Visible points that a block needs."""
+LEAST_BLOCKS = 8
+"""Such blocks that a comparison needs."""
+
+
+class Target:
+    """The photo's channels at one level, laid out for sampling values and gradients together."""
+
+    def __init__(self, camera: Camera, channels: FloatArray, usable: BoolArray) -> None:
+        self.camera = camera
+        self.channels = channels
+        self.usable = usable
+        self._values = channels.reshape(-1, channels.shape[-1])
+
+    @cached_property
+    def squares(self) -> FloatArray:
+        """(h w,) the channels' squared norm at each pixel."""
+        return channel_products(self._values, self._values)
+
+    def seen_by(self, camera: Camera) -> Target:
+        """Return the same picture, taken for that of another camera of its size."""
+        return Target(camera, self.channels, self.usable)
+
+    def sample(self, uv: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return channels and their derivatives by u and v, each (N, 8), at pixels (N, 2) inside the picture.
+
+        The derivatives are the central differences at the nearest pixel: the channels are smooth enough.
+        """
+        width = self.camera.width
+        base = np.floor(uv).astype(np.intp)
+        fraction = (uv - base).astype(np.float32)
+        a, b = fraction[:, :1], fraction[:, 1:]
+        first = base[:, 1] * width + base[:, 0]
+        upper = self._at(first) * (1 - a) + self._at(first + 1) * a
+        lower = self._at(first + width) * (1 - a) + self._at(first + width + 1) * a
+        nearest = first + (fraction[:, 0] >= 0.5) + width * (fraction[:, 1] >= 0.5)
+        half = np.float32(0.5)
+        by_u = (self._at(nearest + 1) - self._at(nearest - 1)) * half
+        by_v = (self._at(nearest + width) - self._at(nearest - width)) * half
+        return upper * (1 - b) + lower * b, by_u, by_v
+
+    def _at(self, pixels: NDArray[np.intp]) -> FloatArray:
+        return self._values.take(pixels, axis=0)
+
+
+def project_visible(
+    points: ViewPoints, target: Target, occluder: Occluder, buffer: FloatArray, pose: Rigid, *, border: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return points in the camera frame (N, 3), their pixels (N, 2), and which are visible `border` inside."""
+    points_camera = pose @ points.points
+    camera = target.camera
+    depth = np.where(points_camera[:, 2] > 0.05, points_camera[:, 2], 1)[:, None]
+    xy = points_camera[:, :2] / depth
+    if camera.distortion:  # the change of a lens, where it is being estimated
+        uv = camera.project(np.column_stack([xy, np.ones(len(xy), np.float32)]))
+    else:
+        uv = xy * np.array([camera.fx, camera.fy], np.float32) + np.array([camera.cx, camera.cy], np.float32)
+    visible = camera.contains(uv, border=border) & occluder.visible(points_camera, buffer)
+    near = np.rint(np.where(visible[:, None], uv, 0)).astype(np.intp)
+    visible &= target.usable[near[:, 1], near[:, 0]]
+    return points_camera, uv, visible
+
+
+def block_counts(blocks: Blocks, visible: BoolArray) -> tuple[FloatArray, BoolArray]:
+    """Return the visible points of each block (B,), and which blocks have enough."""
+    count = blocks.sum(visible.astype(np.float32))
+    return count, count >= LEAST_POINTS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockComparison:
+    """n visible points in b blocks; both sides' channels are centred and of length 1 in each block."""
+
+    points_camera: FloatArray
+    """(n, 3) m, camera frame."""
+    index: NDArray[np.intp]
+    """(n,) into the points compared."""
+    uv: FloatArray
+    """(n, 2) level pixels of the photo where the pose puts them."""
+    blocks: Blocks
+    """Their blocks."""
+    count: FloatArray
+    """(b,) points."""
+    rho: FloatArray
+    """(b,) correlation, at least 0."""
+    by_u: FloatArray
+    """(n, 8) the photo's channels' derivative by u, in units of the block's length."""
+    by_v: FloatArray
+    """(n, 8) likewise by v."""
+    a_u: FloatArray
+    """(n,) the scan's channels times `by_u`."""
+    a_v: FloatArray
+    """(n,) likewise `by_v`."""
+    b_u: FloatArray
+    """(n,) the photo's channels times `by_u`."""
+    b_v: FloatArray
+    """(n,) likewise `by_v`."""
+
+    def normal_equations(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return uu, uv, vv and the right side u, v, (b,) each, of every block's own Lucas-Kanade step."""
+        sum_u, sum_v = self.blocks.sum(self.by_u), self.blocks.sum(self.by_v)
+
+        def gram(first: FloatArray, second: FloatArray, sums: FloatArray, along: FloatArray) -> FloatArray:
+            products = self.blocks.sum(channel_products(first, second))
+            return np.asarray(products - sums / self.count - along)
+
+        along_u, along_v = self.blocks.sum(self.b_u), self.blocks.sum(self.b_v)
+        uu = gram(self.by_u, self.by_u, (sum_u * sum_u).sum(axis=1), along_u * along_u)
+        uv = gram(self.by_u, self.by_v, (sum_u * sum_v).sum(axis=1), along_u * along_v)
+        vv = gram(self.by_v, self.by_v, (sum_v * sum_v).sum(axis=1), along_v * along_v)
+        return (
+            uu,
+            uv,
+            vv,
+            self.blocks.sum(self.a_u) - self.rho * along_u,
+            self.blocks.sum(self.a_v) - self.rho * along_v,
+        )
+
+
+def compare_blocks(
+    points: ViewPoints, target: Target, occluder: Occluder, buffer: FloatArray, pose: Rigid
+) -> BlockComparison | None:
+    """Compare the points that the photo sees at a pose, or return None where too few blocks are left."""
+    points_camera, uv, visible = project_visible(points, target, occluder, buffer, pose, border=2)
+    _, enough = block_counts(points.blocks, visible)
+    if np.count_nonzero(enough) < LEAST_BLOCKS:
+        return None
+    kept = np.flatnonzero(visible & enough[points.blocks.of_point])
+    blocks = _sub_blocks(points.blocks.of_point[kept])
+    of = blocks.of_point
+    count = blocks.sum(np.ones(len(kept), np.float32))
+
+    def centred(values: FloatArray) -> FloatArray:
+        return np.asarray(values - (blocks.sum(values) / count[:, None]).take(of, axis=0))
+
+    seen = uv.take(kept, axis=0)
+    A = centred(points.channels.take(kept, axis=0))
+    B, Bu, Bv = target.sample(seen)
+    B = centred(B)
+    length_a, length_b = (
+        np.sqrt(blocks.sum(channel_products(A, A))) + 1e-9,
+        np.sqrt(blocks.sum(channel_products(B, B))) + 1e-9,
+    )
+    A /= length_a.take(of)[:, None]
+    shrink = (1 / length_b).take(of)[:, None]
+    for values in (B, Bu, Bv):
+        values *= shrink
+    rho = np.maximum(blocks.sum(channel_products(A, B)), 0)
+    return BlockComparison(
+        points_camera.take(kept, axis=0), kept, seen, blocks, count, rho, Bu, Bv,
+        channel_products(A, Bu), channel_products(A, Bv), channel_products(B, Bu), channel_products(B, Bv),
+    )  # fmt: skip
+
+
+def _sub_blocks(labels: NDArray[np.intp]) -> Blocks:
+    starts, of_point = runs(labels)
+    return Blocks(starts, of_point, labels[starts, None])

@@ -1,0 +1,187 @@
+"""Starts where no corners match: the scan's coarse channels, seen from a grid of places, slid over the photo's.
+
+From each place a virtual camera sees the scan; the Fourier transform then compares all small turns of it at once. It
+needs no single feature to be alike, only the picture as a whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.features.channels import ORIENTATIONS
+from ladarreg_core.frames import Rigid, rotation_about
+from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels
+
+MOST_STARTS = 5
+"""So many places, the likeliest first, are given at the most."""
+_LEVEL = 2
+_SCALE = 0.5  # of that level: what a climb bears is some of these pixels
+_STEP_OF_RANGE = 0.06
+_PLACES = tuple((x, y, z) for x in range(-4, 5) for y in (-0.5, 0.5) for z in (-0.6, 0.6))
+_NEAR_STEP_M = 0.2
+_PLACES_NEAR = tuple((x, y, z) for x in range(-2, 3) for y in (-1, 0, 1) for z in (-1, 0, 1))
+_MOST_TURN_RAD, _MOST_TURN_NEAR_RAD = np.deg2rad(16), np.deg2rad(7)  # beyond, false peaks win
+_LEAST_OVERLAP = 0.3
+_NEAREST_DEPTH_M = 0.05
+_LEAST_POINTS = 100
+_APART_PX = 16.0
+_TOLD_APART_BY = 300
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """A start and how well the pictures agree there."""
+
+    camera_from_scanner: Rigid
+    """The pose."""
+    score: float
+    """The correlation of the channels times the root of the pixels compared: standard deviations from none."""
+
+
+def likely_places(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None = None) -> list[Place]:
+    """Return the poses, likeliest first, from which the scan looks most like the photo.
+
+    Args:
+        scan: the scan's levels; the photo is taken to stand as upright as the view does.
+        photo: the photo's levels.
+        around: a rough pose to look near to; None: around the scanner, in the direction of the view.
+
+    Returns:
+        at most `MOST_STARTS`, each in another basin; none where the scan shows hardly anything.
+    """
+    cloud = _Cloud.of(scan)
+    if len(cloud.points) < _LEAST_POINTS:
+        return []
+    middle = float(np.median(np.linalg.norm(cloud.points, axis=-1)))
+    if around is None:
+        base, places, step, most = scan.view.view_from_scanner, _PLACES, _STEP_OF_RANGE * middle, _MOST_TURN_RAD
+    else:
+        base, places, most = around, _PLACES_NEAR, _MOST_TURN_NEAR_RAD
+        step = max(_NEAR_STEP_M, _STEP_OF_RANGE * middle)
+    slider = _Slider(photo, most)
+    found = []
+    for place in places:
+        seen_from = Rigid(base.rotation, base.translation - step * np.array(place))
+        best = slider.best(*cloud.seen_by(slider.camera, seen_from))
+        if best is not None:
+            turn, score = best
+            found.append(Place(turn @ seen_from, score))
+    found.sort(key=lambda item: -item.score)
+    return _in_other_basins(found, photo.cameras[0], cloud.points)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cloud:
+    """The scan's returns of the coarse level, with their channels."""
+
+    points: FloatArray
+    """(N, 3) float32, scanner frame, m."""
+    channels: FloatArray
+    """(N, 8) float32."""
+
+    @staticmethod
+    def of(scan: ScanLevels) -> _Cloud:
+        camera, channels = scan.cameras[_LEVEL], scan.channels[_LEVEL]
+        height, width = scan.ranges.shape
+        rows = np.minimum((np.arange(camera.height) + 0.5) * height / camera.height, height - 1).astype(np.intp)
+        columns = np.minimum((np.arange(camera.width) + 0.5) * width / camera.width, width - 1).astype(np.intp)
+        ranges = scan.ranges[np.ix_(rows, columns)]
+        v, u = np.nonzero(np.isfinite(ranges))
+        rays = scan.view.view_from_scanner.rotation.T @ camera.unproject(np.stack([u, v], axis=-1)).T
+        return _Cloud((rays.T * ranges[v, u][:, None]).astype(np.float32), channels[v, u])
+
+    def seen_by(self, camera: Camera, pose: Rigid) -> tuple[FloatArray, BoolArray]:
+        """Return the channels (8, h, w) of the nearest return in each pixel, and where (h, w) there is one."""
+        there = pose @ self.points
+        in_front = np.flatnonzero(there[:, 2] > _NEAREST_DEPTH_M)
+        uv = camera.project(there[in_front])
+        inside = camera.contains(uv, border=-0.49)
+        index = in_front[inside]
+        pixel = np.rint(uv[inside]).astype(np.intp) @ np.array([1, camera.width])
+        depth = there[index, 2]
+        nearest = np.full(camera.height * camera.width, np.inf, np.float32)
+        np.minimum.at(nearest, pixel, depth)
+        shown = depth == nearest[pixel]
+        mask = np.isfinite(nearest)
+        first = np.zeros(len(nearest), np.intp)
+        first[pixel[shown]] = index[shown]
+        picture = self.channels.take(first, axis=0) * mask[:, None]
+        shape = (camera.height, camera.width)
+        return np.ascontiguousarray(picture.T).reshape(ORIENTATIONS, *shape), mask.reshape(shape)
+
+
+class _Slider:
+    """The photo's coarse channels, transformed once, to be compared with pictures of the scan at every shift."""
+
+    def __init__(self, photo: PhotoLevels, most_turn_rad: float) -> None:
+        level = photo.cameras[_LEVEL]
+        self.camera = level.scaled(_SCALE)
+        # Plane by plane: OpenCV averages areas of four channels at the most.
+        planes = [*np.moveaxis(photo.channels[_LEVEL], -1, 0), photo.usable[_LEVEL].astype(np.float32)]
+        small = [
+            np.asarray(cv2.resize(np.ascontiguousarray(p), self.camera.size, interpolation=cv2.INTER_AREA))
+            for p in planes
+        ]
+        mask = (small.pop() > 0.99).astype(np.float32)
+        channels = np.stack(small) * mask
+        channels -= mask * (channels.sum(axis=(1, 2)) / max(float(mask.sum()), 1.0))[:, None, None]
+        reach = self.camera.fx * np.tan(most_turn_rad)
+        height, width = self.camera.height, self.camera.width
+        self._reach = tuple(int(min(reach, side - 1)) for side in (height, width))
+        padded = [n + r for n, r in zip((height, width), self._reach, strict=True)]
+        self._shape = tuple(cv2.getOptimalDFTSize(n) for n in padded)
+        self._channels, self._mask = self._transform(channels), self._transform(mask)
+        self._energy = self._transform((channels**2).sum(axis=0))
+
+    def best(self, channels: FloatArray, mask: BoolArray) -> tuple[Rigid, float] | None:
+        """Return the turn of the virtual camera that fits best, and its score; None where nothing can be compared."""
+        where = mask.astype(np.float32)
+        total = float(where.sum())
+        if total < _LEAST_OVERLAP * mask.size:
+            return None
+        centred = channels - where * (channels.sum(axis=(1, 2)) / total)[:, None, None]
+        seen = self._transform(where)
+        product = self._at_shifts((np.conj(self._transform(centred)) * self._channels).sum(axis=0))
+        pixels = self._at_shifts(np.conj(seen) * self._mask)
+        of_photo = self._at_shifts(np.conj(seen) * self._energy)
+        of_scan = self._at_shifts(np.conj(self._transform((centred**2).sum(axis=0))) * self._mask)
+        enough = (pixels >= _LEAST_OVERLAP * mask.size) & (of_photo > 1e-6) & (of_scan > 1e-6)
+        if not enough.any():
+            return None
+        length = np.sqrt(np.where(enough, of_photo * of_scan, 1))
+        score = np.where(enough, product / length * np.sqrt(np.maximum(pixels, 0)), -np.inf)
+        row, column = np.unravel_index(int(score.argmax()), score.shape)
+        dv, du = int(row) - self._reach[0], int(column) - self._reach[1]
+        # A turn about y to the right moves what is seen to the right, one about x moves it up.
+        turn = rotation_about("y", np.arctan2(du, self.camera.fx)) @ rotation_about(
+            "x", -np.arctan2(dv, self.camera.fy)
+        )
+        return Rigid(turn, np.zeros(3)), float(score[row, column])
+
+    def _transform(self, picture: FloatArray) -> NDArray[np.complex64]:
+        return np.asarray(np.fft.rfft2(picture, self._shape))
+
+    def _at_shifts(self, product: NDArray[np.complex64]) -> FloatArray:
+        """Return the correlation (2 r_v + 1, 2 r_u + 1) at all shifts within reach."""
+        whole = np.roll(np.asarray(np.fft.irfft2(product, self._shape)), self._reach, axis=(0, 1))
+        return np.asarray(whole[: 2 * self._reach[0] + 1, : 2 * self._reach[1] + 1])
+
+
+def _in_other_basins(found: list[Place], camera: Camera, points: FloatArray) -> list[Place]:
+    """Return the best of those places from which the same climb would start."""
+    some = points[:: max(1, len(points) // _TOLD_APART_BY)].astype(np.float64)
+    kept: list[tuple[Place, FloatArray]] = []
+    for item in found:
+        uv = camera.project(item.camera_from_scanner @ some)
+        apart = (np.nanmedian(np.hypot(*(uv - other).T)) > _APART_PX for _, other in kept)
+        if all(apart):
+            kept.append((item, uv))
+        if len(kept) == MOST_STARTS:
+            break
+    return [item for item, _ in kept]

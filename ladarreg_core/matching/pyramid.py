@@ -1,0 +1,279 @@
+"""The two pictures as the matcher sees them: channels at three resolutions, computed once.
+
+The photo is undistorted and never warped again; the scan is seen in perspective at the photo's focal length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.features.channels import add_channels, normalised_channels, raw_channels
+from ladarreg_core.photo import Photo
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.perspective import View, native_focal_px
+from ladarreg_core.surface.remap import look_up
+from ladarreg_core.surface.spikes import fill_from_nearest, gate_spikes, median_range
+from ladarreg_core.thermal import thermal_gray
+
+ChannelSet = Literal["both", "geometry", "intensity"]
+"""What of the scan a photo is compared with: laser intensity, normals and log range, or the sum of both."""
+LEVELS = (0, 1, 2)
+"""Level L has 1 / 2^L of the working resolution."""
+_MOST_PIXELS = 1_000_000
+_FEW_PIXELS = 160_000
+_MOST_ENLARGED = 2.0
+_STANDARD_RANGE_M = 2.5
+_RANGE_RATIO = (0.4, 4.0)
+_STRETCH_PERCENT = (1.0, 99.5)
+_RANGE_SPAN_M = (0.3, 30.0)
+_HOLE_REACH_PX = 2.0
+_FINE = {"blur_px": 1.2, "local_factor": 2.0}
+_OF_EVERY_SET = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
+
+
+def _normalised(raw: FloatArray, level: int) -> FloatArray:
+    coarse = level >= 2
+    return normalised_channels(raw, blur_px=1.2 if coarse else 1.5, local_px=6.0 if coarse else 8.0)
+
+
+def _halved(planes: list[FloatArray], camera: Camera) -> list[FloatArray]:
+    return [np.asarray(cv2.resize(p, camera.size, interpolation=cv2.INTER_AREA), dtype=np.float32) for p in planes]
+
+
+def working_camera(scan: Scan, camera: Camera) -> Camera:
+    """Return the ideal camera in which matching works: the photo's, at most 1 Mpixel and never finer than the scan.
+
+    A small photo is enlarged, up to twice, as far as the scan is finer: regions are of a fixed number of pixels, and
+    few regions cannot tell. A coarse scan is never interpolated so: what was not measured must not count as agreeing.
+    (Enlarged more, the regions of a soft picture hold no detail: of a thermal one 320 pixels wide, enlarged 1.44 times,
+    twice the share agrees as of one enlarged to the scan's resolution.)
+    """
+    pixels = camera.width * camera.height
+    enlarged = min(max(1.0, float(np.sqrt(_FEW_PIXELS / pixels))), _MOST_ENLARGED)
+    factor = min(enlarged, native_focal_px(scan) / camera.focal_px, float(np.sqrt(_MOST_PIXELS / pixels)))
+    scaled = camera.scaled(factor)
+    return Camera(scaled.width, scaled.height, scaled.focal_px, scaled.focal_px, scaled.cx, scaled.cy)
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoLevels:
+    """The photo, undistorted, at three resolutions."""
+
+    source: Camera
+    """The photo's own camera."""
+    cameras: tuple[Camera, ...]
+    """The ideal camera of each level."""
+    planes: tuple[list[FloatArray], ...]
+    """R, G and B of each level, float32, 0 to 255; of a thermal picture one, gray levels around 0."""
+    usable: tuple[BoolArray, ...]
+    """Where each level's picture shows something: an undistorted picture has empty corners."""
+
+    @cached_property
+    def gray(self) -> FloatArray:
+        """(h, w) float32, level 0."""
+        if len(self.planes[0]) == 1:
+            return self.planes[0][0]
+        red, green, blue = self.planes[0]
+        return np.asarray(0.299 * red + 0.587 * green + 0.114 * blue, dtype=np.float32)
+
+    @cached_property
+    def _raw_fine(self) -> FloatArray:
+        return raw_channels(self.planes[0])
+
+    @cached_property
+    def channels(self) -> tuple[FloatArray, ...]:
+        """(h, w, 8) of each level."""
+        raw = [self._raw_fine, *(raw_channels(self.planes[level]) for level in LEVELS[1:])]
+        return tuple(map(_normalised, raw, LEVELS))
+
+    @cached_property
+    def fine_channels(self) -> FloatArray:
+        """(h, w, 8), level 0, sharper and more strongly normalised: for the last pixel fractions."""
+        return normalised_channels(self._raw_fine, **_FINE)
+
+
+def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
+    """Return the photo as the matcher sees it.
+
+    Args:
+        photo: the photograph.
+        working: the ideal camera to work in, of the photo's shape.
+    """
+    scaled = photo.camera.resized(*working.size)
+    kelvin = photo.temperature_k
+    pixels: NDArray[Any] = photo.pixels if kelvin is None else thermal_gray(kelvin)[..., None]
+    if scaled.size != photo.camera.size:
+        smaller = scaled.width <= photo.camera.width
+        how = cv2.INTER_AREA if smaller else cv2.INTER_CUBIC
+        pixels = np.atleast_3d(np.asarray(cv2.resize(pixels, scaled.size, interpolation=how)))
+    usable = np.ones((working.height, working.width), np.bool_)
+    if scaled.distortion or abs(scaled.fx - scaled.fy) > 1e-3 * scaled.fx:
+        v, u = np.mgrid[: working.height, : working.width].astype(np.float32)
+        x, y = (u - working.cx) / working.fx, (v - working.cy) / working.fy
+        source = scaled.project(np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32))
+        usable = scaled.contains(source)
+        source = np.nan_to_num(source, nan=-1e4)
+        pixels = np.atleast_3d(look_up(pixels, source[..., 0], source[..., 1]))
+    planes = [np.ascontiguousarray(pixels[..., k], dtype=np.float32) for k in range(pixels.shape[-1])]
+    cameras, all_planes, masks = [working], [planes], [usable]
+    for level in LEVELS[1:]:
+        cameras.append(working.scaled(0.5**level))
+        all_planes.append(_halved(all_planes[-1], cameras[-1]))
+        small = cv2.resize(usable.astype(np.float32), cameras[-1].size, interpolation=cv2.INTER_AREA)
+        masks.append(small > 0.99)
+    return PhotoLevels(photo.camera, tuple(cameras), tuple(all_planes), tuple(masks))
+
+
+@dataclass(frozen=True, eq=False)
+class ScanLevels:
+    """The scan's perspective view at three resolutions, with its surface."""
+
+    view: View
+    """The view at level 0."""
+    cameras: tuple[Camera, ...]
+    """The view's ideal camera at each level."""
+    gray_planes: tuple[FloatArray, ...]
+    """Laser intensity of each level, range-compensated and stretched, 0 to 255."""
+    geometry_planes: tuple[list[FloatArray], ...]
+    """Normals and log range of each level, about 0 to 255."""
+    ranges: FloatArray
+    """(h, w) float32 m, level 0: spike-gated and median-filtered, the foreground at depth edges; NaN = no return."""
+    edge: BoolArray
+    """(h, w) bool, level 0: within three pixels of a depth edge or a hole."""
+    channel_set: ChannelSet = "both"
+    """What `channels` are made of."""
+
+    def with_channels(self, channel_set: ChannelSet) -> ScanLevels:
+        """Return the same levels with other channels to be compared; what was made of either is kept."""
+        if channel_set == self.channel_set:
+            return self
+        other = replace(self, channel_set=channel_set)
+        shared = {name: made for name, made in vars(self).items() if name in _OF_EVERY_SET}
+        vars(other).update(shared)
+        return other
+
+    @cached_property
+    def _raw_intensity(self) -> FloatArray:
+        raw = raw_channels([self.gray_planes[0]])
+        raw *= self._near_returns[0]
+        return raw
+
+    @cached_property
+    def _near_returns(self) -> tuple[FloatArray, ...]:
+        """1 within some pixels of a return, per level: beyond, the filling would print its own edges."""
+        near = []
+        valid = np.isfinite(self.ranges).astype(np.float32)
+        for camera in self.cameras:
+            share = cv2.resize(valid, camera.size, interpolation=cv2.INTER_AREA)
+            distance = cv2.distanceTransform((share < 0.25).astype(np.uint8), cv2.DIST_L2, 3)
+            near.append((distance <= _HOLE_REACH_PX).astype(np.float32))
+        return tuple(near)
+
+    @cached_property
+    def intensity_channels(self) -> tuple[FloatArray, ...]:
+        """(h, w, 8) of each level, from intensity alone."""
+        coarser = zip(self.gray_planes[1:], self._near_returns[1:], strict=True)
+        raw = [self._raw_intensity, *(raw_channels([plane]) * near for plane, near in coarser)]
+        return tuple(map(_normalised, raw, LEVELS))
+
+    @cached_property
+    def geometry_channels(self) -> tuple[FloatArray, ...]:
+        """(h, w, 8) of each level, from normals and log range alone."""
+        pairs = zip(self.geometry_planes, self._near_returns, strict=True)
+        return tuple(_normalised(raw_channels(planes) * near, L) for L, (planes, near) in enumerate(pairs))
+
+    @cached_property
+    def channels(self) -> tuple[FloatArray, ...]:
+        """(h, w, 8) of each level: of intensity and geometry, each normalised alone, or of what the set names."""
+        if self.channel_set != "both":
+            return self.geometry_channels if self.channel_set == "geometry" else self.intensity_channels
+        return tuple(map(add_channels, self.intensity_channels, self.geometry_channels))
+
+    @cached_property
+    def fine_channels(self) -> FloatArray:
+        """(h, w, 8), level 0, sharper: for the last pixel fractions. Of intensity, unless the set has none."""
+        if self.channel_set != "geometry":
+            return normalised_channels(self._raw_intensity, **_FINE)
+        return normalised_channels(raw_channels(self.geometry_planes[0]) * self._near_returns[0], **_FINE)
+
+
+def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> ScanLevels:
+    """Return the scan as the matcher sees it in one view.
+
+    Args:
+        scan: the scan.
+        view: the view.
+        channel_set: what it is compared by.
+    """
+    gated = gate_spikes(scan.ranges)
+    gray = _laser_gray(scan, gated)
+    gray = look_up(gray, view.cells[..., 0], view.cells[..., 1])  # beyond the grid its border goes on
+
+    ranges = view.resample_ranges(gated)
+    ranges[~view.inside] = np.nan
+    valid = np.isfinite(ranges)
+    median = median_range(ranges)
+    low, high = cv2.erode(median, np.ones((5, 5))), cv2.dilate(median, np.ones((5, 5)))
+    jump = high - low > 0.04 * median
+    surface = np.where(jump, low, median)  # the foreground owns the contour
+    jump |= ~valid
+    edge = cv2.dilate(jump.astype(np.uint8), np.ones((3, 3))) > 0  # the 5 x 5 reach two pixels themselves
+    geometry = _geometry_planes(view, fill_from_nearest(ranges, valid))
+
+    shown = gray[valid] if valid.any() else gray
+    low_gray, high_gray = np.percentile(shown, _STRETCH_PERCENT)
+    gray = np.clip((gray - low_gray) * (255 / max(float(high_gray - low_gray), 1e-9)), 0, 255).astype(np.float32)
+
+    cameras, grays, geometries = [view.camera], [gray], [geometry]
+    for level in LEVELS[1:]:
+        cameras.append(view.camera.scaled(0.5**level))
+        grays.append(_halved([grays[-1]], cameras[-1])[0])
+        geometries.append(_halved(geometries[-1], cameras[-1]))
+    return ScanLevels(
+        view,
+        tuple(cameras),
+        tuple(grays),
+        tuple(geometries),
+        np.where(valid, surface, np.nan).astype(np.float32),
+        edge,
+        channel_set,
+    )
+
+
+def _laser_gray(scan: Scan, ranges: FloatArray) -> FloatArray:
+    """Return the square root of range-compensated intensity, (H, W), holes filled from their nearest return."""
+    intensity = np.maximum(scan.intensity, 0)
+    if scan.intensity.min(initial=0.0, where=scan.valid) < 0:  # decibels and the like: only differences have meaning
+        low = float(np.percentile(scan.intensity[scan.valid], _STRETCH_PERCENT[0]))
+        intensity = np.maximum(scan.intensity - low, 0)
+    if scan.intensity_is == "raw":
+        ratio = np.clip(np.nan_to_num(ranges) / _STANDARD_RANGE_M, *_RANGE_RATIO)
+        intensity = intensity * ratio**2
+    return fill_from_nearest(np.sqrt(intensity).astype(np.float32), np.isfinite(ranges))
+
+
+def _geometry_planes(view: View, filled: FloatArray) -> list[FloatArray]:
+    """Return nx, ny, nz and 1.5 log r of a view's filled ranges, scaled so that a strong edge is like one of gray."""
+    log_range = np.log(np.clip(cv2.medianBlur(filled, 5), *_RANGE_SPAN_M))
+    log_range = cv2.bilateralFilter(log_range, 7, 0.03, 3)
+    camera = view.camera
+    x = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
+    y = (np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
+    depth = np.exp(log_range) / np.sqrt(1 + x**2 + y[:, None] ** 2)
+    # plane by plane: three times as fast as vectors of three
+    along, down = (
+        [np.asarray(cv2.Sobel(plane, cv2.CV_32F, *order, ksize=5)) for plane in (depth * x, depth * y[:, None], depth)]
+        for order in ((1, 0), (0, 1))
+    )
+    normal = [along[i] * down[j] - along[j] * down[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    length = np.maximum(np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-12)
+    planes = [np.asarray(cv2.GaussianBlur(plane / length, (0, 0), 1.0)) for plane in normal]
+    return [np.ascontiguousarray(plane * 255, dtype=np.float32) for plane in (*planes, 1.5 * log_range)]

@@ -1,0 +1,150 @@
+"""The scan points that are compared with the photo: strong edges, spread over the view, grouped into blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.features.channels import channel_products
+from ladarreg_core.matching.pyramid import ScanLevels
+
+BLOCK_PX = 48
+"""Side of a block, full-resolution pixels of the scan's view."""
+_COUNT = (7000, 7000, 3500)
+_STRATUM_PX = (32, 16, 8)
+_LEAST_NORM = 0.15
+_BORDER_PX = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks:
+    """Which block each point belongs to; points are sorted by block."""
+
+    starts: NDArray[np.intp]
+    """(B,) index of each block's first point."""
+    of_point: NDArray[np.intp]
+    """(N,) block of each point."""
+    grid: NDArray[np.intp]
+    """(B, 2) row and column of each block in the view."""
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def sum(self, values: FloatArray) -> FloatArray:
+        """Return the sums (B, ...) of values (N, ...) over each block."""
+        return np.add.reduceat(values, self.starts, axis=0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewPoints:
+    """N scan points of one level, sorted by block."""
+
+    points: FloatArray
+    """(N, 3) float32, scanner frame, m."""
+    uv: FloatArray
+    """(N, 2) level pixels of the view."""
+    channels: FloatArray
+    """(N, 8) the scan's own channels there."""
+    blocks: Blocks
+    """Their blocks."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def edge_strength(
+    scan: ScanLevels, channels: FloatArray, *, level: int, away_from_edges: bool = False
+) -> FloatArray | None:
+    """Return how strong an edge is at the pixels that points may be drawn from, or None where the view has none.
+
+    Args:
+        scan: the scan's levels.
+        channels: (h, w, 8) of that level, whose norm it is.
+        level: which level.
+        away_from_edges: leave out what is near depth edges and holes.
+
+    Returns:
+        (h, w) float32; 0 where no point may be drawn.
+    """
+    surface, edge = _at_level(scan, scan.cameras[level], level)
+    norm = np.sqrt(channel_products(channels, channels))
+    usable = np.isfinite(surface) & (norm > _LEAST_NORM)
+    if away_from_edges:
+        usable &= ~edge
+    usable[:_BORDER_PX] = usable[-_BORDER_PX:] = False
+    usable[:, :_BORDER_PX] = usable[:, -_BORDER_PX:] = False
+    row, column = np.ogrid[: usable.shape[0], : usable.shape[1]]
+    usable &= (row + column) % 2 == 0
+    return norm * usable if usable.any() else None
+
+
+def draw_points(
+    scan: ScanLevels, channels: FloatArray, strength: FloatArray, *, level: int, seed: int, count: int | None = None
+) -> ViewPoints:
+    """Draw the points of one level from the strongest edges of each stratum, of which twice as many are kept.
+
+    Args:
+        scan: the scan's levels.
+        channels: (h, w, 8) of that level.
+        strength: (h, w) as of `edge_strength`.
+        level: which level.
+        seed: of the draw.
+        count: how many at the most; None: the level's standard.
+    """
+    camera, wanted = scan.cameras[level], count or _COUNT[level]
+    surface, _ = _at_level(scan, camera, level)
+    pixel = _strongest_in_strata(strength, _STRATUM_PX[level], 2 * wanted)
+    if len(pixel) > wanted:
+        pixel = np.random.default_rng(seed).choice(pixel, wanted, replace=False)
+    v, u = np.divmod(pixel, camera.width)
+
+    side = BLOCK_PX >> level
+    block_row, block_column = v // side, u // side
+    label = block_row * (camera.width // side + 1) + block_column
+    order = np.lexsort((pixel, label))
+    u, v, label = u[order], v[order], label[order]
+    starts, of_point = runs(label)
+    grid = np.stack(np.divmod(label[starts], camera.width // side + 1), axis=-1)
+
+    uv = np.stack([u, v], axis=-1).astype(np.float64)
+    rays = camera.unproject(uv) @ scan.view.view_from_scanner.rotation
+    points = (rays * surface[v, u][:, None]).astype(np.float32)
+    return ViewPoints(points, uv, channels[v, u], Blocks(starts, of_point, grid))
+
+
+def _at_level(scan: ScanLevels, camera: Camera, level: int) -> tuple[FloatArray, BoolArray]:
+    if level == 0:
+        return scan.ranges, scan.edge
+    height, width = scan.ranges.shape
+    rows = np.minimum((np.arange(camera.height) + 0.5) * height / camera.height, height - 1).astype(np.intp)
+    columns = np.minimum((np.arange(camera.width) + 0.5) * width / camera.width, width - 1).astype(np.intp)
+    grid = np.ix_(rows, columns)
+    return scan.ranges[grid], scan.edge[grid]
+
+
+def _strongest_in_strata(strength: FloatArray, side_px: int, count: int) -> NDArray[np.intp]:
+    """Return the flat pixels (K,) that are the strongest of their stratum, about `count`, stratum by stratum."""
+    height, width = strength.shape
+    rows, columns, area = -(-height // side_px), -(-width // side_px), side_px**2
+    whole = np.zeros((rows * side_px, columns * side_px), np.float32)
+    whole[:height, :width] = strength
+    strata = whole.reshape(rows, side_px, columns, side_px).swapaxes(1, 2).reshape(rows, columns, area)
+    # Positive floats are ordered as their bits are; of equally strong pixels the first counts.
+    rank = (strata.view(np.int32).astype(np.int64) + 1) * area - np.arange(1, area + 1)
+    filled = int(np.count_nonzero(strata.any(axis=-1)))
+    of_each = min(-(-count // max(filled, 1)), area)
+    least = np.partition(rank, -of_each, axis=-1)[..., -of_each, None]
+    kept = ((rank >= least) & (strata > 0)).reshape(rows, columns, side_px, side_px).swapaxes(1, 2)
+    pixel = np.flatnonzero(kept.reshape(rows * side_px, columns * side_px)[:height, :width])
+    v, u = np.divmod(pixel, width)
+    return pixel[np.lexsort((-strength[v, u], v // side_px * columns + u // side_px))]
+
+
+def runs(label: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return where each run of equal labels begins, (R,), and which run each of the labels (N,) is of."""
+    starts = np.flatnonzero(np.diff(label, prepend=label[:1] - 1))
+    return starts, np.repeat(np.arange(len(starts)), np.diff(starts, append=len(label)))

@@ -1,0 +1,1 @@
+"""The correspondence chain of the thesis (1998)."""

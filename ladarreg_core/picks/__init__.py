@@ -1,0 +1,1 @@
+"""Drawn points and lines, measured on the scan as matches for the solvers."""

@@ -1,0 +1,225 @@
+"""From picks to matches: the scan's range where something was picked, and what drawn lines measure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import OptionError
+from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.matches import Matches, Pick
+from ladarreg_core.picks.lines import along_line, line_on_scan
+from ladarreg_core.picks.perspective_line import fraction_in_photo, kappa_of
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.range_quality import range_quality
+from ladarreg_core.surface.ranges import measured_ranges
+
+LineUse = Literal["ends", "equal", "kappa"]
+"""`ends`: the two ends with the ranges of the whole line; `equal`: samples at constant intervals in both pictures, as
+in the thesis; `kappa`: samples at constant intervals on the scan, and where a pose says that they are in the photo."""
+SAMPLES_PER_LINE = 9
+"""Points taken along a drawn line where it is sampled and nothing else is said."""
+_MOST_SAMPLES = 1000
+
+
+def check_samples(samples_per_line: object) -> None:
+    """Raise an OptionError if a line cannot be sampled by so many points."""
+    whole = isinstance(samples_per_line, int) and not isinstance(samples_per_line, bool)
+    if not whole or not 2 <= samples_per_line <= _MOST_SAMPLES:  # type: ignore[operator]
+        raise OptionError(f"samples_per_line is {samples_per_line!r}; it must be a whole number from 2 to 1000")
+
+
+def check_line_use(lines: object) -> None:
+    """Raise an OptionError if lines cannot be used so."""
+    if lines not in get_args(LineUse):
+        raise OptionError(f"the use of lines is {lines!r}; it must be one of {', '.join(get_args(LineUse))}")
+
+
+def matches_from_picks(
+    scan: Scan,
+    picks: Sequence[Pick],
+    *,
+    camera: Camera | None = None,
+    lines: LineUse = "ends",
+    samples_per_line: int = SAMPLES_PER_LINE,
+    pose: Rigid | None = None,
+) -> tuple[Matches, tuple[str, ...]]:
+    """Return the matches that a solver eats, and a sentence for everything that had to be left out.
+
+    A point takes the range of the surface under it, and of the straight edge under a line both ends take theirs. A
+    line without such an edge counts by its ends as if they were points. Samples of one line are not independent, so
+    each weighs 1 / sqrt of their number. Where the scan has no return, or a depth edge runs under a point, nothing is
+    measured. Ranges weigh by the light that came back, the angle of the surface and the nearness of depth edges.
+
+    Args:
+        scan: the scan.
+        picks: points and lines; those switched off are skipped, and lines of no length left out.
+        camera: the photo's; what lies outside its picture is left out.
+        lines: what of a line is used.
+        samples_per_line: points along each line, its ends among them, where it is sampled.
+        pose: `camera_from_scanner`, which `kappa` needs to place the samples; None: at constant intervals.
+
+    Raises:
+        OptionError: if `samples_per_line` is not a whole number from 2 to 1000, or `lines` no such use.
+
+    Source: thesis 2.3.1.
+    """
+    check_samples(samples_per_line)
+    check_line_use(lines)
+    drawn = _Drawn()
+    for pick in picks:
+        if not pick.on:
+            continue
+        if pick.kind == "point":
+            drawn.points(scan, pick, np.zeros(1), pick.photo, pick.weight)
+        elif (pick.scan[0] == pick.scan[1]).all() or (pick.photo[0] == pick.photo[1]).all():
+            drawn.notes.append(f"Match {pick.id} is a line of no length and is left out; draw it again.")
+        elif lines != "ends":
+            along = np.linspace(0, 1, samples_per_line)
+            in_photo = fraction_in_photo(along, _kappa(scan, pick, pose)) if lines == "kappa" and pose else along
+            uv = pick.photo[0] + in_photo[:, None] * (pick.photo[1] - pick.photo[0])
+            drawn.points(scan, pick, along, uv, pick.weight / np.sqrt(samples_per_line))
+        else:
+            drawn.line(scan, pick)
+    return drawn.matches(camera)
+
+
+@dataclass(slots=True)
+class _Drawn:
+    """What has been drawn so far, pick by pick."""
+
+    rays: list[FloatArray] = field(default_factory=list)
+    ranges: list[FloatArray] = field(default_factory=list)
+    edges: list[BoolArray] = field(default_factory=list)
+    uv: list[FloatArray] = field(default_factory=list)
+    ids: list[str] = field(default_factory=list)
+    fractions: list[FloatArray] = field(default_factory=list)
+    weights: list[FloatArray] = field(default_factory=list)
+    range_weights: list[FloatArray] = field(default_factory=list)
+    ends: list[FloatArray] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def points(self, scan: Scan, pick: Pick, along: FloatArray, uv: FloatArray, weight: float) -> None:
+        """Add points at fractions of a pick, each with the range of the surface under it."""
+        rays = pick.scan if pick.kind == "point" else along_line(pick.scan, along)
+        found = measured_ranges(scan, rays)
+        self._add(pick, rays, found.ranges, found.edge, uv, along, weight, range_quality(scan, rays))
+
+    def line(self, scan: Scan, pick: Pick) -> None:
+        """Add both ends of a line with the ranges of the edge under it."""
+        edge = line_on_scan(scan, pick.scan)
+        if edge is None:
+            self.notes.append(
+                f"Match {pick.id}: the surface under the line is not straight, or has too few returns; only its ends "
+                "count, as points. Draw along a straight edge."
+            )
+            self.points(scan, pick, np.array([0.0, 1.0]), pick.photo, pick.weight)
+            return
+        nowhere = np.zeros(2, dtype=np.bool_)
+        along = np.array([0.0, 1.0])
+        self._add(pick, edge.rays, edge.ranges, nowhere, pick.photo, along, pick.weight, edge.range_weights)
+
+    def _add(
+        self,
+        pick: Pick,
+        rays: FloatArray,
+        ranges: FloatArray,
+        edge: BoolArray,
+        uv: FloatArray,
+        along: FloatArray,
+        weight: float,
+        range_weights: FloatArray,
+    ) -> None:
+        self.rays.append(rays)
+        self.ranges.append(ranges)
+        self.edges.append(edge)
+        self.uv.append(uv)
+        self.ids += [pick.id] * len(rays)
+        self.fractions.append(along)
+        self.weights.append(np.full(len(rays), weight))
+        self.range_weights.append(range_weights)
+        line = pick.photo if pick.kind == "line" else np.zeros((2, 2))
+        self.ends.append(np.tile(line, (len(rays), 1, 1)))
+
+    def matches(self, camera: Camera | None) -> tuple[Matches, tuple[str, ...]]:
+        """Return what was measured and lies in the photo, and a sentence for every pick that lost points."""
+        if not self.ids:
+            return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))), (
+                tuple(self.notes) or ("No match is switched on.",)
+            )
+        uv, ranges, edge = np.concatenate(self.uv), np.concatenate(self.ranges), np.concatenate(self.edges)
+        outside = np.zeros(len(uv), np.bool_) if camera is None else ~camera.contains(uv, border=-0.5)
+        found = np.isfinite(ranges) & ~outside
+        matches = Matches(
+            np.concatenate(self.rays),
+            np.where(found, ranges, 1),
+            uv,
+            tuple(self.ids),
+            np.concatenate(self.fractions),
+            np.concatenate(self.weights),
+            np.concatenate(self.range_weights),
+            _directions(np.concatenate(self.ends), uv, camera),
+        )
+        return matches.subset(found), (*self.notes, *_losses(self.ids, found, edge & ~outside, outside))
+
+
+def _directions(ends: FloatArray, uv: FloatArray, camera: Camera | None) -> NDArray[np.float64]:
+    """Return the unit directions (M, 2) of lines at their points; 0 for points.
+
+    Args:
+        ends: (M, 2, 2) pixels of each match's line, both the same for a point.
+        uv: (M, 2) the points, pixels.
+        camera: under its distortion a straight edge is curved, and the direction is that of the curve at the point.
+    """
+    along = ends[:, 1] - ends[:, 0]
+    if camera is not None and camera.distortion:
+        ideal = camera.without_distortion()
+        ends_there, here = ideal.project(camera.unproject(ends)), ideal.project(camera.unproject(uv))
+        step = ends_there[:, 1] - ends_there[:, 0]
+        step = step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
+        curved = camera.project(ideal.unproject(here + step)) - camera.project(ideal.unproject(here - step))
+        along = np.where(np.isfinite(curved), curved, along)
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.asarray(np.divide(along, length, out=np.zeros_like(along), where=length > 0))
+
+
+def _kappa(scan: Scan, pick: Pick, pose: Rigid) -> NDArray[np.float64]:
+    """Return kappa (1,) of a line by a pose; 1 where an end has no range."""
+    edge = line_on_scan(scan, pick.scan)
+    if edge is None:
+        return np.ones(1)
+    points = edge.rays * edge.ranges[:, None]
+    forward = look_along(pick.scan.sum(axis=0))[2]
+    return kappa_of((points @ forward)[None], (pose @ points)[None, :, 2])
+
+
+def _losses(
+    ids: list[str], found: NDArray[np.bool_], edge: NDArray[np.bool_], outside: NDArray[np.bool_]
+) -> tuple[str, ...]:
+    """Return a sentence for every pick that lost points, with the cause."""
+    total = Counter(ids)
+    at_edge = Counter(name for name, lost in zip(ids, (~found & edge).tolist(), strict=True) if lost)
+    empty = Counter(name for name, lost in zip(ids, (~found & ~edge & ~outside).tolist(), strict=True) if lost)
+    beyond = Counter(name for name, lost in zip(ids, outside.tolist(), strict=True) if lost)
+    sentences = []
+    for name in dict.fromkeys(ids):
+        causes = [
+            f"{count[name]} {words}"
+            for count, words in (
+                (beyond, "outside the photo"),
+                (empty, "without a return"),
+                (at_edge, "at a depth edge"),
+            )
+            if count[name]
+        ]
+        if causes:
+            lost = at_edge[name] + empty[name] + beyond[name]
+            sentences.append(f"Match {name}: {lost} of {total[name]} points are left out, {' and '.join(causes)}.")
+    return tuple(sentences)

@@ -1,0 +1,485 @@
+"""The thesis's nonlinear estimation: walk down Ez, leave out what lies off in depth, walk again.
+
+    start -> nelder_mead over all matches -> depth errors -> matches within the threshold -> nelder_mead -> ...
+
+`residual="stereo"` minimises Ez itself (Eq 2.21), `"epipolar"` the same geometry in image units. Ez has poles where a
+disparity vanishes and a valley of finite height at T = 0, so that it depends on its start; where it ends in doubt it is
+tried again from where the epipolar residual leads, which has neither.
+
+Source: thesis 2.4.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar, get_args
+
+import numpy as np
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import DegenerateGeometryError, OptionError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.pose.thesis.epipolar import epipolar_cost, epipolar_residuals
+from ladarreg_core.pose.thesis.nelder_mead import SimplexStep, nelder_mead, start_simplex
+from ladarreg_core.pose.thesis.starts import StartName, first_poses
+from ladarreg_core.pose.thesis.stereo import StereoPairs, pose_of, stereo_cost
+
+Residual = Literal["stereo", "epipolar"]
+RejectedBy = Literal["depth error", "pixel residual"]
+DescentEnd = Literal["settled", "cycle", "round limit", "too few left", "cost below threshold", "stopped by hand"]
+
+LEAST_MATCHES = 4
+_LEAST_KEPT = 6
+_MAD = 1.4826
+_LEAST, _MOST = 1e-15, 1e6
+_NARROW = 0.1  # the simplex of a later round, over the first one
+_DOUBT_OF_DEPTH = 0.05  # stereo depths this far off, of the depth, are no stereo depths
+_DOUBT_SIGMA, _DOUBT_OF_FOCAL = 10.0, 0.01
+_VALLEY = 0.5  # of 2 sum(w Zl^2), the cost at T = 0; good ends lie below .005
+_NEVER_BELOW_OF_RANGE, _NEVER_BELOW_PX = 1e-9, 1e-6
+_MEANINGFUL_DISPARITY_SIGMA = 40.0
+
+_T = TypeVar("_T")
+
+
+def _positive(value: Any) -> bool:
+    try:
+        return not isinstance(value, bool | str) and 0 < float(value) < np.inf
+    except (TypeError, ValueError):
+        return False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimplexOptions:
+    """How the simplex walks and what it leaves out."""
+
+    residual: Residual = "stereo"
+    """`stereo` (Eq 2.21, m) or `epipolar` (the same geometry without poles, image units)."""
+    step_m: float | None = None
+    """Side of the start simplex along Tx, Ty, Tz, m; None: a tenth of the median depth."""
+    step_rad: float = 0.1
+    """Side of the start simplex along alpha, beta, gamma, rad."""
+    tolerance: float = 1e-7
+    """A descent ends where the simplex is no larger: rad, and m at a median depth of 1 m or more."""
+    most_iterations: int = 1500
+    """Of one descent."""
+    most_evaluations: int = 4000
+    """Of one descent."""
+    restarts: int = 2
+    """Starts elsewhere, at most, where a descent ended in doubt; 0: the thesis's one descent."""
+    stop_cost: float | None = None
+    """A descent ends where its cost falls below this: m^2 for `stereo`, image units^2 for `epipolar`; None: never."""
+    reject_depth_m: float | None = None
+    """Largest depth error sqrt((Zl - Zxs)^2 + (Zl - Zys)^2) of an inlier, m; None: from the data."""
+    reject_sigma: float = 2.5
+    """Where it comes from the data: in robust standard deviations, 1.4826 times the median error."""
+    reject_rounds: int = 12
+    """Rejections, each with a descent after it, at most; 0: all matches count."""
+
+    def __post_init__(self) -> None:
+        if self.residual not in get_args(Residual):
+            raise OptionError(f"the residual is {self.residual!r}; it must be one of {', '.join(get_args(Residual))}")
+        for name in ("step_m", "step_rad", "tolerance", "stop_cost", "reject_depth_m", "reject_sigma"):
+            value = getattr(self, name)
+            may_be_none = name in ("step_m", "stop_cost", "reject_depth_m")
+            if not ((value is None and may_be_none) or (_positive(value) and _LEAST <= value <= _MOST)):
+                raise OptionError(f"{name} is {value!r}; it must be a positive number ({_LEAST:g} to {_MOST:g})")
+        for name, least in (("most_iterations", 1), ("most_evaluations", 1), ("restarts", 0), ("reject_rounds", 0)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value < 2**31:
+                raise OptionError(f"{name} is {value!r}; it must be a whole number of at least {least}")
+
+
+DEFAULT_SIMPLEX = SimplexOptions()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DescentStep:
+    """One step of the simplex, with what it was walking on."""
+
+    simplex: SimplexStep
+    """Vertices (Tx, Ty, Tz, alpha, beta, gamma in m and rad), costs, and the move."""
+    round: int
+    """Rejections so far."""
+    restart: int
+    """Starts elsewhere so far."""
+    residual: Residual
+    """What was minimised."""
+    inliers: BoolArray
+    """(M,) the matches that counted."""
+    frame_from_scanner: FloatArray
+    """(3, 3) rotation to the axes that the parameters are meant in."""
+
+    @property
+    def camera_from_scanner(self) -> Rigid:
+        """The best vertex's pose."""
+        return pose_of(self.simplex.best, self.frame_from_scanner)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimplexPose:
+    """Where a descent ended."""
+
+    camera_from_scanner: Rigid
+    """The pose."""
+    inliers: BoolArray
+    """(M,) the matches that counted."""
+    cost: float
+    """The least cost, m^2 (`stereo`) or image units^2 (`epipolar`)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimplexFit:
+    """The pose before rejection and after it, and how it came about."""
+
+    before: SimplexPose
+    """From all usable matches."""
+    after: SimplexPose
+    """From those that were kept."""
+    residual: Residual
+    """What was minimised."""
+    start: StartName
+    """Which start led here: `given`, `linear`, or `aimed` (looking at the matches from a little to the left)."""
+    rejected_by: RejectedBy
+    """What was compared with the threshold."""
+    threshold: float
+    """The last threshold, m or px; infinite where none was applied."""
+    rounds: int
+    """Rejections with a descent after them."""
+    restarts: int
+    """Starts elsewhere."""
+    iterations: int
+    """Of all descents."""
+    evaluations: int
+    """Of all descents."""
+    stopped: DescentEnd
+    """Why it ended."""
+    collapsed: bool
+    """Whether it ended in the valley at T = 0, which is an answer to the cost and none to the question."""
+
+    def story(self) -> dict[str, Any]:
+        """Return what a result's diagnostics say of it, JSON-ready."""
+        return {
+            "residual": self.residual,
+            "start": self.start,
+            "rounds": self.rounds,
+            "restarts": self.restarts,
+            "iterations": self.iterations,
+            "evaluations": self.evaluations,
+            "rejected_by": self.rejected_by,
+            "reject_threshold": self.threshold if np.isfinite(self.threshold) else None,
+            "collapsed": self.collapsed,
+            "stopped": self.stopped,
+            "before_rejection": self.before.camera_from_scanner.matrix.tolist(),
+        }
+
+    def in_words(self) -> str:
+        """Return one sentence on the outcome."""
+        if self.collapsed:
+            return (
+                "the stereo depths collapsed onto a camera at the scanner's own place, where their cost is finite and "
+                "means nothing; start nearer, use 'epipolar_simplex' or 'robust', or take a photo from further aside"
+            )
+        kept, all_of_them = int(self.after.inliers.sum()), len(self.after.inliers)
+        if not np.isfinite(self.threshold):
+            return f"{kept} of {all_of_them} matches counted, none was rejected, {self.iterations} iterations"
+        unit = "m" if self.rejected_by == "depth error" else "px"
+        return (
+            f"{kept} of {all_of_them} matches kept by their {self.rejected_by} (at most {self.threshold:.3g} {unit}) "
+            f"in {self.rounds} rounds, {self.iterations} iterations"
+        )
+
+
+def stopped_at(step: DescentStep) -> SimplexFit:
+    """Return the best that a walk had found when somebody stopped it; it is not asked whether it had collapsed."""
+    end = SimplexPose(step.camera_from_scanner, step.inliers, step.simplex.cost)
+    return SimplexFit(
+        before=end,
+        after=end,
+        residual=step.residual,
+        start="given",
+        rejected_by="depth error",
+        threshold=np.inf,
+        rounds=step.round,
+        restarts=step.restart,
+        iterations=step.simplex.iteration,
+        evaluations=step.simplex.evaluations,
+        stopped="stopped by hand",
+        collapsed=False,
+    )
+
+
+def fit_simplex(
+    matches: Matches,
+    camera: Camera,
+    options: SimplexOptions | None = None,
+    *,
+    initial: Rigid | None = None,
+    sigma_px: float = 1.0,
+) -> SimplexFit:
+    """Return the pose before and after the rejection of outliers; `descend` is this, watched."""
+    return _exhausted(descend(matches, camera, options, initial=initial, sigma_px=sigma_px))
+
+
+def descend(
+    matches: Matches,
+    camera: Camera,
+    options: SimplexOptions | None = None,
+    *,
+    initial: Rigid | None = None,
+    sigma_px: float = 1.0,
+) -> Generator[DescentStep, None, SimplexFit]:
+    """Walk down, reject, and walk again until the kept matches stay the same.
+
+    Args:
+        matches: M matches; weights multiply squared residuals.
+        camera: the photo's camera.
+        options: how.
+        initial: camera_from_scanner to start from; None: the linear pose, or one aimed at the matches where that is
+            refused or worse.
+        sigma_px: pixel noise, by which a baseline is too small to be one.
+
+    Yields:
+        Every step of every descent.
+
+    Returns:
+        The fit.
+
+    Raises:
+        DegenerateGeometryError: if fewer than 4 matches lie in front of the scanner and within the lens.
+        OptionError: if `sigma_px` is not a positive number.
+
+    Source: thesis 2.4.2, Eq 2.21.
+    """
+    if not _positive(sigma_px):
+        raise OptionError(f"sigma_px is {sigma_px!r}; it must be a positive number of pixels")
+    pairs = StereoPairs.of(matches, camera)
+    usable = int(np.count_nonzero(pairs.usable))
+    if usable < LEAST_MATCHES:
+        raise DegenerateGeometryError(
+            f"only {usable} of {len(matches)} matches lie in front of the scanner and within the lens, and a pose "
+            f"needs {LEAST_MATCHES}; add matches"
+        )
+    walk = _Walk(pairs, options or SimplexOptions(), camera.focal_px, float(sigma_px))
+    return walk.whole(first_poses(matches, pairs, initial))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _End:
+    """Where a descent, or a descent with its rejections, ended."""
+
+    x: FloatArray
+    keep: BoolArray
+    cost: float
+    stopped: DescentEnd = "settled"
+    threshold: float = np.inf
+    rounds: int = 0
+
+
+_Steps = Generator[DescentStep, None, _T]
+
+
+@dataclass(slots=True, eq=False)
+class _Walk:
+    """All descents of one fit."""
+
+    pairs: StereoPairs
+    options: SimplexOptions
+    focal_px: float
+    sigma_px: float
+    round: int = 0
+    restart: int = 0
+    iterations: int = 0
+    evaluations: int = 0
+
+    @property
+    def reach_m(self) -> float:
+        return float(np.median(self.pairs.depth[self.pairs.usable]))
+
+    def whole(self, starts: list[tuple[StartName, FloatArray]]) -> _Steps[SimplexFit]:
+        """Walk from the first start, elsewhere where that ends in doubt, and reject in between."""
+        residual, everything = self.options.residual, self.pairs.usable
+        name, x = starts[0]
+        others = starts[1:]
+        if residual == "stereo" and name == "aimed":  # too far off for Ez, whose valley is near
+            best = yield from self.led(x)
+            self.round = 0
+            before = yield from self.descent(best.x, everything, residual, narrow=True)
+            best = min(best, before, key=self.worth)
+        else:
+            before = best = yield from self.descent(x, everything, residual)
+            if residual == "stereo":
+                others = starts  # the residual without poles may lead out from where Ez itself did not
+        while self.restart < self.options.restarts and others and self.doubtful(best, residual):
+            self.restart += 1
+            (other_name, x), others = others[0], others[1:]
+            end = yield from (self.led(x) if residual == "stereo" else self.descent(x, everything, residual))
+            self.round = 0
+            if self.worth(end) < self.worth(best):
+                best, name = end, other_name
+        if best is not before:
+            again = yield from self.descent(best.x, everything, residual, narrow=True)
+            if again.cost < before.cost or self.collapsed(before, residual):
+                before = again
+        after = yield from self.rejecting(best, residual)
+        return SimplexFit(
+            before=self.answer(before),
+            after=self.answer(after),
+            residual=residual,
+            start=name,
+            rejected_by=self.rejected_by(after.x, residual),
+            threshold=after.threshold,
+            rounds=after.rounds,
+            restarts=self.restart,
+            iterations=self.iterations,
+            evaluations=self.evaluations,
+            stopped=after.stopped,
+            collapsed=self.collapsed(after, residual),
+        )
+
+    def led(self, x: FloatArray) -> _Steps[_End]:
+        """Walk the residual without poles first, and reject; then leave out what lies near a pole, and walk down Ez."""
+        end = yield from self.descent(x, self.pairs.usable, "epipolar")
+        end = yield from self.rejecting(end, "epipolar")
+        return (yield from self.rejecting(end, "stereo"))
+
+    def worth(self, end: _End) -> tuple[bool, float]:
+        """Return what orders ends, the best first."""
+        return self.collapsed(end, self.options.residual), self.typical(end, self.options.residual)
+
+    def answer(self, end: _End) -> SimplexPose:
+        return SimplexPose(self.pairs.pose(end.x), _frozen(end.keep), end.cost)
+
+    def descent(self, x: FloatArray, keep: BoolArray, residual: Residual, *, narrow: bool = False) -> _Steps[_End]:
+        """Walk down the cost of the matches kept."""
+        o, chosen, reach, keep = self.options, self.pairs.subset(keep), self.reach_m, _frozen(keep)
+        share = _NARROW if narrow else 1.0
+        side_m = (o.step_m if o.step_m is not None else 0.1 * reach) * share
+        sides = np.maximum([side_m] * 3 + [o.step_rad * share] * 3, 1e-6 * np.abs(x))
+        w = chosen.weights
+        total = 1e-12 * float(w @ chosen.depth**2) if residual == "stereo" else 1e-14 * float(w.sum())
+        steps = nelder_mead(
+            stereo_cost(chosen) if residual == "stereo" else epipolar_cost(chosen),
+            start_simplex(x, sides),
+            x_tolerance=o.tolerance * min(1.0, reach),
+            cost_tolerance=total * (o.tolerance / 1e-7) ** 2,
+            most_iterations=o.most_iterations,
+            most_evaluations=o.most_evaluations,
+        )
+        goal = o.stop_cost if o.stop_cost is not None and residual == o.residual else -np.inf
+        while True:
+            with np.errstate(all="ignore"):  # a pole is no error
+                step = next(steps, None)
+            if step is None:
+                break
+            last = step
+            yield DescentStep(step, self.round, self.restart, residual, keep, self.pairs.frame_from_scanner)
+            if step.cost <= goal:
+                break
+        self.iterations += last.iteration
+        self.evaluations += last.evaluations
+        return _End(last.best, keep, last.cost, "cost below threshold" if last.cost <= goal else "settled")
+
+    def rejecting(self, end: _End, residual: Residual) -> _Steps[_End]:
+        """Keep what lies within the threshold and walk again, until the same matches are kept; some may come back."""
+        x, keep, cost, threshold = end.x, end.keep, end.cost, np.inf
+        known: set[bytes] = set()
+        stopped: DescentEnd = "round limit"
+        rounds = 0
+        halving = True
+        while rounds < self.options.reject_rounds:
+            errors = self.errors(x, residual)
+            threshold = self.threshold(errors, x, residual)
+            within = errors <= threshold
+            halving = halving and self.rejected_by(x, residual) == "pixel residual"
+            if (within == keep).all() and not (halving and self.doubtful(_End(x, keep, cost), residual)):
+                stopped = "settled"
+                break
+            if halving:
+                # Many mismatches hold the first pose far off; the better half lets go of them step by step.
+                better = errors <= np.median(errors[self.pairs.usable])
+                halving = better.tobytes() not in known and rounds < self.options.reject_rounds // 2
+                within = better if halving else within
+            if np.count_nonzero(within) < min(_LEAST_KEPT, int(np.count_nonzero(self.pairs.usable))):
+                stopped = "too few left"
+                break
+            if within.tobytes() in known:
+                stopped = "cycle"
+                break
+            rounds += 1
+            self.round = end.rounds + rounds
+            keep = within
+            known.add(keep.tobytes())
+            there = yield from self.descent(x, keep, residual, narrow=True)
+            x, cost = there.x, there.cost
+            if there.stopped == "cost below threshold":
+                stopped = there.stopped
+                break
+        return _End(x, keep, cost, stopped, float(threshold), end.rounds + rounds)
+
+    def rejected_by(self, x: FloatArray, residual: Residual) -> RejectedBy:
+        """Return what tells outliers: the depth error, but pixels where the epipolar residual's depths mean little."""
+        if residual == "stereo":
+            return "depth error"
+        if self.options.reject_depth_m is None or self.options.residual == "stereo":
+            return "pixel residual"
+        disparity = np.hypot(x[0], x[1]) / self.reach_m * self.focal_px
+        # at a small baseline depths mean nothing
+        return "depth error" if disparity >= _MEANINGFUL_DISPARITY_SIGMA * self.sigma_px else "pixel residual"
+
+    def errors(self, x: FloatArray, residual: Residual) -> FloatArray:
+        """Return the error (M,) of each match, m or px; infinite where it has none."""
+        return self.pairs.depth_errors(x) if self.rejected_by(x, residual) == "depth error" else self.pixel_errors(x)
+
+    def pixel_errors(self, x: FloatArray) -> FloatArray:
+        """Return the length (M,) of the epipolar residual, px; infinite where there is none."""
+        pixels = np.linalg.norm(epipolar_residuals(x, self.pairs), axis=0) * self.focal_px
+        return np.where(self.pairs.usable & np.isfinite(pixels), pixels, np.inf)
+
+    def threshold(self, errors: FloatArray, x: FloatArray, residual: Residual) -> float:
+        by_depth = self.rejected_by(x, residual) == "depth error"
+        if by_depth and self.options.reject_depth_m is not None:
+            return float(self.options.reject_depth_m)
+        # Exact matches leave nothing but rounding, which is no reason to reject.
+        least = _NEVER_BELOW_OF_RANGE * self.reach_m if by_depth else _NEVER_BELOW_PX
+        return max(self.options.reject_sigma * _MAD * float(np.median(errors[self.pairs.usable])), least)
+
+    def typical(self, end: _End, residual: Residual) -> float:
+        """Return the median error of all usable matches, of the depth (`stereo`) or in px: poles do not move it."""
+        if residual == "stereo":
+            relative = self.pairs.depth_errors(end.x)[self.pairs.usable] / self.pairs.depth[self.pairs.usable]
+            return float(np.median(relative) / np.sqrt(2))
+        return float(np.median(self.pixel_errors(end.x)[self.pairs.usable]))
+
+    def doubtful(self, end: _End, residual: Residual) -> bool:
+        if self.collapsed(end, residual):
+            return True
+        most = max(_DOUBT_SIGMA * self.sigma_px, _DOUBT_OF_FOCAL * self.focal_px)
+        return not self.typical(end, residual) <= (_DOUBT_OF_DEPTH if residual == "stereo" else most)
+
+    def collapsed(self, end: _End, residual: Residual) -> bool:
+        """Return whether the baseline is below what a pixel can tell, or the cost that of no baseline at all."""
+        if residual == "epipolar":
+            return False
+        kept = self.pairs.subset(end.keep)
+        valley = 2 * float(kept.weights @ kept.depth**2)
+        within_noise = np.hypot(end.x[0], end.x[1]) * self.focal_px < self.sigma_px * self.reach_m
+        return bool(within_noise or not end.cost < _VALLEY * valley)
+
+
+def _exhausted(steps: Generator[Any, None, _T]) -> _T:
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            value: _T = end.value
+            return value
+
+
+def _frozen(mask: BoolArray) -> BoolArray:
+    mask = mask.copy()
+    mask.flags.writeable = False
+    return mask

@@ -1,0 +1,1 @@
+"""Quality of a registration: findings, influence, conditioning, and where to add matches."""

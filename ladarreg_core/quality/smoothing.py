@@ -1,0 +1,260 @@
+"""Range smoothing by stereo: a range that its match contradicts gives way to the one that the match shows.
+
+Where a laser's range and the stereo depth of a match differ by far, the range is mostly a spike. The range that puts
+the ray's point nearest to the match's pixel replaces it. Each point is replaced by itself alone, by no average over
+its neighbours, so that edges stay as they are.
+
+The thesis takes "estimates based on their stereo depth", of which Eq 2.19 and 2.20 give two. Their mean has a pole
+wherever one of the two disparities vanishes, as along lines through the epipole of a camera ahead of the scanner (1 m
+ahead in a room: 4 m rms against .08 m); least squares in pixels weighs both by what they tell and has none.
+
+Source: thesis 3.2, Figure 3.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ladarreg_core.arrays import BoolArray, FloatArray, read_only
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import CameraError, OptionError, ShapeError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
+from ladarreg_core.results import PoseResult
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
+
+_NOBODY_KNOWS_M = 1e6  # a standard deviation that leaves the range to the pixel
+_MOST_FACTOR = 100.0  # no scanner errs by more; without a baseline rounding alone may say anything
+_UNIT_TOLERANCE = 1e-3
+_MOST_RANGE_M, _MOST_PIXEL = 1e7, 1e7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmoothOptions:
+    """When a range gives way to stereo."""
+
+    sigma_px: float = 1.0
+    """Pixel noise of the matches, px."""
+    significance: float = 5.0
+    """How many standard deviations nearer to the pixel the stereo range must project than the laser's to replace it.
+
+    Told in pixels: a small disparity's range is far from normally distributed, the pixel is not."""
+    across_sigma: float = 2.58
+    """How many standard deviations a pixel may lie off its epipolar line; beyond, the match is wrong, not the range."""
+
+    def __post_init__(self) -> None:
+        for name in ("sigma_px", "significance", "across_sigma"):
+            _check_positive(name, getattr(self, name))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothedRanges:
+    """Ranges without the spikes that their matches contradict."""
+
+    ranges: FloatArray
+    """(M,) m: as measured, or by stereo where replaced."""
+    replaced: BoolArray
+    """(M,) bool."""
+    stereo_ranges: FloatArray
+    """(M,) m, at which the ray's point lies nearest to its pixel; NaN where that means nothing."""
+    sigma_m: FloatArray
+    """(M,) standard deviation of `stereo_ranges`, m; infinite where the disparity does not determine them."""
+
+
+def smooth_ranges(
+    matches: Matches,
+    camera: Camera,
+    camera_from_scanner: Rigid,
+    *,
+    threshold_m: float | FloatArray,
+    covariance: ArrayLike | None = None,
+    options: SmoothOptions | None = None,
+) -> SmoothedRanges:
+    """Replace each range that its match contradicts by the range that the match shows.
+
+    A range is kept where stereo lies within the threshold of it, where stereo is less certain than the threshold or
+    the pixels' noise explains the difference, and where the pixel lies off the epipolar line. A mismatch that happens
+    to lie on that line cannot be told from a spike.
+
+    Args:
+        matches: M matches; a weight multiplies the information of its pixel.
+        camera: the photo's camera.
+        camera_from_scanner: the pose.
+        threshold_m: the largest difference of laser and stereo, along the ray, that is no spike, m: one or (M,).
+        covariance: (6, 6) of the pose, as in `PoseResult`; None: the pose is exact.
+        options: when a difference counts; None: the defaults.
+
+    Returns:
+        The ranges, in the matches' order.
+
+    Raises:
+        ShapeError: if a match holds what is not finite, a range or weight that is not positive, a ray that is not
+            unit or a range or pixel beyond 1e7, or if thresholds or covariance are of another shape or not finite.
+        OptionError: if a threshold is not a positive number, or the pose or the options are something else.
+        CameraError: if `camera` is none.
+
+    Source: thesis 3.2, Figure 3.5.
+    """
+    options = SmoothOptions() if options is None else options
+    _check_inputs(matches, camera, camera_from_scanner, options)
+    threshold = _checked_threshold(threshold_m, len(matches))
+    spread = _checked_covariance(covariance)
+    if len(matches) == 0:
+        nothing = np.zeros(0)
+        return SmoothedRanges(nothing, nothing.astype(np.bool_), nothing, nothing)
+    measured = Measurements.of(matches, camera, sigma_px=options.sigma_px, sigma_range_m=_NOBODY_KNOWS_M)
+    rho = _nearest_on_ray(measured, camera_from_scanner)
+    with np.errstate(invalid="ignore"):
+        known = (rho > matches.ranges / _MOST_FACTOR) & (rho < matches.ranges * _MOST_FACTOR)
+    # Two states of one pose: its ranges by stereo, and as measured.
+    both = States.of([camera_from_scanner] * 2, measured)
+    states = States(both.rotations, both.centres, np.stack([np.where(known, rho, matches.ranges), matches.ranges]))
+    seen = residuals(measured, states)
+    known &= seen.s[0] < UNSEEN
+    lin = linearise(measured, states, seen)
+    s = seen.s - measured.range_information * seen.range_error**2
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        by_pixel = (lin.j[0] * lin.m[0]).sum(axis=0)  # information on the range, 1/m^2
+        by_pose = np.einsum("pxn,xn->np", lin.j_pose[0], lin.m[0]) / by_pixel[:, None]
+        sigma = np.sqrt(1 / by_pixel + _quadratic(by_pose, spread))
+        sigma = np.where(known & np.isfinite(sigma), sigma, np.inf)
+        # How far the pose alone lets the length of each residual vary, in the pixel's own variance.
+        pull = measured.information * seen.e + measured.cross_information * seen.e[:, ::-1]
+        by_pose = np.einsum("bpxn,bxn->bnp", lin.j_pose, pull) / np.sqrt(np.maximum(s, 1e-12))[..., None]
+        allowed = 1 + _quadratic(by_pose, spread)
+    stereo = np.where(np.isfinite(sigma), rho, np.nan)
+    with np.errstate(invalid="ignore"):
+        on_line = s[0] <= options.across_sigma**2 * allowed[0]
+        significant = s[1] - s[0] > options.significance**2 * allowed[1]
+        spike = (np.abs(stereo - matches.ranges) > threshold) & significant
+        replaced = spike & on_line & (sigma <= threshold)
+    return SmoothedRanges(np.where(replaced, stereo, matches.ranges), replaced, stereo, sigma)
+
+
+def smooth_scan(scan: Scan, result: PoseResult, *, options: SmoothOptions | None = None) -> Scan:
+    """Replace the spikes of a scan that lie under matches.
+
+    Only a cell that stands out of its own neighbourhood is a spike, and only a range that does not stand out replaces
+    it; both are told by the spike gate, by the same 5 %.
+
+    Args:
+        scan: the scan.
+        result: pose, camera and matches, mismatches among them.
+        options: when a difference counts; None: the defaults, with the result's own pixel noise.
+
+    Returns:
+        The scan, with a note on what was replaced; the scan itself where nothing was.
+
+    Raises:
+        LadarregError: as `smooth_ranges`; also OptionError if `scan` or `result` is something else.
+
+    Source: thesis 3.2.
+    """
+    if not isinstance(scan, Scan) or not isinstance(result, PoseResult):
+        raise OptionError(
+            f"smoothing was given a {type(scan).__name__} and a {type(result).__name__}; give a Scan and its "
+            "PoseResult or Registration"
+        )
+    cells = np.asarray(scan.geometry.cell_of(result.matches.rays), dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        within = ((cells >= -0.5) & (cells <= np.array(scan.shape) - 0.5)).all(axis=1)
+    index = np.flatnonzero(within)
+    rows, columns = np.clip(np.rint(cells[index]).astype(np.intp), 0, np.array(scan.shape) - 1).T
+    measured, around = scan.ranges[rows, columns], median_range(scan.ranges)[rows, columns]
+    with np.errstate(invalid="ignore"):
+        spike = np.abs(measured - around) > SPIKE_FRACTION * around
+    index, rows, columns, measured, around = (v[spike] for v in (index, rows, columns, measured, around))
+    if not len(index):
+        return scan
+    # The match's own ray and pixel, but the cell's range: what a match remembers may be that of a neighbour.
+    matches = replace(result.matches.subset(index), ranges=measured)
+    ranges = np.array(scan.ranges)
+    chosen = options or SmoothOptions(sigma_px=result.sigma_px)
+    smoothed = smooth_ranges(
+        matches,
+        result.camera,
+        result.camera_from_scanner,
+        threshold_m=SPIKE_FRACTION * around,
+        covariance=result.covariance if np.isfinite(result.covariance).all() else None,
+        options=chosen,
+    )
+    good = smoothed.replaced & (np.abs(smoothed.ranges - around) <= SPIKE_FRACTION * around)
+    if not good.any():
+        return scan
+    ranges[rows[good], columns[good]] = smoothed.ranges[good]
+    count = len(set(zip(rows[good].tolist(), columns[good].tolist(), strict=True)))
+    note = f"{count} range spikes under matches were replaced by their stereo range."
+    return replace(scan, ranges=ranges, notes=(*scan.notes, note))
+
+
+def _nearest_on_ray(measured: Measurements, pose: Rigid) -> FloatArray:
+    """Return the range (N,) at which each ray's image comes nearest to its pixel; not finite without a baseline.
+
+    A ray's image is the straight line through where it vanishes and where the scanner stands. The pixel is moved onto
+    that line by the shortest way that its noise knows, and the range read off there.
+    """
+    far, near = pose.rotation @ measured.rays, np.broadcast_to(pose.translation[:, None], measured.rays.shape)
+    line = np.cross(far, near, axis=0)
+    pixel = np.vstack([measured.xy, np.ones(len(measured))])
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        off = (line * pixel).sum(axis=0) / (line[:2] ** 2).sum(axis=0) * line[:2]
+        along = np.stack([line[1], -line[0]])
+        weighted = measured.information * along + measured.cross_information * along[::-1]
+        foot = pixel[:2] - off + along * ((weighted * off).sum(axis=0) / (weighted * along).sum(axis=0))
+        there = np.vstack([foot, np.ones(len(measured))])
+        a, b = np.cross(there, far, axis=0), np.cross(there, near, axis=0)
+        return np.asarray(-(a * b).sum(axis=0) / (a * a).sum(axis=0))
+
+
+def _quadratic(rows: FloatArray, spread: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("...k,kl,...l->...", rows, spread, rows))
+
+
+def _check_inputs(matches: object, camera: object, pose: object, options: object) -> None:
+    if not isinstance(matches, Matches):
+        raise ShapeError(f"the matches are a {type(matches).__name__}; give Matches")
+    if not isinstance(camera, Camera):
+        raise CameraError(f"the camera is a {type(camera).__name__}; give a Camera")
+    if not isinstance(pose, Rigid):
+        raise OptionError(f"the pose is a {type(pose).__name__}; give a Rigid (camera_from_scanner)")
+    if not isinstance(options, SmoothOptions):
+        raise OptionError(f"options is a {type(options).__name__}; give SmoothOptions")
+    assert matches.weights is not None
+    values = np.column_stack([matches.rays, matches.ranges, matches.uv, matches.weights])
+    with np.errstate(over="ignore", invalid="ignore"):
+        unit = np.abs(np.linalg.norm(matches.rays, axis=1) - 1) <= _UNIT_TOLERANCE
+    good = np.isfinite(values).all(axis=1) & (matches.ranges > 0) & (matches.weights > 0) & unit
+    good &= (matches.ranges <= _MOST_RANGE_M) & (np.abs(matches.uv) <= _MOST_PIXEL).all(axis=1)
+    if not good.all():
+        raise ShapeError(
+            f"{int((~good).sum())} of {len(matches)} matches hold NaN or infinity, a range or weight that is not "
+            f"positive, a ray that is not of length 1, or a range or pixel beyond {_MOST_RANGE_M:g}; leave them out"
+        )
+
+
+def _checked_threshold(threshold: object, count: int) -> FloatArray:
+    if isinstance(threshold, np.ndarray) and threshold.ndim:
+        per_match: FloatArray = read_only(threshold, np.float64, (count,), "the thresholds")
+        if not ((per_match > 0) & (per_match < np.inf)).all():
+            raise OptionError("the thresholds hold what is not a positive number; give metres along the ray")
+        return per_match
+    _check_positive("threshold_m", threshold)
+    return np.full(count, float(threshold))  # type: ignore[arg-type]
+
+
+def _checked_covariance(covariance: ArrayLike | None) -> FloatArray:
+    spread = read_only(np.zeros((6, 6)) if covariance is None else covariance, np.float64, (6, 6), "the covariance")
+    if not np.isfinite(spread).all():
+        raise ShapeError("the pose's covariance is not finite; leave it out, or estimate the pose from more matches")
+    return spread
+
+
+def _check_positive(name: str, value: object) -> None:
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not (number and 0 < float(value) < np.inf):  # type: ignore[arg-type]
+        raise OptionError(f"{name} is {value!r}; it must be a positive number")

@@ -1,0 +1,255 @@
+"""The facade: a scan and a photograph in, a registration out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from ladarreg_core.errors import DegenerateGeometryError, OptionError
+from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.matches import Matches, Pick
+from ladarreg_core.matching.auto import AutoOptions, AutoResult
+from ladarreg_core.matching.modality import register_by_modality
+from ladarreg_core.matching.thesis.chain import ThesisOptions, ThesisResult, thesis_stages
+from ladarreg_core.photo import Photo
+from ladarreg_core.picks.measure import SAMPLES_PER_LINE, LineUse, check_line_use, check_samples, matches_from_picks
+from ladarreg_core.pose.confirm import confirm
+from ladarreg_core.pose.describe import describe_pose
+from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
+from ladarreg_core.progress import StepReport
+from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.scan import Scan
+from ladarreg_core.steps import StepLog
+
+_TOLD_LOSSES = 3
+_KAPPA_ROUNDS = 2  # where samples lie along a line in the photo depends on the pose, and settles at once
+
+RegistrationMethod = Literal["auto", "thesis", "manual"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegisterOptions:
+    """How a registration works; saved with its result."""
+
+    seed: int = 0
+    """Of every random draw: the same inputs, options and seed give the same answer."""
+    auto: AutoOptions = field(default_factory=AutoOptions)
+    """Of the method `auto`."""
+    pose: PoseOptions = field(default_factory=PoseOptions)
+    """Of the estimator that solves given matches."""
+    thesis: ThesisOptions = field(default_factory=ThesisOptions)
+    """Of the method `thesis`."""
+    lines: LineUse = "ends"
+    """What of a line drawn by hand `manual` uses; `thesis` samples it at equal intervals."""
+    samples_per_line: int = SAMPLES_PER_LINE
+    """Points taken along every line drawn by hand, where it is sampled."""
+
+    @property
+    def of_thesis(self) -> ThesisOptions:
+        """Those of `thesis`, with the seed."""
+        return replace(self.thesis, pose=replace(self.thesis.pose, seed=self.seed))
+
+    def __post_init__(self) -> None:
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**31:
+            raise OptionError(f"the seed is {self.seed!r}; it must be a whole number of at least 0")
+        check_samples(self.samples_per_line)
+        check_line_use(self.lines)
+
+
+def register(
+    scan: Scan,
+    photo: Photo,
+    *,
+    method: str = "auto",
+    picks: Sequence[Pick] | None = None,
+    initial: Rigid | None = None,
+    options: RegisterOptions | None = None,
+    report: StepReport | None = None,
+) -> Registration:
+    """Find where a photograph was taken, relative to a scan, and say how good the answer is.
+
+    Args:
+        scan: what the laser scanner saw.
+        photo: the photograph with its camera.
+        method: `auto` matches the pictures; `thesis` does so by the chain of the thesis; `manual` solves `picks`. Given
+            picks, `auto` becomes `manual` and `thesis` solves them by its own estimators: what a person put down is
+            not overruled.
+        picks: matching points and lines.
+        initial: a first guess of `camera_from_scanner`, tried before all others.
+        options: seeds and thresholds.
+        report: receives every finished `Step`; may raise `Cancelled`.
+
+    Returns:
+        The registration. Not being accepted is a result, told by `accepted` and `reasons`; the pose is then only the
+        best guess and must not be shown as registered.
+
+    Raises:
+        OptionError: if the method is unknown, `manual` has no picks, or an argument is of another type.
+        DegenerateGeometryError: if the picks cannot determine a pose.
+    """
+    o = RegisterOptions() if options is None else options
+    _check_types(scan, photo, picks, initial, o)
+    if method not in get_args(RegistrationMethod):
+        raise OptionError(f"the method is {method!r}; it must be one of {', '.join(get_args(RegistrationMethod))}")
+    if method == "manual" and not picks:
+        raise OptionError("the method 'manual' has no matches; give points or lines, or take the method 'auto'")
+    steps = StepLog(report)
+    # On several threads BLAS adds up in another order, and the last digits of a pose would depend on the machine.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _register(scan, photo, steps, method, picks, initial, o)
+
+
+def _check_types(scan: object, photo: object, picks: object, initial: object, options: object) -> None:
+    """Refuse a path where its content is wanted, a matrix where a pose is, and the like, before any work."""
+    wanted: list[tuple[str, object, type]] = [
+        ("scan", scan, Scan),
+        ("photo", photo, Photo),
+        ("options", options, RegisterOptions),
+        *([("initial", initial, Rigid)] if initial is not None else []),
+    ]
+    if picks is not None:
+        if not isinstance(picks, Sequence) or isinstance(picks, str):
+            raise OptionError(f"the picks are a {type(picks).__name__}; give a list of Pick")
+        wanted += [("picks", pick, Pick) for pick in picks]
+    for name, value, kind in wanted:
+        if not isinstance(value, kind):
+            raise OptionError(f"'{name}' holds a {type(value).__name__}; it must be a {kind.__name__}")
+
+
+def _register(
+    scan: Scan,
+    photo: Photo,
+    steps: StepLog,
+    method: str,
+    picks: Sequence[Pick] | None,
+    initial: Rigid | None,
+    options: RegisterOptions,
+) -> Registration:
+    if method == "thesis":
+        chain = thesis_stages(
+            scan, photo, steps,
+            picks=picks, initial=initial, options=options.of_thesis, samples_per_line=options.samples_per_line,
+        )  # fmt: skip
+        return _registration(_of_thesis(chain, scan, photo), "thesis", steps, options)
+    if picks:
+        return _registration(_solved(scan, photo, steps, picks, initial, options), "manual", steps, options)
+    found = register_by_modality(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
+    with steps.step("result"):
+        result = _of_auto(found, scan, photo)
+        steps.pose, steps.matches = result.camera_from_scanner, result.matches
+    return _registration(result, "auto", steps, options)
+
+
+def _solved(
+    scan: Scan, photo: Photo, steps: StepLog, picks: Sequence[Pick], initial: Rigid | None, options: RegisterOptions
+) -> PoseResult:
+    def matched(pose: Rigid | None) -> tuple[Matches, tuple[str, ...]]:
+        return matches_from_picks(
+            scan, picks, camera=photo.camera, lines=options.lines, samples_per_line=options.samples_per_line, pose=pose
+        )
+
+    with steps.step("matches") as note:
+        matches, losses = matched(initial)
+        note.update(picks=len(picks), matches=len(matches), left_out=list(losses))
+        steps.matches = matches
+    with steps.step("pose") as note:
+        how = replace(options.pose, seed=options.seed)
+        try:
+            # a pose that somebody gave had nothing to do with these matches, and can be judged by them
+            result = solve_pose(matches, photo.camera, replace(how, keep_better_start=True), initial=initial)
+            for _ in range(_KAPPA_ROUNDS if options.lines == "kappa" else 0):
+                matches, losses = matched(result.camera_from_scanner)
+                result = solve_pose(matches, photo.camera, how, initial=result.camera_from_scanner)
+        except DegenerateGeometryError as error:
+            raise _with_losses(str(error), losses) from None
+        note.update(inliers=int(result.inliers.sum()), matches=len(matches))
+        steps.matches, steps.pose = matches, result.camera_from_scanner
+    result = _confirmed(result, steps, how, photo)
+    return replace(result, reasons=(*result.reasons, *losses))
+
+
+def _confirmed(result: PoseResult, steps: StepLog, how: PoseOptions, photo: Photo) -> PoseResult:
+    """Return the result as many starts see it; from a better pose that one of them found, once more."""
+    with steps.step("starts") as note:
+        confirmed = confirm(result, seed=how.seed)
+        if confirmed.better is not None:
+            again = solve_pose(result.matches, photo.camera, how, initial=confirmed.better)
+            confirmed = confirm(again, seed=how.seed)
+        note.update(verdict=confirmed.verdict)
+        steps.matches, steps.pose = confirmed.result.matches, confirmed.result.camera_from_scanner
+    return confirmed.result
+
+
+def _with_losses(text: str, losses: Sequence[str]) -> DegenerateGeometryError:
+    """Return an error that also tells what of the drawn matches was lost before."""
+    more = f" (and {len(losses) - _TOLD_LOSSES} more)" if len(losses) > _TOLD_LOSSES else ""
+    return DegenerateGeometryError(
+        " ".join([text.rstrip(".") + ("." if losses else ""), *losses[:_TOLD_LOSSES]]) + more
+    )
+
+
+def _of_thesis(found: ThesisResult, scan: Scan, photo: Photo) -> PoseResult:
+    """Return the last stage's answer, with what was foreseen."""
+    result = found.answer
+    if result is None:
+        if found.drawn:
+            raise _with_losses(found.stages[-1].note, found.losses)
+        notes = tuple(dict.fromkeys(stage.note for stage in found.stages))
+        return replace(_nowhere(scan, photo), reasons=(*notes, *found.cautions))
+    return replace(result, reasons=(*result.reasons, *found.left_behind, *found.cautions, *found.losses))
+
+
+def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
+    """Return an automatic result with the figures that every pose has."""
+    if found.camera_from_scanner is None:
+        return replace(_nowhere(scan, photo), reasons=found.reasons)
+    evidence, blocks = found.evidence, found.blocks
+    scatter = blocks.scatter_px if blocks and np.isfinite(blocks.scatter_px) else STATED_SIGMA_PX
+    described = describe_pose(
+        found.camera_from_scanner,
+        blocks.matches if blocks else _NO_MATCHES,
+        blocks.inliers if blocks else np.zeros(0, np.bool_),
+        found.camera or photo.camera,
+        sigma_px=scatter,
+        sigma_range_m=STATED_SIGMA_RANGE_M,
+        covariance=evidence.covariance if evidence else _UNKNOWN,
+    )
+    verdict = found.verification
+    accepted = verdict is not None and verdict.accepted
+    diagnostics = dict(described.diagnostics)
+    if verdict:
+        diagnostics["verification"] = {**verdict.as_dict(), "regions": [list(region) for region in verdict.regions]}
+    return replace(
+        described,
+        camera_sigmas=found.camera_sigmas,
+        accepted=accepted,
+        evidence="image" if accepted else "none",
+        reasons=found.reasons,
+        diagnostics=diagnostics,
+    )
+
+
+_NO_MATCHES = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+_UNKNOWN = np.diag([np.pi**2] * 3 + [100.0**2] * 3)
+
+
+def _nowhere(scan: Scan, photo: Photo) -> PoseResult:
+    """Return what stands in where nothing was found: the scanner's own place, unaccepted and known not at all."""
+    return describe_pose(
+        Rigid(look_along(scan.mean_direction), np.zeros(3)),
+        _NO_MATCHES,
+        np.zeros(0, np.bool_),
+        photo.camera,
+        sigma_px=STATED_SIGMA_PX,
+        sigma_range_m=STATED_SIGMA_RANGE_M,
+        covariance=_UNKNOWN,
+    )
+
+
+def _registration(result: PoseResult, method: str, steps: StepLog, options: RegisterOptions) -> Registration:
+    fields = {name: getattr(result, name) for name in PoseResult.__dataclass_fields__}
+    return Registration(**fields, method=method, steps=steps.steps, options=asdict(options), seed=options.seed)

@@ -1,0 +1,1 @@
+"""Scanner geometries: rays of cells, gridding of clouds, pan/tilt units."""

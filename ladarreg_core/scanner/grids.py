@@ -1,0 +1,312 @@
+"""Scanner geometries: which unit ray each cell of a scan grid looks along, and which cell a direction meets.
+
+All rays are in the scanner frame (X forward, Y left, Z up). A cell is (row, column), fractional where it must be;
+row 0 is the top, column 0 the left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ladarreg_core.arrays import FloatArray, IntArray, read_only
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER
+from ladarreg_core.scanner.ray_table import RayTableInverse, complete_ray_table, interpolate_rays
+
+_LEAST_STEP_RAD = 1e-12
+
+
+@runtime_checkable
+class ScanGeometry(Protocol):
+    """What every geometry can tell."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W), cells."""
+        ...
+
+    @property
+    def rays(self) -> NDArray[np.float64]:
+        """(H, W, 3) unit rays of the cell centres, read-only."""
+        ...
+
+    @property
+    def step_rad(self) -> tuple[float, float]:
+        """The typical angle between neighbouring (rows, columns), rad."""
+        ...
+
+    def cell_of(self, directions: ArrayLike) -> FloatArray:
+        """Return the fractional cells (..., 2) that directions (..., 3) meet; NaN where the geometry has none.
+
+        Cells outside the grid are extrapolated where the law allows it, so compare with `shape`.
+        """
+        ...
+
+    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Return the unit rays (..., 3) of fractional cells (..., 2); NaN outside a tabulated grid."""
+        ...
+
+
+@dataclass(frozen=True)
+class AzimuthElevation:
+    """The two-mirror scanner of the thesis: azimuth is the inner rotation, elevation the outer one.
+
+    azimuth = ((W - 1)/2 - column) d_azimuth + offset, positive to the left; elevation = ((H - 1)/2 - row) d_elevation
+    + offset, positive upward; direction (cos az cos el, sin az, cos az sin el). The thesis's own form (W/2 - column)
+    is half a step more: `azimuth_offset_rad = d_azimuth_rad / 2`.
+
+    Source: thesis 2.2.1, Eq 2.1.
+    """
+
+    rows: int
+    columns: int
+    d_azimuth_rad: float
+    d_elevation_rad: float
+    azimuth_offset_rad: float = 0.0
+    elevation_offset_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_grid(self.rows, self.columns)
+        for name in ("d_azimuth_rad", "d_elevation_rad"):
+            step = getattr(self, name)
+            if not (np.isfinite(step) and 0 < step < 0.5):
+                raise OptionError(f"{name} is {step}; it must be a positive angle per cell in radians, below 0.5")
+        if not np.isfinite([self.azimuth_offset_rad, self.elevation_offset_rad]).all():
+            raise OptionError("the azimuth or elevation offset is not finite; it must be an angle in radians")
+        reach = abs(self.azimuth_offset_rad) + self.d_azimuth_rad * (self.columns - 1) / 2
+        if reach >= np.pi / 2:
+            raise OptionError(
+                f"the azimuth reaches {np.degrees(reach):.1f} deg; an azimuth-elevation scanner stays below 90 deg: "
+                "check that d_azimuth_rad is in radians"
+            )
+        reach = abs(self.elevation_offset_rad) + self.d_elevation_rad * (self.rows - 1) / 2
+        if reach >= np.pi:
+            raise OptionError(
+                f"the elevation reaches {np.degrees(reach):.1f} deg; it stays below 180 deg: check that "
+                "d_elevation_rad is in radians"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W), cells."""
+        return self.rows, self.columns
+
+    @property
+    def step_rad(self) -> tuple[float, float]:
+        """(elevation step, azimuth step), rad."""
+        return self.d_elevation_rad, self.d_azimuth_rad
+
+    @cached_property
+    def rays(self) -> NDArray[np.float64]:
+        """(H, W, 3) unit rays, read-only."""
+        azimuth = self._azimuth(np.arange(self.columns))
+        elevation = self._elevation(np.arange(self.rows))
+        rays = np.empty((*self.shape, 3))
+        rays[..., 0] = np.cos(elevation)[:, None] * np.cos(azimuth)
+        rays[..., 1] = np.sin(azimuth)
+        rays[..., 2] = np.sin(elevation)[:, None] * np.cos(azimuth)
+        rays.flags.writeable = False
+        return rays
+
+    def _azimuth(self, column: FloatArray | IntArray) -> NDArray[np.float64]:
+        return np.asarray(((self.columns - 1) / 2 - column) * self.d_azimuth_rad + self.azimuth_offset_rad)
+
+    def _elevation(self, row: FloatArray | IntArray) -> NDArray[np.float64]:
+        return np.asarray(((self.rows - 1) / 2 - row) * self.d_elevation_rad + self.elevation_offset_rad)
+
+    def cell_of(self, directions: ArrayLike) -> FloatArray:
+        """Return the fractional cells (..., 2) of directions (..., 3) of any length. Source: thesis Eq 2.4, 2.5."""
+        d = np.asarray(directions)
+        in_plane = np.hypot(d[..., 0], d[..., 2])
+        azimuth = np.arctan2(d[..., 1], in_plane)
+        elevation = np.arctan2(d[..., 2], d[..., 0])
+        row = (self.rows - 1) / 2 - (elevation - self.elevation_offset_rad) / self.d_elevation_rad
+        column = (self.columns - 1) / 2 - (azimuth - self.azimuth_offset_rad) / self.d_azimuth_rad
+        return np.stack([row, column], axis=-1)
+
+    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Return the unit rays (..., 3) of fractional cells (..., 2)."""
+        c = np.asarray(cells, dtype=np.float64)
+        azimuth, elevation = self._azimuth(c[..., 1]), self._elevation(c[..., 0])
+        return np.stack(
+            [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth), np.cos(azimuth) * np.sin(elevation)], axis=-1
+        )
+
+
+@dataclass(frozen=True)
+class PinholeGrid:
+    """A depth camera: cells are the pixels of a camera that looks along the scanner's X."""
+
+    camera: Camera
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W), cells."""
+        return self.camera.height, self.camera.width
+
+    @property
+    def step_rad(self) -> tuple[float, float]:
+        """Angles between neighbouring (rows, columns) at the picture's centre, rad."""
+        return 1 / self.camera.fy, 1 / self.camera.fx
+
+    @cached_property
+    def rays(self) -> NDArray[np.float64]:
+        """(H, W, 3) unit rays, read-only."""
+        v, u = np.mgrid[: self.camera.height, : self.camera.width]
+        rays = np.asarray(self.camera.unproject(np.stack([u, v], axis=-1)) @ CAMERA_AXES_FROM_SCANNER)
+        rays.flags.writeable = False
+        return rays
+
+    def cell_of(self, directions: ArrayLike) -> FloatArray:
+        """Return the fractional cells (..., 2) of directions (..., 3); NaN behind the camera or beyond its lens."""
+        uv = self.camera.project(np.asarray(directions) @ CAMERA_AXES_FROM_SCANNER.T)
+        return np.stack([uv[..., 1], uv[..., 0]], axis=-1)
+
+    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Return the unit rays (..., 3) of fractional cells (..., 2)."""
+        c = np.asarray(cells, dtype=np.float64)
+        return np.asarray(self.camera.unproject(np.stack([c[..., 1], c[..., 0]], axis=-1)) @ CAMERA_AXES_FROM_SCANNER)
+
+
+@dataclass(frozen=True)
+class SphericalGrid:
+    """Rows of equal polar angle, columns of equal longitude: panoramas, and clouds that came without a grid.
+
+    longitude = centre - (column - (W - 1)/2) d_longitude, positive to the left; latitude = top - row d_latitude.
+    Direction (cos lat cos lon, cos lat sin lon, sin lat).
+
+    Source: thesis 2.2.3 (theta_s is the longitude, phi_s = pi/2 - latitude).
+    """
+
+    rows: int
+    columns: int
+    d_longitude_rad: float
+    d_latitude_rad: float
+    centre_longitude_rad: float
+    top_latitude_rad: float
+
+    def __post_init__(self) -> None:
+        _check_grid(self.rows, self.columns)
+        if not (0 < self.d_longitude_rad < 0.5 and 0 < self.d_latitude_rad < 0.5):
+            raise OptionError(
+                f"the spherical grid's steps are {self.d_longitude_rad:g} and {self.d_latitude_rad:g} rad; they "
+                "must be positive and below 0.5"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W), cells."""
+        return self.rows, self.columns
+
+    @property
+    def step_rad(self) -> tuple[float, float]:
+        """(latitude step, longitude step), rad."""
+        return self.d_latitude_rad, self.d_longitude_rad
+
+    @cached_property
+    def rays(self) -> NDArray[np.float64]:
+        """(H, W, 3) unit rays, read-only."""
+        row, column = np.mgrid[: self.rows, : self.columns]
+        rays = self.ray_at(np.stack([row, column], axis=-1))
+        rays.flags.writeable = False
+        return rays
+
+    def cell_of(self, directions: ArrayLike) -> FloatArray:
+        """Return the fractional cells (..., 2) of directions (..., 3)."""
+        d = np.asarray(directions)
+        latitude = np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1]))
+        turn = np.arctan2(d[..., 1], d[..., 0]) - self.centre_longitude_rad
+        turn = (turn + np.pi) % (2 * np.pi) - np.pi
+        row = (self.top_latitude_rad - latitude) / self.d_latitude_rad
+        return np.stack([row, (self.columns - 1) / 2 - turn / self.d_longitude_rad], axis=-1)
+
+    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Return the unit rays (..., 3) of fractional cells (..., 2)."""
+        c = np.asarray(cells, dtype=np.float64)
+        latitude = self.top_latitude_rad - c[..., 0] * self.d_latitude_rad
+        longitude = self.centre_longitude_rad - (c[..., 1] - (self.columns - 1) / 2) * self.d_longitude_rad
+        return np.stack(
+            [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TabulatedGrid:
+    """A grid whose every cell has its own ray: E57 grids, and clouds gridded by a law that their points only follow
+    roughly.
+
+    Args:
+        table: (H, W, 3) rays of any length; NaN where the file has no point. Empty cells get a smooth fit plus the
+            interpolated residuals of their neighbours.
+        law: a geometry that the table follows to within a cell (a cloud gridded by it): then `cell_of` is the law's.
+
+    Raises:
+        ShapeError: if the table is no (H, W, 3) grid or has fewer than 12 rays, or if most neighbours share
+            one.
+    """
+
+    table: FloatArray
+    law: ScanGeometry | None = None
+
+    def __post_init__(self) -> None:
+        table = read_only(self.table, np.float64, (None, None, 3), "the ray table")
+        if self.law is not None and self.law.shape != table.shape[:2]:
+            raise ShapeError(f"the ray table has {table.shape[:2]} cells, its law {self.law.shape}; they must agree")
+        rays = complete_ray_table(table, self.law.rays if self.law else None)
+        rays.flags.writeable = False
+        object.__setattr__(self, "table", rays)
+        if min(self.shape) > 1 and not min(self.step_rad) > _LEAST_STEP_RAD:
+            raise ShapeError(
+                "most neighbouring cells of the scan look the same way; each cell must have a ray of its own"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W), cells."""
+        return self.table.shape[0], self.table.shape[1]
+
+    @property
+    def rays(self) -> NDArray[np.float64]:
+        """(H, W, 3) unit rays, read-only; every cell has one."""
+        return np.asarray(self.table, dtype=np.float64)
+
+    @cached_property
+    def step_rad(self) -> tuple[float, float]:
+        """The median angle between neighbouring (rows, columns), rad."""
+        if self.law is not None:
+            return self.law.step_rad
+        steps = [np.median(np.linalg.norm(np.diff(self.table, axis=axis), axis=-1)) for axis in (0, 1)]
+        return float(steps[0]), float(steps[1])
+
+    @cached_property
+    def _inverse(self) -> RayTableInverse:
+        return RayTableInverse(self.rays)
+
+    def cell_of(self, directions: ArrayLike) -> FloatArray:
+        """Return the fractional cells (..., 2) of directions (..., 3); NaN for directions outside the table."""
+        return self.law.cell_of(directions) if self.law is not None else self._inverse.cell_of(directions)
+
+    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Return the unit rays (..., 3) of fractional cells (..., 2), interpolated; NaN outside the table."""
+        rays = interpolate_rays(self.rays, np.asarray(cells, dtype=np.float64))
+        return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def _check_grid(rows: int, columns: int) -> None:
+    if rows < 1 or columns < 1:
+        raise ShapeError(f"the scan grid is {rows} x {columns} cells; it must have at least one row and one column")
+
+
+def range_from_counts(counts: ArrayLike, r0_m: float, dr_m: float) -> NDArray[np.float64]:
+    """Return ranges in metres, `r0 + n dr`; NaN where the count is 0 (no return).
+
+    Source: thesis 2.2.1, the equation above Eq 2.1.
+    """
+    n = np.asarray(counts)
+    return np.where(n == 0, np.nan, r0_m + n * float(dr_m))

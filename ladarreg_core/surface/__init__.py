@@ -1,0 +1,1 @@
+"""The scanned surface: views, mesh, visibility, texture, range quality and uncertainty per cell."""

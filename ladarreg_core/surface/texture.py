@@ -1,0 +1,240 @@
+"""The photograph on the scan's grid, with a label that says what each colour is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.photo import Photo
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.mesh import grid_edges
+from ladarreg_core.surface.remap import look_up
+from ladarreg_core.surface.uncertainty import pixel_sigma
+from ladarreg_core.surface.visibility import ScanProjection, project_scan
+
+BACKGROUND = (48, 48, 48)
+"""The uniform colour of cells that the camera does not see."""
+_LARGEST_POSE_SIGMA_PX = 2.0
+_NET_NODES = 65
+_UNSEEN_BRIGHTNESS = 0.45
+_OUTSIDE = np.float32(-10)
+
+
+class Label(IntEnum):
+    """What a cell's colour is worth; the codes stand in every export."""
+
+    NO_RETURN = 0
+    """The scanner measured nothing here."""
+    SEEN = 1
+    """The camera sees it."""
+    OCCLUDED = 2
+    """Hidden from the camera, or seen from its back."""
+    OUT_OF_FRAME = 3
+    """Outside the photograph."""
+    GRAZING = 4
+    """Seen by the CAMERA at an incidence beyond 80 degrees: the colour is smeared."""
+    UNCERTAIN = 5
+    """Within one cell of a depth edge, of the scanner's or the camera's, or the pose is uncertain by over 2 px here."""
+
+
+COLOURED = (Label.SEEN, Label.GRAZING, Label.UNCERTAIN)
+"""The labels whose cells carry the photograph's colour."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegisteredTexture:
+    """The photograph resampled onto the scan's grid; read-only."""
+
+    image: ByteArray
+    """(H, W, 3) uint8 RGB; cells that the camera does not see have a uniform colour."""
+    labels: ByteArray
+    """(H, W) uint8, codes of `Label`."""
+
+    def __post_init__(self) -> None:
+        image = read_only(self.image, np.uint8, (None, None, 3), "the registered picture")
+        object.__setattr__(self, "image", image)
+        object.__setattr__(self, "labels", read_only(self.labels, np.uint8, image.shape[:2], "the labels"))
+
+    @property
+    def coloured(self) -> BoolArray:
+        """(H, W) bool: which cells carry the photograph's colour."""
+        table = np.zeros(256, dtype=np.bool_)
+        table[list(COLOURED)] = True
+        return table[self.labels]
+
+
+def texture_scan(
+    scan: Scan,
+    photo: Photo,
+    camera_from_scanner: Rigid,
+    *,
+    camera: Camera | None = None,
+    covariance: FloatArray | None = None,
+    background: tuple[int, int, int] = BACKGROUND,
+) -> RegisteredTexture:
+    """Give every cell of a scan the colour that the photograph has for it, where the camera sees it.
+
+    Args:
+        scan: the scan.
+        photo: the photograph.
+        camera_from_scanner: its pose.
+        camera: intrinsics to use instead of the photo's, e.g. estimated ones.
+        covariance: (6, 6) of (w, c) as `PoseResult.covariance`, rad and m; None: the pose counts as exact.
+        background: RGB of cells that the camera does not see.
+
+    Returns:
+        The picture and its labels. Where several labels fit, the first of these holds: no return, out of frame,
+        occluded, uncertain, grazing, seen.
+
+    Raises:
+        ShapeError: if the camera is not of the photo's size, or the covariance not (6, 6) and positive.
+        OptionError: if the background is no colour.
+
+    Source: thesis 2.5.
+    """
+    camera = photo.camera if camera is None else camera
+    if camera.size != photo.camera.size:
+        raise ShapeError(
+            f"the camera is for {camera.width} x {camera.height} pixels, the photo has {photo.camera.width} x "
+            f"{photo.camera.height}; give the camera of this picture size"
+        )
+    colour = np.asarray(background)
+    if colour.shape != (3,) or colour.dtype.kind not in "iu" or colour.min() < 0 or colour.max() > 255:
+        raise OptionError(f"the background is {background!r}; it must be three whole numbers from 0 to 255")
+    if covariance is not None:
+        covariance = read_only(covariance, np.float64, (6, 6), "the pose covariance")
+    projection = project_scan(scan, camera, camera_from_scanner)
+    labels = _labels(scan, projection, camera, camera_from_scanner, covariance)
+    image = _sampled(photo.pixels, projection, scan, camera, tuple(int(value) for value in colour))
+    return RegisteredTexture(image, labels)
+
+
+def model_picture(scan: Scan, texture: RegisteredTexture) -> ByteArray:
+    """Return the picture for a model, (H, W, 3): the photo's colour where seen, dimmed laser intensity elsewhere.
+
+    Raises:
+        ShapeError: if the texture is not on the scan's grid.
+    """
+    if texture.labels.shape != scan.shape:
+        raise ShapeError(f"the texture has {texture.labels.shape} cells, the scan {scan.shape}; they must agree")
+    low, high = np.quantile(scan.intensity[scan.valid], (0.02, 0.98))
+    span = max(float(high - low), 1e-12)
+    bright = np.clip((scan.intensity - np.float32(low)) / np.float32(span), 0, 1) * 0.85 + 0.15
+    gray = np.rint(bright * (255 * _UNSEEN_BRIGHTNESS)).astype(np.uint8)
+    return np.asarray(np.where(texture.coloured[..., None], texture.image, gray[..., None]))
+
+
+def _labels(
+    scan: Scan,
+    projection: ScanProjection,
+    camera: Camera,
+    camera_from_scanner: Rigid,
+    covariance: FloatArray | None,
+) -> NDArray[np.uint8]:
+    labels = np.full(scan.shape, Label.SEEN, dtype=np.uint8)
+    labels[projection.grazing] = Label.GRAZING
+    uncertain = _at_depth_edge(scan) | projection.untested | _beside(projection.occluded)
+    if covariance is not None:
+        uncertain |= _pose_uncertain(scan, projection, camera, camera_from_scanner, covariance)
+    labels[uncertain] = Label.UNCERTAIN
+    labels[projection.occluded] = Label.OCCLUDED
+    labels[~projection.in_picture] = Label.OUT_OF_FRAME
+    labels[~scan.valid] = Label.NO_RETURN
+    return labels
+
+
+def _at_depth_edge(scan: Scan) -> BoolArray:
+    """Return the cells on both sides of every depth edge."""
+    edges, valid = grid_edges(scan), scan.valid
+    result = np.zeros(scan.shape, dtype=np.bool_)
+    torn = ~edges.right & valid[:, 1:] & valid[:, :-1]
+    result[:, 1:] |= torn
+    result[:, :-1] |= torn
+    torn = ~edges.down & valid[1:] & valid[:-1]
+    result[1:] |= torn
+    result[:-1] |= torn
+    return result
+
+
+def _beside(mask: BoolArray) -> BoolArray:
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    return np.asarray(cv2.dilate(mask.view(np.uint8), cross)).astype(np.bool_)
+
+
+def _pose_uncertain(
+    scan: Scan,
+    projection: ScanProjection,
+    camera: Camera,
+    camera_from_scanner: Rigid,
+    covariance: FloatArray,
+) -> BoolArray:
+    """Return where the pose's own uncertainty exceeds 2 px; everywhere if the covariance is not finite."""
+    visible = projection.visible
+    if not np.isfinite(covariance).all() or not visible.any():
+        return visible
+    rotation = camera_from_scanner.rotation
+    # At a pixel the variance is convex in 1/z, so it is largest at the nearest or the farthest depth: if it is small
+    # for both all over the picture, as it nearly always is, no cell needs a look.
+    net = [np.linspace(0, n - 1, _NET_NODES) for n in camera.size]
+    rays = camera.unproject(np.stack(np.meshgrid(*net), axis=-1))
+    depths = projection.depth_m[visible]
+    ends = [
+        pixel_sigma(rays * (depth / rays[..., 2:]), camera, rotation, covariance)
+        for depth in (float(depths.min()), float(depths.max()))
+    ]
+    if np.isfinite(ends).all() and np.max(ends) < 0.99 * _LARGEST_POSE_SIGMA_PX:
+        return np.zeros(scan.shape, dtype=np.bool_)
+    result = np.zeros(scan.shape, dtype=np.bool_)
+    sigma = pixel_sigma(camera_from_scanner @ scan.points[visible], camera, rotation, covariance)
+    result[visible] = ~(sigma <= _LARGEST_POSE_SIGMA_PX)
+    return result
+
+
+def _sampled(
+    pixels: ByteArray, projection: ScanProjection, scan: Scan, camera: Camera, background: tuple[int, ...]
+) -> NDArray[np.uint8]:
+    """Return the photo's colour at every visible cell, (H, W, 3), from a copy reduced to about the cell's size."""
+    visible = projection.visible
+    u, v = (np.where(visible, projection.uv[..., k], _OUTSIDE) for k in range(2))
+    steps = scan.geometry.step_rad
+    reach = np.float32(camera.focal_px * np.sqrt(steps[0] * steps[1]))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cell_px = np.where(visible, reach * scan.ranges / projection.depth_m, np.float32(0))
+    largest = float(cell_px.max())
+    smallest = float(np.min(cell_px, where=visible, initial=largest))
+    result: NDArray[np.uint8] | None = None
+    reduced, level = pixels, 0
+    while True:
+        last = largest < 2 ** (level + 1) or min(reduced.shape[:2]) < 4
+        if last or smallest < 2 ** (level + 1):  # some cells are served best by this copy
+            at_u, at_v = (u, v) if level == 0 else _on_copy(u, v, visible, pixels, reduced)
+            colours = look_up(reduced, at_u, at_v, outside=background)
+            if result is None:
+                result = colours
+            else:
+                np.copyto(result, colours, where=(cell_px >= 2**level)[..., None])
+        if last:
+            assert result is not None, "the last copy is always looked up"
+            return result
+        size = (reduced.shape[1] // 2, reduced.shape[0] // 2)
+        reduced = np.asarray(cv2.resize(reduced, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        level += 1
+
+
+def _on_copy(
+    u: FloatArray, v: FloatArray, visible: BoolArray, pixels: ByteArray, reduced: ByteArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return where pixels lie on a reduced copy: outer borders stay, so centres move, (u + 1/2) / factor - 1/2."""
+    half, at = np.float32(0.5), []
+    for position, n, whole in ((u, reduced.shape[1], pixels.shape[1]), (v, reduced.shape[0], pixels.shape[0])):
+        moved = np.clip((position + half) * np.float32(n / whole) - half, 0, n - 1)
+        at.append(np.where(visible, moved, _OUTSIDE))
+    return at[0], at[1]

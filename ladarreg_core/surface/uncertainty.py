@@ -1,0 +1,255 @@
+"""How far the registered picture may be off at every cell of a scan, as the pose's own covariance foretells it.
+
+With R_true = exp([w]x) R and C_true = C + c a point X of the camera frame moves by w x X - R c. At z = 1 that is linear
+in (w, R c), with rows of x, y and 1/z alone, so that the pixel's covariance is a sum over six directions:
+
+    J S J^T = sum_k (J l_k) (J l_k)^T,    S = L L^T
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import FloatArray, read_only
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import CameraError, OptionError, ShapeError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.remap import look_up
+
+Measure = Literal["longer_axis", "total"]
+"""`longer_axis`: root of the larger eigenvalue of the pixel's covariance; `total`: root of its trace."""
+
+_CHUNK = 8192  # points; a chunk's dozen planes stay in the processor's cache
+_NET_NODES, _NET_MARGIN = 161, 0.4
+_MOST_ROUNDING_PX = 1e-3
+_ROUNDING = 4 * float(np.finfo(np.float32).eps)
+_MOST_SIGMA_RANGE_M = 1e6
+
+
+def picture_sigma(
+    scan: Scan,
+    camera: Camera,
+    camera_from_scanner: Rigid,
+    covariance: FloatArray,
+    *,
+    sigma_range_m: float = 0.0,
+    measure: Measure = "longer_axis",
+) -> NDArray[np.float32]:
+    """Return the standard deviation of the pixel that each cell of a scan takes its colour from.
+
+    Cells that the camera cannot see, because they are hidden or out of its frame, have one too: where their pixel would
+    be.
+
+    Args:
+        scan: the scan.
+        camera: intrinsics, with or without distortion.
+        camera_from_scanner: the pose.
+        covariance: (6, 6) of (w, c) as `PoseResult.covariance`, rad and m.
+        sigma_range_m: noise of a cell's own range, m; 0: the pose's uncertainty alone.
+        measure: `longer_axis`, the one-sigma ellipse's longer half axis, at least 1 / sqrt 2 of `total`, or `total`,
+            the root mean square length of the error.
+
+    Returns:
+        (H, W) float32, px; NaN where there is no return, behind the camera and beyond its lens.
+
+    Raises:
+        ShapeError: if the covariance is not (6, 6), finite, symmetric and positive.
+        OptionError: if the range noise or the measure has no meaning.
+        CameraError: if `camera` is none.
+    """
+    factor = covariance_factor(covariance)
+    number = isinstance(sigma_range_m, int | float | np.floating | np.integer) and not isinstance(sigma_range_m, bool)
+    if not number or not 0 <= sigma_range_m <= _MOST_SIGMA_RANGE_M:
+        raise OptionError(f"sigma_range_m is {sigma_range_m!r}; it must be a number of metres of at least 0")
+    if measure not in get_args(Measure):
+        raise OptionError(f"the measure is {measure!r}; it must be one of {', '.join(get_args(Measure))}")
+    if not isinstance(camera, Camera):
+        raise CameraError(f"the camera is a {type(camera).__name__}; give a Camera")
+    points = scan.points.reshape(-1, 3)
+    result = np.empty(len(points), dtype=np.float32)
+    kind = _kind_for(factor, camera, float(sigma_range_m))
+    R, t = camera_from_scanner.rotation.astype(kind), camera_from_scanner.translation.astype(kind)[:, None]
+    factor = _in_camera_axes(factor, camera_from_scanner.rotation).astype(kind)
+    lens = _Lens.of(camera, len(points))
+    for first in range(0, len(points), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        turned = R @ points[part].astype(kind).T
+        along = None
+        if sigma_range_m:
+            along = turned * (kind(sigma_range_m) / scan.ranges.reshape(-1)[part].astype(kind))
+        result[part] = _sigma(turned + t, camera, factor, measure, lens=lens, along=along)
+    return result.reshape(scan.shape)
+
+
+def pixel_sigma(points_camera: FloatArray, camera: Camera, rotation: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return how far the pose's uncertainty moves points in the picture: the ellipse's longer half axis, one sigma.
+
+    Args:
+        points_camera: (..., 3), m.
+        camera: intrinsics.
+        rotation: (3, 3) of `camera_from_scanner`.
+        covariance: (6, 6) of (w, c).
+
+    Returns:
+        sigma_px (...,), float32 for float32 points that allow it; NaN behind the camera and beyond its lens.
+
+    Raises:
+        ShapeError: if the covariance is not (6, 6), finite, symmetric and positive.
+    """
+    points = np.asarray(points_camera)
+    factor = covariance_factor(covariance)
+    kind = np.float64 if points.dtype != np.float32 else _kind_for(factor, camera, 0.0)
+    factor = _in_camera_axes(factor, rotation).astype(kind)
+    flat = points.reshape(-1, 3)
+    result = np.empty(len(flat), dtype=kind)
+    lens = _Lens.of(camera, len(flat))
+    for first in range(0, len(flat), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        result[part] = _sigma(np.ascontiguousarray(flat[part].T, dtype=kind), camera, factor, "longer_axis", lens=lens)
+    return result.reshape(points.shape[:-1])
+
+
+def covariance_factor(covariance: FloatArray) -> NDArray[np.float64]:
+    """Return L (6, 6) with covariance = L L^T.
+
+    Raises:
+        ShapeError: if it is not (6, 6), finite, symmetric and positive (beyond rounding).
+    """
+    S = read_only(covariance, np.float64, (6, 6), "the pose covariance")
+    if not np.isfinite(S).all():
+        raise ShapeError("the pose covariance holds NaN or infinity; it needs 36 finite numbers, rad and m")
+    scale = np.sqrt(np.maximum(np.diag(S), 0))
+    unit = np.where(scale > 0, scale, 1.0)
+    scaled = S / np.outer(unit, unit)
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+    symmetric = bool(np.abs(scaled - scaled.T).max() <= 1e-6)
+    if not symmetric or (np.diag(S) < 0).any() or values[0] < -1e-6:
+        fault = "symmetric" if not symmetric else "positive"
+        raise ShapeError(f"the pose covariance is not {fault}; give the covariance of a pose estimate")
+    return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0)))
+
+
+def _kind_for(factor: FloatArray, camera: Camera, sigma_range_m: float) -> type[np.floating[Any]]:
+    """Return the precision that the directions need: a pose that hardly anything determines moves pixels by large
+    amounts that all but cancel.
+    """
+    largest = max(float(np.linalg.norm(factor)), sigma_range_m)
+    return np.float32 if largest * camera.focal_px * _ROUNDING < _MOST_ROUNDING_PX else np.float64
+
+
+def _in_camera_axes(factor: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return the factor of (w, R c)."""
+    return np.vstack([factor[:3], np.asarray(rotation, dtype=np.float64) @ factor[3:]])
+
+
+def _sigma(
+    p: FloatArray,
+    camera: Camera,
+    factor: FloatArray,
+    measure: Measure,
+    *,
+    lens: _Lens | None,
+    along: FloatArray | None = None,
+) -> FloatArray:
+    """Return the standard deviation (N,) of the pixels of points (3, N) in the camera frame.
+
+    Args:
+        p: (3, N).
+        camera: intrinsics.
+        factor: (6, 6) of (w, R c).
+        measure: which length.
+        lens: how the camera's lens distorts, where it does.
+        along: (3, N) one more direction in which each point may be off, one sigma, m.
+    """
+    rows = np.empty((2, 6, p.shape[1]), dtype=p.dtype)
+    with np.errstate(all="ignore"):
+        inverse_z = 1 / np.where(p[2] > 0, p[2], p.dtype.type(np.nan))
+        x, y = p[0] * inverse_z, p[1] * inverse_z
+        xy = x * y
+        rows[0, 0], rows[0, 1], rows[0, 2] = -xy, 1 + x * x, -y
+        rows[1, 0], rows[1, 1], rows[1, 2] = -1 - y * y, xy, x
+        rows[0, 3], rows[0, 4], rows[0, 5] = -inverse_z, 0, x * inverse_z
+        rows[1, 3], rows[1, 4], rows[1, 5] = 0, -inverse_z, y * inverse_z
+        dx, dy = factor.T @ rows[0], factor.T @ rows[1]
+        xx, cross, yy = _dot(dx, dx), _dot(dx, dy), _dot(dy, dy)
+        if along is not None:
+            by_x, by_y = (along[0] - x * along[2]) * inverse_z, (along[1] - y * along[2]) * inverse_z
+            xx, cross, yy = xx + by_x * by_x, cross + by_x * by_y, yy + by_y * by_y
+        if lens is not None:
+            a, b, c, d = lens.slopes(x, y)
+            uu = a * a * xx + 2 * a * b * cross + b * b * yy
+            vv = c * c * xx + 2 * c * d * cross + d * d * yy
+            uv = a * c * xx + (a * d + b * c) * cross + b * d * yy
+        else:
+            fx, fy = p.dtype.type(camera.fx), p.dtype.type(camera.fy)
+            uu, uv, vv = fx * fx * xx, fx * fy * cross, fy * fy * yy
+        if measure == "total":
+            return np.asarray(np.sqrt(uu + vv))
+        half = (uu - vv) / 2
+        return np.asarray(np.sqrt((uu + vv) / 2 + np.sqrt(half * half + uv * uv)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lens:
+    """The derivative of the pixel by the tangents (x, y), which a net over the picture tells for most points."""
+
+    camera: Camera
+    net: FloatArray | None
+    """(K, K, 4) float32."""
+    low: FloatArray
+    """(2,) tangents of the net's first node."""
+    step: FloatArray
+    """(2,) tangents between nodes."""
+
+    @staticmethod
+    def of(camera: Camera, count: int) -> _Lens | None:
+        """Return the lens, with a net where so many points are worth it; None where the lens is ideal."""
+        if not camera.distortion:
+            return None
+        whole = _Lens(camera, None, np.zeros(2), np.ones(2))
+        if count < 2 * _NET_NODES**2:
+            return whole
+        edge = np.linspace(0, 1, _NET_NODES)
+        border = [np.column_stack([s, t]) for k in (0.0, 1.0) for s, t in ((edge, 0 * edge + k), (0 * edge + k, edge))]
+        rays = camera.unproject(np.concatenate(border) * (camera.width - 1, camera.height - 1))
+        tangents = rays[np.isfinite(rays).all(axis=1), :2] / rays[np.isfinite(rays).all(axis=1), 2:]
+        if len(tangents) < 2 or not (np.ptp(tangents, axis=0) > 0).all():
+            return whole
+        for margin in (_NET_MARGIN, 0.0):  # many a scan is wider than the photo, but where a lens ends it bends sharply
+            low = tangents.min(axis=0) - margin * np.ptp(tangents, axis=0)
+            step = np.ptp(tangents, axis=0) * (1 + 2 * margin) / (_NET_NODES - 1)
+            x, y = (low[k] + step[k] * np.arange(_NET_NODES) for k in range(2))
+            net = np.stack(whole._exact(*np.meshgrid(x, y)), axis=-1).astype(np.float32)
+            if np.isfinite(net).all():
+                break
+        return _Lens(camera, net, low, step)
+
+    def slopes(self, x: FloatArray, y: FloatArray) -> list[FloatArray]:
+        """Return du/dx, du/dy, dv/dx and dv/dy (N,) at tangents (N,); NaN where they are NaN or beyond the lens."""
+        if self.net is None:
+            return self._exact(x, y)
+        low, step, last = self.low.astype(np.float32), self.step.astype(np.float32), np.float32(_NET_NODES - 1)
+        u, v = (x.astype(np.float32) - low[0]) / step[0], (y.astype(np.float32) - low[1]) / step[1]
+        inside = (u >= 0) & (u <= last) & (v >= 0) & (v <= last)
+        place = [np.where(inside, a, np.float32(0))[None] for a in (u, v)]
+        found = np.array(look_up(self.net, place[0], place[1])[0].T, dtype=x.dtype, order="C")
+        known = ~np.isnan(x)
+        found[:, ~known] = np.nan
+        exact = np.flatnonzero(known & ~(inside & np.isfinite(found[0])))
+        if len(exact):
+            found[:, exact] = self._exact(x[exact], y[exact])
+        return list(found)
+
+    def _exact(self, x: FloatArray, y: FloatArray) -> list[FloatArray]:
+        uv, d_uv = self.camera.project_with_jacobian(np.stack([x, y, np.ones_like(x)], axis=-1))
+        d_uv[np.isnan(uv[..., 0])] = np.nan  # beyond the lens its polynomial still has a slope
+        return [d_uv[..., i, j].astype(x.dtype) for i in (0, 1) for j in (0, 1)]
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("kn,kn->n", a, b))

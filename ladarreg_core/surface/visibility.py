@@ -1,0 +1,353 @@
+"""Which cells of a scan a camera elsewhere sees, judged by the scan's surface and not by its points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.mesh import GridEdges, grid_edges, grid_faces, typical_range
+from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_depth
+from ladarreg_core.surface.remap import look_up
+
+_BLOCKS = (16, 4)  # cells; a flat block of 16 x 16 is drawn as two triangles instead of 512
+_WIDEST_BLOCK_RAD = 0.07  # a wider one would cut off 0.06 % of the range as it bends over the grid
+_BLOCK_RELATIVE = 0.001
+_BLOCK_SIGMAS = 2.5
+_TOLERANCE_RELATIVE = 0.004
+_TOLERANCE_SIGMAS = 4.0
+_LEAST_COSINE = 0.15
+_GRAZING_COSINE = float(np.cos(np.deg2rad(80)))
+_STEEPEST_END = 2.0  # tan 63 deg
+_SLOPE_NOISE = 0.05
+_WIDEST_SLOPE_WINDOW = 5
+_BUFFER_PIXELS = 900_000  # for a million cells; more for more
+_LONGEST_BUFFER_SIDE = 30_000
+_COARSEST_BUFFER, _FINEST_BUFFER = 0.125, 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanProjection:
+    """Where the cells of a scan lie in a camera's picture, and which of them the camera sees."""
+
+    uv: FloatArray
+    """(H, W, 2) float32, pixels; NaN where there is no return or the cell is behind the camera."""
+    depth_m: FloatArray
+    """(H, W) float32, z in the camera frame; NaN = no return."""
+    in_picture: BoolArray
+    """(H, W) bool."""
+    occluded: BoolArray
+    """(H, W) bool: in the picture, but hidden by the surface or shown from its back."""
+    untested: BoolArray
+    """(H, W) bool: in the picture, but so far off the axis that hiding was not tested."""
+    cosine: FloatArray
+    """(H, W) float32: cosine of the incidence angle of the camera's ray on the surface; negative on its back."""
+
+    @property
+    def grazing(self) -> BoolArray:
+        """(H, W) bool: seen by the camera at an incidence beyond 80 degrees."""
+        with np.errstate(invalid="ignore"):
+            return self.in_picture & ~self.occluded & (self.cosine < _GRAZING_COSINE)
+
+    @property
+    def visible(self) -> BoolArray:
+        """(H, W) bool: in the picture and not occluded."""
+        return self.in_picture & ~self.occluded
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """What hides, and which way it faces: the part of the work that no pose changes.
+
+    Points and normals are kept as planes (3, H, W): passing over a million cells is then bound by memory alone.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    points: FloatArray
+    normals: FloatArray
+    distance: FloatArray
+    """(H, W): normal times point, the plane's distance from the scanner, negative."""
+    edges: GridEdges
+
+
+_surface_of_scan: WeakKeyDictionary[Scan, _Surface] = WeakKeyDictionary()
+
+
+def visible_cells(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> BoolArray:
+    """Return which cells of a scan a camera sees: (H, W) bool, see `project_scan`."""
+    return project_scan(scan, camera, camera_from_scanner).visible
+
+
+def project_scan(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> ScanProjection:
+    """Project a scan into a picture and tell which cells are hidden there.
+
+    The scan's surface is drawn into a depth buffer about as fine as the scan's cells; gaps at depth edges are no
+    surface, and the near side of an edge reaches half a cell beyond its last cell centre, so that thin things hide what
+    is behind them. The buffer is read in inverse depth, linear on planes, so that no slope shadows itself.
+
+    Args:
+        scan: the scan; what does not depend on the pose is kept for as long as it lives.
+        camera: the camera, with or without distortion.
+        camera_from_scanner: its pose.
+    """
+    surface = _surface(scan)
+    points_camera = _moved(surface.points, camera_from_scanner)
+    depth = points_camera[..., 2]
+    uv = camera.project(points_camera)
+    in_picture = camera.contains(uv)
+    shape = scan.shape
+    if not in_picture.any():
+        nowhere = np.zeros(shape, dtype=np.bool_)
+        return ScanProjection(uv, depth, in_picture, nowhere, nowhere, np.zeros(shape, dtype=np.float32))
+    cosine = _cosine(surface, points_camera, camera_from_scanner.centre)
+
+    ideal = covering_pinhole(camera, scale=_buffer_scale(scan, camera, depth, in_picture))
+    buffer = rasterise_depth(camera_from_scanner @ surface.vertices, surface.faces, ideal)
+    inverse = _without_cracks(np.float32(1) / buffer)
+    u, v = _ideal_uv(points_camera, uv, camera, ideal)
+    nearest = look_up(inverse, u, v)
+    noise = np.float32(_TOLERANCE_SIGMAS * surface.edges.noise_m)
+    with np.errstate(invalid="ignore"):
+        # z > z_surface + tolerance, with z_surface = 1 / nearest; the tolerance grows as the surface tilts away.
+        excess = (depth * nearest - 1) * np.maximum(np.abs(cosine), np.float32(_LEAST_COSINE))
+        hidden = excess > np.float32(_TOLERANCE_RELATIVE) + noise * nearest
+        occluded = in_picture & (hidden | (cosine < np.float32(-_GRAZING_COSINE)))
+    untested = in_picture & ~_within(u, v, ideal) if camera.distortion else np.zeros(shape, dtype=np.bool_)
+    return ScanProjection(uv, depth, in_picture, occluded, untested, cosine)
+
+
+def _moved(planes: FloatArray, camera_from_scanner: Rigid) -> FloatArray:
+    """Return points kept as planes (3, H, W) in the camera frame, seen as (H, W, 3)."""
+    turned = camera_from_scanner.rotation.astype(np.float32) @ planes.reshape(3, -1)
+    turned += camera_from_scanner.translation.astype(np.float32)[:, None]
+    return np.moveaxis(turned.reshape(planes.shape), 0, -1)
+
+
+def _cosine(surface: _Surface, points_camera: FloatArray, centre: FloatArray) -> NDArray[np.float32]:
+    """Return n . (centre - p) / |centre - p|."""
+    along = (centre.astype(np.float32) @ surface.normals.reshape(3, -1)).reshape(surface.distance.shape)
+    along -= surface.distance
+    return np.asarray(along / _length(np.moveaxis(points_camera, -1, 0)))
+
+
+def _length(planes: FloatArray) -> FloatArray:
+    total = np.square(planes[0])
+    total += np.square(planes[1])
+    total += np.square(planes[2])
+    return np.asarray(np.sqrt(total, out=total))
+
+
+def _buffer_scale(scan: Scan, camera: Camera, depth: FloatArray, in_picture: BoolArray) -> float:
+    """Return buffer pixels per photo pixel: about one for the finer side of a cell, within reason."""
+    row, column = np.nonzero(in_picture[:: max(1, scan.shape[0] // 200), :: max(1, scan.shape[1] // 200)])
+    row, column = row * max(1, scan.shape[0] // 200), column * max(1, scan.shape[1] // 200)
+    if not len(row):
+        return 1.0
+    magnification = float(np.median(scan.ranges[row, column] / depth[row, column]))
+    cell_px = camera.focal_px * min(scan.geometry.step_rad) * magnification
+    most = _BUFFER_PIXELS * max(1.0, scan.ranges.size / 1e6)
+    finest = min(np.sqrt(most / (camera.width * camera.height)), _LONGEST_BUFFER_SIDE / max(camera.size))
+    return float(min(max(1 / max(cell_px, 1e-6), _COARSEST_BUFFER), _FINEST_BUFFER, finest))
+
+
+def _ideal_uv(
+    points_camera: FloatArray, uv: FloatArray, camera: Camera, ideal: Camera
+) -> tuple[FloatArray, FloatArray]:
+    """Return where the points lie in the buffer, two (H, W) arrays; far outside where they have no place there."""
+    if camera.distortion:
+        at = ideal.project(points_camera)
+        at[np.isnan(uv[..., 0])] = np.nan
+    else:
+        at = uv
+    result = []
+    for k, (f_from, c_from, f_to, c_to) in enumerate(
+        ((camera.fx, camera.cx, ideal.fx, ideal.cx), (camera.fy, camera.cy, ideal.fy, ideal.cy))
+    ):
+        scale = 1.0 if camera.distortion else f_to / f_from
+        shift = 0.0 if camera.distortion else c_to - c_from * scale
+        position = at[..., k] * np.float32(scale) + np.float32(shift)
+        result.append(np.fmin(np.fmax(position, np.float32(-1e4)), np.float32(1e5)))  # NaN goes outside
+    return result[0], result[1]
+
+
+def _within(u: FloatArray, v: FloatArray, camera: Camera) -> BoolArray:
+    return np.asarray((u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5))
+
+
+def _without_cracks(inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Close slits of one pixel: where blocks of two sizes meet, their borders agree only to the tolerance."""
+    kernel = np.ones((2, 2), dtype=np.uint8)
+    # Opposite anchors: with the same one twice, an even kernel would move the picture by a pixel.
+    wider = cv2.dilate(inverse_depth, kernel, anchor=(0, 0), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.erode(wider, kernel, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
+
+
+def _surface(scan: Scan) -> _Surface:
+    surface = _surface_of_scan.get(scan)
+    if surface is None:
+        edges = grid_edges(scan)
+        slopes = _range_slopes(scan, edges)
+        rays = np.ascontiguousarray(np.moveaxis(scan.rays, -1, 0), dtype=np.float32)
+        gradients = _ray_gradients(rays)
+        vertices, faces = _occluder(scan, edges, slopes, rays, gradients)
+        points = rays * scan.ranges
+        normals = _normals(rays, gradients, slopes)
+        distance = normals[0] * points[0] + normals[1] * points[1] + normals[2] * points[2]
+        surface = _surface_of_scan[scan] = _Surface(vertices, faces, points, normals, distance, edges)
+    return surface
+
+
+def _range_slopes(scan: Scan, edges: GridEdges) -> tuple[FloatArray, FloatArray]:
+    """Return the change of ln(range) per (row, column), averaged over edges of one surface; 0 where there is none.
+
+    The window grows with the noise, which would tilt every normal of a finely stepped scan.
+    """
+    with np.errstate(invalid="ignore"):
+        log_range = np.log(scan.ranges)
+    typical = typical_range(scan.ranges)
+    slopes = []
+    for axis, on_surface in ((0, edges.down), (1, edges.right)):
+        step = np.where(on_surface, np.diff(log_range, axis=axis), np.float32(0))
+        noise = edges.noise_m / (typical * max(scan.geometry.step_rad[axis], 1e-6))
+        # Differences along a line telescope, across lines they average: the error falls with the 3/2 power.
+        window = int(
+            np.clip(np.ceil(((np.sqrt(2) * noise / _SLOPE_NOISE) ** (2 / 3) - 1) / 2), 0, _WIDEST_SLOPE_WINDOW)
+        )
+        before = [(0, 0), (0, 0)]
+        before[axis] = (1, 1)
+        padded, present = np.pad(step, before), np.pad(on_surface, before).astype(np.float32)
+        pair = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
+        other = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
+        total, count = padded[pair] + padded[other], present[pair] + present[other]
+        if window:
+            size = (2 * window + 1, 2 * window + 1)
+            total, count = _box_sum(total, size), _box_sum(count, size)
+        slopes.append(np.asarray(total / np.maximum(count, 1)))
+    return slopes[0], slopes[1]
+
+
+def _box_sum(values: FloatArray, size: tuple[int, int]) -> FloatArray:
+    return np.asarray(cv2.boxFilter(values, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT), np.float32)
+
+
+def _ray_gradients(rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the change of the rays (3, H, W) per (row, column), of the same shape."""
+    by_row, by_column = np.empty_like(rays), np.empty_like(rays)
+    by_row[:, 1:-1] = (rays[:, 2:] - rays[:, :-2]) * np.float32(0.5)
+    by_row[:, 0], by_row[:, -1] = rays[:, 1] - rays[:, 0], rays[:, -1] - rays[:, -2]
+    by_column[..., 1:-1] = (rays[..., 2:] - rays[..., :-2]) * np.float32(0.5)
+    by_column[..., 0], by_column[..., -1] = rays[..., 1] - rays[..., 0], rays[..., -1] - rays[..., -2]
+    return by_row, by_column
+
+
+def _normals(
+    rays: FloatArray, gradients: tuple[FloatArray, FloatArray], slopes: tuple[FloatArray, FloatArray]
+) -> NDArray[np.float32]:
+    """Return unit normals toward the scanner, (3, H, W): with p = r d, dp/r = dd + d dr/r along each axis."""
+    a, b = (gradient + slope * rays for gradient, slope in zip(gradients, slopes, strict=True))
+    normal = np.empty_like(rays)
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        np.multiply(a[i], b[j], out=normal[k])
+        normal[k] -= a[j] * b[i]
+    toward = normal[0] * rays[0] + normal[1] * rays[1] + normal[2] * rays[2]
+    normal /= np.copysign(np.maximum(_length(normal), np.float32(1e-20)), -toward)
+    return normal
+
+
+def _occluder(
+    scan: Scan,
+    edges: GridEdges,
+    slopes: tuple[FloatArray, FloatArray],
+    rays: FloatArray,
+    gradients: tuple[FloatArray, FloatArray],
+) -> tuple[FloatArray, IntArray]:
+    """Return what hides, as triangles: the scan's mesh, flat blocks drawn coarsely, and cells at depth edges whole."""
+    points = scan.points.reshape(-1, 3)
+    height, width = scan.shape
+    undrawn = np.ones((height - 1, width - 1), dtype=np.bool_)
+    parts = []
+    for size in _BLOCKS:
+        if size * max(scan.geometry.step_rad) > _WIDEST_BLOCK_RAD:
+            continue
+        flat = _flat_blocks(scan.ranges, edges, undrawn, size)
+        row, column = np.nonzero(flat)
+        a = (row * size * width + column * size).astype(np.int32)
+        b, c, d = a + size, a + size * width, a + size * (width + 1)
+        parts += [np.stack([a, c, b], axis=-1), np.stack([d, b, c], axis=-1)]
+        drawn = np.repeat(np.repeat(flat, size, axis=0), size, axis=1)
+        undrawn[: drawn.shape[0], : drawn.shape[1]] &= ~drawn
+    faces = np.concatenate([grid_faces(scan.ranges, edges, wanted=undrawn), *parts])
+    used = np.zeros(len(points), dtype=np.bool_)
+    used[faces] = True
+    kept = np.flatnonzero(used)
+    index = np.zeros(len(points), dtype=np.int32)
+    index[kept] = np.arange(len(kept), dtype=np.int32)
+
+    # A cell that the scanner sees at a slant is not drawn whole: where it ends is anyone's guess.
+    upright = [
+        np.abs(slope) <= _STEEPEST_END * step for slope, step in zip(slopes, scan.geometry.step_rad, strict=True)
+    ]
+    row, column = np.nonzero(_near_side(scan.ranges, edges) & upright[0] & upright[1])
+    ray, r = rays[:, row, column], scan.ranges[row, column]
+    corners = []
+    for i, j in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)):
+        change = i * slopes[0][row, column] + j * slopes[1][row, column]
+        direction = ray + i * gradients[0][:, row, column] + j * gradients[1][:, row, column]
+        corners.append((direction * (r * np.exp(change))).T)
+    n = len(row)
+    first = len(kept) + np.arange(n, dtype=np.int32)
+    whole = [np.stack([first, first + k * n, first + (k + 1) * n], axis=-1) for k in (1, 2)]
+    vertices = np.concatenate([points[kept], *corners]).astype(np.float32)
+    return vertices, np.concatenate([index[faces], *whole]).astype(np.int32)
+
+
+def _flat_blocks(ranges: FloatArray, edges: GridEdges, wanted: BoolArray, size: int) -> BoolArray:
+    """Return which blocks of size x size wanted cells are one flat piece of surface, (block rows, block columns)."""
+    n = size
+    height, width = ((length - 1) // n for length in ranges.shape)
+    if height == 0 or width == 0:
+        return np.zeros((height, width), dtype=np.bool_)
+    whole = wanted & edges.right[:-1] & edges.right[1:] & edges.down[:, :-1] & edges.down[:, 1:]
+    flat: BoolArray = np.all(whole[: height * n, : width * n].reshape(height, n, width, n), axis=(1, 3))
+    with np.errstate(over="ignore", invalid="ignore"):
+        q = 1 / ranges[: height * n + 1, : width * n + 1]
+        corners = np.ascontiguousarray(q[::n, ::n])
+        weight = np.arange(n, dtype=np.float32) / np.float32(n)
+        top, bottom = corners[:-1], corners[1:]
+        limit = _BLOCK_RELATIVE * top[:, :-1] + np.float32(_BLOCK_SIGMAS * edges.noise_m) * top[:, :-1] ** 2
+        for k in range(n):
+            line = top + weight[k] * (bottom - top)
+            for m in range(n):
+                linear = line[:, :-1] + weight[m] * (line[:, 1:] - line[:, :-1])
+                flat &= np.abs(q[k:-1:n, m:-1:n] - linear) <= limit
+    return flat
+
+
+def _near_side(ranges: FloatArray, edges: GridEdges) -> BoolArray:
+    """Return the cells (H, W) at the near side of a depth edge, or beside a cell without return.
+
+    A cell with no surface around it counts only if nothing beside it is nearer: one between near and far is a mixed
+    pixel, hanging in the air where nothing is.
+    """
+    shape = ranges.shape
+    at_edge, has_nearer, has_surface = (np.zeros(shape, dtype=np.bool_) for _ in range(3))
+    before_after = (
+        ((slice(None), slice(None, -1)), (slice(None), slice(1, None)), edges.right),
+        ((slice(None, -1), slice(None)), (slice(1, None), slice(None)), edges.down),
+    )
+    with np.errstate(invalid="ignore"):
+        for before, after, together in before_after:
+            for here, there in ((before, after), (after, before)):
+                has_surface[here] |= together
+                at_edge[here] |= ~together & ~(ranges[there] < ranges[here])
+                has_nearer[here] |= ~together & (ranges[there] < ranges[here])
+    return np.asarray(np.isfinite(ranges) & at_edge & (has_surface | ~has_nearer))
