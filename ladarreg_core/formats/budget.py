@@ -10,13 +10,15 @@ from dataclasses import dataclass
 
 from ladarreg_core.errors import FormatError, OptionError
 
-DEFAULT_BYTES = 1_000_000_000
+DEFAULT_BYTES = 1 << 30
 """Memory that reading a small file may use at its peak."""
 BYTES_PER_FILE_BYTE = 64
 """A large file may use this many times its own size instead: a dense scan is 10 to 20 bytes a point in the file, and
 about 400 while it is laid onto its grid."""
 ALWAYS_CELLS = 2_000_000
 """A grid of up to this many cells is taken from a file of any size: a scan may be nearly empty."""
+LEAST_CELLS = 4096
+"""A cloud is not thinned to fewer."""
 CELLS_PER_BYTE = 2
 """A larger grid needs at least half a byte of file for each of its cells."""
 ALWAYS_PIXELS = 16_000_000
@@ -55,6 +57,10 @@ class ReadBudget:
     def most_cells(self) -> int:
         """The largest grid that a file of this size plausibly holds."""
         return max(ALWAYS_CELLS, CELLS_PER_BYTE * self.file_bytes)
+
+    def cells_beside(self, held_bytes: float, bytes_per_cell: float) -> int:
+        """Return the largest grid that there is room for beside what is held already; a finer one is thinned to it."""
+        return max(LEAST_CELLS, min(self.most_cells, int((self.limit_bytes - held_bytes) / bytes_per_cell)))
 
     def require(self, needed_bytes: float, what: str) -> None:
         """Refuse a read that needs more memory than it may use.
@@ -111,4 +117,4 @@ class ReadBudget:
 
 
 def _gigabytes(count: float) -> str:
-    return f"{count / 1e9:,.0f} GB" if count >= 9.95e9 or count == 1e9 else f"{count / 1e9:.2g} GB"
+    return f"{count / 1e9:,.0f} GB" if count >= 1e11 else f"{count / 1e9:.3g} GB"

@@ -29,10 +29,12 @@ _INDICES = ("rowIndex", "columnIndex")
 _STATES = ("cartesianInvalidState", "sphericalInvalidState", "isIntensityInvalid")
 _LEAST_UNIQUE = 0.6
 _CELLS_PER_POINT = 200
-# Memory at the peak of a read, as measured: for each point, for each of its fields, and for each cell of the grid.
+# Memory at the peak of a read, as measured: for each point, for each of its fields, for its cell where the grid is full,
+# and for each cell of a grid that is mostly empty.
 _POINT_BYTES = 160
 _FIELD_BYTES = 8
-_CELL_BYTES = 200
+_OWN_CELL_BYTES = 200
+_CELL_BYTES = 300
 
 
 def read_e57(
@@ -61,11 +63,11 @@ def read_e57(
         _require_fields(scan)
         budget = ReadBudget.of(file.stat().st_size, memory_bytes)
         fields = len(scan.field_names & {*_CARTESIAN, *_SPHERICAL, *_COLORS, *_INDICES, *_STATES})
-        needed = scan.points * (_POINT_BYTES + _FIELD_BYTES * fields)
-        budget.require(needed + min(scan.points, budget.most_cells) * _CELL_BYTES, f"its {scan.points:,} points")
+        held = scan.points * (_POINT_BYTES + _FIELD_BYTES * fields)
+        budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
         with e57_file(file) as image_file:
             columns = _read_points(image_file, scan, scan_index, report)
-        return _to_scan(file.stem, info, scan, columns, budget.most_cells)
+        return _to_scan(file.stem, info, scan, columns, budget.cells_beside(held, _CELL_BYTES))
 
 
 def _chosen(info: E57Info, scan_index: int) -> E57ScanInfo:

@@ -28,7 +28,7 @@ _PAGE_DATA = 1020  # the last four bytes of a page are its check sum
 _LARGEST_XML = 32 << 20
 _DEEPEST = 64
 _MOST_ELEMENTS = 500_000
-_MOST_CHILDREN = 10_000  # the native reader looks for equal names among all of them
+_MOST_CHILDREN = 4_000  # the native reader looks for equal names among all of them
 _LEAST_BITS = 8  # of a point's record
 
 

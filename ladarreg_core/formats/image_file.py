@@ -27,8 +27,8 @@ _LARGEST_PIXELS = 178_000_000  # where Pillow itself stops
 _MOST_PASSED = 200_000_000  # pixels times passes of a JPEG that are taken from a file of any size
 _BAND_PIXELS = 4_000_000
 # Memory for each pixel at the peak of a read, from the file to a photograph or a plane of a scan; as measured.
-_BYTES_PER_PIXEL = {"L": 8, "RGB": 8, "1": 8, "F": 45, "I": 45}
-_OTHER_BYTES = 14  # a palette, transparency, ink: turned into RGB in a copy
+_BYTES_PER_PIXEL = {"L": 8.0, "RGB": 9.5, "1": 8.0, "F": 26.0, "I": 26.0}
+_OTHER_BYTES = 14.0  # a palette, transparency, ink: turned into RGB in a copy
 _COEFFICIENT_BYTES = 2  # a progressive JPEG is held whole before it becomes pixels
 _START_OF_SCAN = b"\xff\xda"
 _MAGICS = (
@@ -127,7 +127,7 @@ def _judge(image: Image, path: Path, budget: ReadBudget) -> None:
     if image.format not in ("JPEG", "PNG", "PPM", "BMP"):  # whole strips and frames are unpacked beside the picture
         needed += _OTHER_BYTES
     if image.info.get("progressive"):
-        needed += _COEFFICIENT_BYTES * len(image.getbands())
+        needed = max(needed, 4.3 + _COEFFICIENT_BYTES * len(image.getbands()))
     budget.require_pixels(width, height, needed)
     passed = width * height * _passes_of(image, path)
     if passed > max(_MOST_PASSED, PIXELS_PER_BYTE * budget.file_bytes):

@@ -29,8 +29,11 @@ _LONGEST_HEADER = 1 << 16
 _MOST_FIELDS = 256
 _LARGEST_FIELD = 1 << 16
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
-# Memory for each point at the peak of a read, beside what stands in the file; as measured.
+# Memory at the peak of a read, beside what stands in the file, as measured: for each point with its cell, for each point
+# alone, and for each cell of a grid that is mostly empty.
 _POINT_BYTES = 340
+_HELD_BYTES = 120
+_CELL_BYTES = 300
 _TYPES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 
 
@@ -63,6 +66,8 @@ def read_pcd(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         with open(file, "rb") as stream:
             header = _read_header(stream)
             budget.require_cells(header.height, header.width, header.bytes_of_a_point + _POINT_BYTES)
+            held = header.points * (header.bytes_of_a_point + _HELD_BYTES)
+            most_cells = budget.cells_beside(held, _CELL_BYTES)
             _tell(report, 0)
             columns = _read_body(stream, header, budget.file_bytes - header.data_offset)
         _tell(report, 1)
@@ -78,7 +83,7 @@ def read_pcd(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         points = np.stack([columns[names[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
         color = next((_unpack_rgb(columns[names[name]]) for name in _COLOR_NAMES if name in names), None)
         ring = next((columns[names[name]] for name in RING_NAMES if name in names), None)
-        scan = _to_scan(file.stem, header, points, as_float32(columns[found]), color, ring, budget.most_cells)
+        scan = _to_scan(file.stem, header, points, as_float32(columns[found]), color, ring, most_cells)
         _tell(report, 2)
         return scan
 

@@ -48,7 +48,7 @@ def e57_of_constants(path: Path, *, points: int, grid: bool = False, padding: in
     records = libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True))
     scan.set("points", records)
     buffers = libe57.VectorSourceDestBuffer()
-    columns = [np.zeros(10, np.int64) for _ in names]
+    columns = [np.zeros(10, "q") for _ in names]
     for name, column in zip(names, columns, strict=True):
         buffers.append(libe57.SourceDestBuffer(file, name, column, 10, True, True))
     writer = records.writer(buffers)
