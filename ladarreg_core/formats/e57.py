@@ -29,8 +29,8 @@ _INDICES = ("rowIndex", "columnIndex")
 _STATES = ("cartesianInvalidState", "sphericalInvalidState", "isIntensityInvalid")
 _LEAST_UNIQUE = 0.6
 _CELLS_PER_POINT = 200
-# Memory at the peak of a read, as measured: for each point, for each of its fields, for its cell where the grid is full,
-# and for each cell of a grid that is mostly empty.
+# Memory at the peak of a read, as measured: for each point, for each of its fields, for its cell where the grid is
+# full, and for each cell of a grid that is mostly empty.
 _POINT_BYTES = 160
 _FIELD_BYTES = 8
 _OWN_CELL_BYTES = 200

@@ -29,8 +29,8 @@ _LONGEST_HEADER = 1 << 16
 _MOST_FIELDS = 256
 _LARGEST_FIELD = 1 << 16
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
-# Memory at the peak of a read, beside what stands in the file, as measured: for each point with its cell, for each point
-# alone, and for each cell of a grid that is mostly empty.
+# Memory at the peak of a read, beside what stands in the file, as measured: for each point with its cell, for each
+# point alone, and for each cell of a grid that is mostly empty.
 _POINT_BYTES = 340
 _HELD_BYTES = 120
 _CELL_BYTES = 300
@@ -65,6 +65,7 @@ def read_pcd(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         budget = ReadBudget.of(file.stat().st_size, memory_bytes)
         with open(file, "rb") as stream:
             header = _read_header(stream)
+            _require_bytes(header, budget.file_bytes - header.data_offset)
             budget.require_cells(header.height, header.width, header.bytes_of_a_point + _POINT_BYTES)
             held = header.points * (header.bytes_of_a_point + _HELD_BYTES)
             most_cells = budget.cells_beside(held, _CELL_BYTES)
@@ -102,11 +103,15 @@ class _Header:
         return self.width * self.height
 
     @property
+    def numbers(self) -> int:
+        """Numbers of a point's record."""
+        return sum(math.prod(self.dtype[name].shape) for name in self.dtype.names or ())
+
+    @property
     def bytes_of_a_point(self) -> int:
         """Bytes of memory that a point's record takes while it is read."""
         if self.encoding == "ascii":  # every number becomes a float64, in a table that is doubled while it grows
-            numbers = sum(math.prod(self.dtype[name].shape) for name in self.dtype.names or ())
-            return 16 * numbers
+            return 16 * self.numbers
         return self.dtype.itemsize * (2 if self.encoding == "binary_compressed" else 1)
 
 
@@ -178,9 +183,8 @@ def _read_body(stream: io.BufferedReader, header: _Header, there: int) -> dict[s
     """Return the one-valued fields by name, each (N,); nothing is allocated before the file is known to hold it."""
     count, dtype = header.points, header.dtype
     if header.encoding == "ascii":
-        return _read_ascii(stream, header, there)
+        return _read_ascii(stream, header)
     if header.encoding == "binary":
-        _require_bytes(there, count, dtype)
         records = np.frombuffer(stream.read(count * dtype.itemsize), dtype=dtype, count=count)
         return {name: records[name] for name in _single(dtype)}
     sizes = np.frombuffer(stream.read(8).ljust(8, b"\0"), "<u4").tolist()
@@ -203,11 +207,16 @@ def _read_body(stream: io.BufferedReader, header: _Header, there: int) -> dict[s
     return columns
 
 
-def _require_bytes(there: int, count: int, dtype: np.dtype[Any]) -> None:
-    if there < count * dtype.itemsize:
+def _require_bytes(header: _Header, there: int) -> None:
+    """Refuse a header that claims more than follows it; what a compressed body claims stands at its beginning."""
+    if header.encoding == "ascii":
+        least, what = 2 * header.points * header.numbers - 1, f"{header.numbers} numbers"  # a digit, a separator each
+    else:
+        least, what = header.points * header.dtype.itemsize, f"{header.dtype.itemsize} bytes"
+    if header.encoding != "binary_compressed" and there < least:
         raise FormatError(
-            f"the PCD header claims {count:,} points of {dtype.itemsize} bytes, but only {max(there, 0):,} bytes "
-            "follow; the file is cut off"
+            f"the PCD header claims {header.points:,} points of {what}, but only {max(there, 0):,} bytes follow; the "
+            "file is cut off"
         )
 
 
@@ -215,14 +224,9 @@ def _single(dtype: np.dtype[Any]) -> list[str]:
     return [name for name in dtype.names or () if not dtype[name].shape]
 
 
-def _read_ascii(stream: io.BufferedReader, header: _Header, there: int) -> dict[str, NDArray[Any]]:
+def _read_ascii(stream: io.BufferedReader, header: _Header) -> dict[str, NDArray[Any]]:
     dtype, count = header.dtype, header.points
     lengths = [int(np.prod(dtype[name].shape, dtype=np.int64)) for name in dtype.names or ()]
-    if there < 2 * sum(lengths) * count - 1:  # a digit and a separator each
-        raise FormatError(
-            f"the PCD header claims {count:,} points of {sum(lengths)} numbers, but only {max(there, 0):,} bytes "
-            "follow; the file is cut off"
-        )
     try:
         table = np.loadtxt(stream, dtype=np.float64, ndmin=2, max_rows=count, comments=None, encoding="latin-1")
     except ValueError as error:
