@@ -84,7 +84,8 @@ def array_bytes(thing: object) -> int:
         if isinstance(one, bytes):
             return len(one)
         if hasattr(one, "nbytes") and hasattr(one, "base"):
-            return int(one.nbytes) if one.base is None else max(int(one.nbytes), count(one.base, inner=True))
+            shared = hasattr(one.base, "nbytes") or isinstance(one.base, bytes)
+            return count(one.base, inner=True) if shared else int(one.nbytes)
         if isinstance(one, Mapping):
             parts: Any = one.values()
         elif isinstance(one, tuple | list):

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,6 +80,21 @@ def e57_with_xml(path: Path, change: Callable[[bytes], bytes]) -> Path:
     parts = [data[k : k + _E57_PAGE_DATA] for k in range(0, len(data), _E57_PAGE_DATA)]
     path.write_bytes(b"".join(part + struct.pack(">I", _crc32c(part)) for part in parts))
     return path
+
+
+def e57_of_many_elements(path: Path, *, children: int) -> Path:
+    """Write an E57 whose XML has one element with very many others in it."""
+    flood = b"".join(b'<a%d type="Integer"/>' % k for k in range(children))
+    return e57_with_xml(e57_of_constants(path, points=10), lambda xml: xml.replace(b"<data3D", flood + b"<data3D"))
+
+
+def e57_of_one_picture(path: Path, *, times: int, length: int) -> Path:
+    """Write an E57 that lists the same bytes as a picture many times over."""
+    blob = b'<jpegImage type="Blob" fileOffset="48" length="%d"/>' % length
+    shape = b'<visualReferenceRepresentation type="Structure">' + blob + b"</visualReferenceRepresentation>"
+    entries = (b'<vectorChild type="Structure">' + shape + b"</vectorChild>") * times
+    images = b'<images2D type="Vector">' + entries + b"</images2D>"
+    return e57_with_xml(e57_of_constants(path, points=10), lambda xml: xml.replace(b"<data3D", images + b"<data3D"))
 
 
 def _crc32c(data: bytes) -> int:
@@ -254,7 +269,7 @@ READERS = {
     "extract": "extract_images(path, path + '.images')",
 }
 _PROGRAM = """
-import resource, sys
+import json, os, resource, sys
 import numpy as np
 import cv2, scipy.spatial, PIL.Image, pye57
 from ladarreg_core.errors import LadarregError
@@ -275,37 +290,52 @@ def status(name):
         largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return largest if sys.platform == "darwin" else largest << 10
 
-PIL.Image.preinit()
-path, most_bytes, most_seconds = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-if sys.platform == "linux":
-    resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
-resource.setrlimit(resource.RLIMIT_CPU, (most_seconds, most_seconds))
-used = resource.getrusage(resource.RUSAGE_SELF)
-before, started = status("VmRSS"), used.ru_utime + used.ru_stime
-try:
-    READ
-    outcome = "read"
-except LadarregError as error:
-    outcome = f"{type(error).__name__}: {error}"
-used = resource.getrusage(resource.RUSAGE_SELF)
-print(used.ru_utime + used.ru_stime - started, status("VmHWM") - before, outcome, sep="\\t")
+def seconds():
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+def measure(code, path):
+    before, started = status("VmRSS"), seconds()
+    try:
+        eval(code, {**globals(), "path": path})
+        outcome = "read"
+    except LadarregError as error:
+        outcome = f"{type(error).__name__}: {error}"
+    print(json.dumps([seconds() - started, status("VmHWM") - before, outcome]), flush=True)
+
+PIL.Image.init()
+jobs, most_bytes, most_seconds = json.loads(sys.argv[1])
+for code, path in jobs:
+    child = os.fork()
+    if child == 0:
+        if sys.platform == "linux":
+            resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
+        resource.setrlimit(resource.RLIMIT_CPU, (most_seconds, most_seconds))
+        try:
+            measure(code, path)
+        finally:
+            os._exit(0)
+    ended = os.waitpid(child, 0)[1]
+    if ended != 0:
+        print(json.dumps([1e9, 1e18, f"the process ended with {ended}"]), flush=True)
 """
 
 
-def cost_of(reader: str, path: Path, *, most_bytes: int = 12 << 30, most_seconds: int = 120) -> Cost:
-    """Read a file in a process of its own, and return what it cost.
+def costs_of(jobs: Sequence[tuple[str, Path]], *, most_bytes: int = 12 << 30, most_seconds: int = 120) -> list[Cost]:
+    """Read files, each in a process of its own, and return what it cost; not on Windows.
 
     Args:
-        reader: one of `READERS`.
-        path: the file.
-        most_bytes: where the process's address space ends.
+        jobs: (one of `READERS`, the file).
+        most_bytes: where each process's address space ends.
         most_seconds: where its processor time ends.
     """
-    program = _PROGRAM.replace("READ\n", f"{READERS[reader]}\n", 1)
-    words = [sys.executable, "-c", program, str(path), str(most_bytes), str(most_seconds)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        last = done.stderr.strip().splitlines()[-1:] or [""]
-        return Cost(math.inf, most_bytes, f"the process ended with {done.returncode} {last[0]}")
-    seconds, peak, outcome = done.stdout.strip().split("\t", 2)
-    return Cost(float(seconds), int(peak), outcome)
+    words = json.dumps([[(READERS[reader], str(path)) for reader, path in jobs], most_bytes, most_seconds])
+    done = subprocess.run([sys.executable, "-c", _PROGRAM, words], capture_output=True, text=True, check=True)
+    costs = [Cost(*json.loads(line)) for line in done.stdout.splitlines()]
+    assert len(costs) == len(jobs), done.stderr
+    return costs
+
+
+def cost_of(reader: str, path: Path) -> Cost:
+    """Read one file in a process of its own, and return what it cost."""
+    return costs_of([(reader, path)])[0]
