@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from typing import Generic, TypeVar
 
+from app.bounded_cache import BoundedCache, rough_bytes
+
+_MOST_LISTS = 256
+_MOST_BYTES = 200_000_000
 T = TypeVar("T")
 S = TypeVar("S")
 
@@ -18,14 +22,16 @@ class EachOnce(Generic[T, S]):
 
     def __init__(self, make: Callable[[T], S]) -> None:
         self._make = make
-        self._lists: dict[Hashable, tuple[Sequence[T], list[S]]] = {}
+        self._lists: BoundedCache[tuple[Sequence[T], list[S]]] = BoundedCache(
+            _MOST_LISTS, _MOST_BYTES, lambda held: rough_bytes(held[1])
+        )
 
     def of(self, name: Hashable, things: Sequence[T]) -> list[S]:
         """Return what is made of each thing; what is the same as in the last list of this name is not made again.
 
         The list is the same object for the same sequence, and must not be changed.
         """
-        before, made = self._lists.get(name, ((), []))
+        before, made = self._lists.get(name) or ((), [])
         if before is things:
             return made
         first = _same(before, things)
@@ -33,8 +39,9 @@ class EachOnce(Generic[T, S]):
         old, new = slice(first, len(before) - last), slice(first, len(things) - last)
         known = {id(thing): one for thing, one in zip(before[old], made[old], strict=True)}
         between = [known[id(thing)] if id(thing) in known else self._make(thing) for thing in things[new]]
-        self._lists[name] = things, [*made[:first], *between, *made[old.stop :]]
-        return self._lists[name][1]
+        result = [*made[:first], *between, *made[old.stop :]]
+        self._lists.put(name, (things, result))
+        return result
 
 
 def _same(a: Sequence[object], b: Sequence[object]) -> int:

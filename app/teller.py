@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
+from app.bounded_cache import BoundedCache, rough_bytes
 from app.quiet import Quiet
 
 log = logging.getLogger(__name__)
@@ -15,6 +15,7 @@ Message = dict[str, Any]
 Slices = Callable[[], dict[str, Any]]
 T = TypeVar("T")
 _KEPT = 256
+_KEPT_BYTES = 200_000_000
 
 
 class Teller:
@@ -32,7 +33,7 @@ class Teller:
         self._told: dict[str, Any] = {}
         self._version = 0
         self._listeners: list[Callable[[Message], None]] = []
-        self._once: OrderedDict[Hashable, tuple[Any, Any]] = OrderedDict()
+        self._once: BoundedCache[tuple[Any, Any]] = BoundedCache(_KEPT, _KEPT_BYTES, lambda held: rough_bytes(held[1]))
         self._quiet = Quiet()
         self._thread = threading.Thread(target=self._work, name="teller", daemon=True)
         self._thread.start()
@@ -52,16 +53,11 @@ class Teller:
     def once(self, key: Any, make: Callable[[], T]) -> T:
         """Return what was made of the same object before, or make it: equal slices stay the same object."""
         name = tuple(map(_name, key)) if isinstance(key, tuple) else _name(key)
-        with self._lock:
-            if name in self._once:
-                self._once.move_to_end(name)
-                return self._once[name][1]  # type: ignore[no-any-return]
-        made = make()
-        with self._lock:
-            self._once[name] = (key, made)  # the key is kept, so that its id cannot come to mean another object
-            while len(self._once) > _KEPT:
-                self._once.popitem(last=False)
-        return made
+        held = self._once.get(name)
+        if held is None:
+            held = key, make()  # the key is kept, so that its id cannot come to mean another object
+            self._once.put(name, held)
+        return held[1]
 
     def all_slices(self) -> dict[str, Any]:
         """Return everything that was told."""

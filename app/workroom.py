@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from app.bounded_cache import BoundedCache, array_bytes
 from app.each_once import EachOnce
 from app.isolated_readers import READERS
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
@@ -29,17 +29,19 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 _KEPT = {
-    "scan": 1,
-    "photo": 8,
-    "views": 1,
-    "answer": 64,
-    "assessment": 32,
-    "partners": 3,
-    "measured": 8,
-    "picture": 24,
-    "line": 512,
+    "scan": (1, 1),
+    "photo": (8, 600_000_000),
+    "views": (1, 1),
+    "answer": (64, 100_000_000),
+    "assessment": (32, 200_000_000),
+    "partners": (3, 400_000_000),
+    "measured": (8, 200_000_000),
+    "picture": (24, 200_000_000),
+    "line": (512, 50_000_000),
 }
-"""How many of each kind are kept; the oldest goes first."""
+"""How many of each kind are kept, and how many bytes beside the newest; what was used longest ago goes first."""
+
+_OF_THE_SCAN = ("views", "assessment", "partners", "measured", "picture", "line")
 
 
 class Workroom:
@@ -47,7 +49,10 @@ class Workroom:
 
     def __init__(self, folder: ProjectFolder) -> None:
         self._folder = folder
-        self._kept: dict[str, OrderedDict[Hashable, Any]] = {kind: OrderedDict() for kind in _KEPT}
+        self._kept: dict[str, BoundedCache[tuple[Any]]] = {
+            kind: BoundedCache(most, most_bytes, lambda held: array_bytes(held[0]), they_grow=most < 100)
+            for kind, (most, most_bytes) in _KEPT.items()
+        }
         self._picks: EachOnce[PickEntry, Pick] = EachOnce(lambda pick: pick.as_pick())
         self._locks: dict[str, threading.RLock] = {kind: threading.RLock() for kind in _KEPT}
 
@@ -55,14 +60,14 @@ class Workroom:
         """Return what was made before under a key, or make it; others who ask for the same kind wait."""
         with self._locks[kind]:
             shelf = self._kept[kind]
-            if key in shelf:
-                shelf.move_to_end(key)
-                return shelf[key]  # type: ignore[no-any-return]
-            found = make()
-            shelf[key] = found
-            while len(shelf) > _KEPT[kind]:
-                shelf.popitem(last=False)
-            return found
+            held = shelf.get(key)
+            if held is None:
+                held = (make(),)
+                shelf.put(key, held)
+                if kind == "scan":  # what was computed on the last one would keep it in memory
+                    for other in _OF_THE_SCAN:
+                        self._kept[other].clear()
+            return held[0]
 
     def scan(self, document: Document) -> Scan | None:
         """Return the scan; None where none is open.
@@ -184,8 +189,8 @@ class Workroom:
 
     def assessed(self, pose: PoseEntry) -> Assessment | None:
         """Return what was found to say of a stage's answer; None where nobody has looked yet."""
-        found = self._kept["assessment"].get(id(pose))
-        return None if found is None else found[1]
+        held = self._kept["assessment"].get(id(pose))
+        return None if held is None else held[0][1]
 
     def partners(self, scan: Scan, pose: PoseEntry) -> Partners:
         """Return where a pose puts picks in the other picture."""

@@ -74,10 +74,10 @@ def kelvin_of(values: NDArray[Any]) -> NDArray[np.float32] | None:
     if values.ndim != 2 or not values.size or values.dtype.kind not in "uf" or values.dtype == np.uint8:
         return None
     unit = CENTIKELVIN_K if values.dtype.kind == "u" else 1.0
-    kelvin = values.astype(np.float64) * unit
     low, high = _PLAUSIBLE_K
-    if not (np.isfinite(kelvin).all() and low <= kelvin.min() and kelvin.max() <= high):
+    if not low <= float(values.min()) * unit <= float(values.max()) * unit <= high:  # false where one is not finite
         return None
+    kelvin = values.astype(np.float64) * unit
     quarter, three_quarters = np.percentile(kelvin, (25, 75))
     if three_quarters - quarter > _MOST_SPREAD_K:
         return None

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
+from app.bounded_cache import BoundedCache, rough_bytes
 from app.gateway.changes import change_between
 from app.gateway.json_text import encode_part
 
 _KEPT = 64
+_KEPT_BYTES = 100_000_000
 
 
 class Encoded:
     """Slices and their changes as JSON, kept for the pages that are told the same; of one thread."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[int, int], tuple[Any, Any, msgspec.Raw | None]] = OrderedDict()
+        self._kept: BoundedCache[tuple[Any, Any, msgspec.Raw | None]] = BoundedCache(_KEPT, _KEPT_BYTES, _bytes_of)
 
     def slice(self, value: Any) -> msgspec.Raw:
         """Return a slice, whole."""
@@ -37,9 +38,13 @@ class Encoded:
 
     def _once(self, before: Any, after: Any, make: Callable[[], msgspec.Raw | None]) -> msgspec.Raw | None:
         key = (id(before), id(after))
-        if key not in self._kept:
-            self._kept[key] = before, after, make()  # both are kept, so that their ids cannot come to mean others
-            while len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key][2]
+        held = self._kept.get(key)
+        if held is None:
+            held = before, after, make()  # both are kept, so that their ids cannot come to mean others
+            self._kept.put(key, held)
+        return held[2]
+
+
+def _bytes_of(held: tuple[Any, Any, msgspec.Raw | None]) -> int:
+    before, after, text = held
+    return rough_bytes(before) + rough_bytes(after) + (0 if text is None else len(memoryview(text)))

@@ -31,8 +31,8 @@ class FileFormat:
     """Tells from the first bytes, and where they do not suffice from the file, whether a file is of this format."""
     describe: Callable[[Path], FileInfo]
     """Tells what a file of this format holds."""
-    read_scan: Callable[[Path, int, Report | None], Scan] | None = None
-    """Reads it, where it holds a scan: path, scan index, report."""
+    read_scan: Callable[[Path, int, int | None, Report | None], Scan] | None = None
+    """Reads it, where it holds a scan: path, scan index, memory that may be used (None: the usual), report."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,10 +94,11 @@ def recognise(path: PathLike, *, kinds: tuple[FileKind, ...] = ()) -> FileFormat
         FormatError: if there is no such file, or it is of no known format.
     """
     from ladarreg_core.errors import FormatError
+    from ladarreg_core.formats.json_file import parsed_once
     from ladarreg_core.formats.registry import FORMATS, foreign_format
     from ladarreg_core.formats.untrusted import reading
 
-    with reading(path) as file:
+    with reading(path) as file, parsed_once():
         with open(file, "rb") as stream:
             head = stream.read(_HEAD_BYTES)
         found = next((f for f in FORMATS if (not kinds or f.kind in kinds) and f.sniff(head, file)), None)
@@ -109,26 +110,32 @@ def recognise(path: PathLike, *, kinds: tuple[FileKind, ...] = ()) -> FileFormat
         return found
 
 
-def read_scan(path: PathLike, *, scan_index: int = 0, report: Report | None = None) -> Scan:
+def read_scan(
+    path: PathLike, *, scan_index: int = 0, memory_bytes: int | None = None, report: Report | None = None
+) -> Scan:
     """Read a scan, its format recognised by content.
 
     Args:
         path: an E57, NPZ, PCD or descriptor file.
         scan_index: which scan, in files that hold several.
+        memory_bytes: memory that the read may use at its peak, bytes; None: 1 GB, or 64 times the file's size if that
+            is more.
         report: receives the progress.
 
     Raises:
-        FormatError: if it is no scan, is damaged, or has no intensity.
+        FormatError: if it is no scan, is damaged, has no intensity, or would need more memory than it may use.
         ShapeError: if its arrays disagree, or there are no returns.
         OptionError: if there is no scan of that index.
     """
     from ladarreg_core.errors import OptionError
+    from ladarreg_core.formats.json_file import parsed_once
 
-    found = recognise(path, kinds=("scan",))
-    if scan_index != 0 and found.name != "E57":
-        raise OptionError(f"scan_index is {scan_index}, but a {found.name} file holds one scan; leave it out")
-    assert found.read_scan is not None, "every scan format has a reader"
-    return found.read_scan(Path(path), scan_index, report)
+    with parsed_once():
+        found = recognise(path, kinds=("scan",))
+        if scan_index != 0 and found.name != "E57":
+            raise OptionError(f"scan_index is {scan_index}, but a {found.name} file holds one scan; leave it out")
+        assert found.read_scan is not None, "every scan format has a reader"
+        return found.read_scan(Path(path), scan_index, memory_bytes, report)
 
 
 def read_photo(
@@ -138,11 +145,19 @@ def read_photo(
     focal_px: float | None = None,
     focal_mm: float | None = None,
     sensor_mm: float | None = None,
+    memory_bytes: int | None = None,
 ) -> Photo:
     """Read a photograph with its camera; see `photo_file.read_photo`."""
     from ladarreg_core.formats import photo_file
 
-    return photo_file.read_photo(path, camera=camera, focal_px=focal_px, focal_mm=focal_mm, sensor_mm=sensor_mm)
+    return photo_file.read_photo(
+        path,
+        camera=camera,
+        focal_px=focal_px,
+        focal_mm=focal_mm,
+        sensor_mm=sensor_mm,
+        memory_bytes=memory_bytes,
+    )
 
 
 def describe(path: PathLike) -> FileInfo:
@@ -151,7 +166,10 @@ def describe(path: PathLike) -> FileInfo:
     Raises:
         LadarregError: if it cannot be read.
     """
-    return recognise(path).describe(Path(path))
+    from ladarreg_core.formats.json_file import parsed_once
+
+    with parsed_once():
+        return recognise(path).describe(Path(path))
 
 
 def extract_images(path: PathLike, folder: PathLike) -> list[ExtractedImage]:

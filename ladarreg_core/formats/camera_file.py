@@ -11,7 +11,7 @@ from ladarreg_core.formats.json_file import number, read_json_object, whole_numb
 from ladarreg_core.formats.opencv_yaml import parse_yaml
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 
-_LARGEST_BYTES = 4 << 20
+_LARGEST_BYTES = 1_000_000
 _MATRIX = ("cameramatrix", "k", "intrinsicmatrix", "intrinsics", "mtx", "m1", "m")
 _DISTORTION = ("distortioncoefficients", "distcoeffs", "distortioncoeffs", "distcoefs", "distortion", "dist", "d", "d1")
 _WIDTH, _HEIGHT = ("imagewidth", "width", "cols"), ("imageheight", "height", "rows")
@@ -27,8 +27,11 @@ def read_camera(path: PathLike) -> Camera:
         CameraError: if its numbers are no camera.
     """
     with reading(path) as file:
-        if file.stat().st_size > _LARGEST_BYTES:
-            raise FormatError(f"it has {file.stat().st_size:,} bytes, too many for a camera; give the camera's file")
+        size = file.stat().st_size
+        if size > _LARGEST_BYTES:
+            raise FormatError(
+                f"it has {size:,} bytes; a camera file has at most {_LARGEST_BYTES:,}: give the right file"
+            )
         with open(file, "rb") as stream:
             start = stream.read(256).removeprefix(b"\xef\xbb\xbf").lstrip()
         if start.startswith(b"{"):

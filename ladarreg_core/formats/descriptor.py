@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.errors import CameraError, FormatError, ShapeError
+from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.formats.image_file import read_image
 from ladarreg_core.formats.json_file import choice, number, read_json_object, whole_number
@@ -28,6 +29,10 @@ from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import IntensityKind, Scan
 from ladarreg_core.scanner.grids import PinholeGrid, range_from_counts
 
+# Memory for each cell at the peak of a read, as measured; unbending a lens's distortion takes the most.
+_DEPTH_BYTES = 300
+_PLAIN_DEPTH_BYTES = 160
+_COUNTS_BYTES = 80
 KINDS = ("depth-image", "counts")
 _DTYPE = re.compile(r"([<>|]?)([iuf])([1248])")
 _DTYPE_WORDS = {
@@ -36,15 +41,17 @@ _DTYPE_WORDS = {
 }  # fmt: skip
 
 
-def read_descriptor(path: PathLike, *, report: Report | None = None) -> Scan:
+def read_descriptor(path: PathLike, *, memory_bytes: int | None = None, report: Report | None = None) -> Scan:
     """Read the scan that a descriptor describes.
 
     Args:
         path: a JSON object with `kind` `depth-image` or `counts`.
+        memory_bytes: memory that the read may use, bytes; None: see `budget`, by the size of all its files together.
         report: receives the progress.
 
     Raises:
-        FormatError: if a field is missing or absurd, or a file that it names is missing, damaged or outside its folder.
+        FormatError: if a field is missing or absurd, a file that it names is missing, damaged or outside its folder, or
+            they would need more memory than may be used.
         ShapeError: if pictures and camera disagree in size, or there is no return.
         CameraError: if the camera is none.
     """
@@ -55,7 +62,7 @@ def read_descriptor(path: PathLike, *, report: Report | None = None) -> Scan:
             raise FormatError(f"it is JSON with {names}, but no scan: a descriptor has 'kind': {' or '.join(KINDS)}")
         kind = choice(fields, "kind", KINDS)
         reader = _depth_image if kind == "depth-image" else _counts
-        return reader(file, fields, report)
+        return reader(file, fields, memory_bytes, report)
 
 
 def _intensity_is(fields: Mapping[str, Any]) -> IntensityKind:
@@ -63,7 +70,14 @@ def _intensity_is(fields: Mapping[str, Any]) -> IntensityKind:
     return "raw" if word == "raw" else "range_normalised"
 
 
-def _depth_image(file: Path, fields: Mapping[str, Any], report: Report | None) -> Scan:
+def _budget(file: Path, fields: Mapping[str, Any], names: tuple[str, ...], memory_bytes: int | None) -> ReadBudget:
+    """Return the budget of a descriptor with the files that it names."""
+    targets = [inside_folder(file.parent, fields[name], f"the file of {name!r}") for name in names if fields.get(name)]
+    files = {file.resolve(), *(target for target in targets if target.is_file())}
+    return ReadBudget.of(sum(each.stat().st_size for each in files), memory_bytes)
+
+
+def _depth_image(file: Path, fields: Mapping[str, Any], memory_bytes: int | None, report: Report | None) -> Scan:
     if fields.get("intensity") is None:
         raise FormatError("the field 'intensity' is missing; a scan needs the laser's intensity beside its depth")
     unit = number(fields, "depth_unit_m")
@@ -73,9 +87,12 @@ def _depth_image(file: Path, fields: Mapping[str, Any], report: Report | None) -
     if not isinstance(fields.get("camera"), dict):
         raise CameraError("the field 'camera' is missing; a depth picture needs width, height, fx, fy, cx, cy")
     geometry = PinholeGrid(camera_from_fields(fields["camera"]))
-    depth = _plane(file, fields, "depth", geometry.shape)
+    require_cells(*geometry.shape)
+    budget = _budget(file, fields, ("depth", "intensity"), memory_bytes)
+    budget.require_cells(*geometry.shape, _DEPTH_BYTES if geometry.camera.distortion else _PLAIN_DEPTH_BYTES)
+    depth = _plane(file, fields, "depth", geometry.shape, budget)
     _tell(report, 1)
-    intensity = _plane(file, fields, "intensity", geometry.shape)
+    intensity = _plane(file, fields, "intensity", geometry.shape, budget)
     _tell(report, 2)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         metres = depth.astype(np.float64) * unit
@@ -91,10 +108,12 @@ def _depth_image(file: Path, fields: Mapping[str, Any], report: Report | None) -
     )
 
 
-def _plane(file: Path, fields: Mapping[str, Any], name: str, shape: tuple[int, int]) -> NDArray[Any]:
+def _plane(
+    file: Path, fields: Mapping[str, Any], name: str, shape: tuple[int, int], budget: ReadBudget
+) -> NDArray[Any]:
     target = inside_folder(file.parent, fields.get(name), f"the file of {name!r}")
     with reading(target) as picture:
-        values = read_image(picture).values
+        values = read_image(picture, budget=budget).values
     if values.ndim != 2:
         raise ShapeError(f"the picture of {name!r} has colours; it must have one channel")
     if values.shape != shape:
@@ -103,7 +122,7 @@ def _plane(file: Path, fields: Mapping[str, Any], name: str, shape: tuple[int, i
     return values
 
 
-def _counts(file: Path, fields: Mapping[str, Any], report: Report | None) -> Scan:
+def _counts(file: Path, fields: Mapping[str, Any], memory_bytes: int | None, report: Report | None) -> Scan:
     rows, columns = whole_number(fields, "rows", least=1), whole_number(fields, "columns", least=1)
     require_cells(rows, columns)
     scalars = {name: number(fields, name) for name in SCALARS} | {name: number(fields, name, 0.0) for name in OFFSETS}
@@ -113,6 +132,8 @@ def _counts(file: Path, fields: Mapping[str, Any], report: Report | None) -> Sca
             "both 'intensity_file' and 'intensity_mask'" if packed else "neither 'intensity_file' nor 'intensity_mask'"
         )
         raise FormatError(f"it names {both}; a scan needs its intensity from one of them")
+    budget = _budget(file, fields, ("file", "intensity_file"), memory_bytes)
+    budget.require_cells(rows, columns, _COUNTS_BYTES)
     words, notes = _raster(file, fields, "file", "dtype", (rows, columns))
     _tell(report, 1)
     counts = _bits(words, fields, "count")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, ShapeError
+from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.e57_header import E57Info, E57ScanInfo, read_e57_info
 from ladarreg_core.formats.grid_order import order_of, unit_rays
 from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, unit_notes
@@ -28,14 +29,23 @@ _INDICES = ("rowIndex", "columnIndex")
 _STATES = ("cartesianInvalidState", "sphericalInvalidState", "isIntensityInvalid")
 _LEAST_UNIQUE = 0.6
 _CELLS_PER_POINT = 200
+# Memory at the peak of a read, as measured: for each point, for each of its fields, for its cell where the grid is
+# full, and for each cell of a grid that is mostly empty.
+_POINT_BYTES = 160
+_FIELD_BYTES = 8
+_OWN_CELL_BYTES = 200
+_CELL_BYTES = 300
 
 
-def read_e57(path: PathLike, *, scan_index: int = 0, report: Report | None = None) -> Scan:
+def read_e57(
+    path: PathLike, *, scan_index: int = 0, memory_bytes: int | None = None, report: Report | None = None
+) -> Scan:
     """Read one scan of an E57 file.
 
     Args:
         path: the file.
         scan_index: which of its scans, from 0.
+        memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress, in points.
 
     Returns:
@@ -43,7 +53,7 @@ def read_e57(path: PathLike, *, scan_index: int = 0, report: Report | None = Non
         without row and column indices is laid onto a grid. A grid of more than 8 M cells is thinned.
 
     Raises:
-        FormatError: if it is damaged, has no scan or no intensity.
+        FormatError: if it is damaged, has no scan or no intensity, or would need more memory than it may use.
         ShapeError: if there are no returns.
         OptionError: if there is no such scan.
     """
@@ -51,9 +61,13 @@ def read_e57(path: PathLike, *, scan_index: int = 0, report: Report | None = Non
         info = read_e57_info(file)
         scan = _chosen(info, scan_index)
         _require_fields(scan)
+        budget = ReadBudget.of(file.stat().st_size, memory_bytes)
+        fields = len(scan.field_names & {*_CARTESIAN, *_SPHERICAL, *_COLORS, *_INDICES, *_STATES})
+        held = scan.points * (_POINT_BYTES + _FIELD_BYTES * fields)
+        budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
         with e57_file(file) as image_file:
             columns = _read_points(image_file, scan, scan_index, report)
-        return _to_scan(file.stem, info, scan, columns)
+        return _to_scan(file.stem, info, scan, columns, budget.cells_beside(held, _CELL_BYTES))
 
 
 def _chosen(info: E57Info, scan_index: int) -> E57ScanInfo:
@@ -145,7 +159,7 @@ def _read_points(image_file: Any, scan: E57ScanInfo, scan_index: int, report: Re
     return columns
 
 
-def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDArray[Any]]) -> Scan:
+def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDArray[Any]], most_cells: int) -> Scan:
     points, state = _positions(columns)
     intensity = columns["intensity"]
     if "isIntensityInvalid" in columns:
@@ -163,10 +177,12 @@ def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDA
     if info.images:
         count = len(info.images)
         notes.append(f"the file holds {count} embedded picture{'s' * (count > 1)} that can be extracted")
-    grid = _grid_cells(columns)
+    most_cells = min(most_cells, LARGEST_GRID)
+    grid = _grid_cells(columns, most_cells)
     if grid is None:
         keep = np.flatnonzero(returned)
-        cloud = grid_points(points[keep], intensity[keep], None if color is None else color[keep])
+        paint = None if color is None else color[keep]
+        cloud = grid_points(points[keep], intensity[keep], paint, most_cells=most_cells)
         return Scan(
             cloud.geometry,
             cloud.ranges,
@@ -228,7 +244,9 @@ def _color(columns: dict[str, NDArray[Any]], largest: float) -> ByteArray | None
     return np.clip(np.nan_to_num(rgb), 0, 255).round().astype(np.uint8)
 
 
-def _grid_cells(columns: dict[str, NDArray[Any]]) -> tuple[IntArray, IntArray, tuple[int, int], int] | None:
+def _grid_cells(
+    columns: dict[str, NDArray[Any]], most_cells: int
+) -> tuple[IntArray, IntArray, tuple[int, int], int] | None:
     """Return each point's (row, column; -1 = thinned away), the grid's shape and the thinning; None: there is no grid.
 
     Indices are believed only where they are mostly different: some writers leave them all zero.
@@ -241,7 +259,7 @@ def _grid_cells(columns: dict[str, NDArray[Any]]) -> tuple[IntArray, IntArray, t
         return None
     if len(np.unique(row * width + column)) < _LEAST_UNIQUE * len(row):
         return None
-    thin = int(np.ceil(np.sqrt(rows * width / LARGEST_GRID)))
+    thin = int(np.ceil(np.sqrt(rows * width / most_cells)))
     if thin > 1:
         away: BoolArray = (row % thin != 0) | (column % thin != 0)
         row, column = np.where(away, -1, row // thin), np.where(away, -1, column // thin)

@@ -25,9 +25,11 @@ SIGNATURE = b"ASTM-E57"
 _HEADER = struct.Struct("<8sIIQQQQ")
 _PAGE = 1024
 _PAGE_DATA = 1020  # the last four bytes of a page are its check sum
-_LARGEST_XML = 64 << 20
+_LARGEST_XML = 32 << 20
 _DEEPEST = 64
-_MOST_ELEMENTS = 2_000_000
+_MOST_ELEMENTS = 500_000
+_MOST_CHILDREN = 4_000  # the native reader looks for equal names among all of them
+_LEAST_BITS = 8  # of a point's record
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,17 +146,24 @@ def _read_xml(stream: BinaryIO, size: int) -> bytes:
 def _judge_xml(xml: bytes) -> None:
     """Refuse entities, abysses and floods, which make XML parsers eat memory."""
     parser = expat.ParserCreate()
-    depth = count = 0
+    count = 0
+    children = [0]  # so far, of each element that is open
 
     def start(name: str, attributes: dict[str, str]) -> None:
-        nonlocal depth, count
-        depth, count = depth + 1, count + 1
+        nonlocal count
+        count += 1 + len(attributes)
+        children[-1] += 1
+        depth = len(children)
         if depth > _DEEPEST or count > _MOST_ELEMENTS:
             raise FormatError(f"the E57's XML is nested {depth} deep with {count:,} elements; it is no honest file")
+        if children[-1] > _MOST_CHILDREN:
+            raise FormatError(
+                f"an element of the E57's XML holds more than {_MOST_CHILDREN:,} others; it is no honest file"
+            )
+        children.append(0)
 
     def end(name: str) -> None:
-        nonlocal depth
-        depth -= 1
+        children.pop()
 
     def doctype(*_: object) -> None:
         raise FormatError("the E57's XML declares a document type, which E57 has not; it is no honest file")
@@ -217,8 +226,8 @@ def _scan(node: _Node, index: int, file_bytes: int) -> E57ScanInfo:
     count = _whole(points.get("recordCount"), "recordCount")
     fields = tuple(_field(child) for child in _children(_child(points, "prototype")))
     bits = sum(field.bits for field in fields)
-    # Records that are constant take no bits at all, but no scan is made of one point.
-    if count < 0 or count * max(bits, 0.01) / 8 > file_bytes + 1024:
+    # Constant fields take no bits at all, but points that differ in nothing are no scan.
+    if count < 0 or count * max(bits, _LEAST_BITS) / 8 > file_bytes + 1024:
         raise FormatError(
             f"scan {index} claims {count:,} points of {bits:.0f} bits, but the whole file has {file_bytes:,} bytes; it "
             "is damaged or no honest file"
@@ -263,6 +272,7 @@ def _pose(node: _Node | None) -> Rigid | None:
 
 
 def _images(root: _Node, file_bytes: int) -> Iterator[E57ImageInfo]:
+    together = 0
     for index, node in enumerate(_children(_child(root, "images2D"))):
         for kind in ("pinhole", "spherical", "cylindrical", "visualReference"):
             shape = _child(node, f"{kind}Representation")
@@ -273,9 +283,11 @@ def _images(root: _Node, file_bytes: int) -> Iterator[E57ImageInfo]:
                 if blob is None:
                     continue
                 length = _whole(blob.get("length"), "picture length")
-                if not 0 < length <= file_bytes:
+                together += length
+                if length <= 0 or together > file_bytes:
                     raise FormatError(
-                        f"picture {index} claims {length:,} bytes in a file of {file_bytes:,}; it is damaged"
+                        f"the first {index + 1} pictures claim {together:,} bytes in a file of {file_bytes:,}; it is "
+                        "damaged"
                     )
                 numbers = {_local(child): _number(child) for child in _children(shape) if _is_number(child)}
                 distortion = _child(node, "distortion")

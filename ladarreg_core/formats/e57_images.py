@@ -56,7 +56,7 @@ def extract_images(path: PathLike, folder: PathLike) -> list[ExtractedImage]:
         if not info.images:
             return []
         with e57_file(file) as image_file:
-            blobs = [_blob(image_file, image) for image in info.images]
+            blobs = [_blob(image_file, image) for image in info.images]  # together no larger than the file
         try:
             target.mkdir(parents=True, exist_ok=True)
             return [

@@ -4,14 +4,35 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, NoReturn
 
 from ladarreg_core.errors import ExportError, FormatError
 from ladarreg_core.formats.untrusted import PathLike, one_line, shown_name
 
-_LARGEST_BYTES = 64 << 20
+LARGEST_BYTES = 8_000_000
+"""Cameras, poses, matches, descriptors and results are smaller than this."""
+_WHAT = "\0"  # stands in a reason for what the file should be
+_parsed: ContextVar[dict[Path, dict[str, Any] | str] | None] = ContextVar("parsed", default=None)
+
+
+@contextmanager
+def parsed_once() -> Iterator[None]:
+    """Remember, until the block ends, what each JSON file holds: who recognises a file and who reads it parse it once.
+
+    Blocks may be nested; the outermost one counts. What they share must not be changed.
+    """
+    if _parsed.get() is not None:
+        yield
+        return
+    token = _parsed.set({})
+    try:
+        yield
+    finally:
+        _parsed.reset(token)
 
 
 def read_json_object(path: Path, what: str) -> dict[str, Any]:
@@ -24,20 +45,36 @@ def read_json_object(path: Path, what: str) -> dict[str, Any]:
     Raises:
         FormatError: if it is too large, no JSON, holds NaN or infinity, or is no object.
     """
-    if path.stat().st_size > _LARGEST_BYTES:
-        raise FormatError(f"it has {path.stat().st_size:,} bytes, too many for {what}; give the right file")
+    known = _parsed.get()
+    found = None if known is None else known.get(path)
+    if found is None:
+        found = _parse(path)
+        if known is not None:
+            known[path] = found
+    if isinstance(found, str):
+        raise FormatError(found.replace(_WHAT, what))
+    return found
+
+
+def _parse(path: Path) -> dict[str, Any] | str:
+    """Return the object that a JSON file holds, or what is wrong with it."""
+    size = path.stat().st_size
+    if size > LARGEST_BYTES:
+        return f"it has {size:,} bytes; {_WHAT} has at most {LARGEST_BYTES:,}: give the right file"
     try:
         value = json.loads(path.read_text(encoding="utf-8-sig"), parse_constant=_no_constant)
+    except FormatError as error:
+        return str(error)
     except UnicodeDecodeError:
-        raise FormatError(f"it is no text in UTF-8; {what} is JSON") from None
+        return f"it is no text in UTF-8; {_WHAT} is JSON"
     except RecursionError:
-        raise FormatError(f"its JSON is nested too deeply for {what}; give the right file") from None
+        return f"its JSON is nested too deeply for {_WHAT}; give the right file"
     except json.JSONDecodeError as error:
-        raise FormatError(f"it is no JSON ({error.msg}, line {error.lineno}); {what} is JSON") from None
+        return f"it is no JSON ({error.msg}, line {error.lineno}); {_WHAT} is JSON"
     except ValueError as error:  # integers of thousands of digits
-        raise FormatError(f"it is no usable JSON ({one_line(error, 80)})") from None
+        return f"it is no usable JSON ({one_line(error, 80)})"
     if not isinstance(value, dict):
-        raise FormatError(f"its JSON is a {type(value).__name__}; {what} is an object in braces")
+        return f"its JSON is a {type(value).__name__}; {_WHAT} is an object in braces"
     return value
 
 

@@ -13,13 +13,13 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import ExportError, FormatError
-from ladarreg_core.formats.json_file import choice, number, read_json_object, write_json
+from ladarreg_core.formats.json_file import LARGEST_BYTES, choice, number, read_json_object, write_json
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading, shown_name
 from ladarreg_core.matches import Pick, PickKind
 from ladarreg_core.scan import Scan
 
-_LARGEST_BYTES = 64 << 20
-_MOST_MATCHES = 1_000_000
+MOST_MATCHES = 5_000
+"""A person puts down some dozens, a detector some hundreds."""
 _CELL_HEADER = ["row", "column", "u", "v"]
 _RAY_HEADER = ["x", "y", "z", "u", "v"]
 
@@ -32,12 +32,11 @@ def read_matches(path: PathLike, scan: Scan) -> list[Pick]:
         scan: the scan that cells belong to.
 
     Raises:
-        FormatError: if it is no matches file, a coordinate is missing or not finite, or a cell lies outside the scan.
+        FormatError: if it is no matches file, holds more than 5,000 matches, a coordinate is missing or not finite, or
+            a cell lies outside the scan.
         ShapeError: if a pick is no pair of points or lines.
     """
     with reading(path) as file:
-        if file.stat().st_size > _LARGEST_BYTES:
-            raise FormatError(f"it has {file.stat().st_size:,} bytes, too many for a matches file")
         with open(file, "rb") as stream:
             head = stream.read(256).removeprefix(b"\xef\xbb\xbf").lstrip()
         picks = _from_json(file, scan) if head.startswith((b"{", b"[")) else _from_csv(file, scan)
@@ -96,8 +95,8 @@ def _from_json(file: Path, scan: Scan) -> list[Pick]:
     entries = fields.get("matches")
     if not isinstance(entries, list):
         raise FormatError("the field 'matches' is missing or no list; it must be the list of matches")
-    if len(entries) > _MOST_MATCHES:
-        raise FormatError(f"it holds {len(entries):,} matches; at most {_MOST_MATCHES:,} are read")
+    if len(entries) > MOST_MATCHES:
+        raise _too_many(f"{len(entries):,}")
     return [_pick(entry, k, scan, in_cells=in_cells) for k, entry in enumerate(entries)]
 
 
@@ -141,25 +140,50 @@ def _rays_of_cells(cells: FloatArray, scan: Scan, name: str) -> FloatArray:
     return rays
 
 
+def _too_many(count: str) -> FormatError:
+    return FormatError(f"it holds {count} matches; at most {MOST_MATCHES:,} are read: keep the best ones, well spread")
+
+
 def _from_csv(file: Path, scan: Scan) -> list[Pick]:
+    header, *rows = csv_rows(file)
+    picks = []
+    for line, row in enumerate(rows, start=1):
+        values = _csv_numbers(row, line, len(header))
+        side = np.array([values[:-2]])
+        rays = _rays_of_cells(side, scan, str(line)) if header == _CELL_HEADER else side
+        picks.append(Pick(str(line), "point", rays, np.array([values[-2:]]), origin="file"))
+    return picks
+
+
+def csv_rows(file: Path) -> list[list[str]]:
+    """Return the cells of a CSV of matches, row by row; the header is the first, in small letters.
+
+    Raises:
+        FormatError: if it is no text, too large, has another header, or holds more than 5,000 matches.
+    """
+    size = file.stat().st_size
+    if size > LARGEST_BYTES:
+        raise FormatError(
+            f"it has {size:,} bytes; a matches file has at most {LARGEST_BYTES:,}, and {MOST_MATCHES:,} matches: keep "
+            "the best ones, well spread"
+        )
+    rows: list[list[str]] = []
     try:
-        text = file.read_text(encoding="utf-8-sig")
+        with open(file, encoding="utf-8-sig", newline="") as stream:
+            for row in csv.reader(stream):
+                if any(cell.strip() for cell in row):
+                    rows.append(row)
+                    if len(rows) == MOST_MATCHES + 2:
+                        raise _too_many(f"more than {MOST_MATCHES:,}")
     except UnicodeDecodeError:
         raise FormatError("it is no text; matches are JSON or CSV") from None
-    rows = [row for row in csv.reader(io.StringIO(text)) if any(cell.strip() for cell in row)]
     header = [cell.strip().lower() for cell in rows[0]] if rows else []
     if header not in (_CELL_HEADER, _RAY_HEADER):
         raise FormatError(
             f"its first line is {one_line(','.join(header), 60)!r}; matches are JSON, or CSV with the first line "
             "row,column,u,v or x,y,z,u,v"
         )
-    picks = []
-    for line, row in enumerate(rows[1:], start=1):
-        values = _csv_numbers(row, line, len(header))
-        side = np.array([values[:-2]])
-        rays = _rays_of_cells(side, scan, str(line)) if header == _CELL_HEADER else side
-        picks.append(Pick(str(line), "point", rays, np.array([values[-2:]]), origin="file"))
-    return picks
+    return [header, *rows[1:]]
 
 
 def _csv_numbers(row: list[str], line: int, count: int) -> list[float]:

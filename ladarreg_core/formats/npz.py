@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import math
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.errors import ExportError, FormatError, OptionError, ShapeError
+from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.formats.untrusted import (
     PathLike,
@@ -30,9 +33,11 @@ from ladarreg_core.scanner.grids import AzimuthElevation, ScanGeometry, Tabulate
 
 SCALARS = ("r0_m", "dr_m", "d_azimuth_rad", "d_elevation_rad")
 OFFSETS = ("azimuth_offset_rad", "elevation_offset_rad")
-_LARGEST_INFLATED = 256 << 20
-_LARGEST_RATIO = 200
 _LONGEST_HEADER = 4096
+_PIECE = 1 << 20
+# Memory for each cell at the peak of a read, beside the arrays as they stand in the file; as measured.
+_XYZ_BYTES = 330
+_COUNTS_BYTES = 40
 
 
 def sniff_npz(head: bytes) -> bool:
@@ -40,19 +45,21 @@ def sniff_npz(head: bytes) -> bool:
     return head[:4] in (b"PK\x03\x04", b"PK\x05\x06")
 
 
-def read_npz(path: PathLike, *, report: Report | None = None) -> Scan:
+def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report | None = None) -> Scan:
     """Read an NPZ scan.
 
     Args:
         path: a file with `intensity` (H, W) and either `xyz` (H, W, 3), m, NaN or (0, 0, 0) = no return, or `counts`
             (H, W), 0 = no return, with `r0_m`, `dr_m`, `d_azimuth_rad`, `d_elevation_rad` and optional offsets.
+        memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress.
 
     Returns:
         the scan; row 0 is the top, column 0 the left.
 
     Raises:
-        FormatError: if it is damaged, incomplete, pickled, or claims more than it holds.
+        FormatError: if it is damaged, incomplete, pickled, claims more than it holds, or would need more memory than
+            it may use.
         ShapeError: if the arrays disagree or there is no return.
     """
     with reading(path) as file, _archive(file) as archive:
@@ -76,6 +83,9 @@ def read_npz(path: PathLike, *, report: Report | None = None) -> Scan:
         color = members.get("color")
         if color is not None and (color.shape != (*intensity.shape, 3) or color.dtype != np.uint8):
             raise ShapeError(f"'color' is {color.dtype} {color.shape}; it must be uint8 {(*intensity.shape, 3)}")
+        arrays = sum(member.bytes_per_cell for member in (intensity, measured, color) if member is not None)
+        budget = ReadBudget.of(file.stat().st_size, memory_bytes)
+        budget.require_cells(*intensity.shape, arrays + (_XYZ_BYTES if name == "xyz" else _COUNTS_BYTES))
         total = 2 + (color is not None)
         _tell(report, 0, total)
         shown = as_float32(intensity.read(archive))
@@ -171,13 +181,25 @@ class _Member:
     fortran_order: bool
     data_offset: int
 
+    @property
+    def bytes_per_cell(self) -> int:
+        """Bytes of what stands at one (row, column)."""
+        return math.prod(self.shape[2:]) * self.dtype.itemsize
+
     def read(self, archive: zipfile.ZipFile) -> NDArray[Any]:
         """Return the array; the zip's check sum is verified on the way."""
+        values = np.empty(math.prod(self.shape), self.dtype)
+        room = values.view(np.uint8)
         with archive.open(self.entry) as stream:
             stream.read(self.data_offset)
-            data = stream.read()
-        values = np.frombuffer(data, dtype=self.dtype).reshape(self.shape, order="F" if self.fortran_order else "C")
-        return values.astype(self.dtype.newbyteorder("="))
+            at = 0
+            while piece := stream.read(_PIECE):  # whole, it would be held several times over
+                room[at : at + len(piece)] = np.frombuffer(piece, np.uint8)
+                at += len(piece)
+        if at != values.nbytes:
+            raise FormatError("the NPZ ends within an array; it is damaged: save it again")
+        values = values.reshape(self.shape, order="F" if self.fortran_order else "C")
+        return values.astype(self.dtype.newbyteorder("="), copy=False)
 
 
 def _members(archive: zipfile.ZipFile) -> dict[str, _Member]:
@@ -192,12 +214,8 @@ def _members(archive: zipfile.ZipFile) -> dict[str, _Member]:
             raise FormatError(f"the NPZ holds two arrays named {name!r}; it must hold one")
         if entry.flag_bits & 1:
             raise FormatError("the NPZ is encrypted; save it without a password")
-        ratio = entry.file_size / max(entry.compress_size, 1)
-        if entry.file_size > _LARGEST_INFLATED and ratio > _LARGEST_RATIO:
-            raise FormatError(
-                f"the array {name!r} would grow from {entry.compress_size:,} to {entry.file_size:,} bytes; no scan is "
-                "so empty: it is no honest file"
-            )
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise FormatError("the NPZ is packed in an unusual way; save it with numpy.savez or savez_compressed")
         found[name] = _header_of(archive, entry, name)
     if not found:
         inside = [one_line(entry.filename, 30) for entry in archive.infolist()[:4]]
@@ -212,20 +230,21 @@ def _header_of(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> _
             readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
             if version not in readers:
                 raise FormatError(f"the array {name!r} is of .npy version {version}; only 1.0 and 2.0 are read")
-            shape, fortran, dtype = readers[version](stream, max_header_size=_LONGEST_HEADER)
+            start = stream.read(_LONGEST_HEADER + 4)  # NumPy would read as much as the header claims to be long
+            begin = io.BytesIO(start)
+            shape, fortran, dtype = readers[version](begin, max_header_size=_LONGEST_HEADER)
         except (zipfile.BadZipFile, zlib.error, FormatError):
             raise
         except Exception as error:  # the header is a Python literal: there are many ways not to be one
             raise FormatError(f"the array {name!r} has a damaged header; save it again") from error
-        offset = stream.tell()
+        offset = np.lib.format.MAGIC_LEN + begin.tell()
     if dtype.hasobject:
         raise FormatError(f"the array {name!r} holds pickled Python objects, which are never loaded; save numbers")
     if dtype.kind not in ("US" if name == "intensity_is" else "fiub"):
         raise FormatError(f"the array {name!r} is of type {one_line(dtype, 40)}; it must hold numbers")
-    cells = 1
-    for side in shape:
-        cells *= int(side)
-    if cells * dtype.itemsize != entry.file_size - offset:
+    if dtype.kind in "US" and dtype.itemsize > _LONGEST_HEADER:
+        raise FormatError(f"the array {name!r} holds words of {dtype.itemsize:,} bytes; it must be one short word")
+    if math.prod(map(int, shape)) * dtype.itemsize != entry.file_size - offset:
         raise FormatError(
             f"the array {name!r} claims {' x '.join(map(str, shape)) or 'one'} values of {dtype.itemsize} bytes, "
             f"but {max(entry.file_size - offset, 0):,} bytes are there; save it again"

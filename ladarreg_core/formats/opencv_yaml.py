@@ -1,6 +1,7 @@
 """The part of YAML that camera calibrations are written in: nested mappings, lists, numbers and words.
 
 Tags (`!!opencv-matrix`), directives and comments are skipped; anchors, block texts and the rest of YAML are refused.
+The time taken is proportional to the length of the text.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from typing import Any
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.untrusted import one_line
 
-_KEY = re.compile(r"""^("[^"]*"|'[^']*'|[^\s"'\[\]{},#&*!|>%@`-][^:#]*?)\s*:(?:\s+(.*))?$""")
+_NOT_FIRST_IN_A_KEY = "\"'[]{},#&*!|>%@`-"
 _DEEPEST = 20
-_MOST_LINES = 100_000
+_LONGEST_LINE = 100_000
 _Line = tuple[int, str]
 
 
@@ -37,8 +38,9 @@ def parse_yaml(text: str) -> dict[str, Any]:
 def _logical_lines(text: str) -> list[_Line]:
     """Return (indent, content) of each line, with lists in brackets that run over several lines joined."""
     raw = text.splitlines()
-    if len(raw) > _MOST_LINES:
-        raise FormatError(f"it has {len(raw):,} lines, too many for a camera file")
+    longest = max(map(len, raw), default=0)
+    if longest > _LONGEST_LINE:
+        raise FormatError(f"it has a line of {longest:,} characters; a camera file's have at most {_LONGEST_LINE:,}")
     lines: list[_Line] = []
     pending: list[str] = []
     indent = depth = 0
@@ -88,10 +90,10 @@ def _block(lines: list[_Line], at: int, depth: int) -> tuple[Any, int]:
         return items, at
     mapping: dict[str, Any] = {}
     while at < len(lines) and lines[at][0] == indent:
-        match = _KEY.match(lines[at][1])
-        if match is None:
+        pair = _key_and_value(lines[at][1])
+        if pair is None:
             raise FormatError(f"the line {one_line(lines[at][1], 60)!r} is no 'name: value'; give JSON or simple YAML")
-        key, inline = match[1].strip("\"'"), _without_tag(match[2] or "")
+        key, inline = pair[0], _without_tag(pair[1])
         at += 1
         if inline:
             mapping[key] = _scalar_or_flow(inline)
@@ -100,6 +102,24 @@ def _block(lines: list[_Line], at: int, depth: int) -> tuple[Any, int]:
         else:
             mapping[key] = None
     return mapping, at
+
+
+def _key_and_value(line: str) -> tuple[str, str] | None:
+    """Return the name and the text after its colon, or None where the line is no `name: value`."""
+    quote = line[:1]
+    if quote in ("'", '"'):
+        key, closed, rest = line[1:].partition(quote)
+        before, colon, value = rest.partition(":")
+        if not closed or before.strip():
+            return None
+    else:
+        key, colon, value = line.partition(":")
+        key = key.rstrip()
+        if not key or key[0] in _NOT_FIRST_IN_A_KEY or "#" in key:
+            return None
+    if not colon or (value and not value[0].isspace()):
+        return None
+    return key, value.strip()
 
 
 def _without_tag(text: str) -> str:

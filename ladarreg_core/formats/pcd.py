@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.errors import FormatError, ShapeError
+from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.formats.lzf import lzf_decompress
 from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, require_cells, unit_notes
@@ -27,6 +29,11 @@ _LONGEST_HEADER = 1 << 16
 _MOST_FIELDS = 256
 _LARGEST_FIELD = 1 << 16
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+# Memory at the peak of a read, beside what stands in the file, as measured: for each point with its cell, for each
+# point alone, and for each cell of a grid that is mostly empty.
+_POINT_BYTES = 340
+_HELD_BYTES = 120
+_CELL_BYTES = 300
 _TYPES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 
 
@@ -37,11 +44,12 @@ def sniff_pcd(head: bytes) -> bool:
     return head.lstrip().startswith(b"# .PCD") or (bool(words) and words[0] in (b"VERSION", b"FIELDS"))
 
 
-def read_pcd(path: PathLike, *, report: Report | None = None) -> Scan:
+def read_pcd(path: PathLike, *, memory_bytes: int | None = None, report: Report | None = None) -> Scan:
     """Read a PCD cloud as a scan.
 
     Args:
         path: a cloud with x, y, z (m) and an intensity; a `ring` field is used where there is one.
+        memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress.
 
     Returns:
@@ -49,14 +57,20 @@ def read_pcd(path: PathLike, *, report: Report | None = None) -> Scan:
         laid onto one.
 
     Raises:
-        FormatError: if the header is damaged, claims more than the file holds, or there is no intensity.
+        FormatError: if the header is damaged, claims more than the file holds or than the memory that may be used, or
+            there is no intensity.
         ShapeError: if there are no returns.
     """
     with reading(path) as file:
+        budget = ReadBudget.of(file.stat().st_size, memory_bytes)
         with open(file, "rb") as stream:
             header = _read_header(stream)
+            _require_bytes(header, budget.file_bytes - header.data_offset)
+            budget.require_cells(header.height, header.width, header.bytes_of_a_point + _POINT_BYTES)
+            held = header.points * (header.bytes_of_a_point + _HELD_BYTES)
+            most_cells = budget.cells_beside(held, _CELL_BYTES)
             _tell(report, 0)
-            columns = _read_body(stream, header, file.stat().st_size - header.data_offset)
+            columns = _read_body(stream, header, budget.file_bytes - header.data_offset)
         _tell(report, 1)
         names = {name.lower(): name for name in columns}
         if not {"x", "y", "z"} <= set(names):
@@ -70,7 +84,7 @@ def read_pcd(path: PathLike, *, report: Report | None = None) -> Scan:
         points = np.stack([columns[names[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
         color = next((_unpack_rgb(columns[names[name]]) for name in _COLOR_NAMES if name in names), None)
         ring = next((columns[names[name]] for name in RING_NAMES if name in names), None)
-        scan = _to_scan(file.stem, header, points, as_float32(columns[found]), color, ring)
+        scan = _to_scan(file.stem, header, points, as_float32(columns[found]), color, ring, most_cells)
         _tell(report, 2)
         return scan
 
@@ -87,6 +101,18 @@ class _Header:
     @property
     def points(self) -> int:
         return self.width * self.height
+
+    @property
+    def numbers(self) -> int:
+        """Numbers of a point's record."""
+        return sum(math.prod(self.dtype[name].shape) for name in self.dtype.names or ())
+
+    @property
+    def bytes_of_a_point(self) -> int:
+        """Bytes of memory that a point's record takes while it is read."""
+        if self.encoding == "ascii":  # every number becomes a float64, in a table that is doubled while it grows
+            return 16 * self.numbers
+        return self.dtype.itemsize * (2 if self.encoding == "binary_compressed" else 1)
 
 
 def _read_header(stream: io.BufferedReader) -> _Header:
@@ -157,9 +183,8 @@ def _read_body(stream: io.BufferedReader, header: _Header, there: int) -> dict[s
     """Return the one-valued fields by name, each (N,); nothing is allocated before the file is known to hold it."""
     count, dtype = header.points, header.dtype
     if header.encoding == "ascii":
-        return _read_ascii(stream, header, there)
+        return _read_ascii(stream, header)
     if header.encoding == "binary":
-        _require_bytes(there, count, dtype)
         records = np.frombuffer(stream.read(count * dtype.itemsize), dtype=dtype, count=count)
         return {name: records[name] for name in _single(dtype)}
     sizes = np.frombuffer(stream.read(8).ljust(8, b"\0"), "<u4").tolist()
@@ -182,11 +207,16 @@ def _read_body(stream: io.BufferedReader, header: _Header, there: int) -> dict[s
     return columns
 
 
-def _require_bytes(there: int, count: int, dtype: np.dtype[Any]) -> None:
-    if there < count * dtype.itemsize:
+def _require_bytes(header: _Header, there: int) -> None:
+    """Refuse a header that claims more than follows it; what a compressed body claims stands at its beginning."""
+    if header.encoding == "ascii":
+        least, what = 2 * header.points * header.numbers - 1, f"{header.numbers} numbers"  # a digit, a separator each
+    else:
+        least, what = header.points * header.dtype.itemsize, f"{header.dtype.itemsize} bytes"
+    if header.encoding != "binary_compressed" and there < least:
         raise FormatError(
-            f"the PCD header claims {count:,} points of {dtype.itemsize} bytes, but only {max(there, 0):,} bytes "
-            "follow; the file is cut off"
+            f"the PCD header claims {header.points:,} points of {what}, but only {max(there, 0):,} bytes follow; the "
+            "file is cut off"
         )
 
 
@@ -194,14 +224,9 @@ def _single(dtype: np.dtype[Any]) -> list[str]:
     return [name for name in dtype.names or () if not dtype[name].shape]
 
 
-def _read_ascii(stream: io.BufferedReader, header: _Header, there: int) -> dict[str, NDArray[Any]]:
+def _read_ascii(stream: io.BufferedReader, header: _Header) -> dict[str, NDArray[Any]]:
     dtype, count = header.dtype, header.points
     lengths = [int(np.prod(dtype[name].shape, dtype=np.int64)) for name in dtype.names or ()]
-    if there < 2 * sum(lengths) * count - 1:  # a digit and a separator each
-        raise FormatError(
-            f"the PCD header claims {count:,} points of {sum(lengths)} numbers, but only {max(there, 0):,} bytes "
-            "follow; the file is cut off"
-        )
     try:
         table = np.loadtxt(stream, dtype=np.float64, ndmin=2, max_rows=count, comments=None, encoding="latin-1")
     except ValueError as error:
@@ -240,6 +265,7 @@ def _to_scan(
     intensity: FloatArray,
     color: ByteArray | None,
     ring: NDArray[Any] | None,
+    most_cells: int,
 ) -> Scan:
     notes: list[str] = []
     pose = _pose(header.viewpoint)
@@ -267,7 +293,7 @@ def _to_scan(
                 notes=(*notes, *unit_notes(ranges)),
             )
         notes.append(f"its header says {header.width} x {header.height}, but the directions are in another order")
-    cloud = grid_points(points, intensity, color, ring=_whole_rings(ring))
+    cloud = grid_points(points, intensity, color, ring=_whole_rings(ring), most_cells=most_cells)
     notes.append(cloud.in_words())
     return Scan(
         cloud.geometry,

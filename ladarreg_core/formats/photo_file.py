@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
+from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.exif import focal_from_exif, orientation_of, upright
 from ladarreg_core.formats.image_file import as_rgb, read_image
@@ -33,6 +34,7 @@ def read_photo(
     focal_px: float | None = None,
     focal_mm: float | None = None,
     sensor_mm: float | None = None,
+    memory_bytes: int | None = None,
 ) -> Photo:
     """Read a photograph with its camera.
 
@@ -45,9 +47,10 @@ def read_photo(
         focal_px: focal length in pixels of this picture.
         focal_mm: focal length, mm; needs `sensor_mm`.
         sensor_mm: the sensor's width, mm: that of the picture before any turn by EXIF.
+        memory_bytes: memory that the read may use, bytes; None: see `budget`.
 
     Raises:
-        FormatError: if the file is no picture, or is damaged.
+        FormatError: if the file is no picture, is damaged, or would need more memory than it may use.
         CameraError: if no focal length is given or found, no lens has the one given, or the picture has not the
             camera's size.
         OptionError: if the options contradict each other or are not positive.
@@ -55,7 +58,7 @@ def read_photo(
     _check_options(camera, focal_px, focal_mm, sensor_mm)
     given = camera if camera is None or isinstance(camera, Camera) else read_camera(camera)
     with reading(path) as file:
-        image = read_image(file)
+        image = read_image(file, budget=ReadBudget.of(file.stat().st_size, memory_bytes))
         kelvin = kelvin_of(image.values)
         values, depth_note = as_rgb(image.values) if kelvin is None else (kelvin, _thermal_note(kelvin))
         notes = [depth_note] if depth_note else []

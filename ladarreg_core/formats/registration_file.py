@@ -9,7 +9,7 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.camera_file import camera_from_fields
-from ladarreg_core.formats.json_file import choice, number, read_json_object
+from ladarreg_core.formats.json_file import choice, number, parsed_once, read_json_object
 from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.matches import Matches
@@ -26,8 +26,8 @@ def read_registration(path: PathLike) -> Registration:
         FormatError: if it is no such file, or its numbers are none.
         CameraError: if its camera is none.
     """
-    pose = read_pose(path)
-    with reading(path) as file:
+    with reading(path) as file, parsed_once():
+        pose = read_pose(path)
         fields = read_json_object(file, "a registration")
         if not isinstance(fields.get("camera"), dict) or not isinstance(fields.get("accepted"), bool):
             raise FormatError("it has a pose, but neither camera nor verdict; give the registration.json of a result")
@@ -65,7 +65,7 @@ def read_offset(path: PathLike) -> Offset:
         FormatError: if it holds no rigid transform, or a sigma that is no number.
         OptionError: if a sigma is negative.
     """
-    with reading(path) as file:
+    with reading(path) as file, parsed_once():
         fields = read_json_object(file, "an offset")
         named = "camera_b_from_camera_a" in fields
         angle = number(fields, "sigma_angle_rad", STATED_OFFSET_SIGMA_RAD)

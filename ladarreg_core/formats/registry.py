@@ -19,6 +19,7 @@ from ladarreg_core.formats.e57_images import camera_of_image
 from ladarreg_core.formats.exif import exif_facts, focal_from_exif, orientation_of, upright
 from ladarreg_core.formats.image_file import image_format, read_image
 from ladarreg_core.formats.json_file import read_json_object
+from ladarreg_core.formats.matches_file import csv_rows
 from ladarreg_core.formats.npz import read_npz, sniff_npz
 from ladarreg_core.formats.pcd import read_pcd, sniff_pcd
 from ladarreg_core.formats.pose_file import POSE_FIELD, read_pose
@@ -169,9 +170,14 @@ def _describe_camera(path: Path) -> FileInfo:
         file=shown_name(path),
         bytes=path.stat().st_size,
         kind="camera",
-        format="JSON" if path.read_bytes()[:64].lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"{") else "YAML",
+        format="JSON" if _begins_with_brace(path) else "YAML",
         camera=describe_camera(camera),
     )
+
+
+def _begins_with_brace(file: Path) -> bool:
+    with open(file, "rb") as stream:
+        return stream.read(64).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"{")
 
 
 def _describe_pose(path: Path) -> FileInfo:
@@ -192,12 +198,10 @@ def _describe_pose(path: Path) -> FileInfo:
 
 def _describe_matches(path: Path) -> FileInfo:
     with reading(path) as file:
-        is_csv = not file.read_bytes()[:64].lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"{")
+        is_csv = not _begins_with_brace(file)
         if is_csv:
-            lines = [
-                line for line in file.read_text(encoding="utf-8-sig", errors="replace").splitlines() if line.strip()
-            ]
-            count, coordinates = f"{max(len(lines) - 1, 0)} points", lines[0]
+            header, *rows = csv_rows(file)
+            count, coordinates = f"{len(rows)} points", ",".join(header)
         else:
             fields = read_json_object(file, "a matches file")
             entries = fields["matches"] if isinstance(fields["matches"], list) else []
@@ -215,19 +219,19 @@ def _describe_matches(path: Path) -> FileInfo:
 FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "E57", "scan", lambda head, _: sniff_e57(head), _describe_e57,
-        lambda path, index, report: read_e57(path, scan_index=index, report=report),
+        lambda path, index, memory, report: read_e57(path, scan_index=index, memory_bytes=memory, report=report),
     ),
     FileFormat(
         "NPZ", "scan", lambda head, _: sniff_npz(head), _describe_npz,
-        lambda path, _, report: read_npz(path, report=report),
+        lambda path, _, memory, report: read_npz(path, memory_bytes=memory, report=report),
     ),
     FileFormat(
         "PCD", "scan", lambda head, _: sniff_pcd(head), _describe_pcd,
-        lambda path, _, report: read_pcd(path, report=report),
+        lambda path, _, memory, report: read_pcd(path, memory_bytes=memory, report=report),
     ),
     FileFormat(
         "descriptor JSON", "scan", _is_json("scan"), _describe_descriptor,
-        lambda path, _, report: read_descriptor(path, report=report),
+        lambda path, _, memory, report: read_descriptor(path, memory_bytes=memory, report=report),
     ),
     FileFormat("picture", "photo", lambda head, _: image_format(head) is not None, _describe_photo),
     FileFormat("camera JSON", "camera", _is_json("camera"), _describe_camera),

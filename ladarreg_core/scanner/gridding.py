@@ -162,7 +162,12 @@ class GriddedCloud:
 
 
 def grid_points(
-    points: ArrayLike, intensity: ArrayLike, color: ArrayLike | None = None, *, ring: ArrayLike | None = None
+    points: ArrayLike,
+    intensity: ArrayLike,
+    color: ArrayLike | None = None,
+    *,
+    ring: ArrayLike | None = None,
+    most_cells: int = LARGEST_GRID,
 ) -> GriddedCloud:
     """Lay a cloud without a grid onto one.
 
@@ -172,6 +177,7 @@ def grid_points(
         color: (N, 3) uint8 RGB.
         ring: (N,) whole numbers, which beam measured each point, where the file tells; it is used if it agrees with
             the latitudes.
+        most_cells: a finer cloud is thinned to this, and to 8 M cells in any case.
 
     Returns:
         The grid: row 0 the highest latitude, column 0 the largest longitude, the seam of a full turn in its widest gap.
@@ -191,7 +197,10 @@ def grid_points(
     p, distance = p[returns], distance[returns]
     rays = p / distance[:, None]
     turn = away_from_the_pole(rays)
-    law, cells, rings = _laid_out(rays if turn is None else rays @ turn.T, None if beam is None else beam[returns])
+    most_cells = min(most_cells, LARGEST_GRID)
+    law, cells, rings = _laid_out(
+        rays if turn is None else rays @ turn.T, None if beam is None else beam[returns], most_cells
+    )
 
     height, width = law.shape
     order = np.argsort(distance, kind="stable")  # stable: equal ranges must not depend on the sorting method
@@ -226,7 +235,7 @@ def away_from_the_pole(rays: FloatArray) -> FloatArray | None:
     return forward if mean[2] > 0 else np.asarray(forward @ rotation_from_rotvec([np.pi, 0.0, 0.0]))
 
 
-def _laid_out(rays: FloatArray, beam: IntArray | None) -> tuple[ScanGeometry, IntArray, int]:
+def _laid_out(rays: FloatArray, beam: IntArray | None, most_cells: int) -> tuple[ScanGeometry, IntArray, int]:
     """Return the law, the cell (N, 2) of each ray, and the number of rings (0: no rings)."""
     latitude = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
     longitude = np.arctan2(rays[:, 1], rays[:, 0])
@@ -236,11 +245,12 @@ def _laid_out(rays: FloatArray, beam: IntArray | None) -> tuple[ScanGeometry, In
     if labels is not None:
         step = _step_along_rings(turn, labels)
         if step is not None:
-            law, cells = _on_rings(latitude, turn, labels, step, centre)
+            law, cells = _on_rings(latitude, turn, labels, step, centre, most_cells)
             return law, cells, law.shape[0]
     d_latitude, d_longitude = _steps(turn, latitude)
     top, low = float(latitude.max()), float(latitude.min())
-    d_latitude, d_longitude = _bounded(top - low, span, d_latitude, d_longitude, len(rays))
+    bearable = min(most_cells, max(4096, _CELLS_PER_POINT * len(rays)))
+    d_latitude, d_longitude = _bounded(top - low, span, d_latitude, d_longitude, bearable)
     rows, columns = (int(np.floor(s / d + 1e-9)) + 1 for s, d in ((top - low, d_latitude), (span, d_longitude)))
     if min(rows, columns) < 2:
         raise ShapeError(
@@ -365,7 +375,7 @@ def _step_along_rings(turn: FloatArray, labels: IntArray) -> float | None:
 
 
 def _on_rings(
-    latitude: FloatArray, turn: FloatArray, labels: IntArray, step: float, centre: float
+    latitude: FloatArray, turn: FloatArray, labels: IntArray, step: float, centre: float, most_cells: int
 ) -> tuple[RingGrid, IntArray]:
     rows = int(labels.max()) + 1
     sizes = np.bincount(labels, minlength=rows)
@@ -375,7 +385,7 @@ def _on_rings(
     full = float(np.ptp(turn)) > 2 * np.pi - 4 * step
     if full:  # a whole number of columns makes the turn
         step = 2 * np.pi / max(2, round(2 * np.pi / step))
-    step = max(step, 2 * np.pi / _MOST_COLUMNS, float(np.ptp(turn)) * rows / LARGEST_GRID)
+    step = max(step, 2 * np.pi / _MOST_COLUMNS, float(np.ptp(turn)) * rows / most_cells)
 
     place = -turn / step
     spin = np.exp(2j * np.pi * place)
@@ -428,8 +438,11 @@ def _steps(turn: FloatArray, latitude: FloatArray) -> tuple[float, float]:
     """
     from scipy.spatial import cKDTree
 
-    plane = np.stack([turn, latitude], axis=-1)
+    plane = _different(np.stack([turn, latitude], axis=-1))
     count = len(plane)
+    if count < LEAST_POINTS:  # only the spread is left to go by
+        spans = [max(float(np.ptp(angle)), 1e-9) for angle in (turn, latitude)]
+        return (float(np.sqrt(spans[0] * spans[1] / count)),) * 2
     generator = np.random.default_rng(_SEED)
     sample = plane if count <= _SAMPLES else plane[generator.choice(count, _SAMPLES, replace=False)]
     neighbours = min(_NEIGHBOURS, count - 1)
@@ -437,7 +450,7 @@ def _steps(turn: FloatArray, latitude: FloatArray) -> tuple[float, float]:
     few = min(16, neighbours)
     area = np.pi * distance[:, few] ** 2 / few
     typical = float(np.sqrt(np.median(area)))
-    if not typical > 0:  # most points coincide: only the spread is left to go by
+    if not typical > 0:  # most points very nearly coincide
         spans = [max(float(np.ptp(angle)), 1e-9) for angle in (turn, latitude)]
         typical = float(np.sqrt(spans[0] * spans[1] / count))
     offsets = plane[index] - sample[:, None, :]
@@ -448,6 +461,12 @@ def _steps(turn: FloatArray, latitude: FloatArray) -> tuple[float, float]:
     if min(up_regular, side_regular) >= _REGULAR and 0.5 < up * side / typical**2 < 2:
         return up, side
     return (up, typical**2 / up) if up_regular >= side_regular else (typical**2 / side, side)
+
+
+def _different(plane: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rows that differ, in their order: a tree is no help among many points in one place."""
+    first = np.unique(plane.view(np.complex128)[:, 0], return_index=True)[1]
+    return plane if len(first) == len(plane) else plane[np.sort(first)]
 
 
 def _next_along(along: FloatArray, across: FloatArray, typical: float) -> tuple[float, float]:
@@ -462,13 +481,13 @@ def _next_along(along: FloatArray, across: FloatArray, typical: float) -> tuple[
 
 
 def _bounded(
-    height_rad: float, width_rad: float, d_latitude: float, d_longitude: float, count: int
+    height_rad: float, width_rad: float, d_latitude: float, d_longitude: float, most_cells: int
 ) -> tuple[float, float]:
     """Widen the steps until the grid is of a bearable size."""
     d_latitude = min(max(d_latitude, height_rad / _MOST_ROWS, 1e-6), 0.49)
     d_longitude = min(max(d_longitude, width_rad / _MOST_COLUMNS, 1e-6), 0.49)
     cells = (height_rad / d_latitude + 1) * (width_rad / d_longitude + 1)
-    factor = float(np.sqrt(max(1.0, cells / min(LARGEST_GRID, max(4096, _CELLS_PER_POINT * count)))))
+    factor = float(np.sqrt(max(1.0, cells / most_cells)))
     return min(d_latitude * factor, 0.49), min(d_longitude * factor, 0.49)
 
 

@@ -131,12 +131,16 @@ def bad_headers(make: Any, wall: Scan) -> dict[str, bytes]:
     many = good.replace(b"WIDTH %d" % size, b"WIDTH 50000000").replace(b"POINTS %d" % size, b"POINTS 50000000")
     compressed = make.pcd(points, intensity, encoding="binary_compressed")
     at = compressed.index(b"DATA binary_compressed\n") + len(b"DATA binary_compressed\n")
-    swollen = many.split(b"DATA ")[0] + b"DATA binary_compressed\n"
-    swollen += np.array([60, 50_000_000 * 19], "<u4").tobytes() + bytes(60)
+    huge_body = many.split(b"DATA ")[0] + b"DATA binary_compressed\n"
+    huge_body += np.array([60, 50_000_000 * 19], "<u4").tobytes() + bytes(60)
+    swollen = huge_body.replace(b" 50000000\n", b" 50000\n").replace(
+        np.array([50_000_000 * 19], "<u4").tobytes(), np.array([50_000 * 19], "<u4").tobytes()
+    )
     return {
         "at most 100,000,000": huge,
         "50,000,000 points of 19 bytes": many,
         "50,000,000 points of 7 numbers": many.replace(b"DATA binary", b"DATA ascii"),
+        "would need 18.9 GB of memory": huge_body,
         "more than they can": swollen,
         "compressed bytes": compressed[:at] + b"\xff\xff\xff\x7f" + compressed[at + 4 :],
         "but the header claims": compressed[: at + 4] + b"\xff\xff\xff\x7f" + compressed[at + 8 :],
