@@ -1,4 +1,4 @@
-"""Kills without warning while people edit: what was answered as saved must be there when the project is opened again."""
+"""Kills without warning while people edit: what was answered as saved must be there afterwards."""
 
 from __future__ import annotations
 

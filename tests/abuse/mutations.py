@@ -1,4 +1,4 @@
-"""Damaged copies of files: deterministic, with the checksums of a container computed anew so that damage gets past them."""
+"""Damaged copies of files, deterministic; a container's checksums are computed anew, so that damage gets past them."""
 
 from __future__ import annotations
 
@@ -17,27 +17,12 @@ _HEADER_BYTES = 1024
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _NUMBERS_PUT = (
     b"0", b"-1", b"1", b"2", b"65535", b"65536", b"99999999", b"2147483647", b"4294967296", b"9223372036854775807",
-    b"1e308", b"-1e308", b"1e999", b"1e-308", b"1e-5", b"nan", b"NaN", b"inf", b"", b"9" * 400, b"true", b"null", b'"7"',
-    b"[]", b"{}",
+    b"1e308", b"-1e308", b"1e999", b"1e-308", b"1e-5", b"nan", b"NaN", b"inf", b"", b"9" * 400, b"true", b"null",
+    b'"7"', b"[]", b"{}",
 )  # fmt: skip
 _WHOLE_PUT = (
-    0,
-    1,
-    2,
-    127,
-    128,
-    255,
-    256,
-    32767,
-    65535,
-    10**5,
-    10**7,
-    2**31 - 1,
-    2**31,
-    2**32 - 1,
-    2**63 - 1,
-    2**64 - 1,
-)
+    0, 1, 2, 127, 128, 255, 256, 32767, 65535, 10**5, 10**7, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**64 - 1,
+)  # fmt: skip
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _E57_SIGNATURE, _E57_PAGE, _E57_SUM = b"ASTM-E57", 1024, 4
 

@@ -1,4 +1,4 @@
-"""Hostile messages over the document's websocket: random fields, impossible values, damaged JSON, frames of any size."""
+"""Hostile messages over the document's websocket: random fields, impossible values, damaged JSON, long frames."""
 
 from __future__ import annotations
 
@@ -175,9 +175,10 @@ def _likely(rng: random.Random, page: Page) -> dict[str, str]:
         "photo_uv": [[rng.uniform(0, 700), rng.uniform(0, 500)] for _ in range(ends)],
         "on": rng.random() < 0.5, "weight": rng.uniform(0.1, 5), "focal_px": rng.uniform(200, 2000),
         "focal_mm": 35.0, "sensor_mm": 36.0, "focal_35mm": 28.0, "name": rng.choice(("a name", "Ö 漢字", "x")),
-        "stage": rng.choice(("robust", "linear", "auto")), "by": rng.choice(("depth", "px")), "above": rng.uniform(0, 9),
-        "n": rng.randrange(20), "texture": rng.choice(("colour", "photo", "none")), "z_buffer": True, "light": False,
-        "cameras": True, "matches": True, "path": rng.choice(("camera.json", "x", "sub/x.npz")),
+        "stage": rng.choice(("robust", "linear", "auto")), "by": rng.choice(("depth", "px")),
+        "above": rng.uniform(0, 9), "n": rng.randrange(20),
+        "texture": rng.choice(("colour", "photo", "none")), "z_buffer": True, "light": False, "cameras": True,
+        "matches": True, "path": rng.choice(("camera.json", "x", "sub/x.npz")),
         "what": rng.choice(("scan", "photo", "camera", "matches")), "side": rng.choice(("scan", "photo")), "view": 0,
         "at": [rng.uniform(0, 700), rng.uniform(0, 500)], "job": rng.choice(_CHEAP_JOBS),
         "action": rng.choice(("stop", "pause", "resume", "speed", "step")), "value": rng.uniform(0, 100),

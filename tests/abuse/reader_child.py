@@ -1,6 +1,7 @@
-"""A process that reads damaged files and reports what each cost: `python -m tests.abuse.reader_child FOLDER FORMAT ...`.
+"""A process that reads damaged files and reports what each cost.
 
-It prints one JSON line per damaged file. Whoever starts it concludes from a missing line that the file killed it.
+`python -m tests.abuse.reader_child FOLDER FORMAT FIRST LAST ...` prints one JSON line per damaged file. Whoever starts
+it concludes from a missing line that the file killed it.
 """
 
 from __future__ import annotations
@@ -84,7 +85,8 @@ def main(folder: str, name: str, first: str, last: str, patience_s: str, keep: s
         if row["faults"] and keep:
             Path(keep).mkdir(parents=True, exist_ok=True)
             shutil.copyfile(room / seed.damaged.name, Path(keep) / f"{number}-{seed.damaged.name}")
-        print(json.dumps(row), flush=True)
+        sys.stdout.write(f"{json.dumps(row)}\n")
+        sys.stdout.flush()
         shutil.rmtree(room)
 
 
@@ -147,7 +149,7 @@ def _processor_s() -> float:
 
 @contextlib.contextmanager
 def _peak() -> Iterator[Callable[[], float]]:
-    """Yield what tells the peak of resident memory above that at the beginning, MB; 0 where the system keeps no count."""
+    """Yield what returns the peak of resident memory above that at the beginning, MB; 0 where it is not known."""
     before = _resident_mb("VmRSS")
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # forgets the peak

@@ -27,7 +27,7 @@ TOKEN = "a-token-of-abuse"
 _STARTS_S, _ANSWERS_S = 60.0, 60.0
 
 
-class ServerGone(Exception):
+class ServerGone(Exception):  # noqa: N818 - it is the event that is waited for
     """The server, or its connection, ended while something was asked of it."""
 
 
@@ -150,8 +150,8 @@ def start_server(
         **(environment or {}),
     }  # fmt: skip
     words = [
-        sys.executable, "-m", "app", "serve", *map(str, inputs), "--project", str(project), "--port", "0", "--no-browser",
-        "--token", TOKEN, *more,
+        sys.executable, "-m", "app", "serve", *map(str, inputs), "--project", str(project), "--port", "0",
+        "--no-browser", "--token", TOKEN, *more,
     ]  # fmt: skip
     with said.open("w", encoding="utf-8") as stream:
         process = subprocess.Popen(
