@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.abuse.log import Log
-from tests.abuse.full_disk import LimitedDisk, full_disk, mounted_disk
+from tests.abuse.filled_disks import LimitedDisk, full_disk, mounted_disk
 from tests.abuse.project_damage import flipped, make_project, missing
 
 SECTION, DAMAGE = "disks", "damage"
