@@ -13,7 +13,7 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -148,7 +148,7 @@ async def _held(port: int, seconds: float, count: int, begin: bytes, go_on: byte
     return dict(found)
 
 
-ATTACKS: dict[str, Callable[..., Awaitable[dict[str, Any]]]] = {
+ATTACKS: dict[str, Callable[..., Coroutine[Any, Any, dict[str, Any]]]] = {
     attack.__name__: attack for attack in (idle, slow, viser, tokens, upload)
 }
 

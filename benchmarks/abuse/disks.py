@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks.abuse.log import Log
 from tests.abuse.filled_disks import LimitedDisk, full_disk, mounted_disk
-from tests.abuse.project_damage import flipped, make_project, missing
+from tests.abuse.project_damage import Damaged, flipped, make_project, missing
 
 SECTION, DAMAGE = "disks", "damage"
 _ENDS = ("torn", "kill", "wait", "stop")
@@ -43,7 +43,9 @@ def run_damage(log: Log, flips: int) -> None:
         reference = make_project(room / "project")
         if not log.of(DAMAGE, kind="missing"):
             found = [
-                missing(reference, room, file, emptied=emptied) for file in reference.files() for emptied in (0, 1)
+                missing(reference, room, file, emptied=emptied)
+                for file in reference.files()
+                for emptied in (False, True)
             ]
             _note(log, "missing", 0, found)
         done = {row["first"] for row in log.of(DAMAGE, kind="flips")}
@@ -53,7 +55,7 @@ def run_damage(log: Log, flips: int) -> None:
                 _note(log, "flips", first, [flipped(reference, room, seed=str(number)) for number in numbers])
 
 
-def _note(log: Log, kind: str, first: int, found: list) -> None:
+def _note(log: Log, kind: str, first: int, found: list[Damaged]) -> None:
     losses = [f"{damaged.what}: {text}" for damaged in found for text in damaged.losses]
     hurt = sum(bool(damaged.losses) for damaged in found)
     log.add(DAMAGE, kind=kind, first=first, tried=len(found), hurt=hurt, losses=losses[:20])

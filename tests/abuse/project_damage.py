@@ -6,6 +6,7 @@ import random
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -48,9 +49,9 @@ class Damaged:
 def make_project(folder: Path, *, picks: int = 20) -> Reference:
     """Write a project with two photographs, matches that were moved, and two answers of estimators."""
     kept = ProjectFolder(folder)
-    photo = next(sample_folder().glob("photo.*"))
+    picture = next(sample_folder().glob("photo.*"))
     for name in ("first.png", "second.png"):
-        shutil.copy(photo, kept.inputs / name)
+        shutil.copy(picture, kept.inputs / name)
     history = History.begun(Document(name="test"), label="Begin", author="", when=now())
     kept.begin(history)
     session = Session(kept, history)
@@ -60,31 +61,34 @@ def make_project(folder: Path, *, picks: int = 20) -> Reference:
 
     for name in ("first.png", "second.png"):
         source = Source(path=f"inputs/{name}", name=name, size=(kept.inputs / name).stat().st_size)
-        commit(f"Open photograph {name}", lambda d, source=source: edits.with_photo(d, source)[0])
+        commit(f"Open photograph {name}", partial(_with_photo, source=source))
     for k in range(picks):
-        photo_id = session.document.photos[k % 2].id
-        commit(
-            f"Draw point {k} of the test",
-            lambda d, k=k, photo_id=photo_id: edits.edited_photo(
-                d, photo_id, lambda p: edits.with_picks(p, [a_pick(k)])[0]
-            ),
-        )
+        photo = session.document.photos[k % 2].id
+        commit(f"Draw point {k} of the test", partial(_drawn, photo=photo, k=k))
         if k % 5 == 4:  # a movement, kept as amendments of one step
-            name = session.document.photo(photo_id).picks[-1].id  # type: ignore[union-attr]
             for u in range(3):
-                commit(
-                    f"Move match {k} of the test",
-                    lambda d, u=u, photo_id=photo_id, name=name: edits.edited_photo(
-                        d, photo_id, lambda p: edits.changed_pick(p, name, {"photo": ((float(u), 7.0),)})
-                    ),
-                    one_move=f"{k}",
-                )
+                commit(f"Move match {k} of the test", partial(_moved, photo=photo, u=float(u)), one_move=f"{k}")
         if k in (picks // 2, picks - 1):
-            commit(f"Solve {k} of the test", lambda d, k=k: with_an_answer(d, seed=k))
+            commit(f"Solve {k} of the test", partial(with_an_answer, seed=k))
     # The second answer takes the place of the first, whose arrays only the history knows.
     document, labels = session.document, tuple(entry.label for entry in session.history.entries)
     session.close()
     return Reference(folder, document, labels)
+
+
+def _with_photo(document: Document, *, source: Source) -> Document:
+    return edits.with_photo(document, source)[0]
+
+
+def _drawn(document: Document, *, photo: str, k: int) -> Document:
+    return edits.edited_photo(document, photo, lambda entry: edits.with_picks(entry, [a_pick(k)])[0])
+
+
+def _moved(document: Document, *, photo: str, u: float) -> Document:
+    """Return the document with the photograph's last match elsewhere."""
+    return edits.edited_photo(
+        document, photo, lambda entry: edits.changed_pick(entry, entry.picks[-1].id, {"photo": ((u, 7.0),)})
+    )
 
 
 def flipped(reference: Reference, room: Path, *, seed: str) -> Damaged:

@@ -161,8 +161,9 @@ def _texts(folder: Path) -> list[tuple[Path, Path]]:
     (here / "opencv.yml").write_text(opencv.format(camera.width, camera.height, numbers), encoding="utf-8")
     write_pose(here / "pose.json", Rigid.from_rotvec([0.1, -0.2, 0.3], (0.5, 0.25, -1.0)))
     (here / "registration.json").write_text(json.dumps(_registration(camera)), encoding="utf-8")
-    points = [Pick(str(k), "point", [[1, 0.01 * k, 0.02]], [[10.0 * k, 20.5]]) for k in range(6)]
-    line = Pick("a line", "line", [[1, 0.1, 0], [1, 0.1, 0.1]], [[5, 6], [7, 8.25]], on=False, weight=2.0)
+    points = [Pick(str(k), "point", np.array([[1, 0.01 * k, 0.02]]), np.array([[10.0 * k, 20.5]])) for k in range(6)]
+    rays, uv = np.array([[1, 0.1, 0], [1, 0.1, 0.1]]), np.array([[5, 6], [7, 8.25]])
+    line = Pick("a line", "line", rays, uv, on=False, weight=2.0)
     write_matches(here / "matches.json", [*points, line])
     write_matches_csv(here / "rays.csv", points)
     (here / "cells.csv").write_text(

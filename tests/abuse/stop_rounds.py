@@ -6,12 +6,14 @@ import random
 import signal
 import subprocess
 import threading
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.abuse.kill_rounds import with_photo
 from tests.abuse.server_process import Editor, ServerGone, matches_of, start_server
 
+_FIRST_EDITS = 20
 ORDERLY = (0, 130)
 """Exit codes of a server that was asked to stop."""
 
@@ -50,7 +52,9 @@ def stopped_while_editing(room: Path, *signals: signal.Signals, apart_s: float, 
 
     worker = threading.Thread(target=work, daemon=True)
     worker.start()
-    worker.join(0.3)
+    until = time.monotonic() + 30
+    while editor.answered < _FIRST_EDITS and worker.is_alive() and time.monotonic() < until:
+        time.sleep(0.002)
     found = StopRound(f"{' '.join(sent.name for sent in signals)}, {apart_s:.2f} s apart", 0)
     try:
         code = server.stop(*signals, apart_s=apart_s, within_s=20)

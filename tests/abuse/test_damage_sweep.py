@@ -8,7 +8,7 @@ import pytest
 
 from tests.abuse.project_damage import Reference, flipped, make_project, missing, opened_by_the_workbench
 
-_FLIPS = 60
+_FLIPS = 40
 
 
 @pytest.fixture(scope="module")
