@@ -29,8 +29,9 @@ from tests.abuse.seed_files import REFERENCE_SCAN, seeds_in
 MOST_SECONDS, MOST_MB = 5.0, 1024.0
 """What a file of less than 1 MB may cost."""
 LONGEST_SENTENCE = 300
-_ADDRESS_SPACE = 3 << 30
-"""Beyond what the process has when it begins: a file that asks for more is found out, and the machine lives on."""
+_ADDRESS_SPACE = 5 << 30
+"""Beyond what the process has when it begins: a file that asks for more is found out, and the machine lives on. Less
+would find fault with libraries that reserve what a 32-bit length claims, and never touch it."""
 
 
 def readers_of(kind: str, name: str, folder: Path) -> dict[str, Callable[[Path], object]]:
