@@ -24,7 +24,8 @@ from app.gateway.changes import changed
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 TOKEN = "a-token-of-abuse"
-_STARTS_S, _ANSWERS_S = 60.0, 60.0
+_ANSWERS_S = 60.0
+_OPEN_FILES = 1024
 
 
 class ServerGone(Exception):  # noqa: N818 - it is the event that is waited for
@@ -156,7 +157,7 @@ def start_server(
     with said.open("w", encoding="utf-8") as stream:
         process = subprocess.Popen(
             words, stdout=subprocess.PIPE, stderr=stream, text=True, cwd=room, env=surroundings,
-            preexec_fn=_hear_signals if os.name == "posix" else None,
+            preexec_fn=_as_from_a_shell if os.name == "posix" else None,
         )  # fmt: skip
     assert process.stdout is not None
     address = next((word for word in process.stdout.readline().split() if "://" in word), None)
@@ -174,10 +175,14 @@ def start_server(
     return server
 
 
-def _hear_signals() -> None:
-    """Undo, in a new process, what a shell does to its background jobs and they to their children: signals ignored."""
+def _as_from_a_shell() -> None:
+    """Give a new process what it has in a terminal: signals that are heard, and 1,024 open files."""
+    import resource
+
     for sent in (signal.SIGINT, signal.SIGHUP):
         signal.signal(sent, signal.SIG_DFL)
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(_OPEN_FILES, most) if most > 0 else _OPEN_FILES, most))
 
 
 class Page:
