@@ -10,10 +10,12 @@ the end, and by --summarise, a summary is printed as Markdown.
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 from benchmarks.abuse import clients, disks, floods, kills, protocol, readers
 from benchmarks.abuse.log import Log, machine
@@ -31,6 +33,8 @@ def main() -> None:
     if arguments.summarise is not None:
         print(summary(arguments.summarise))
         return
+    for asked in (signal.SIGINT, signal.SIGTERM):  # also from a background shell: servers and disks are cleared away
+        signal.signal(asked, _stop)
     log = Log(arguments.log)
     log.add("machine", **machine())
     size = {name: getattr(arguments, name) for name in _WHOLE}
@@ -51,6 +55,10 @@ def main() -> None:
             work[name]()
             print(f"{name}: {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
     print(summary(arguments.log))
+
+
+def _stop(number: int, frame: object) -> NoReturn:
+    raise SystemExit(128 + number)
 
 
 def _parsed() -> argparse.Namespace:
