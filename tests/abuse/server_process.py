@@ -159,15 +159,13 @@ def start_server(
             words, stdout=subprocess.PIPE, stderr=stream, text=True, cwd=room, env=surroundings,
             preexec_fn=_as_from_a_shell if os.name == "posix" else None,
         )  # fmt: skip
-    assert process.stdout is not None
-    address = next((word for word in process.stdout.readline().split() if "://" in word), None)
-    if address is None:
-        process.kill()
-        process.wait(30)
-        process.stdout.close()
-        raise ServerGone(said.read_text(encoding="utf-8", errors="replace").strip()[-600:] or "it said nothing")
-    server = Server(process, urlsplit(address).port or 0, said)
+    server = Server(process, 0, said)
     try:
+        assert process.stdout is not None
+        address = next((word for word in process.stdout.readline().split() if "://" in word), None)
+        if address is None:
+            raise ServerGone(server.stderr().strip()[-600:] or "it said nothing")
+        server.port = urlsplit(address).port or 0
         server.enter()
     except BaseException:
         server.kill()
