@@ -214,7 +214,7 @@ FLOODS = (
     Flood("60 wrong tokens", lambda room: ["tokens", 60]),
     Flood("camera YAML, one line of 60 kB", _hostile("long_camera_yaml", "c.yaml", what="camera", size=60_000)),
     Flood("camera YAML, one line of 900 kB", _hostile("long_camera_yaml", "c.yaml", what="camera", size=900_000)),
-    Flood("E57 of constants, 50 M points", _hostile("e57_of_constants", "a.e57", points=50_000_000)),
+    Flood("E57 of 20 kB", _hostile("e57_of_constants", "a.e57", points=16_000_000, padding=20_000)),
     Flood("4 PNG pictures of 0.17 MB", _hostile("blank_png", "a.png", 4, "photo", width=13_000, height=13_000)),
     Flood("NPZ of 0.08 MB", _hostile("counts_npz", "a.npz", rows=6_000, columns=7_000)),
     Flood("PCD of 11 MB, compressed", _hostile("compressed_pcd", "a.pcd", width=7_500, height=8_000)),
