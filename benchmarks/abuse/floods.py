@@ -218,7 +218,7 @@ FLOODS = (
     Flood("4 PNG pictures of 0.17 MB", _hostile("blank_png", "a.png", 4, "photo", width=13_000, height=13_000)),
     Flood("NPZ of 0.08 MB", _hostile("counts_npz", "a.npz", rows=6_000, columns=7_000)),
     Flood("PCD of 11 MB, compressed", _hostile("compressed_pcd", "a.pcd", width=7_500, height=8_000)),
-    Flood("matches JSON, 1.2 M", _hostile("matches_json", "m.json", what="matches", count=1_200_000)),
+    Flood("matches JSON, 0.9 M", _hostile("matches_json", "m.json", what="matches", count=900_000)),
     Flood("matches CSV, 2 M", _hostile("matches_csv", "m.csv", what="matches", count=2_000_000)),
     Flood("a scan that cannot be shown", _unviewable),
 )
