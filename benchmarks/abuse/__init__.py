@@ -1,0 +1,1 @@
+"""The long attack on the workbench: `python -m benchmarks.abuse`."""

@@ -1,0 +1,97 @@
+"""The long attack on the workbench, which may be interrupted and taken up again.
+
+python -m benchmarks.abuse --log abuse.jsonl [--only kills,readers,...] [--quick] [--clients-hours 8 --pace 4]
+python -m benchmarks.abuse --summarise abuse.jsonl
+
+Every result is a line of the log; a run on the same log goes on where it ended. Files at fault are kept beside it. At
+the end, and by --summarise, a summary is printed as Markdown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+from benchmarks.abuse import clients, disks, floods, kills, protocol, readers
+from benchmarks.abuse.log import Log, machine
+from benchmarks.abuse.report import summary
+
+SECTIONS = ("readers", "protocol", "kills", "signals", "disks", "damage", "floods", "clients")
+_WHOLE = {"mutations": 2000, "messages": 20_000, "kills": 200, "pairs": 40, "disks": 20, "flips": 2000,
+          "flood_seconds": 15.0, "clients_hours": 8.0}  # fmt: skip
+_QUICK = {"mutations": 200, "messages": 2000, "kills": 10, "pairs": 6, "disks": 8, "flips": 100,
+          "flood_seconds": 6.0, "clients_hours": 0.5}  # fmt: skip
+
+
+def main() -> None:
+    arguments = _parsed()
+    if arguments.summarise is not None:
+        print(summary(arguments.summarise))
+        return
+    for asked in (signal.SIGINT, signal.SIGTERM):  # also from a background shell: servers and disks are cleared away
+        signal.signal(asked, _stop)
+    log = Log(arguments.log)
+    log.add("machine", **machine())
+    size = {name: getattr(arguments, name) for name in _WHOLE}
+    work: dict[str, Callable[[], None]] = {
+        "readers": lambda: readers.run(log, size["mutations"]),
+        "protocol": lambda: protocol.run(log, size["messages"]),
+        "kills": lambda: kills.run(log, size["kills"]),
+        "signals": lambda: kills.run_signals(log, size["pairs"]),
+        "disks": lambda: disks.run(log, size["disks"]),
+        "damage": lambda: disks.run_damage(log, size["flips"]),
+        "floods": lambda: floods.run(log, size["flood_seconds"]),
+        "clients": lambda: clients.run(log, size["clients_hours"], arguments.pace),
+    }
+    for name in SECTIONS:
+        if name in arguments.only:
+            began = time.monotonic()
+            print(f"{name} ...", file=sys.stderr, flush=True)
+            work[name]()
+            print(f"{name}: {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
+    print(summary(arguments.log))
+
+
+def _stop(number: int, frame: object) -> NoReturn:
+    raise SystemExit(128 + number)
+
+
+def _parsed() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--log", type=Path, default=Path("abuse.jsonl"), help="read and appended")
+    parser.add_argument("--summarise", type=Path, metavar="LOG", help="only print the summary of a log")
+    parser.add_argument("--only", type=_sections, default=SECTIONS, metavar="A,B", help=", ".join(SECTIONS))
+    parser.add_argument("--quick", action="store_true", help="a tenth of everything, in some ten minutes")
+    parser.add_argument("--mutations", type=int, help="damaged files of each format")
+    parser.add_argument("--messages", type=int, help="hostile messages")
+    parser.add_argument("--kills", type=int)
+    parser.add_argument("--pairs", type=int, help="of stop signals")
+    parser.add_argument("--disks", type=int, help="full disks")
+    parser.add_argument("--flips", type=int, help="projects with one flipped bit")
+    parser.add_argument("--flood-seconds", type=float, help="of each flood")
+    parser.add_argument("--clients-hours", type=float, help="of ten people's work, in their time")
+    parser.add_argument("--pace", type=float, default=1.0, help="how many times as quickly as people they work")
+    arguments = parser.parse_args()
+    if arguments.pace <= 0:
+        parser.error("--pace must be positive")
+    for name, value in (_QUICK if arguments.quick else _WHOLE).items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, value)
+    return arguments
+
+
+def _sections(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    unknown = [name for name in names if name not in SECTIONS]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"there is no section {', '.join(unknown)}; choose of {', '.join(SECTIONS)}")
+    return names
+
+
+if __name__ == "__main__":
+    main()

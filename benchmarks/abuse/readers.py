@@ -1,0 +1,38 @@
+"""Thousands of damaged files for every format."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from benchmarks.abuse.log import Log
+from ladarreg_core.formats import formats
+from tests.abuse.reader_fuzz import read_damaged
+from tests.abuse.seed_files import write_seeds
+
+SECTION = "readers"
+_AT_A_TIME = 100
+_MOST_FAULTS = 20
+"""Written to the log for a hundred files."""
+
+
+def run(log: Log, mutations: int) -> None:
+    """Read so many damaged files of each format; those that were read before are not read again."""
+    with tempfile.TemporaryDirectory(prefix="seeds-") as name:
+        folder = Path(name)
+        seeds = write_seeds(folder)
+        for known in formats():
+            if not any(seed.format == known.name for seed in seeds):
+                log.add(SECTION, format=known.name, files=0, refused=0, seconds=0, mb=0, faults=["no seed file"])
+                continue
+            done = {row["first"] for row in log.of(SECTION, format=known.name) if "first" in row}
+            for first in range(0, mutations, _AT_A_TIME):
+                if first in done:
+                    continue
+                last = min(first + _AT_A_TIME, mutations)
+                keep = log.work / "readers" / known.name.replace(" ", "-")
+                found = read_damaged(folder, known.name, first, last, keep=keep)
+                log.add(
+                    SECTION, format=known.name, first=first, files=found.files, refused=found.refused,
+                    seconds=found.seconds, mb=found.mb, count=len(found.faults), faults=found.faults[:_MOST_FAULTS],
+                )  # fmt: skip

@@ -1,0 +1,184 @@
+"""A process that reads damaged files and reports what each cost.
+
+`python -m tests.abuse.reader_child FOLDER FORMAT FIRST LAST ...` prints one JSON line per damaged file. Whoever starts
+it concludes from a missing line that the file killed it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.formats import describe, extract_images, formats, read_photo, read_scan
+from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.matches_file import read_matches
+from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.registration_file import read_offset, read_registration
+from tests.abuse.mutations import mutated
+from tests.abuse.seed_files import REFERENCE_SCAN, seeds_in
+
+MOST_SECONDS, MOST_MB = 5.0, 1024.0
+"""What a file of less than 1 MB may cost."""
+LONGEST_SENTENCE = 300
+_ADDRESS_SPACE = 5 << 30
+"""Beyond what the process has when it begins: a file that asks for more is found out, and the machine lives on. Less
+would find fault with libraries that reserve what a 32-bit length claims, and never touch it."""
+
+
+def readers_of(kind: str, name: str, folder: Path) -> dict[str, Callable[[Path], object]]:
+    """Return all that the program does with files of a format."""
+    found: dict[str, Callable[[Path], object]] = {"describe": describe}
+    if kind == "scan":
+        found["read_scan"] = read_scan
+    if kind == "photo":
+        found["read_photo"] = lambda path: read_photo(path, focal_px=50.0)
+        found["read_photo, own camera"] = read_photo
+    if kind == "camera":
+        found["read_camera"] = read_camera
+    if kind == "pose":
+        found |= {"read_pose": read_pose, "read_registration": read_registration, "read_offset": read_offset}
+    if kind == "matches":
+        scan = read_scan(folder / REFERENCE_SCAN)
+        found["read_matches"] = lambda path: read_matches(path, scan)
+    if name == "E57":
+        found["extract_images"] = lambda path: extract_images(path, path.parent / "extracted")
+    return found
+
+
+def main(folder: str, name: str, first: str, last: str, patience_s: str, keep: str = "") -> None:
+    """Read the damaged files of a range of numbers.
+
+    Args:
+        folder: holds the seeds.
+        name: of the format.
+        first: number of the first damaged file.
+        last: number after the last.
+        patience_s: wall time after which the process ends itself.
+        keep: folder that files are copied to which cost too much or raise what they should not.
+    """
+    home = Path(folder)
+    seeds = [seed for seed in seeds_in(home) if seed.format == name]
+    kind = next(known.kind for known in formats() if known.name == name)
+    readers = readers_of(kind, name, home)
+    for seed in seeds:  # whatever the readers import is imported now, and the sound files must be read
+        for reader in readers.values():
+            with contextlib.suppress(LadarregError):
+                reader(seed.file)
+    _limit_address_space()
+    room = home / f"work-{os.getpid()}"
+    for number in range(int(first), int(last)):
+        seed = seeds[number % len(seeds)]
+        shutil.copytree(seed.file.parent, room)
+        data = mutated(seed.damaged.read_bytes(), seed=f"{seed.name} {number}")
+        (room / seed.damaged.name).write_bytes(data)
+        row = {"number": number, "seed": seed.name, "bytes": len(data)} | _read(
+            room / seed.file.name, readers, float(patience_s)
+        )
+        if row["faults"] and keep:
+            Path(keep).mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(room / seed.damaged.name, Path(keep) / f"{number}-{seed.damaged.name}")
+        sys.stdout.write(f"{json.dumps(row)}\n")
+        sys.stdout.flush()
+        shutil.rmtree(room)
+
+
+def _read(path: Path, readers: dict[str, Callable[[Path], object]], patience_s: float) -> dict[str, Any]:
+    """Return what all readers made of a file."""
+    faults: list[str] = []
+    seconds = megabytes = 0.0
+    refused: set[str] = set()
+    for name, reader in readers.items():
+        before, began = _processor_s(), time.perf_counter()
+        with _peak() as peak_mb:
+            error = _tried(reader, path, patience_s)
+        spent = min(_processor_s() - before, time.perf_counter() - began)  # another program's load is not the file's
+        seconds, megabytes = max(seconds, spent), max(megabytes, peak_mb())
+        if isinstance(error, LadarregError):
+            refused.add(name)
+        faults += [f"{name}: {fault}" for fault in _faults(error)]
+        if spent > MOST_SECONDS:
+            faults.append(f"{name}: slow, {spent:.1f} s")
+        if peak_mb() > MOST_MB:
+            faults.append(f"{name}: memory, {peak_mb():.0f} MB")
+    main_one = [*readers][min(1, len(readers) - 1)]  # the first only describes
+    return {"refused": main_one in refused, "seconds": round(seconds, 4), "mb": round(megabytes, 1), "faults": faults}
+
+
+def _tried(reader: Callable[[Path], object], path: Path, patience_s: float) -> BaseException | None:
+    faulthandler.dump_traceback_later(patience_s, exit=True)  # also from inside a library that holds the interpreter
+    try:
+        reader(path)
+    except Exception as error:
+        return error
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+    return None
+
+
+def _faults(error: BaseException | None) -> Iterator[str]:
+    """Return what is wrong with how a file was refused."""
+    if error is None:
+        return
+    if not isinstance(error, LadarregError):
+        yield f"{type(error).__name__}: {str(error)[:200]}"
+        return
+    cause: BaseException | None = error
+    for _ in range(20):
+        if isinstance(cause, MemoryError):
+            yield f"memory, more than {_ADDRESS_SPACE >> 20} MB were asked for"
+            return
+        cause = None if cause is None else cause.__cause__ or cause.__context__
+    text = str(error)
+    if not text.isprintable() or not 20 < len(text) <= LONGEST_SENTENCE:
+        yield f"no sentence: {text[:200]!r}"
+
+
+def _processor_s() -> float:
+    """Return the processor time of this process and of those that it started and saw end, s."""
+    children = os.times()
+    return time.process_time() + children.children_user + children.children_system
+
+
+@contextlib.contextmanager
+def _peak() -> Iterator[Callable[[], float]]:
+    """Yield what returns the peak of resident memory above that at the beginning, MB; 0 where it is not known."""
+    before = _resident_mb("VmRSS")
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # forgets the peak
+    found = 0.0
+
+    def value() -> float:
+        return found
+
+    yield value
+    found = max(0.0, _resident_mb("VmHWM") - before)
+
+
+def _resident_mb(field: str) -> float:
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        return 0.0
+    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith(field)), 0.0)
+
+
+def _limit_address_space() -> None:
+    if sys.platform != "linux":  # elsewhere the limit is not heeded, or there is none
+        return
+    import resource
+
+    now_mb = _resident_mb("VmSize")
+    resource.setrlimit(resource.RLIMIT_AS, ((int(now_mb) << 20) + _ADDRESS_SPACE, resource.RLIM_INFINITY))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,76 @@
+"""Damaged files read in child processes: what each format's readers made of them, and what that cost."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+@dataclass
+class Readings:
+    """What became of a number of damaged files of one format."""
+
+    format: str
+    files: int = 0
+    refused: int = 0
+    """By the reader of the format."""
+    seconds: float = 0.0
+    """Processor time of the dearest."""
+    mb: float = 0.0
+    """Peak of memory above the process's own, of the dearest."""
+    faults: list[str] = field(default_factory=list)
+    """What must not be: other exceptions than our own, too much memory or time, processes that died."""
+
+
+def read_damaged(
+    folder: Path, name: str, first: int, last: int, *, patience_s: float = 30.0, keep: Path | None = None
+) -> Readings:
+    """Read damaged files in a child process, and in another from the next file on where it dies.
+
+    Args:
+        folder: holds the seeds.
+        name: of the format.
+        first: number of the first damaged file.
+        last: number after the last.
+        patience_s: wall time after which a reader is taken to hang.
+        keep: folder that files at fault are copied to.
+    """
+    found = Readings(name)
+    while first < last:
+        words = ["tests.abuse.reader_child", folder, name, first, last, patience_s, *([keep] if keep else [])]
+        done = subprocess.run(
+            [sys.executable, "-m", *map(str, words)], capture_output=True, text=True, check=False, cwd=CHECKOUT,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(CHECKOUT)},
+        )  # fmt: skip
+        rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+        for row in rows:
+            _add(found, row)
+        first += len(rows)
+        if first < last:
+            if not rows and done.returncode == 1 and "Timeout" not in done.stderr:  # it is the harness that fails
+                raise RuntimeError(done.stderr[-2000:])
+            found.files += 1
+            found.faults.append(f"file {first}: {_death(done.returncode, done.stderr, patience_s)}")
+            first += 1
+    return found
+
+
+def _add(found: Readings, row: dict[str, Any]) -> None:
+    found.files += 1
+    found.refused += bool(row["refused"])
+    found.seconds, found.mb = max(found.seconds, row["seconds"]), max(found.mb, row["mb"])
+    found.faults += [f"file {row['number']} of {row['seed']}, {row['bytes']} bytes: {fault}" for fault in row["faults"]]
+
+
+def _death(code: int, said: str, patience_s: float) -> str:
+    place = next((line.strip() for line in said.splitlines() if "ladarreg_core" in line), "")
+    if "Timeout" in said:
+        return f"hang, more than {patience_s:g} s; {place}"
+    return f"crash, exit code {code}; {place or said.strip()[-200:]}"

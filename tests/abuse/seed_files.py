@@ -1,0 +1,182 @@
+"""One small sound file, at least, of every format that is read: what the mutations start from."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from ladarreg_core.formats import recognise
+from ladarreg_core.formats.camera_file import read_camera, write_camera
+from ladarreg_core.formats.matches_file import write_matches, write_matches_csv
+from ladarreg_core.formats.npz import write_npz_counts, write_npz_xyz
+from ladarreg_core.formats.pose_file import write_pose
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Pick
+from ladarreg_core.simulate.embedded import sample_folder
+from tests.formats.conftest import depth_image, e57_fields, e57_file, make_scan, pcd_bytes
+
+REFERENCE_SCAN = "reference-scan.npz"
+"""What matches files are read against; sound, and never damaged."""
+_LIST = "seeds.json"
+_ROS = """\
+image_width: 1280
+image_height: 720
+camera_name: "front: left"
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [611.8, 0.0, 639.3,
+         0.0, 611.9, 365.9,
+         0.0, 0.0, 1.0]
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.001, 0.002, 0.05]}
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Seed:
+    """A sound file and what to do with it."""
+
+    format: str
+    """The format that it is recognised as; its readers get the copies."""
+    file: Path
+    """What is read."""
+    damaged: Path
+    """What is damaged: the file itself, or one beside it that it names."""
+
+    @property
+    def name(self) -> str:
+        """How a report names it."""
+        folder = self.file.parent.name
+        return f"{folder}/{self.file.name}" + (f" ({self.damaged.name})" if self.damaged != self.file else "")
+
+
+def write_seeds(folder: Path) -> list[Seed]:
+    """Write the files, each in a folder of its own, and a list of them that `seeds_in` reads.
+
+    A new format takes part as soon as a sound file of it is written here.
+    """
+    wall = make_scan()
+    write_npz_xyz(folder / REFERENCE_SCAN, wall)
+    made = [*_scans(folder, wall), *_pictures(folder), *_texts(folder)]
+    seeds = [Seed(recognise(file).name, file, damaged) for file, damaged in made]
+    rows = [
+        [seed.format, seed.file.relative_to(folder).as_posix(), seed.damaged.relative_to(folder).as_posix()]
+        for seed in seeds
+    ]
+    (folder / _LIST).write_text(json.dumps(rows), encoding="utf-8")
+    return seeds
+
+
+def seeds_in(folder: Path) -> list[Seed]:
+    """Return the seeds that were written into a folder."""
+    rows = json.loads((folder / _LIST).read_text(encoding="utf-8"))
+    return [Seed(kind, folder / file, folder / damaged) for kind, file, damaged in rows]
+
+
+def _place(folder: Path, name: str) -> Path:
+    (folder / name).mkdir()
+    return folder / name
+
+
+def _scans(folder: Path, wall: Any) -> list[tuple[Path, Path]]:
+    points, intensity = wall.points.reshape(-1, 3), wall.intensity.ravel()
+    here = _place(folder, "scans")
+    files = [here / "points.npz", here / "counts.npz"]
+    write_npz_xyz(files[0], wall)
+    counts = np.where(wall.valid, np.nan_to_num(wall.ranges) * 500 - 500, 0).astype(np.uint16)
+    write_npz_counts(
+        files[1], counts=counts, intensity=wall.intensity, geometry=wall.geometry, r0_m=1.0, dr_m=0.002,
+    )  # fmt: skip
+    for encoding in ("ascii", "binary", "binary_compressed"):
+        files.append(here / f"{encoding}.pcd")
+        files[-1].write_bytes(
+            pcd_bytes(points, intensity, encoding=encoding, width=wall.shape[1], height=wall.shape[0])
+        )
+    if importlib.util.find_spec("pye57") is not None:
+        from tests.formats.test_e57 import picture_e57
+
+        files.append(e57_file(here / "grid.e57", e57_fields(wall, color=True)))
+        files.append(e57_file(here / "cloud.e57", e57_fields(wall, grid=False)))
+        picture_e57(here / "picture.e57", SimpleNamespace(e57=e57_file, e57_fields=e57_fields), wall)
+        files.append(here / "picture.e57")
+    made = [(file, file) for file in files]
+    depth = depth_image(_place(folder, "depth"))
+    made += [(depth, depth), (depth, depth.with_name("depth.png"))]
+    raw = _place(folder, "raw")
+    (raw / "scan.raw").write_bytes(counts.astype("<u2").tobytes())
+    fields = {
+        "kind": "counts", "file": "scan.raw", "rows": wall.shape[0], "columns": wall.shape[1], "dtype": "<u2",
+        "r0_m": 1.0, "dr_m": 0.002, "d_azimuth_rad": 0.01, "d_elevation_rad": 0.012, "intensity_file": "scan.raw",
+    }  # fmt: skip
+    (raw / "scan.json").write_text(json.dumps(fields, indent=1), encoding="utf-8")
+    return [*made, (raw / "scan.json", raw / "scan.json"), (raw / "scan.json", raw / "scan.raw")]
+
+
+def _pictures(folder: Path) -> list[tuple[Path, Path]]:
+    from PIL import Image
+
+    here = _place(folder, "pictures")
+    rng = np.random.default_rng(0)
+    picture = Image.fromarray(rng.integers(0, 256, (30, 40, 3), dtype=np.uint8))
+    exif = Image.Exif()
+    exif[0x0112] = 6  # orientation
+    exif[0x010F] = "a maker"
+    exif.get_ifd(0x8769).update({0x920A: 35.0, 0xA405: 50, 0xA20E: 5000.0, 0xA20F: 5000.0, 0xA210: 3})
+    picture.save(here / "photo.jpg", exif=exif)
+    for name in ("photo.png", "photo.tif", "photo.webp", "photo.bmp"):
+        picture.save(here / name)
+    picture.save(here / "packed.tif", compression="tiff_deflate")
+    Image.fromarray(rng.integers(0, 65536, (30, 40), dtype=np.uint16)).save(here / "deep.png")
+    return [(file, file) for file in sorted(here.iterdir()) if _is_read(file)]
+
+
+def _is_read(file: Path) -> bool:
+    from ladarreg_core.errors import FormatError
+
+    try:
+        return recognise(file).kind == "photo"
+    except FormatError:  # a kind of picture that this version does not read
+        return False
+
+
+def _texts(folder: Path) -> list[tuple[Path, Path]]:
+    here = _place(folder, "texts")
+    camera = read_camera(sample_folder() / "camera.json")
+    write_camera(here / "camera.json", camera)
+    (here / "ros.yaml").write_text(_ROS, encoding="utf-8")
+    k = camera.matrix
+    opencv = (
+        "%YAML:1.0\n---\nimage_width: {}\nimage_height: {}\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n"
+    )
+    opencv += "   dt: d\n   data: [ {} ]\ndistortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n"
+    opencv += "   data: [ .1, -.03, 0., 0., 0. ]\n"
+    numbers = ", ".join(f"{value:.6e}" for value in k.ravel())
+    (here / "opencv.yml").write_text(opencv.format(camera.width, camera.height, numbers), encoding="utf-8")
+    write_pose(here / "pose.json", Rigid.from_rotvec([0.1, -0.2, 0.3], (0.5, 0.25, -1.0)))
+    (here / "registration.json").write_text(json.dumps(_registration(camera)), encoding="utf-8")
+    points = [Pick(str(k), "point", np.array([[1, 0.01 * k, 0.02]]), np.array([[10.0 * k, 20.5]])) for k in range(6)]
+    rays, uv = np.array([[1, 0.1, 0], [1, 0.1, 0.1]]), np.array([[5, 6], [7, 8.25]])
+    line = Pick("a line", "line", rays, uv, on=False, weight=2.0)
+    write_matches(here / "matches.json", [*points, line])
+    write_matches_csv(here / "rays.csv", points)
+    (here / "cells.csv").write_text(
+        "row,column,u,v\n" + "".join(f"{k},{2 * k}.5,{k * 7},{k * 5}\n" for k in range(8)), encoding="utf-8"
+    )
+    return [(file, file) for file in sorted(here.iterdir())]
+
+
+def _registration(camera: Any) -> dict[str, Any]:
+    """Return what an earlier result holds, as `formats.registration_file` reads it."""
+    pose = Rigid.from_rotvec([0.1, -0.2, 0.3], (0.5, 0.25, -1.0))
+    return {
+        "version": 1, "camera_from_scanner": pose.matrix.tolist(), "camera": camera.as_fields(),
+        "covariance": (np.eye(6) * 1e-6).tolist(), "sigma": {"pixel_px": 1.0, "range_m": 0.015}, "accepted": True,
+        "evidence": "statistics", "reasons": ["enough matches agree"], "method": "manual",
+    }  # fmt: skip

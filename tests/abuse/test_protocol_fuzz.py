@@ -1,0 +1,40 @@
+"""Hostile messages to a real server: each is answered by a sentence, and what was accepted survives a kill."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from ladarreg_core.simulate.embedded import sample_folder
+from tests.abuse.kill_rounds import with_photo
+from tests.abuse.protocol_fuzz import fuzz_protocol, shown_state
+from tests.abuse.server_process import start_server
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="no kill -9 to send")
+
+
+def test_hostile_messages_are_refused_in_a_sentence_and_what_was_accepted_is_read_back(tmp_path: Path) -> None:
+    served = tmp_path / "served"
+    served.mkdir()
+    shutil.copy(sample_folder() / "camera.json", served)
+    project = tmp_path / "project"
+    with_photo(tmp_path / "room", project, scan=True).stop()
+    with start_server(tmp_path / "room", project, more=("--folder", str(served))) as server:
+        found = fuzz_protocol(server, 700, seed=1)
+        assert found.faults == []
+        assert found.done > 100
+        assert found.refused > 100
+        page = server.page()
+        page.ask("job_control", action="stop")
+        page.close()
+        page = server.page()
+        before = shown_state(page)
+        page.close()
+        server.kill()
+    with start_server(tmp_path / "room", project, more=("--folder", str(served))) as server:
+        page = server.page()
+        assert shown_state(page) == before
+        page.close()

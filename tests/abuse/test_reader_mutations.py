@@ -1,0 +1,42 @@
+"""Damaged copies of sound files of every format, read in child processes."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from ladarreg_core.formats import formats
+from tests.abuse.mutations import LARGEST, mutated
+from tests.abuse.reader_fuzz import read_damaged
+from tests.abuse.seed_files import Seed, write_seeds
+
+_MUTATIONS = 50
+
+
+@pytest.fixture(scope="module")
+def seeds(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Seed]]:
+    folder = tmp_path_factory.mktemp("seeds")
+    return folder, write_seeds(folder)
+
+
+@pytest.mark.parametrize("name", [known.name for known in formats()])
+def test_damaged_files_cost_an_error_and_nothing_else(seeds: tuple[Path, list[Seed]], name: str) -> None:
+    folder, known = seeds
+    if name == "E57" and importlib.util.find_spec("pye57") is None:
+        pytest.skip("pye57 is not installed")
+    assert any(seed.format == name for seed in known), f"write a sound file of the format {name} in seed_files.py"
+    found = read_damaged(folder, name, 0, _MUTATIONS)
+    assert found.faults == []
+    assert found.files == _MUTATIONS
+    assert 0 < found.refused < _MUTATIONS, "some are refused, and some are so little damaged that they are read"
+
+
+def test_the_same_seed_gives_the_same_damage(seeds: tuple[Path, list[Seed]]) -> None:
+    for seed in seeds[1]:
+        data = seed.damaged.read_bytes()
+        copies = [mutated(data, seed=str(k)) for k in range(20)]
+        assert copies == [mutated(data, seed=str(k)) for k in range(20)]
+        assert len(set(copies)) > 10
+        assert max(map(len, copies)) <= LARGEST

@@ -1,0 +1,21 @@
+"""A disk that is full in the middle of a record, on a real server."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.abuse.filled_disks import LimitedDisk, full_disk
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="no limit of file sizes can be set from outside")
+
+
+@pytest.mark.parametrize(("seed", "ends"), [(1, "torn"), (2, "stop")])
+def test_what_was_answered_as_saved_outlives_a_torn_record(tmp_path: Path, seed: int, ends: str) -> None:
+    (tmp_path / "disk").mkdir()
+    found = full_disk(tmp_path / "room", LimitedDisk(tmp_path / "disk"), seed=seed, ends=ends)
+    assert found.lost == []
+    assert found.saved >= 3
+    assert found.unsaved >= 1
