@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from benchmarks.abuse.log import Log
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.abuse.kill_rounds import with_photo
 from tests.abuse.server_process import Page, Server, ServerGone, start_server
 

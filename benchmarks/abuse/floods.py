@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.abuse.log import Log
 from ladarreg_core.formats.npz import write_npz_counts
-from ladarreg_core.scanner import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation
 from tests.abuse.kill_rounds import with_photo
 from tests.abuse.server_process import TOKEN, Page, Server, ServerGone
 

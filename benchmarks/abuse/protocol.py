@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.abuse.log import Log
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.abuse.kill_rounds import with_photo
 from tests.abuse.protocol_fuzz import ProtocolFindings, fuzz_protocol, shown_state
 from tests.abuse.server_process import Server, ServerGone, start_server

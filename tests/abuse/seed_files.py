@@ -18,7 +18,7 @@ from ladarreg_core.formats.npz import write_npz_counts, write_npz_xyz
 from ladarreg_core.formats.pose_file import write_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.formats.conftest import depth_image, e57_fields, e57_file, make_scan, pcd_bytes
 
 REFERENCE_SCAN = "reference-scan.npz"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ladarreg_core.simulate.embedded import sample_folder
+from ladarreg_core.simulate.sample import sample_folder
 from tests.abuse.kill_rounds import with_photo
 from tests.abuse.protocol_fuzz import fuzz_protocol, shown_state
 from tests.abuse.server_process import start_server
