@@ -55,13 +55,17 @@ def keep_what_is_loaded() -> None:
     gc.freeze()
 
 
-def return_memory_soon() -> None:
-    """Give freed memory back to the system in a moment, where the process has grown; many calls at once are one."""
+def return_memory_soon(*, surely: bool = False) -> None:
+    """Give freed memory back to the system in a moment; many calls at once are one.
+
+    Args:
+        surely: even if the process has not grown since that was last done.
+    """
     global _resident_before
     if _glibc() is None:
         return
     resident = _resident()
-    if resident < _resident_before + _WORTH_WHILE:
+    if not surely and resident < _resident_before + _WORTH_WHILE:
         _resident_before = min(_resident_before, resident)
     elif _pending.acquire(blocking=False):
         timer = threading.Timer(_RETURN_AFTER_S, _return_memory)

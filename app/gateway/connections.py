@@ -33,6 +33,7 @@ KEY = "connection"
 """Where `scope["state"]` has the `Connection`."""
 _BACKLOG = 1024
 _ACCEPT_AGAIN_S = 0.05
+_IN_A_ROW, _REST_S = 4, 0.001
 _LONGEST_SWEEP_S = 1.0
 
 
@@ -121,13 +122,13 @@ class Connections:
         self._members: dict[Connection, None] = {}
 
     @property
-    def strangers(self) -> int:
-        """How many have not shown a cookie."""
-        return sum(map(len, self._strangers.values()))
+    def is_crowded(self) -> bool:
+        """Whether there are as many strangers as there may be."""
+        return sum(map(len, self._strangers.values())) >= self.limits.strangers
 
     def add(self, address: str) -> Connection:
         """Return a new connection; where that is one too many, another stranger makes room."""
-        while self._strangers and self.strangers >= self.limits.strangers:
+        while self._strangers and self.is_crowded:
             self.make_room()
         connection = Connection(_peer(address), self)
         self._strangers.setdefault(connection.peer, {})[connection] = None
@@ -265,6 +266,7 @@ class _Listener:
         await asyncio.gather(*self._tasks, *self._admissions, return_exceptions=True)
 
     async def _accept(self) -> None:
+        in_a_row = 0
         while True:
             try:
                 accepted, address = await self._loop.sock_accept(self._socket)
@@ -277,7 +279,9 @@ class _Listener:
             connection.admission = self._loop.create_task(self._admit(accepted, connection))
             self._admissions[connection.admission] = None
             connection.admission.add_done_callback(partial(self._admitted, accepted, connection))
-            await asyncio.sleep(0)  # many that come at once must not keep the others waiting
+            # Many that come at once must not keep those waiting who are in already: other threads answer them.
+            in_a_row = (in_a_row + 1) % _IN_A_ROW
+            await asyncio.sleep(0 if in_a_row or not self._server.open.is_crowded else _REST_S)
 
     async def _admit(self, accepted: socket.socket, connection: Connection) -> None:
         tls = self._server.config.ssl

@@ -5,7 +5,11 @@ from __future__ import annotations
 import asyncio
 import http.client
 import logging
+<<<<<<< ours
 import re
+=======
+import time
+>>>>>>> theirs
 from collections.abc import Callable, Iterator
 
 from starlette.concurrency import run_in_threadpool
@@ -25,7 +29,7 @@ _PLAIN = re.compile(r"[A-Za-z0-9/._~-]*")
 """Paths of viser's own files; anything else is not there, and some of it cannot be asked for."""
 _BLOCK = 1 << 16
 _TIMEOUT_S = 10.0
-_APART_S = 0.1
+_APART_S = 0.15
 """Between the beginnings of two views: many that come at once must not keep the others waiting."""
 _CLOSE_S = 0.5
 """viser in the middle of a scene that nobody takes any more does not hear of the end."""
@@ -45,7 +49,7 @@ class ViserProxy:
     def __init__(self, viser: Callable[[], ViserAddress], *, most: int) -> None:
         self._viser, self._most = viser, most
         self._views = 0
-        self._opening = asyncio.Semaphore(1)
+        self._next_turn_s = 0.0
 
     async def page(self, request: Request) -> Response:
         """Forward a page; its query stays here."""
@@ -72,17 +76,22 @@ class ViserProxy:
             await self._serve(websocket)
         finally:
             self._views -= 1
-            return_memory_soon()
+            return_memory_soon(surely=True)
 
     def _full(self) -> Response:
         return PlainTextResponse(_FULL.format(most=self._most) + "\n", status_code=503)
+
+    async def _turn(self) -> None:
+        now = time.monotonic()
+        turn = max(now, self._next_turn_s)
+        self._next_turn_s = turn + _APART_S
+        await asyncio.sleep(turn - now)
 
     async def _serve(self, websocket: WebSocket) -> None:
         offered = [Subprotocol(name) for name in websocket.scope["subprotocols"]]
         try:
             address = await run_in_threadpool(self._viser)
-            async with self._opening:
-                await asyncio.sleep(_APART_S)
+            await self._turn()
             viser = await connect(
                 f"ws://{address.host}:{address.port}/",
                 subprotocols=offered or None,

@@ -24,7 +24,7 @@ def test_the_page_beyond_the_limit_says_why_and_comes_up_when_another_goes(brows
         views = Held("viser", 64, found.host, found.port, found.cookie)
         others.fill()
         views.fill()
-        time.sleep(2)  # the views begin one after the other
+        time.sleep(1)
         context = browser.new_context(viewport={"width": 1280, "height": 720})
         page = context.new_page()
         try:
