@@ -5,11 +5,8 @@ from __future__ import annotations
 import asyncio
 import http.client
 import logging
-<<<<<<< ours
 import re
-=======
 import time
->>>>>>> theirs
 from collections.abc import Callable, Iterator
 
 from starlette.concurrency import run_in_threadpool

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ladarreg_core import gridding, scanner
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, Cancelled, FormatError, OptionError
 from ladarreg_core.formats import describe, read_photo, read_scan
@@ -30,6 +29,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner import gridding, grids
 from ladarreg_core.scanner.gridding import RingGrid, TurnedGrid
 from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
 from ladarreg_core.simulate.sample import sample_folder
@@ -133,7 +133,7 @@ def test_every_geometry_can_be_sent() -> None:
     known = {type(scan.geometry) for scan in sample_scans()}
     every = {
         found
-        for module in (scanner, gridding)
+        for module in (grids, gridding)
         for found in vars(module).values()
         if dataclasses.is_dataclass(found) and isinstance(found, type) and hasattr(found, "ray_at")
     }
