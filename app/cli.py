@@ -100,7 +100,7 @@ def _explain(error: BaseException) -> tuple[str, ExitCode]:
 
 
 def _fail(text: str, code: ExitCode) -> ExitCode:
-    from app.wording import one_line
+    from app.messages import one_line
 
     print(f"ladarreg: {one_line(text)}", file=sys.stderr)
     return code

@@ -25,7 +25,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
-from app.gateway.changes import changed
+from app.gateway.delta import changed
 from benchmarks.model_drawn import model_drawn
 from ladarreg_core.simulate.sample import sample_folder
 

@@ -7,7 +7,7 @@ import io
 
 import viser
 
-from app.viser_server import HOST
+from app.gateway.viser_backend import HOST
 
 
 def open_server(*, label: str) -> viser.ViserServer:

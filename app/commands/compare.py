@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from app.exit_codes import ExitCode
 from app.inputs import input_files, print_notes, read_inputs, read_start
-from app.step_bar import StepBar, step_bar
+from app.messages import comparison_report, comparison_verdict
+from app.progress_bar import StepBar, step_bar
 from app.thresholds import ThresholdArguments, register_options
-from app.wording import comparison_report, comparison_verdict
 
 if TYPE_CHECKING:
     from ladarreg_core.comparison import Comparison

@@ -11,7 +11,7 @@ import tyro
 from app.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from app.workbench import Workbench
+    from app.workbench.workbench import Workbench
 
 _NAME = "Sample"
 
@@ -34,14 +34,14 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Open the workbench on the embedded sample and register it before everybody's eyes."""
-    from app.isolated_readers import READERS
+    from app.session.isolated_readers import READERS
 
     READERS.warm()  # it loads the readers while this process loads the rest
-    from app.gateway.door import new_token
+    from app.gateway.login import new_token
     from app.gateway.options import GatewayOptions
     from app.process_resources import limit_arenas
-    from app.serve import open_workbench, serve_and_close
     from app.stop_signals import StopSignals
+    from app.workbench.launch import open_workbench, serve_and_close
     from ladarreg_core.simulate import sample_folder
 
     limit_arenas()

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from app.exit_codes import ExitCode
-from app.wording import one_line
+from app.messages import one_line
 
 
 @dataclass(frozen=True, kw_only=True)

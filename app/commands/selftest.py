@@ -10,8 +10,8 @@ import tyro
 
 from app.exit_codes import ExitCode
 from app.inputs import timed
-from app.step_bar import step_bar
-from app.wording import self_test_report
+from app.messages import self_test_report
+from app.progress_bar import step_bar
 
 if TYPE_CHECKING:
     from ladarreg_core.camera import Camera

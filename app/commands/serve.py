@@ -51,10 +51,10 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Open the workbench and serve it until a signal asks to stop."""
-    from app.isolated_readers import READERS
+    from app.session.isolated_readers import READERS
 
     READERS.warm()  # it loads the readers while this process loads the rest
-    from app.gateway.door import checked_token, new_token
+    from app.gateway.login import checked_token, new_token
     from app.gateway.options import GatewayOptions
     from app.gateway.server import check_certificate
     from ladarreg_core.errors import OptionError
@@ -81,8 +81,8 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _serve(arguments: Arguments, token: str, options: GatewayOptions) -> None:
     from app.process_resources import limit_arenas
-    from app.serve import open_workbench, serve_and_close
     from app.stop_signals import StopSignals
+    from app.workbench.launch import open_workbench, serve_and_close
 
     limit_arenas()
     stop = StopSignals()

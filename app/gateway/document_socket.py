@@ -11,10 +11,10 @@ from typing import Any
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from app.gateway.encoded import Encoded
-from app.gateway.interface import Client, Workbench
+from app.gateway.encoding import Encoded
 from app.gateway.json_text import NotJson, decode_object, encode
 from app.gateway.outbox import Outbox
+from app.gateway.protocol import Client, Workbench
 from app.gateway.told import Told
 from app.gateway.visitors import Visitors
 from app.process_resources import return_memory_soon

@@ -12,8 +12,8 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 
 from app.gateway.attempts import Attempts
-from app.gateway.door import Door
 from app.gateway.forwarded import Asked
+from app.gateway.login import Door
 
 _LONGEST_FORM = 4096
 _WRONG_DELAY_S = 0.3

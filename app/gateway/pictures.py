@@ -8,7 +8,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
-from app.gateway.interface import Workbench
+from app.gateway.protocol import Workbench
 from ladarreg_core.errors import LadarregError, OptionError
 
 _AT_A_TIME = 2

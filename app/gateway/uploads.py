@@ -20,7 +20,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
-from app.gateway.interface import Workbench
+from app.gateway.protocol import Workbench
 from app.gateway.upload_name import safe_suffix, upload_name
 from app.gateway.visitors import Visitors
 from ladarreg_core.errors import LadarregError, OptionError

@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from app.jobs.bench import Bench, Inputs
+from app.jobs.inputs import Bench, Inputs
 from app.jobs.runner import JobContext
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import switched, with_picks, without_origin

@@ -7,9 +7,9 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from app.jobs.bench import Bench, Inputs
+from app.jobs.inputs import Bench, Inputs
 from app.jobs.runner import JobContext
-from app.jobs.solving import SolvingJobs
+from app.jobs.solve import SolvingJobs
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.project.results import pose_of
 

@@ -1,4 +1,4 @@
-/** How a slice becomes another by what the server tells of it (docs/workbench.md): what app/gateway/changes.py made. */
+/** How a slice becomes another by what the server tells of it (docs/workbench.md): what app/gateway/delta.py made. */
 
 /**
  * @typedef {{set?: any, gone?: (string | number)[], in?: Record<string, Change>, order?: (string | number)[]}} Change

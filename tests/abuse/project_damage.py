@@ -11,8 +11,8 @@ from pathlib import Path
 
 import msgspec
 
-from app.serve import open_workbench
-from app.session import Session, now
+from app.session.session import Session, now
+from app.workbench.launch import open_workbench
 from ladarreg_core.errors import FormatError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document, Source

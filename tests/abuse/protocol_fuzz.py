@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
-from app.commands_of_page import COMMANDS
+from app.workbench.commands import COMMANDS
 from tests.abuse.mutations import mutated
 from tests.abuse.server_process import Page, Server, ServerGone
 

@@ -20,7 +20,7 @@ from urllib.parse import quote, urlsplit
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from app.gateway.changes import changed
+from app.gateway.delta import changed
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 TOKEN = "a-token-of-abuse"

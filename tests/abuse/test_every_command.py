@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.commands_of_page import COMMANDS
 from app.gateway.json_text import NotJson, decode_object, encode
+from app.workbench.commands import COMMANDS
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.pose_file import read_pose

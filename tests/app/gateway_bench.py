@@ -16,11 +16,11 @@ from typing import Any
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from app.gateway.interface import Message, Picture
 from app.gateway.options import GatewayOptions
+from app.gateway.protocol import Message, Picture
+from app.gateway.routes import site
 from app.gateway.server import Gateway
-from app.gateway.site import site
-from app.viser_lock import ViserAddress
+from app.gateway.viser_lock import ViserAddress
 from ladarreg_core.errors import FormatError, OptionError
 
 TOKEN = "a-token-of-tests"

@@ -8,8 +8,8 @@ from pathlib import Path
 from app.cli import _set_up_log
 from app.gateway.options import GatewayOptions
 from app.gateway.serving import serve_until_interrupted
+from app.gateway.viser_backend import close_server, open_locked_server
 from app.stop_signals import StopSignals
-from app.viser_server import close_server, open_locked_server
 from tests.app.gateway_bench import TOKEN, CountingBench
 
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from app.bounded_cache import BoundedCache, array_bytes, rough_bytes
-from app.each_once import EachOnce
-from app.gateway.interface import Picture
-from app.workroom import Workroom
+from app.gateway.protocol import Picture
+from app.session.bounded_cache import BoundedCache, array_bytes, rough_bytes
+from app.session.cache import EachOnce
+from app.session.loader import Workroom
 from ladarreg_core.camera import Camera
 from ladarreg_core.photo import Photo
 from ladarreg_core.project.folder import ProjectFolder

@@ -14,7 +14,7 @@ from PIL import Image
 import ladarreg_core.comparison
 from app.cli import main
 from app.exit_codes import ExitCode
-from app.wording import aligned
+from app.messages import aligned
 from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import Cancelled, DegenerateGeometryError
 from ladarreg_core.export.comparison_table import Table

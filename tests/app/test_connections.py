@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from app.gateway.connections import Connections
 from app.gateway.options import ConnectionLimits
-from app.viser_server import close_server, open_locked_server
+from app.gateway.viser_backend import close_server, open_locked_server
 from tests.app.gateway_bench import Running, hear, running, soon
 
 QUICK = ConnectionLimits(header_s=0.5, stall_s=0.5, strangers=8, members=4, views=2)

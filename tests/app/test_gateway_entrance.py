@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from websockets.exceptions import InvalidStatus
 
 from app.gateway.attempts import _PACE_S, Attempts
-from app.gateway.door import Door, checked_token, new_token
 from app.gateway.forwarded import asked_of
 from app.gateway.headers import PAGE_POLICY, VISER_POLICY
+from app.gateway.login import Door, checked_token, new_token
 from app.gateway.options import GatewayOptions, is_loopback
 from ladarreg_core.errors import OptionError
 from tests.app.gateway_bench import TOKEN, Running, running

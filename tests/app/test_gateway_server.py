@@ -20,7 +20,7 @@ from app.exit_codes import ExitCode
 from app.gateway.options import GatewayOptions
 from app.gateway.server import Gateway
 from app.gateway.serving import warning
-from app.viser_server import close_server, open_locked_server
+from app.gateway.viser_backend import close_server, open_locked_server
 from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate import sample_folder
 from tests.app.gateway_bench import TOKEN, Running, closing_code, hear, running, soon

@@ -16,8 +16,8 @@ import zstandard
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from app.viser_lock import HEADER, ViserAddress, locked
-from app.viser_server import HOST, close_server, open_locked_server
+from app.gateway.viser_backend import HOST, close_server, open_locked_server
+from app.gateway.viser_lock import HEADER, ViserAddress, locked
 from ladarreg_core.errors import DependencyError
 from tests.app.gateway_bench import Running, closing_code, running, soon
 

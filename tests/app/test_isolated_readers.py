@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from app.isolated_readers import READERS
+from app.session.isolated_readers import READERS
 from ladarreg_core import formats
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.isolated import ReaderLimits

@@ -17,7 +17,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from app.viser_server import close_server, open_locked_server
+from app.gateway.viser_backend import close_server, open_locked_server
 from tests.app.gateway_bench import TOKEN, Running, running, soon
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin:/usr/local/sbin:/opt/homebrew/bin")

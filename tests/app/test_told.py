@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.each_once import EachOnce
-from app.gateway import encoded
-from app.gateway.changes import change_between, changed
-from app.gateway.encoded import Encoded
+from app.gateway import encoding as encoded
+from app.gateway.delta import change_between, changed
+from app.gateway.encoding import Encoded
 from app.gateway.outbox import Outbox
 from app.gateway.told import Told
+from app.session.cache import EachOnce
 from tests.app.slice_edits import random_states
 
 

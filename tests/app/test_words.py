@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from app.arguments import condensed
 from app.exit_codes import ExitCode
-from app.step_bar import step_bar
-from app.wording import assessed, one_line
+from app.messages import assessed, one_line
+from app.progress_bar import step_bar
 from ladarreg_core.progress import Progress, Step
 from ladarreg_core.quality.assessment import Assessment
 from ladarreg_core.quality.findings import LEVELS, Finding

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from app.serve import open_workbench
-from app.workbench import Person, Workbench
+from app.workbench.launch import open_workbench
+from app.workbench.workbench import Person, Workbench
 from ladarreg_core.simulate.sample import sample_folder
 
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.stage3d.colours import BACKGROUND
-from app.viser_server import close_server
+from app.gateway.viser_backend import close_server
+from app.scene.colours import BACKGROUND
 from ladarreg_core.export.glb import glb_bytes
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation

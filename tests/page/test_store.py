@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from app.gateway.encoded import Encoded
+from app.gateway.encoding import Encoded
 from app.gateway.told import Told
 from tests.app.slice_edits import random_states
 

@@ -1,0 +1,76 @@
+"""The gateway's routes (docs/workbench.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.types import ASGIApp
+
+from app.gateway.document_socket import DocumentSocket
+from app.gateway.downloads import Exports
+from app.gateway.login import Door
+from app.gateway.options import GatewayOptions
+from app.gateway.pages import Pages, front_page
+from app.gateway.pictures import Pictures
+from app.gateway.protocol import Workbench
+from app.gateway.security import Guard
+from app.gateway.uploads import Uploads
+from app.gateway.viser_lock import ViserAddress
+from app.gateway.viser_proxy import ViserProxy
+from app.gateway.visitors import Visitors
+from app.process_resources import raised_descriptor_limit
+from app.static_files import static_folder
+
+
+def site(
+    workbench: Workbench,
+    *,
+    token: str,
+    viser: Callable[[], ViserAddress],
+    options: GatewayOptions,
+    port: int,
+    folder: Path | None = None,
+) -> ASGIApp:
+    """Return the whole site, with its guard in front.
+
+    Args:
+        workbench: what is behind the page.
+        token: what opens it.
+        viser: tells where the locked viser server listens; may wait for it.
+        options: how the gateway is reached.
+        port: where it listens, for the cookie's name.
+        folder: of the page's files; None: those of the installation.
+    """
+    limits = options.limits.within(raised_descriptor_limit())
+    visitors, proxy = Visitors(), ViserProxy(viser, most=limits.views)
+    folder = folder or static_folder()
+    pages = Pages(folder)
+
+    async def page(request: Request) -> Response:
+        return front_page(folder, request)
+
+    async def to_viser(request: Request) -> Response:
+        return RedirectResponse("viser/", status_code=307)  # relative: the prefix is the proxy's
+
+    inner = Starlette(
+        routes=[
+            Route("/", page),
+            WebSocketRoute("/document", DocumentSocket(workbench, visitors).serve),
+            Route("/picture/{path:path}", Pictures(workbench).serve),
+            Route("/upload", Uploads(workbench, visitors).serve, methods=["POST"]),
+            Route("/export/{photo}.zip", Exports(workbench).serve),
+            Route("/viser", to_viser),
+            Route("/viser/{path:path}", proxy.page),
+            WebSocketRoute("/viser", proxy.websocket),
+            WebSocketRoute("/viser/{path:path}", proxy.websocket),
+            Mount("/static", pages),
+            Mount("/", pages),
+        ]
+    )
+    inner.router.redirect_slashes = False
+    return Guard(inner, Door(token, port=port), options)

@@ -1,0 +1,121 @@
+"""The scanner and the camera, each as a pyramid with its picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from app.scene.colours import ACCENT, REFUSED, SCANNER
+from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.inspection.model_textures import small_picture, view_picture
+from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
+from ladarreg_core.inspection.viewpoints import field_of_view
+from ladarreg_core.surface.blend import intensity_picture
+
+if TYPE_CHECKING:
+    import viser
+
+    from app.scene.subject import Subject
+    from ladarreg_core.arrays import ByteArray
+    from ladarreg_core.camera import Camera
+    from ladarreg_core.frames import Rigid
+    from ladarreg_core.inspection.model_textures import Colour
+
+NOT_ACCEPTED = "not accepted"
+_DASHES = 9
+_JPEG_QUALITY = 88
+_PICTURE_PX = 512
+
+
+class CamerasLayer:
+    """Both cameras; a pose that is not accepted is a dashed outline without the photograph."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._scanner: list[viser.SceneNodeHandle] = []
+        self._camera: list[viser.SceneNodeHandle] = []
+        self._drawn: tuple[object, ...] = (None, None, None)
+
+    def draw(self, subject: Subject | None, *, visible: bool) -> None:
+        """Draw what stands there."""
+        wanted = (None, None, None) if subject is None else (subject.shown, subject.photo, subject.result)
+        if wanted != self._drawn:
+            self.clear()
+            if subject is not None:
+                self._draw_scanner(subject)
+                self._draw_camera(subject)
+            self._drawn = wanted
+        for node in self._scanner + self._camera:
+            node.visible = visible
+
+    def clear(self) -> None:
+        """Take both away."""
+        for node in self._scanner + self._camera:
+            node.remove()
+        self._scanner, self._camera, self._drawn = [], [], (None, None, None)
+
+    def _draw_scanner(self, subject: Subject) -> None:
+        view = subject.view
+        picture = view_picture(view, intensity_picture(subject.scan))
+        depth = subject.shown.frustum_depth_m
+        self._scanner.append(
+            add_camera(self._server, "/scanner", view.camera, view.view_from_scanner, SCANNER, depth, picture=picture)
+        )
+
+    def _draw_camera(self, subject: Subject) -> None:
+        result, depth = subject.result, subject.shown.frustum_depth_m
+        if result is None:
+            return
+        pose, camera = result.camera_from_scanner, result.camera
+        if result.accepted:
+            picture = small_picture(subject.photo.pixels, _PICTURE_PX) if subject.photo is not None else None
+            self._camera.append(add_camera(self._server, "/camera", camera, pose, ACCENT, depth, picture=picture))
+            return
+        lines = dashed(camera_outline(camera, pose, depth_m=depth), dashes=_DASHES)
+        colours = line_colours_for_viewer(for_both_ends(repeated(REFUSED, len(lines))))
+        scene = self._server.scene
+        self._camera.append(
+            scene.add_line_segments("/camera", points=lines, colors=colours, thickness=1.5, thickness_units="screen")
+        )
+        words = f"{subject.name}: {NOT_ACCEPTED}" if subject.name else NOT_ACCEPTED
+        self._camera.append(
+            scene.add_label("/camera_name", words, position=pose.centre, font_screen_scale=0.9, anchor="top-center")
+        )
+
+
+def add_camera(
+    server: viser.ViserServer,
+    name: str,
+    camera: Camera,
+    pose: Rigid,
+    colour: Colour,
+    depth_m: float,
+    *,
+    picture: ByteArray | None = None,
+    thickness: float = 2.0,
+) -> viser.CameraFrustumHandle:
+    """Add a camera whose picture stands `depth_m` before its centre."""
+    _, upright = field_of_view(camera)
+    options: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
+    frustum = server.scene.add_camera_frustum(
+        name,
+        fov=upright,
+        aspect=camera.width / camera.height,
+        scale=1.0,
+        thickness=thickness,
+        thickness_units="screen",
+        color=tuple(line_colours_for_viewer(colour).tolist()),
+        image=picture,
+        format="jpeg",
+        jpeg_quality=_JPEG_QUALITY,
+        **placed(pose),
+        **options,
+    )
+    frustum.scale = depth_m / frustum.compute_canonical_frustum_size()[2]
+    return frustum
+
+
+def placed(pose: Rigid) -> dict[str, Any]:
+    """Return where viser is to put a camera."""
+    from viser.transforms import SO3
+
+    return {"wxyz": SO3.from_matrix(pose.inverse.rotation).wxyz, "position": pose.centre}

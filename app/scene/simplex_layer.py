@@ -1,0 +1,93 @@
+"""The walking simplex in space: the best camera, the other vertices, and where it started."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from app.scene.cameras_layer import add_camera, placed
+from app.scene.colours import ACCENT, BACKGROUND, REFUSED
+from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.inspection.scene_geometry import (
+    camera_outline,
+    camera_outlines,
+    dashed,
+    faded,
+    for_both_ends,
+    repeated,
+)
+
+if TYPE_CHECKING:
+    import viser
+
+    from app.scene.simplex_frame import SimplexFrame
+    from app.scene.subject import Subject
+    from ladarreg_core.arrays import FloatArray
+    from ladarreg_core.camera import Camera
+    from ladarreg_core.frames import Rigid
+    from ladarreg_core.inspection.model_textures import Colour
+
+_FAINT, _DASHES = 0.45, 9
+
+
+class SimplexLayer:
+    """Three things that move or stay: the best vertex in the accent, the others faint, the start dashed."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._best: viser.CameraFrustumHandle | None = None
+        self._others: viser.LineSegmentsHandle | None = None
+        self._start: viser.LineSegmentsHandle | None = None
+        self._camera: Camera | None = None
+        self._depth_m = 1.0
+
+    def draw(self, subject: Subject | None, frame: SimplexFrame) -> None:
+        """Draw a moment; the first one after `clear` is the start."""
+        camera = None if subject is None else subject.camera
+        if subject is None or camera is None:
+            return
+        if camera is not self._camera:
+            self.clear()
+            self._camera, self._depth_m = camera, subject.shown.frustum_depth_m
+        outlines = camera_outlines(camera, frame.others, depth_m=self._depth_m)
+        if self._best is None:
+            self._best = add_camera(
+                self._server, "/simplex/best", camera, frame.best, ACCENT, self._depth_m, thickness=2.6
+            )
+            start = dashed(camera_outline(camera, frame.best, depth_m=self._depth_m), dashes=_DASHES)
+            self._start = self._lines("/simplex/start", start, REFUSED, 1.2)
+        if self._others is None or len(self._others.points) != len(outlines):
+            faint = faded(repeated(ACCENT, 1), BACKGROUND, share=_FAINT)[0].tolist()
+            self._others = self._lines("/simplex/vertices", outlines, tuple(faint), 1.0) if len(outlines) else None
+        with self._server.atomic():
+            if self._others is not None:
+                self._others.points = outlines
+            self._move(self._best, frame.best)
+
+    def end(self, subject: Subject | None, best: SimplexFrame | None) -> None:
+        """Leave the best alone, or nothing."""
+        if best is not None:
+            self.draw(subject, best)
+        for node in (self._others, self._start, *([] if best is not None else [self._best])):
+            if node is not None:
+                node.remove()
+        self._others = self._start = None
+        if best is None:
+            self._best = self._camera = None
+
+    def clear(self) -> None:
+        """Take all away."""
+        self.end(None, None)
+
+    def _move(self, frustum: viser.CameraFrustumHandle, pose: Rigid) -> None:
+        place = placed(pose)
+        frustum.wxyz, frustum.position = place["wxyz"], place["position"]
+
+    def _lines(self, name: str, lines: FloatArray, colour: Colour, thickness: float) -> viser.LineSegmentsHandle:
+        shades = line_colours_for_viewer(for_both_ends(repeated(colour, len(lines))))
+        return self._server.scene.add_line_segments(
+            name,
+            points=lines,
+            colors=shades,
+            thickness=thickness,
+            thickness_units="screen",
+        )

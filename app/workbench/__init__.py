@@ -1,0 +1,1 @@
+"""The workbench behind the page: commands in, state out."""

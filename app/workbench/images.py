@@ -1,0 +1,150 @@
+"""Pictures for the page: encoded once, kept for as long as somebody may ask again."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+import threading
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from app.gateway.protocol import Picture
+from app.session.loader import Workroom
+from app.session.session import Session
+from ladarreg_core.errors import LadarregError, OptionError
+
+if TYPE_CHECKING:
+    from ladarreg_core.project.document import PhotoEntry, PoseEntry
+    from ladarreg_core.scan import Scan
+    from ladarreg_core.surface.perspective import View
+
+log = logging.getLogger(__name__)
+_JPEG_ABOVE_PIXELS = 2_500_000
+_JPEG_QUALITY = 93
+_MOST_DIGITS = 9
+
+
+class Pictures:
+    """Draws what the page asks for."""
+
+    def __init__(self, session: Session, room: Workroom) -> None:
+        self._session = session
+        self._room = room
+
+    def picture(self, path: str, query: Mapping[str, str]) -> Picture:
+        """Return a picture.
+
+        Args:
+            path: below `picture/`: `scan`, `photo/ID`, `overlay/ID` or `registered/ID`.
+            query: as docs/workbench.md says.
+
+        Raises:
+            LadarregError: if there is none.
+        """
+        kind, _, photo_id = path.strip("/").partition("/")
+        document = self._session.document
+        if kind == "scan" and not photo_id:
+            return self._scan(query)
+        entry = document.photo(photo_id)
+        if entry is None:
+            raise OptionError("there is no such photograph")
+        if kind == "photo":
+            key: Any = (entry.source, entry.camera.file)
+            return self._room.kept("picture", ("photo", key), lambda: self._photo(entry))
+        pose = entry.stage(query["stage"]) if query.get("stage") else entry.pose
+        if pose is None or kind not in ("overlay", "registered"):
+            raise OptionError("there is no pose, and so no overlay; solve first")
+        words = tuple(sorted((k, v) for k, v in query.items() if k not in ("rev", "stage")))
+        key = (kind, id(pose), words)
+        make = self._overlay if kind == "overlay" else self._registered
+        return self._room.kept("picture", key, lambda: (pose, make(entry, pose, query)))[1]
+
+    def draw_ahead(self) -> None:
+        """Draw the scan as a page shows it at first, in a thread: it will be the first to be asked for."""
+
+        def draw() -> None:
+            try:
+                self._scan({})
+            except LadarregError as error:
+                log.debug("there is nothing to draw: %s", error)
+            except Exception:  # whoever asks for the picture is told
+                log.exception("the scan could not be drawn")
+
+        threading.Thread(target=draw, name="picture", daemon=True).start()
+
+    def _scan(self, query: Mapping[str, str]) -> Picture:
+        from ladarreg_core.inspection.pictures import Stretch, scan_picture
+
+        view, show = self._view(query), query.get("show", "intensity")
+        stretch = Stretch(
+            low=_number(query, "low", 1.0),
+            high=_number(query, "high", 99.5),
+            gamma=_number(query, "gamma", 0.6),
+            equalise=query.get("equalise") == "1",
+        )
+        key = ("scan", id(view), show, stretch)
+        return self._room.kept("picture", key, lambda: (view, _png(scan_picture(view, show, stretch))))[1]
+
+    def _photo(self, entry: PhotoEntry) -> Picture:
+        pixels = self._room.photo_to_look_at(entry).pixels
+        if pixels.shape[0] * pixels.shape[1] <= _JPEG_ABOVE_PIXELS:
+            return _png(pixels)
+        from PIL import Image
+
+        buffer = io.BytesIO()
+        Image.fromarray(pixels).save(buffer, "JPEG", quality=_JPEG_QUALITY, subsampling=0)
+        return _picture(buffer.getvalue(), "image/jpeg")
+
+    def _overlay(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> Picture:
+        from ladarreg_core.inspection.overlays import scan_over_photo
+
+        answer = self._room.answer(pose)
+        show = query.get("show", "intensity")
+        return _png(scan_over_photo(self._the_scan(), answer.camera, answer.camera_from_scanner, show))
+
+    def _registered(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> Picture:
+        from ladarreg_core.inspection.model_textures import texture_without_z_buffer
+        from ladarreg_core.inspection.overlays import photo_over_scan
+        from ladarreg_core.surface.texture import texture_scan
+
+        scan, answer, photo = self._the_scan(), self._room.answer(pose), self._room.photo(entry)
+        if query.get("z_buffer") == "0":
+            texture = texture_without_z_buffer(scan, photo, answer)
+        else:
+            texture = texture_scan(scan, photo, answer.camera_from_scanner, camera=answer.camera)
+        return _png(photo_over_scan(self._view(query), texture))
+
+    def _the_scan(self) -> Scan:
+        scan = self._room.scan(self._session.document)
+        if scan is None:
+            raise OptionError("there is no scan; open one")
+        return scan
+
+    def _view(self, query: Mapping[str, str]) -> View:
+        views = self._room.views(self._session.document)
+        if not views:
+            raise OptionError("there is no scan; open one")
+        index = query.get("view", "0")
+        if not index.isdecimal() or len(index) > _MOST_DIGITS or int(index) >= len(views):
+            raise OptionError(f"there is no view {index[:20]!r}; the scan has {len(views)}")
+        return views[int(index)].view
+
+
+def _number(query: Mapping[str, str], name: str, otherwise: float) -> float:
+    try:
+        return float(query.get(name, otherwise))
+    except ValueError:
+        raise OptionError(f"{name} is {query[name]!r}; it must be a number") from None
+
+
+def _png(pixels: Any) -> Picture:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG", compress_level=1)
+    return _picture(buffer.getvalue(), "image/png")
+
+
+def _picture(data: bytes, media_type: str) -> Picture:
+    return Picture(data, media_type, hashlib.sha256(data).hexdigest()[:16])

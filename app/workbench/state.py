@@ -1,0 +1,189 @@
+"""The state as the page is told it, slice by slice (docs/workbench.md)."""
+
+from __future__ import annotations
+
+import logging
+from hashlib import blake2b
+from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, json
+
+from app.session.loader import Workroom
+from app.session.session import Session
+from ladarreg_core.errors import CameraError, LadarregError
+
+if TYPE_CHECKING:
+    from app.jobs.runner import Job
+    from app.session.cache import EachOnce
+    from ladarreg_core.photo import Photo
+    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
+    from ladarreg_core.project.history import Entry, History
+
+log = logging.getLogger(__name__)
+_TOLD_HISTORY = 300
+
+
+def project_slice(session: Session) -> dict[str, Any]:
+    """Return what the header shows of the project."""
+    history = session.history
+    undone, redone = history.undone, history.redone
+    return {
+        "name": session.document.name,
+        "folder": session.folder.path.name,
+        "saved_at": clock(session.saved_at),
+        "unsaved": bool(session.unsaved),
+        "unsaved_why": session.unsaved,
+        "amiss": " ".join(session.folder.said),
+        "undo": undone.label if undone else None,
+        "redo": redone.label if redone else None,
+    }
+
+
+def history_slice(history: History, each: EachOnce[Entry, dict[str, Any]]) -> dict[str, Any]:
+    """Return the last entries, as `entry_shown` shows each."""
+    return {"at": history.present.number, "entries": each.of("history", history.entries[-_TOLD_HISTORY:])}
+
+
+def entry_shown(entry: Entry) -> dict[str, Any]:
+    """Return one entry of the history."""
+    return {"n": entry.number, "label": entry.label, "author": entry.author, "when": clock(entry.when)}
+
+
+def scan_slice(room: Workroom, document: Document) -> dict[str, Any] | None:
+    """Return the scan and its views; with `error` where it cannot be read any more, or not be viewed."""
+    from ladarreg_core.inspection.views import resolution_note
+
+    source = document.scan
+    if source is None:
+        return None
+    try:
+        scan, views = room.scan(document), room.views(document)
+    except LadarregError as error:
+        return _missing_scan(source.name, str(error))
+    except Exception as error:  # what one scan does must not keep everybody out
+        log.exception("the scan")
+        return _missing_scan(source.name, f"it cannot be read ({type(error).__name__}); open another scan")
+    assert scan is not None
+    rows, columns = scan.shape
+    note = resolution_note(scan, views)
+    return {
+        "id": f"s{_mark(source)}",
+        "name": source.name,
+        "rows": rows,
+        "columns": columns,
+        "returns": int(scan.valid.sum()),
+        "notes": [*scan.notes, *([note] if note else [])],
+        "has_color": scan.color is not None,
+        "has_intensity": True,
+        "views": [
+            {
+                "label": named.label,
+                "width": named.view.camera.width,
+                "height": named.view.camera.height,
+                "f": named.view.camera.fx,
+                "cx": named.view.camera.cx,
+                "cy": named.view.camera.cy,
+                "rotation": named.view.view_from_scanner.rotation.reshape(-1).tolist(),
+            }
+            for named in views
+        ],
+    }
+
+
+def _missing_scan(name: str, error: str) -> dict[str, Any]:
+    return {"id": "missing", "name": name, "error": error, "views": [], "notes": []}
+
+
+def _mark(*known: Struct) -> str:
+    """Return a short name of what is known of a file: after a restart the same, or pages would drop what they hold."""
+    return blake2b(json.encode(known), digest_size=8).hexdigest()
+
+
+def photo_slice(room: Workroom, entry: PhotoEntry) -> dict[str, Any]:
+    """Return one photograph; without a camera where nothing tells its focal length."""
+    found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
+    found["rev"] = _mark(entry.source, entry.camera)
+    photo: Photo | None = None
+    try:
+        try:
+            photo = room.photo(entry)
+            camera = photo.camera
+            found["camera"] = {
+                **camera.as_fields(),
+                "distortion": list(camera.distortion),
+                "calibrated": photo.calibrated,
+                "said": f"f {camera.focal_px:.1f} px" + (", calibrated" if photo.calibrated else ""),
+            }
+        except CameraError as error:
+            found["camera_error"] = str(error)
+            photo = room.photo_to_look_at(entry)
+    except LadarregError as error:
+        return {**found, "width": 0, "height": 0, "thermal": False, "error": str(error)}
+    except Exception as error:  # what one photograph does must not keep everybody out
+        log.exception("the photograph %s", entry.id)
+        trouble = f"it cannot be read ({type(error).__name__}); remove it, or open it anew"
+        return {**found, "width": 0, "height": 0, "thermal": False, "error": trouble}
+    height, width = photo.pixels.shape[:2]
+    found.update(width=width, height=height, thermal=photo.temperature_k is not None, notes=list(photo.notes))
+    pose = entry.pose
+    if pose is not None:
+        found["state"] = "accepted" if pose.accepted else "refused" if pose.evidence == "none" else "solved"
+    return found
+
+
+def pick_shown(pick: PickEntry) -> dict[str, Any]:
+    """Return one pick."""
+    return {
+        "id": pick.id,
+        "number": pick.number,
+        "kind": pick.kind,
+        "scan": [list(ray) for ray in pick.scan],
+        "photo": [list(uv) for uv in pick.photo],
+        "on": pick.on,
+        "weight": pick.weight,
+        "origin": pick.origin,
+    }
+
+
+def job_slice(job: Job | None) -> dict[str, Any] | None:
+    """Return the present job, or the last one."""
+    if job is None:
+        return None
+    return {
+        "id": job.id,
+        "kind": job.kind,
+        "label": job.label,
+        "photo": job.photo,
+        "author": job.author,
+        "state": job.state,
+        "done": job.done,
+        "total": job.total,
+        "said": job.said,
+        "seconds": round(job.seconds, 1),
+        "can": list(job.can) if job.runs else [],
+        "speed": job.speed,
+        "steps": [
+            {"name": step.name, "seconds": round(step.seconds, 3), "said": detail_in_words(step.detail)}
+            for step in list(job.steps)
+        ],
+    }
+
+
+def detail_in_words(detail: Any) -> str:
+    """Return a step's figures in one line."""
+    parts = []
+    for name, value in dict(detail).items():
+        if isinstance(value, str):
+            parts.append(value if name in ("said", "none", "start", "source") else f"{name.replace('_', ' ')} {value}")
+        elif isinstance(value, bool):
+            parts.append(name.replace("_", " ") if value else f"not {name.replace('_', ' ')}")
+        elif isinstance(value, int):
+            parts.append(f"{name.replace('_', ' ')} {value}")
+        elif isinstance(value, float):
+            parts.append(f"{name.replace('_', ' ')} {value:.3g}")
+    return ", ".join(parts[:5])
+
+
+def clock(when: str) -> str:
+    """Return the time of day of an ISO time."""
+    return when[11:19] if len(when) >= 19 else when
