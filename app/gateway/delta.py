@@ -2,7 +2,7 @@
 
 A change of an object is `{"set": {name: value}, "gone": [names], "in": {name: change}}`, one of a list of things
 `{"set": [things], "gone": [keys], "order": [keys]}`; each part is left out where there is nothing to say. The key of
-a thing is its `id`, or its number `n`. static/js/changes.js does what `changed` does.
+a thing is its `id`, or its number `n`. static/js/net/delta.js does what `changed` does.
 """
 
 from __future__ import annotations

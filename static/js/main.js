@@ -1,22 +1,22 @@
 /** Puts the page together. */
 
-import { runs } from "./chain_state.js";
-import { ask, connect, connectionState, fullReason, onConnection } from "./connection.js";
-import { mountDividers } from "./dividers.js";
-import { mountDock } from "./dock.js";
-import { acceptDrops } from "./drop.js";
-import { openFiles } from "./files_dialog.js";
-import { mountFilling } from "./filling.js";
-import { mountHeader } from "./header.js";
-import { linkHovering } from "./hovering.js";
-import { listenToPageKeys } from "./keyboard.js";
-import { mountModelPane } from "./model_pane.js";
-import { notice, noticeArea } from "./notices.js";
+import { runs } from "./state/pipeline.js";
+import { ask, connect, connectionState, fullReason, onConnection } from "./net/connection.js";
+import { mountDividers } from "./layout/dividers.js";
+import { mountDock } from "./layout/dock.js";
+import { acceptDrops } from "./panels/drop.js";
+import { openFiles } from "./panels/files.js";
+import { mountFilling } from "./layout/maximise.js";
+import { mountHeader } from "./panels/header.js";
+import { linkHovering } from "./state/hover.js";
+import { listenToPageKeys } from "./layout/shortcuts.js";
+import { mountModelPane } from "./panels/model_pane.js";
+import { notice, noticeArea } from "./ui/notices.js";
 import { mountPanes } from "./panes/index.js";
-import { mountStatusBar } from "./status_bar.js";
-import { store } from "./store.js";
-import { followTheme } from "./theme.js";
-import { view } from "./view.js";
+import { mountStatusBar } from "./panels/status_bar.js";
+import { store } from "./net/store.js";
+import { followTheme } from "./ui/theme.js";
+import { view } from "./state/view.js";
 
 const OPENED = "ladarreg-opened";
 

@@ -34,7 +34,7 @@ DROP = """([selector, files]) => {
   for (const kind of ["dragenter", "dragover", "drop"])
     document.querySelector(selector).dispatchEvent(new DragEvent(kind, given));
 }"""
-SLICE = "(name) => import('./js/store.js').then(({ store }) => store.get(name))"
+SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(name))"
 
 
 @contextmanager
@@ -157,7 +157,7 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         page.keyboard.press("Enter")
         form.wait_for(state="hidden")
         page.wait_for_function(
-            "import('./js/store.js').then(({ store }) => Math.abs(store.photo().camera?.fx - 972.8) < 1)"
+            "import('./js/net/store.js').then(({ store }) => Math.abs(store.photo().camera?.fx - 972.8) < 1)"
         )
 
         for side in ("scan", "photo"):

@@ -376,7 +376,7 @@ def test_everything_can_be_read(operator: Operator, scheme: str) -> None:
     """Text on its ground 4.5:1 at least, icons and the edges that mean something 3:1; all steps, panels and dialogs."""
     page = operator.page
     page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
-    page.evaluate("import('./js/notices.js').then((m) => ['info', 'warn', 'bad'].forEach((l) => m.notice(`${l}.`, l)))")
+    page.evaluate("import('./js/ui/notices.js').then((m) => ['info', 'warn', 'bad'].forEach((l) => m.notice(`${l}.`, l)))")
     faults: dict[str, str] = {}
 
     def look(where: str) -> None:
@@ -443,7 +443,7 @@ def test_a_lost_connection_comes_back_with_the_present_state(operator: Operator)
     number = next(pick["number"] for pick in operator.told("picks:p1") if pick["id"] == reply["pick"])
     page.get_by_role("button", name="connected").wait_for()
     operator.wait(
-        lambda: page.evaluate("import('./js/store.js').then((m) => m.store.picksOf().map((p) => p.number))").count(
+        lambda: page.evaluate("import('./js/net/store.js').then((m) => m.store.picksOf().map((p) => p.number))").count(
             number
         ),
         "the page shows what was put down meanwhile",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 FOLLOWING = """async ([texts, names]) => {
-  const { Store } = await import('/js/store.js');
+  const { Store } = await import('/js/net/store.js');
   const store = new Store();
   const seen = [];
   const heard = [];
@@ -97,7 +97,7 @@ def test_a_change_of_something_else_is_not_taken(blank: Page, change: str) -> No
 
 def test_what_did_not_change_stays_the_same_object(blank: Page) -> None:
     assert blank.evaluate("""async () => {
-      const { changed } = await import('/js/changes.js');
+      const { changed } = await import('/js/net/delta.js');
       const before = [{ id: 'a' }, { id: 'b' }, { n: 3 }];
       const after = changed(before, { set: [{ id: 'b', on: true }] });
       return after[0] === before[0] && after[2] === before[2] && after[1].on && before[1].on === undefined;

@@ -1,6 +1,6 @@
 /** Draws the scan, as the photograph's camera sees it, over the photograph: blended, swiped, in squares, or its edges. */
 
-import { drawPicture } from "./pictures.js";
+import { drawPicture } from "./picture_layer.js";
 
 const SQUARE_PX = 64;
 
@@ -24,7 +24,7 @@ const squares = (viewport, size) => {
  * @param {CanvasRenderingContext2D} context in CSS pixels of the pane
  * @param {import("./viewport.js").Viewport} viewport
  * @param {readonly number[]} size of the pane
- * @param {import("./pictures.js").Picture} picture
+ * @param {import("./picture_layer.js").Picture} picture
  * @param {readonly number[]} extent width and height of the photograph
  * @param {{overlay: string, blend: number, swipe_x: number}} how `swipe_x`: where the swipe stands, CSS pixels
  * @param {boolean} smooth

@@ -1,15 +1,15 @@
 /** The two image panes: scan and photograph side by side, and the drawing of matches in them. */
 
-import { Desk } from "./desk.js";
+import { Desk } from "./controller.js";
 import { listenToKeys } from "./keyboard.js";
-import { linkPanes } from "./links.js";
-import { onePane } from "./one_pane.js";
+import { linkPanes } from "./linked_views.js";
+import { onePane } from "./pane_setup.js";
 import { mountPhotoHead } from "./photo_head.js";
 import { readoutOf } from "./readout.js";
 import { listenToReveals } from "./reveal.js";
-import { Running } from "./running.js";
+import { Running } from "./simplex_preview.js";
 import { mountScanHead } from "./scan_head.js";
-import { Strokes } from "./strokes.js";
+import { Strokes } from "./tools.js";
 import { mountSwipe } from "./swipe.js";
 
 const SIDES = ["scan", "photo"];
@@ -18,7 +18,7 @@ const PICTURES_APART_MS = 180;
 /**
  * Fill the two image panes.
  * @param {{scanHead: HTMLElement, scanBody: HTMLElement, photoHead: HTMLElement, photoBody: HTMLElement,
- *          store: import("../store.js").Store, view: any, ask: (what: string, args?: any) => Promise<any>}} page
+ *          store: import("../net/store.js").Store, view: any, ask: (what: string, args?: any) => Promise<any>}} page
  */
 export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, view, ask }) => {
   const desk = new Desk({ store, view, ask });

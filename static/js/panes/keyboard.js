@@ -1,7 +1,7 @@
 /** Keys of the two panes: tools, zoom, moving ends, walking through matches, and drawing without a mouse. */
 
-import { isTyping } from "../dom.js";
-import { movesOf } from "./moves.js";
+import { isTyping } from "../ui/dom.js";
+import { movesOf } from "./key_moves.js";
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const TOOLS = { l: "line", p: "point", v: "select", s: "select" };
@@ -14,7 +14,7 @@ const PRESSES = new Set(["Enter", " ", "Tab"]);
 
 const EVERYWHERE = new Set(["l", "p", "v", "s", "o", "n", "k", "c", "escape"]);
 
-/** @param {import("./desk.js").Desk} desk @param {import("./strokes.js").Strokes} strokes @param {{held: boolean, used: boolean}} space */
+/** @param {import("./controller.js").Desk} desk @param {import("./tools.js").Strokes} strokes @param {{held: boolean, used: boolean}} space */
 export const listenToKeys = (desk, strokes, space) => {
   const { view } = desk;
   const pane = () => desk.panes[desk.active];

@@ -1,6 +1,6 @@
 /** The numbers of matches, beside their ends. */
 
-import { colourOf } from "./look.js";
+import { colourOf } from "./colors.js";
 
 const LABEL = { width: 24, dx: 8, dy: -8 };
 const KEPT_FREE_PX = 7;

@@ -1,6 +1,6 @@
 /** What is to be drawn of each match in one pane, in pixels of its picture: worked out once a change, not once a frame. */
 
-import { pixelOf, segmentOf } from "./rays.js";
+import { pixelOf, segmentOf } from "./projection.js";
 
 /**
  * @typedef {"on" | "off" | "rejected"} MarkState
@@ -22,7 +22,7 @@ const stateOf = (pick, judged) => {
 
 /**
  * @param {number[][]} ends rays or pixels
- * @param {import("./rays.js").ScanView | null} lens the scan's view; null for pixels of the photograph
+ * @param {import("./projection.js").ScanView | null} lens the scan's view; null for pixels of the photograph
  * @returns {{ends: (number[] | null)[], line: number[][] | null}} in pixels
  */
 export const placed = (ends, lens) => ({
@@ -37,9 +37,9 @@ const samplesOf = (told, lens) =>
 
 /**
  * @param {"scan" | "photo"} side
- * @param {import("../store.js").Pick[]} picks
+ * @param {import("../net/store.js").Pick[]} picks
  * @param {any} judged slice `judged:pID`, or null
- * @param {import("./rays.js").ScanView | null} lens the scan's view in the scan's pane, null in the photograph's
+ * @param {import("./projection.js").ScanView | null} lens the scan's view in the scan's pane, null in the photograph's
  * @param {(pick: any) => number[][]} endsOf the ends as they are shown: an edit under way comes first
  * @returns {Mark[]}
  */

@@ -1,8 +1,8 @@
 /** Sentences on a pane: what to do first, that a picture is coming, why it did not, and what the tool expects here. */
 
-import { element } from "../dom.js";
-import { icon } from "../icons.js";
-import { button } from "./fields.js";
+import { element } from "../ui/dom.js";
+import { icon } from "../ui/icons.js";
+import { button } from "../ui/controls.js";
 import { wantedHint } from "./hints.js";
 
 const LOADING_SAID_AFTER_MS = 300;
@@ -19,7 +19,7 @@ export class Notes {
   #since = 0;
   #timer = 0;
 
-  /** @param {import("./desk.js").Desk} desk @param {import("./pane.js").Pane} pane @param {{picture: any, compare: any}} slots */
+  /** @param {import("./controller.js").Desk} desk @param {import("./pane.js").Pane} pane @param {{picture: any, compare: any}} slots */
   constructor(desk, pane, slots) {
     this.#desk = desk;
     this.#side = pane.side;

@@ -1,9 +1,9 @@
 /** What is painted on each layer of a pane, and in its loupe. */
 
 import { drawCompare } from "./compare.js";
-import { drawTick } from "./offer.js";
-import * as overlay from "./overlay.js";
-import { drawPicture } from "./pictures.js";
+import { drawTick } from "./prediction.js";
+import * as overlay from "./match_layer.js";
+import { drawPicture } from "./picture_layer.js";
 import { drawCorners, drawFrame } from "./signs.js";
 import { SMOOTH_BELOW, toScreen } from "./viewport.js";
 
@@ -31,7 +31,7 @@ export class Painting {
     this.#running = running;
   }
 
-  /** @returns {ReturnType<typeof import("./look.js").readLook>} */
+  /** @returns {ReturnType<typeof import("./colors.js").readLook>} */
   get look() {
     return this.#desk.look;
   }

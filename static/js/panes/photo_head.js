@@ -1,7 +1,7 @@
 /** The head of the photograph's pane: its light, and the scan laid over it. */
 
-import { element } from "../dom.js";
-import { button, choice, fill, foldOut, press, slider } from "./fields.js";
+import { element } from "../ui/dom.js";
+import { button, choice, fill, foldOut, press, slider } from "../ui/controls.js";
 import { icon } from "./tool_icons.js";
 import { zoomControls } from "./zoom_head.js";
 
@@ -10,7 +10,7 @@ const SLID = { blend: ["blend", "Share of the scan"], edges: ["blend", "Strength
 
 const times = (value) => `×${value.toFixed(2)}`;
 
-/** @param {HTMLElement} head @param {import("./desk.js").Desk} desk */
+/** @param {HTMLElement} head @param {import("./controller.js").Desk} desk */
 export const mountPhotoHead = (head, desk) => {
   const { view, store } = desk;
   const set = (patch) => view.set({ photo: patch });

@@ -1,12 +1,12 @@
 /** What is under the cursor, for the status bar: pixel, zoom, and on the scan the range and intensity there. */
 
-import { throttled } from "./throttle.js";
+import { throttled } from "../ui/throttle.js";
 
 const EVERY_MS = 100;
 const SAME_PLACE = 1e-3;
 
 /**
- * @param {import("./desk.js").Desk} desk
+ * @param {import("./controller.js").Desk} desk
  * @returns {(pane: import("./pane.js").Pane, uv: number[]) => void} tells that the cursor is there
  */
 export const readoutOf = (desk) => {

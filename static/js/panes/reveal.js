@@ -1,12 +1,12 @@
 /** Brings a match or a place into sight, in both panes, when something elsewhere on the page points to it. */
 
 import { other } from "./picking.js";
-import { viewShowing } from "./rays.js";
+import { viewShowing } from "./projection.js";
 import { revealing } from "./viewport.js";
 
 const PLACE_ZOOM = 2;
 
-/** @param {import("./desk.js").Desk} desk */
+/** @param {import("./controller.js").Desk} desk */
 export const listenToReveals = (desk) => {
   const { view } = desk;
 

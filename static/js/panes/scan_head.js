@@ -1,6 +1,6 @@
 /** The head of the scan's pane: what of the scan is shown, and how strongly. */
 
-import { button, choice, fill, foldOut, slider, tickBox } from "./fields.js";
+import { button, choice, fill, foldOut, slider, tickBox } from "../ui/controls.js";
 import { zoomControls } from "./zoom_head.js";
 
 const DISPLAYS = [["intensity", "Intensity"], ["raw", "Raw intensity"], ["range", "Range"], ["normals", "Normals"], ["edges", "Edges"]];
@@ -10,7 +10,7 @@ const STRETCHED = new Set(["intensity", "raw", "range"]);
 const percent = (value) => `${Number(value.toFixed(1))} %`;
 const times = (value) => `×${value.toFixed(2)}`;
 
-/** @param {HTMLElement} head @param {import("./desk.js").Desk} desk */
+/** @param {HTMLElement} head @param {import("./controller.js").Desk} desk */
 export const mountScanHead = (head, desk) => {
   const { view, store } = desk;
   const set = (patch) => view.set({ scan: patch });

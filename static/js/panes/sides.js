@@ -1,7 +1,7 @@
 /** What the two panes show, and how places of theirs are told to the workbench: rays of the scanner, pixels of the photograph. */
 
 import { placed } from "./marks.js";
-import { pixelOf, rayOf } from "./rays.js";
+import { pixelOf, rayOf } from "./projection.js";
 
 const query = (entries) =>
   Object.entries(entries)
@@ -31,7 +31,7 @@ export class ScanSide {
     return Math.max(0, Math.min(this.#view.get().scan.view, count - 1));
   }
 
-  /** @returns {import("./rays.js").ScanView | null} */
+  /** @returns {import("./projection.js").ScanView | null} */
   get lens() {
     return this.scan?.views?.[this.index] ?? null;
   }

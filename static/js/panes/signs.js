@@ -1,6 +1,6 @@
 /** Small things drawn over a picture that are no matches: corners, crosshair, the corner that an end goes to, a frame. */
 
-import { strokeHaloed } from "./overlay.js";
+import { strokeHaloed } from "./match_layer.js";
 import { toScreen } from "./viewport.js";
 
 /** Draw corners that were found: small plus signs. */

@@ -1,6 +1,6 @@
 /** Ends that go to the nearest corner. What is taken is only what was shown: a corner that has not come yet is none. */
 
-import { throttled } from "./throttle.js";
+import { throttled } from "../ui/throttle.js";
 
 export const REACH_PX = 6;
 const EVERY_MS = 40;

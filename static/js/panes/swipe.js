@@ -1,10 +1,10 @@
 /** The swipe: a bar across the photograph, to the left of which the scan lies over it. */
 
-import { element } from "../dom.js";
+import { element } from "../ui/dom.js";
 
 const STEP = 0.01;
 
-/** @param {import("./desk.js").Desk} desk */
+/** @param {import("./controller.js").Desk} desk */
 export const mountSwipe = (desk) => {
   const pane = desk.panes.photo;
   const told = { "aria-label": "Swipe between scan and photograph", "aria-valuemin": 0, "aria-valuemax": 100 };

@@ -1,10 +1,10 @@
 /** Zoom of a pane: how much, one to one, the whole. */
 
-import { element } from "../dom.js";
-import { button } from "./fields.js";
+import { element } from "../ui/dom.js";
+import { button } from "../ui/controls.js";
 import { zoomText } from "./viewport.js";
 
-/** @param {import("./desk.js").Desk} desk @param {"scan" | "photo"} side @returns {{element: HTMLElement}} */
+/** @param {import("./controller.js").Desk} desk @param {"scan" | "photo"} side @returns {{element: HTMLElement}} */
 export const zoomControls = (desk, side) => {
   const pane = desk.panes[side];
   const name = side === "scan" ? "scan" : "photograph";

@@ -1,0 +1,123 @@
+/** Arithmetic of the depth-error plot: thresholds, scales, bins. No DOM here. */
+
+import { median } from "../ui/numbers.js";
+
+const SIGMA_OF_MAD = 1.4826;
+const USUAL_SIGMAS = 3;
+const ROOM = 1.15;
+
+/**
+ * @typedef {{id: string, number: number, value: number, on: boolean, inlier: boolean | null}} Stem
+ */
+
+/**
+ * The matches that have an error, in the order of the document.
+ * @param {import("./match_rows.js").Row[]} rows
+ * @param {"depth" | "px"} by
+ * @returns {Stem[]}
+ */
+export const stemsOf = (rows, by) =>
+  rows
+    .map(
+      ({ id, number, on, inlier, depth_m, px }) => ({ id, number, on, inlier, value: by === "depth" ? depth_m : px }),
+    )
+    .filter(({ value }) => value !== null && Number.isFinite(value));
+
+/**
+ * @param {Stem[]} stems
+ * @returns {number} robust standard deviation about zero of those that are on; 0 where there are none
+ */
+export const robustSigma = (stems) => {
+  const sizes = stems.filter(({ on }) => on).map(({ value }) => Math.abs(value));
+  return sizes.length ? SIGMA_OF_MAD * median(sizes) : 0;
+};
+
+/** @returns {number} two figures: a threshold is a person's number */
+export const rounded = (value) => (value > 0 ? Number(value.toPrecision(2)) : 0);
+
+/**
+ * The threshold to begin with.
+ * @param {Stem[]} stems
+ * @param {number | null} [sigmas] as the settings say
+ * @returns {number | null} null where there is nothing to judge by
+ */
+export const suggestedThreshold = (stems, sigmas) => {
+  const sigma = robustSigma(stems);
+  return sigma > 0 ? rounded((sigmas ?? USUAL_SIGMAS) * sigma) : null;
+};
+
+/**
+ * What `reject` would change: it switches off what lies above, and on again what lies below.
+ * @param {Stem[]} stems
+ * @param {number | null} above
+ * @returns {{above: Set<string>, off: number, on: number}} those above; how many it switches off, and on again
+ */
+export const rejection = (stems, above) => {
+  const beyond = (stem) => above !== null && Math.abs(stem.value) > above;
+  return {
+    above: new Set(stems.filter(beyond).map(({ id }) => id)),
+    off: stems.filter((stem) => stem.on && beyond(stem)).length,
+    on: above === null ? 0 : stems.filter((stem) => !stem.on && !beyond(stem)).length,
+  };
+};
+
+/**
+ * The largest value that the axis shows: a single wild match must not press all others onto the zero line.
+ * @param {Stem[]} stems
+ * @param {number | null} above
+ * @returns {number} > 0
+ */
+export const reach = (stems, above) => {
+  const largest = Math.max(0, ...stems.map(({ value }) => Math.abs(value)));
+  const usual = Math.max(8 * robustSigma(stems), 2 * (above ?? 0));
+  const shown = usual > 0 ? Math.min(largest, usual) : largest;
+  return ROOM * Math.max(shown, 1.1 * (above ?? 0)) || 1;
+};
+
+/**
+ * Round marks of an axis.
+ * @param {number} least
+ * @param {number} most
+ * @param {number} about how many
+ * @returns {number[]}
+ */
+export const marks = (least, most, about) => {
+  const rough = (most - least) / Math.max(1, about);
+  if (!(rough > 0) || !Number.isFinite(rough)) return [];
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((factor) => factor * power).find((each) => each >= rough) ?? 10 * power;
+  const found = [];
+  for (let k = Math.ceil(least / step); k * step <= most + step / 1e6; k += 1) found.push(
+    Number((k * step).toPrecision(12)),
+  );
+  return found;
+};
+
+/** @returns {number} decimals that tell round marks apart */
+export const decimalsOf = (values) => {
+  if (values.length < 2) return 1;
+  return Math.max(0, Math.min(6, -Math.floor(Math.log10(Math.abs(values[1] - values[0])) + 1e-9)));
+};
+
+/**
+ * Counts of equal bins; what lies beyond is counted in the outermost.
+ * @param {Stem[]} stems
+ * @param {number} least
+ * @param {number} most
+ * @param {number} count of bins
+ * @returns {{kept: number[], gone: number[]}} those that are on, and those that are off
+ */
+export const histogram = (stems, least, most, count) => {
+  const bins = { kept: new Array(count).fill(0), gone: new Array(count).fill(0) };
+  for (const { value, on } of stems) {
+    const at = Math.floor(((value - least) / (most - least)) * count);
+    (on ? bins.kept : bins.gone)[Math.max(0, Math.min(count - 1, at))] += 1;
+  }
+  return bins;
+};
+
+/** @returns {number} a threshold after one press of an arrow key: 2 %, with Shift 20 % */
+export const stepped = (above, up, fast) => {
+  const factor = fast ? 1.2 : 1.02;
+  return Number((up ? above * factor : above / factor).toPrecision(3));
+};

@@ -1,0 +1,140 @@
+/** All stages side by side (thesis Tables 3.2-3.5); a click on one has it shown and judged. */
+
+import { button, element, put } from "../ui/dom.js";
+import { wishHere } from "../net/requests.js";
+import { icon } from "../ui/icons.js";
+import { duration, fixed, NONE, parameterName, typeset } from "../ui/numbers.js";
+import { store } from "../net/store.js";
+
+const FIGURES = [
+  ["inliers", (stage) => (stage.matches === undefined ? NONE : `${stage.inliers} of ${stage.matches}`)],
+  ["median px", (stage) => fixed(stage.median_px, 2)],
+  ["depth rms m", (stage) => fixed(stage.rms_depth_m, 3)],
+  ["focal px", (stage) => fixed(stage.focal_px, 1)],
+  ["time", (stage) => duration(stage.seconds)],
+];
+
+const parameterRows = (stages) => {
+  const names = stages.find(({ parameters }) => parameters?.length)?.parameters ?? [];
+  return names.map((named, index) => [
+    parameterName(named),
+    (stage) => {
+      const found = stage.parameters?.[index];
+      if (!found) return NONE;
+      const sigma = found.sigma && found.sigma !== "unknown" ? ` ± ${found.sigma}` : "";
+      return element("span", { title: `${typeset(found.value)}${sigma}` }, typeset(found.value));
+    },
+  ]);
+};
+
+const table = (stages, shown) => {
+  const heads = stages.map((stage) => {
+    const present = stage.stage === shown;
+    const word = stage.accepted ? "accepted" : "not accepted";
+    const made = button({
+      label: stage.label,
+      kind: "stage plain",
+      title: present ? `This stage is shown: ${word}` : `Show ${stage.label}: ${word}`,
+      "aria-pressed": String(present),
+      act: () => present || wishHere("use_stage", { stage: stage.stage }),
+    });
+    put(
+      made,
+      element("span", { class: `sign ${stage.accepted ? "ok" : "bad"}` }, icon(stage.accepted ? "tick" : "cross")),
+      element("span", {}, stage.label),
+      element("span", { class: "told" }, `, ${word}`),
+    );
+    return element("th", { scope: "col", class: present ? "shown" : "" }, made);
+  });
+  const rows = [...parameterRows(stages), ...FIGURES].map(([name, cell]) =>
+    element(
+      "tr",
+      {},
+      element("th", { scope: "row" }, name),
+      ...stages.map(
+        (stage) => element("td", { class: `figures ${stage.stage === shown ? "shown" : ""}` }, cell(stage)),
+      ),
+    ),
+  );
+  return element(
+    "table",
+    { class: "stages" },
+    element("thead", {}, element("tr", {}, element("td", {}), ...heads)),
+    element("tbody", {}, ...rows),
+  );
+};
+
+const selfTest = (found) =>
+  element(
+    "section",
+    { class: "self-test", "aria-label": "Self-test" },
+    element("h3", {}, "Self-test"),
+    element("p", {}, found.sentence, found.advice ? element("span", { class: "dim" }, ` ${found.advice}`) : null),
+    found.rows?.length ? element("p", { class: "dim" }, selfTestCounts(found.rows)) : null,
+  );
+
+const selfTestCounts = (rows) => {
+  const kinds = [...new Set(rows.map(({ kind }) => kind))];
+  return kinds.map((kind) => {
+    const of = rows.filter((row) => row.kind === kind);
+    const [right, accepted] = ["right", "accepted"].map((name) => of.filter((row) => row[name]).length);
+    return `${kind}: ${right} of ${of.length} right, ${accepted} accepted`;
+  }).join("; ");
+};
+
+/** @returns {HTMLElement} */
+export const mountStages = () => {
+  const body = element("div", { class: "part-body" });
+  const part = element(
+    "section",
+    { class: "dock-part stages-part", "aria-label": "Stages side by side" },
+    element(
+      "div",
+      { class: "part-head" },
+      element("h2", {}, "Stages"),
+      element(
+        "div",
+        { class: "end" },
+        button({
+          label: "Compare all",
+          kind: "small",
+          title: "Solve by every method, and set them side by side",
+          act: () => wishHere("run", { job: "compare" }),
+        }),
+        button({
+          label: "Self-test",
+          kind: "small",
+          title: "Photographs made from this scan, registered and compared with the truth: what to expect here",
+          act: () => wishHere("run", { job: "self_test" }),
+        }),
+      ),
+    ),
+    body,
+  );
+  let drawn = "";
+  const intoSight = () => {
+    const column = body.querySelector("th.shown");
+    if (column) body.scrollLeft = Math.max(0, column.offsetLeft + column.offsetWidth - body.clientWidth);
+  };
+  const show = () => {
+    const poses = store.posesOf();
+    const found = store.get(`self_test:${store.shown()}`);
+    const text = JSON.stringify([poses?.shown, poses?.stages, found]);
+    if (text === drawn) return;
+    drawn = text;
+    put(
+      body,
+      poses?.stages?.length ? table(poses.stages, poses.shown) : element(
+        "p",
+        { class: "empty" },
+        "Each way of solving becomes a column here; Compare all runs them one after the other.",
+      ),
+      found ? selfTest(found) : null,
+    );
+    intoSight();
+  };
+  new ResizeObserver(intoSight).observe(body); // it has no width while another step is shown
+  store.watch(["poses:*", "self_test:*", "shown"], show);
+  show();
+  return part;
+};
