@@ -24,7 +24,7 @@ from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_bench import Bench, sample_bench
+from tests.app.workbench_driver import Bench, sample_bench
 
 DEEP = "[" * 900 + "]" * 900
 NUMBERS = (

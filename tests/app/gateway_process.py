@@ -10,7 +10,7 @@ from app.gateway.options import GatewayOptions
 from app.gateway.serving import serve_until_interrupted
 from app.gateway.viser_backend import close_server, open_locked_server
 from app.stop_signals import StopSignals
-from tests.app.gateway_bench import TOKEN, CountingBench
+from tests.app.gateway_driver import TOKEN, CountingBench
 
 
 def main(folder: str, port: str = "0") -> None:

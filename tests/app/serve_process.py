@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 from websockets.sync.client import ClientConnection
 
-from tests.app.gateway_bench import TOKEN, Running, hear
+from tests.app.gateway_driver import TOKEN, Running, hear
 from tests.processes import hear_ctrl_c
 
 CHECKOUT = Path(__file__).parents[2]

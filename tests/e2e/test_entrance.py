@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 import pytest
 
-from tests.app.gateway_bench import TOKEN, Running, running
+from tests.app.gateway_driver import TOKEN, Running, running
 from tests.e2e.pages import SIZE
 
 if TYPE_CHECKING:

@@ -376,7 +376,9 @@ def test_everything_can_be_read(operator: Operator, scheme: str) -> None:
     """Text on its ground 4.5:1 at least, icons and the edges that mean something 3:1; all steps, panels and dialogs."""
     page = operator.page
     page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
-    page.evaluate("import('./js/ui/notices.js').then((m) => ['info', 'warn', 'bad'].forEach((l) => m.notice(`${l}.`, l)))")
+    page.evaluate(
+        "import('./js/ui/notices.js').then((m) => ['info', 'warn', 'bad'].forEach((l) => m.notice(`${l}.`, l)))"
+    )
     faults: dict[str, str] = {}
 
     def look(where: str) -> None:

@@ -87,7 +87,7 @@ def test_what_there_is_to_say_of_it_is_said(scan, registration, tmp_path):
 
 def test_influence_stands_in_every_match(tmp_path):
     from ladarreg_core.quality.assessment import assess
-    from tests.unit.test_advice import clustered
+    from tests.unit.quality.test_next_match import clustered
 
     room, _, _, pose, _ = clustered(2, count=14)
     fields = {name: getattr(pose, name) for name in pose.__dataclass_fields__}

@@ -13,7 +13,7 @@ from ladarreg_core.matching.flow import flow_step
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.verification import GateOptions, verify
 from ladarreg_core.surface.perspective import perspective_view
-from tests.painted_room import PaintedRoom, painted_room
+from tests.scenes.painted_room import PaintedRoom, painted_room
 
 
 @pytest.fixture(scope="module")

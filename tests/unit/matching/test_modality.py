@@ -12,7 +12,7 @@ from ladarreg_core.frames import rotvec_from_rotation
 from ladarreg_core.matching.modality import COARSE_GATE, is_gray
 from ladarreg_core.matching.pyramid import ChannelSet
 from ladarreg_core.thermal import thermal_photo
-from tests.painted_room import PaintedRoom, painted_room
+from tests.scenes.painted_room import PaintedRoom, painted_room
 
 
 def gray_of(room: PaintedRoom) -> np.ndarray:

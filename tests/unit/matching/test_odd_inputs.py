@@ -16,7 +16,7 @@ from ladarreg_core.matching.views import towards_seen, viewing_directions
 from ladarreg_core.registration import register
 from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid
 from ladarreg_core.surface.perspective import perspective_view
-from tests.painted_room import PaintedRoom, painted_room
+from tests.scenes.painted_room import PaintedRoom, painted_room
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,250 @@
+"""Connections that keep the gateway waiting, and more of them than it serves: on real sockets."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from app.gateway.connections import Connections
+from app.gateway.options import ConnectionLimits
+from app.gateway.viser_backend import close_server, open_locked_server
+from tests.app.gateway_driver import Running, hear, running, soon
+
+QUICK = ConnectionLimits(header_s=0.5, stall_s=0.5, strangers=8, members=4, views=2)
+PROTOCOL = "viser-v1.1.1"
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[Running]:
+    with running(tmp_path, limits=QUICK) as found:
+        yield found
+
+
+@contextlib.contextmanager
+def line_to(run: Running, words: bytes = b"", *, receive_buffer: int | None = None) -> Iterator[socket.socket]:
+    """A connection on which so much has been said."""
+    with socket.socket() as line:
+        if receive_buffer is not None:
+            line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
+        line.settimeout(10)
+        line.connect(("127.0.0.1", run.port))
+        line.sendall(words)
+        yield line
+
+
+def header(run: Running, method: str, path: str, *more: str, known: bool = True) -> bytes:
+    lines = [f"{method} {path} HTTP/1.1", f"Host: 127.0.0.1:{run.port}", f"Origin: {run.origin}", *more]
+    lines += [f"Cookie: {run.cookie}"] if known else []
+    return "\r\n".join([*lines, "", ""]).encode()
+
+
+def heard_until_closed(line: socket.socket) -> bytes:
+    """Return what comes until the other side closes; raises where it does not within 10 s."""
+    heard = b""
+    with contextlib.suppress(ConnectionError):
+        while block := line.recv(1 << 16):
+            heard += block
+    return heard
+
+
+def is_closed(line: socket.socket) -> bool:
+    line.setblocking(False)
+    try:
+        return not line.recv(1 << 16)
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        return True
+
+
+# --- waiting ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("words", [b"", b"GET / HTTP/1.1\r\nHost: x\r\nX-Slow: "])
+def test_who_says_nothing_or_no_whole_header_is_dropped(run: Running, words: bytes) -> None:
+    begun = time.monotonic()
+    with line_to(run, words) as line:
+        while not is_closed(line):
+            assert time.monotonic() - begun < 5, "the header may be dribbled for ever"
+            time.sleep(0.05)
+            with contextlib.suppress(OSError):
+                line.send(words[-1:])
+    assert time.monotonic() - begun > 0.4
+
+
+def test_after_an_answer_the_next_header_is_waited_for_as_long(run: Running) -> None:
+    with line_to(run, header(run, "HEAD", "/")) as line:
+        assert line.recv(1 << 20).startswith(b"HTTP/1.1 200")
+        time.sleep(0.3)
+        line.sendall(header(run, "HEAD", "/"))
+        assert line.recv(1 << 20).startswith(b"HTTP/1.1 200"), "the connection is kept"
+        line.sendall(b"GET / HTTP/1.1\r\n")
+        begun = time.monotonic()
+        assert heard_until_closed(line) == b""
+        assert 0.2 < time.monotonic() - begun < 5
+
+
+def test_a_strangers_form_must_come_in_that_time_too(run: Running) -> None:
+    with line_to(run, header(run, "POST", "/enter", "Content-Length: 4000", known=False)) as line:
+        begun = time.monotonic()
+        while not is_closed(line):
+            assert time.monotonic() - begun < 5
+            time.sleep(0.05)
+            with contextlib.suppress(OSError):
+                line.send(b"x")
+
+
+def test_a_members_upload_may_take_its_time_but_not_stand_still(run: Running, tmp_path: Path) -> None:
+    words = header(run, "POST", "/upload?what=scan", "X-File-Name: a.pcd", "Content-Length: 8")
+    with line_to(run, words) as line:
+        for _ in range(8):
+            time.sleep(0.2)
+            line.sendall(b"x")
+        assert line.recv(1 << 16).startswith(b"HTTP/1.1 200")
+    with line_to(run, words) as line:
+        line.sendall(b"x")
+        assert heard_until_closed(line) == b""
+    assert soon(lambda: not list(tmp_path.glob("*.part")))
+
+
+def test_an_answer_that_nobody_takes_is_given_up(run: Running, tmp_path: Path) -> None:
+    (tmp_path / "p1.zip").write_bytes(bytes(24_000_000))
+    server = run.gateway._server
+    with line_to(run, header(run, "GET", "/export/p1.zip"), receive_buffer=4096) as line:
+        assert line.recv(100).startswith(b"HTTP/1.1 200")
+        assert soon(lambda: not server.server_state.connections)
+    with line_to(run, header(run, "GET", "/export/p1.zip")) as line:
+        total = 0
+        while total < 24_000_000:  # slowly, but steadily
+            total += len(line.recv(8_000_000, socket.MSG_WAITALL))
+            time.sleep(0.2)
+
+
+# --- too many --------------------------------------------------------------------------------------------------------
+
+
+def test_a_newcomer_gets_through_a_crowd_that_says_nothing(tmp_path: Path) -> None:
+    limits = ConnectionLimits(strangers=8)
+    with running(tmp_path, limits=limits) as run, contextlib.ExitStack() as crowd:
+        idle = [crowd.enter_context(line_to(run)) for _ in range(60)]
+        begun = time.monotonic()
+        assert run.ask("GET", "/", known=False)[0] == 401
+        assert run.ask("GET", "/")[0] == 200
+        with run.socket() as page:
+            assert "slices" in hear(page)
+        assert time.monotonic() - begun < 2
+        assert soon(lambda: sum(map(is_closed, idle)) >= 60 - limits.strangers)
+
+
+def test_the_peer_that_has_the_most_makes_room() -> None:
+    connections = Connections(ConnectionLimits(strangers=5))
+    alone = connections.add("192.0.2.7")
+    greedy = [connections.add(f"2001:db8::{k}") for k in range(40)]
+    own = connections._strangers
+    assert list(own.pop("192.0.2.7")) == [alone]
+    assert [list(lines) for lines in own.values()] == [greedy[-4:]], "its oldest went, its addresses are one peer"
+
+
+def test_members_have_a_limit_of_their_own_and_are_told(run: Running) -> None:
+    with contextlib.ExitStack() as pages:
+        idle = pages.enter_context(line_to(run, header(run, "HEAD", "/")))
+        assert idle.recv(1 << 20).startswith(b"HTTP/1.1 200")
+        for _ in range(QUICK.members):  # the last takes the place of the one that is idle
+            hear(pages.enter_context(run.socket()))
+        assert soon(lambda: is_closed(idle))
+        status, _, said = run.ask("GET", "/")
+        assert (status, b"close pages" in said) == (503, True)
+        with pytest.raises(InvalidStatus) as caught, run.socket():
+            pass
+        assert caught.value.response.status_code == 503
+        assert run.ask("GET", "/", known=False)[0] == 401, "strangers are no members"
+    assert soon(lambda: run.ask("GET", "/")[0] == 200)
+
+
+def test_a_page_too_many_is_told_why(run: Running) -> None:
+    run.bench.most = 1
+    with run.socket() as first, run.socket() as second:
+        hear(first)
+        with pytest.raises(ConnectionClosed) as caught:
+            second.recv(timeout=10)
+        assert caught.value.rcvd is not None
+        assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (1013, "1 page is open, the most: close it.")
+
+
+def test_a_view_too_many_is_told_why(tmp_path: Path) -> None:
+    server, address = open_locked_server(label="test")
+    try:
+        with running(tmp_path, address, limits=ConnectionLimits(views=2)) as run:
+            first, second = (run.socket("/viser", subprotocols=[PROTOCOL]) for _ in range(2))
+            with pytest.raises(InvalidStatus) as caught:
+                run.socket("/viser", subprotocols=[PROTOCOL])
+            assert caught.value.response.status_code == 503
+            status, headers, said = run.ask("GET", "/viser/")
+            assert (status, headers["content-type"].partition(";")[0]) == (503, "text/plain")
+            assert said.startswith(b"2 pages show the 3-D view")
+            first.close()
+            assert soon(lambda: run.ask("GET", "/viser/")[0] == 200)
+            run.socket("/viser", subprotocols=[PROTOCOL]).close()
+            second.close()
+    finally:
+        close_server(server)
+
+
+def test_limits_leave_descriptors_to_files() -> None:
+    asked = ConnectionLimits()
+    assert asked.within(None) == asked
+    for descriptors in (64, 256, 1024, 4096):
+        found = asked.within(descriptors)
+        most = found.strangers + 2 * found.members + 2 * found.views
+        assert descriptors - most >= min(128, descriptors // 4)
+        assert min(found.strangers, found.members, found.views) >= 8
+    assert asked.within(4096) == asked
+
+
+# --- the process -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it has no such limit")
+def test_the_limit_of_descriptors_is_raised() -> None:
+    code = (
+        "import resource as r; h = r.getrlimit(r.RLIMIT_NOFILE)[1]; r.setrlimit(r.RLIMIT_NOFILE, (64, h));"
+        "from app.process_resources import raised_descriptor_limit as f; print(f(), r.getrlimit(r.RLIMIT_NOFILE)[0], h)"
+    )
+    found, soft, hard = map(int, subprocess.check_output([sys.executable, "-c", code], text=True).split())
+    assert found == soft
+    assert soft == (4096 if hard < 0 else min(4096, hard))
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux") or not os.confstr("CS_GNU_LIBC_VERSION"), reason="of glibc")
+def test_memory_goes_back() -> None:
+    code = """
+import gc, time
+from app.process_resources import _resident, limit_arenas, return_memory_soon
+limit_arenas()
+before = _resident()
+class Circle: pass
+circles, between = [], []
+for k in range(2000):
+    circles.append(Circle())
+    circles[-1].own, circles[-1].block = circles[-1], bytes(100_000)
+    between.append(bytes(1000))
+gc.collect()
+del circles
+return_memory_soon()
+grown = _resident() - before
+time.sleep(1.5)
+print(grown, _resident() - before)
+"""
+    words = subprocess.check_output([sys.executable, "-c", code], text=True).split()
+    grown, left = (int(word) / 2**20 for word in words)
+    assert grown > 100, "garbage in circles is not found soon by itself"
+    assert left < 30

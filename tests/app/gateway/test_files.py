@@ -1,0 +1,261 @@
+"""What goes in and out as files: uploads, pictures, exports, the page's own."""
+
+from __future__ import annotations
+
+import http.client
+import socket
+from collections import namedtuple
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.gateway.upload_name import safe_suffix, upload_name
+from ladarreg_core.errors import OptionError
+from tests.app.gateway_driver import PNG, Running, hear, running, soon
+
+LIMIT = 300_000
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with running(tmp_path_factory.mktemp("room")) as found:
+        yield found
+
+
+def send(
+    run: Running, data: bytes, name: str = "scan.e57", query: str = "what=scan", **headers: str
+) -> tuple[int, bytes]:
+    status, told, body = run.ask("POST", f"/upload?{query}", {"X-File-Name": quote(name)} | headers, data)
+    assert told["content-type"] == "application/json"
+    return status, body
+
+
+def begin(run: Running, head: bytes) -> socket.socket:
+    """Begin an upload by hand."""
+    line = socket.create_connection(("127.0.0.1", run.port), timeout=10)
+    line.sendall(
+        b"POST /upload?what=scan HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nOrigin: %s\r\nCookie: %s\r\nX-File-Name: a.e57\r\n%s"
+        % (run.port, run.origin.encode(), run.cookie.encode(), head)
+    )
+    return line
+
+
+def left(run: Running) -> list[Path]:
+    return [path for path in run.bench.room.iterdir() if path.suffix != ".zip"]
+
+
+# --- uploads ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1, 65536, LIMIT])
+def test_a_file_arrives_as_it_was_sent(run: Running, size: int) -> None:
+    data = bytes(range(256)) * (size // 256) + b"x" * (size % 256)
+    with run.socket() as page:
+        hear(page)
+        status, body = send(run, data, "Büro 7/Flügel".replace("/", "-") + ".E57", "what=photo&photo=p1")
+        assert (status, body) == (200, b'{"ok":true,"id":"u%d"}' % len(run.bench.taken))
+        name, what, photo, taken, client = run.bench.taken[-1]
+        assert (name, what, photo, taken) == ("Büro 7-Flügel.E57", "photo", "p1", data)
+        assert client is run.bench.pages[-1], "the page of the same browser"
+    assert not left(run)
+
+
+def test_on_disk_a_file_has_a_name_of_ours(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+
+    def look(path: Path, *_: object) -> str:
+        seen.append(path)
+        path.unlink()
+        return "u"
+
+    monkeypatch.setattr(run.bench, "take_upload", look)
+    send(run, b"data", "con.E57")
+    send(run, b"data", "x.p/h p".replace("/", ""))
+    assert [path.parent for path in seen] == [run.bench.room] * 2
+    assert [path.suffix for path in seen] == [".e57", ""]
+    assert all(len(path.stem) == 32 and set(path.stem) <= set("0123456789abcdef") for path in seen)
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_what_is_too_large_is_refused_at_once(run: Running, declared: bool) -> None:
+    chunks = [b"x" * 65536] * 100
+    before = len(run.bench.taken)
+    head = {"Content-Length": str(65536 * 100)} if declared else {}
+    status, _, body = run.ask("POST", "/upload?what=scan", {"X-File-Name": "a.e57"} | head, iter(chunks))
+    assert status == 413
+    assert b'"ok":false' in body
+    assert b"MB" in body
+    assert len(run.bench.taken) == before
+    assert not left(run)
+
+
+def test_a_size_that_is_declared_is_refused_before_it_is_sent(run: Running) -> None:
+    with begin(run, b"Content-Length: 999999999\r\nExpect: 100-continue\r\n\r\n") as line:
+        assert b" 413 " in line.recv(100)
+    assert not left(run)
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_an_upload_that_breaks_off_leaves_nothing(run: Running, chunked: bool) -> None:
+    before = len(run.bench.taken)
+    body = b"10000\r\n" + b"x" * 65536 + b"\r\n" if chunked else b"x" * 65536
+    head = b"Transfer-Encoding: chunked\r\n\r\n" if chunked else b"Content-Length: 200000\r\n\r\n"
+    with begin(run, head + body):
+        assert soon(lambda: len(left(run)) == 1)
+        assert left(run)[0].suffix == ".part"
+    assert soon(lambda: not left(run))
+    assert len(run.bench.taken) == before
+    assert send(run, b"data")[0] == 200, "its place is free again"
+
+
+def test_a_browser_sends_two_files_at_a_time(run: Running) -> None:
+    head = b"Content-Length: 10\r\n\r\nabc"
+    with begin(run, head) as first, begin(run, head):
+        assert soon(lambda: len(left(run)) == 2)
+        assert send(run, b"data")[0] == 429
+        first.sendall(b"defghij")
+        assert b" 200 " in first.recv(100)
+        assert send(run, b"data")[0] == 200
+    assert soon(lambda: not left(run))
+
+
+def test_what_is_no_scan_is_refused_and_gone(run: Running) -> None:
+    said = "7.e57: this is no scan; choose another than 7.e57"
+    assert send(run, b"bad data", "7.e57") == (400, b'{"ok":false,"error":"%s"}' % said.encode())
+    assert send(run, b"")[0] == 400
+    assert not left(run)
+
+
+def test_what_a_killed_program_left_is_cleared_away(tmp_path: Path) -> None:
+    (tmp_path / f"{'0a' * 16}.part").write_bytes(b"half")
+    (tmp_path / "kept.e57").write_bytes(b"whole")
+    (tmp_path / "mine.part").write_bytes(b"somebody else's")
+    with running(tmp_path):
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["kept.e57", "mine.part"]
+
+
+def test_a_browser_that_falls_silent_is_taken_for_gone(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.gateway.uploads._SILENT_S", 0.3)
+    with begin(run, b"Content-Length: 200000\r\n\r\nabc") as line:
+        assert b" 408 " in line.recv(100)
+        assert not left(run)
+    assert send(run, b"data")[0] == 200
+
+
+def test_what_the_disk_refuses_is_no_fault_of_the_program(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, *_: object) -> str:
+        path.unlink()  # a workbench removes what it does not take
+        raise OSError(5, "Input/output error", str(path))
+
+    monkeypatch.setattr(run.bench, "take_upload", refuse)
+    status, body = send(run, b"data")
+    assert status == 507
+    assert b"input/output error" in body
+    assert not left(run)
+
+
+def test_a_full_disk_is_said_before(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr("app.gateway.uploads.shutil.disk_usage", lambda _: usage(10**12, 10**12, 1000))
+    status, body = send(run, b"data")
+    assert status == 507
+    assert b"disk" in body
+    assert not left(run)
+
+
+@pytest.mark.parametrize(
+    ("query", "name"),
+    [
+        ("", "a.e57"), ("what=program", "a.e57"),
+        ("what=scan", ""), ("what=scan", "%2e%2e%2fa"), ("what=scan", "a%00b"),
+        ("what=scan", "a%5cb"), ("what=scan", ".."), ("what=scan", "a%0d%0aX: y"), ("what=scan", "a" * 256),
+    ],
+)  # fmt: skip
+def test_an_upload_of_nothing_known_is_refused(run: Running, query: str, name: str) -> None:
+    before = len(run.bench.taken)
+    status, _, body = run.ask("POST", f"/upload?{query}", {"X-File-Name": name}, b"data")
+    assert status == 400
+    assert b'"ok":false' in body
+    assert len(run.bench.taken) == before
+
+
+def test_only_post_uploads(run: Running) -> None:
+    for method in ("GET", "HEAD", "PUT", "PATCH", "DELETE"):
+        assert run.ask(method, "/upload?what=scan", {"X-File-Name": "a.e57"}, b"data")[0] in (404, 405)
+    assert not left(run)
+
+
+@given(st.text(max_size=300))
+def test_a_name_that_is_taken_is_one_visible_line(name: str) -> None:
+    try:
+        taken = upload_name(quote(name, safe="", errors="surrogatepass"))
+    except OptionError:
+        return
+    assert 0 < len(taken) <= 255
+    assert not set(taken) & set("/\\\0\r\n\t\u202e")
+    assert taken.strip(". ")
+    assert safe_suffix(taken) == "" or safe_suffix(taken)[1:].isalnum()
+
+
+@given(st.text(st.characters(categories=("L", "N", "P"), exclude_characters="/\\"), min_size=1, max_size=200))
+def test_an_ordinary_name_is_kept(name: str) -> None:
+    assert upload_name(quote(f"{name}.e57")).endswith(".e57")
+    assert safe_suffix(f"{name}.E57") == ".e57"
+
+
+# --- pictures, exports, the page -------------------------------------------------------------------------------------
+
+
+def test_a_picture_is_kept_by_the_browser_while_its_revision_stands(run: Running) -> None:
+    status, headers, body = run.ask("GET", "/picture/scan?rev=s1")
+    assert (status, headers["content-type"], body) == (200, "image/png", PNG)
+    assert headers["cache-control"].startswith("private, max-age=")
+    assert headers["etag"] == '"s1"', "no line break gets into a header"
+    again = run.ask("GET", "/picture/scan?rev=s1", {"If-None-Match": f'"x", W/{headers["etag"]}'})
+    assert (again[0], again[2]) == (304, b"")
+    assert run.ask("GET", "/picture/scan")[1]["cache-control"] == "private, no-cache"
+    assert run.ask("HEAD", "/picture/scan?rev=s1")[2] == b""
+
+
+def test_a_picture_that_is_not_there_says_why(run: Running) -> None:
+    assert run.ask("GET", "/picture/none")[0::2] == (404, b"there is no picture 'none'; ask for another\n")
+    assert run.ask("GET", "/picture/scan?show=nonsense")[0::2] == (400, b"it can show intensity; choose that\n")
+
+
+def test_an_export_is_downloaded_by_its_name(run: Running) -> None:
+    assert run.ask("GET", "/export/p1.zip")[0] == 404
+    (run.bench.room / "p1.zip").write_bytes(b"PK data")
+    status, headers, body = run.ask("GET", "/export/p1.zip")
+    assert (status, headers["content-type"], body) == (200, "application/zip", b"PK data")
+    assert headers["content-disposition"] == "attachment; filename*=utf-8''w%C3%A4nde.zip"
+    assert run.ask("GET", "/export/p2.zip")[0] == 404
+
+
+@pytest.mark.parametrize("path", ["/", "/tokens.css", "/static/tokens.css"])
+def test_the_pages_files_are_asked_for_anew_but_sent_once(run: Running, path: str) -> None:
+    status, headers, body = run.ask("GET", path)
+    assert status == 200
+    assert body
+    assert headers["cache-control"] == "no-cache"
+    assert run.ask("GET", path, {"If-None-Match": headers["etag"]})[0] == 304
+
+
+def test_modules_are_javascript(run: Running, checkout: Path) -> None:
+    scripts = sorted((checkout / "static").rglob("*.js"))
+    assert scripts
+    for path in scripts[:3]:
+        _, headers, _ = run.ask("GET", "/" + path.relative_to(checkout / "static").as_posix())
+        assert headers["content-type"].startswith("text/javascript")
+
+
+def test_many_pictures_at_once_are_all_drawn(run: Running) -> None:
+    lines = [http.client.HTTPConnection("127.0.0.1", run.port, timeout=20) for _ in range(20)]
+    for line in lines:
+        line.request("GET", "/picture/scan?rev=2", headers={"Cookie": run.cookie})
+    assert [line.getresponse().status for line in lines] == [200] * 20
+    for line in lines:
+        line.close()

@@ -1,0 +1,262 @@
+"""The gateway as a program: its port, TLS, its end, and the words of `ladarreg serve`."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import ssl
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from app.cli import main
+from app.exit_codes import ExitCode
+from app.gateway.options import GatewayOptions
+from app.gateway.server import Gateway
+from app.gateway.serving import warning
+from app.gateway.viser_backend import close_server, open_locked_server
+from ladarreg_core.errors import OptionError
+from ladarreg_core.simulate import sample_folder
+from tests.app.gateway_driver import TOKEN, Running, closing_code, hear, running, soon
+from tests.processes import hear_ctrl_c
+
+
+@pytest.fixture(scope="session")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A certificate of our own for 127.0.0.1, and its key."""
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl to make a certificate with")
+    folder = tmp_path_factory.mktemp("tls")
+    paths = folder / "certificate.pem", folder / "key.pem"
+    words = "req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=localhost -addext subjectAltName=IP:127.0.0.1"
+    subprocess.run(
+        ["openssl", *words.split(), "-out", paths[0], "-keyout", paths[1]], check=True, capture_output=True, timeout=60
+    )
+    return paths
+
+
+def started(folder: Path, *words: str) -> tuple[subprocess.Popen[str], str]:
+    """Start the program and return it with the address that it prints."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.app.gateway_process", str(folder), *words],
+        cwd=Path(__file__).parents[3],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=hear_ctrl_c,
+    )
+    assert process.stdout is not None
+    return process, process.stdout.readline().split()[1]
+
+
+def at(address: str) -> Running:
+    """Return how to talk to a gateway of another process."""
+
+    class There:
+        port = urlsplit(address).port
+
+    return Running(None, There)  # type: ignore[arg-type]
+
+
+# --- the port --------------------------------------------------------------------------------------------------------
+
+
+def test_a_busy_port_is_replaced_by_the_next(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with running(tmp_path, port=port) as run:
+            assert port < run.port <= port + 100
+            assert run.ask("GET", "/")[0] == 200
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no.such.name.invalid", "not a name"])
+def test_an_address_of_another_machine_is_refused(host: str) -> None:
+    with pytest.raises(OptionError, match="--host"):
+        Gateway(lambda port: None, GatewayOptions(host=host, port=0))  # type: ignore[arg-type, return-value]
+
+
+def test_it_listens_where_it_is_told_only(tmp_path: Path) -> None:
+    with running(tmp_path) as run, socket.socket() as other:
+        other.bind(("127.0.0.2", run.port))  # free: the gateway did not take every address
+        assert run.gateway.address == f"http://127.0.0.1:{run.port}/"
+
+
+@pytest.mark.skipif(not socket.has_ipv6, reason="no IPv6")
+def test_it_can_listen_on_ipv6(tmp_path: Path) -> None:
+    gateway = Gateway(lambda port: None, GatewayOptions(host="[::1]", port=0))  # type: ignore[arg-type, return-value]
+    assert gateway.address == f"http://[::1]:{gateway.port}/"
+    gateway.close()
+
+
+def test_opening_it_to_others_is_warned_of() -> None:
+    assert "TLS" in warning(GatewayOptions(host="0.0.0.0"))
+    assert "token" in warning(GatewayOptions(host="0.0.0.0", certfile="x"))
+
+
+# --- TLS -------------------------------------------------------------------------------------------------------------
+
+
+def test_with_a_certificate_everything_is_tls(tmp_path: Path, certificate: tuple[Path, Path]) -> None:
+    trust = ssl.create_default_context(cafile=str(certificate[0]))
+    files = {"certfile": str(certificate[0]), "keyfile": str(certificate[1])}
+    server, address = open_locked_server(label="tls")
+    try:
+        with running(tmp_path, address, context=trust, allowed_hosts=("scans.example",), **files) as run:
+            status, headers, _ = run.ask("GET", f"/?token={TOKEN}", {"Host": "scans.example"}, known=False)
+            assert status == 200
+            assert "secure" in headers["set-cookie"].lower().split("; ")
+            assert headers["strict-transport-security"].startswith("max-age=")
+            assert "strict-transport-security" not in run.ask("GET", "/", {"Host": "localhost"})[1]
+            assert run.gateway.address.startswith("https://")
+            with run.socket() as page:
+                assert "slices" in hear(page)
+            with run.socket("/viser", subprotocols=["viser-v1.1.1"]) as page:
+                assert page.recv(timeout=10)
+            with socket.create_connection(("127.0.0.1", run.port), timeout=10) as plain:
+                plain.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+                assert not plain.recv(100).startswith(b"HTTP/1.1 200")
+    finally:
+        close_server(server)
+
+
+def test_a_certificate_that_cannot_be_used_is_refused(tmp_path: Path, certificate: tuple[Path, Path]) -> None:
+    words = tmp_path / "words.pem"
+    words.write_text("no certificate")
+    locked_key = tmp_path / "locked.pem"
+    subprocess.run(
+        ["openssl", "rsa", "-aes256", "-passout", "pass:four", "-in", certificate[1], "-out", locked_key],
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
+    for certfile, keyfile in (
+        (words, certificate[1]), (certificate[0], words), (tmp_path / "none.pem", None), (certificate[0], None),
+        (certificate[0], locked_key),
+    ):  # fmt: skip
+        options = GatewayOptions(port=0, certfile=str(certfile), keyfile=keyfile and str(keyfile))
+        with pytest.raises(OptionError, match="certificate"):
+            Gateway(lambda port: None, options)  # type: ignore[arg-type, return-value]
+
+
+# --- its end ---------------------------------------------------------------------------------------------------------
+
+
+def test_closing_tells_the_pages_and_frees_the_port(tmp_path: Path) -> None:
+    with running(tmp_path) as run:
+        port, page = run.port, run.socket()
+        hear(page)
+        codes: list[int] = []
+        listener = threading.Thread(target=lambda: codes.append(closing_code(page)))
+        listener.start()
+        run.gateway.close()
+        listener.join(timeout=10)
+        assert codes == [1012]
+        assert soon(lambda: not run.bench.pages)
+        with socket.socket() as again:
+            again.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            again.bind(("127.0.0.1", port))
+
+
+def begin_upload(there: Running) -> socket.socket:
+    """Begin an upload that never comes to its end."""
+    line = socket.create_connection(("127.0.0.1", there.port), timeout=10)
+    head = (
+        f"POST /upload?what=scan HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nCookie: {there.cookie}\r\n"
+    )
+    line.sendall(f"{head}X-File-Name: a.e57\r\nContent-Length: 100000\r\n\r\nabc".encode())
+    return line
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals differ there")
+@pytest.mark.parametrize(("sent", "uploads"), [(signal.SIGINT, 1), (signal.SIGTERM, 0)])
+def test_ctrl_c_ends_it_quietly_whoever_is_connected(tmp_path: Path, sent: signal.Signals, uploads: int) -> None:
+    process, address = started(tmp_path)
+    try:
+        there = at(address)
+        assert address == f"http://127.0.0.1:{there.port}/?token={TOKEN}"
+        there.enter()
+        with there.socket() as page, there.socket("/viser", subprotocols=["viser-v1.1.1"]) as view:
+            hear(page)
+            view.recv(timeout=10)
+            lines = [begin_upload(there) for _ in range(uploads)]
+            assert soon(lambda: len(list(tmp_path.iterdir())) == uploads)
+            process.send_signal(sent)
+            assert closing_code(page) == 1012
+        _, said = process.communicate(timeout=20)
+        for line in lines:
+            line.close()
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert not said.strip()
+    assert not list(tmp_path.iterdir()), "the upload that was under way left nothing"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals differ there")
+def test_the_command_serves_a_scan_and_a_photograph(tmp_path: Path) -> None:
+    inputs = sample_folder()
+    words = ["serve", "--no-browser", "--port", "0", "--project", str(tmp_path / "project")]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app", *words, str(inputs / "scan.npz"), str(inputs / "photo.png")],
+        cwd=Path(__file__).parents[3],
+        env=os.environ | {"LADARREG_TOKEN": TOKEN},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=hear_ctrl_c,
+    )
+    try:
+        assert process.stdout is not None
+        there = at(process.stdout.readline().split()[1])
+        there.enter()
+        with there.socket() as page, there.socket("/viser", subprotocols=["viser-v1.1.1"]) as view:
+            slices = hear(page)["slices"]
+            assert slices["scan"]["name"]
+            assert [photo["name"] for photo in slices["photos"]] == ["photo.png"]
+            assert isinstance(view.recv(timeout=20), bytes)
+            status, headers, _ = there.ask("GET", f"/picture/photo/{slices['photos'][0]['id']}?rev=1")
+            assert (status, headers["content-type"].partition("/")[0]) == (200, "image")
+            assert there.ask("GET", "/picture/photo/none")[0] in (400, 404)
+            process.send_signal(signal.SIGINT)
+            assert closing_code(page) == 1012
+        _, said = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert "Traceback" not in said
+
+
+# --- the words -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--port", "70000"], ["--port", "-1"], ["--token", "short"], ["--token", ""], ["--keyfile", "key.pem"],
+        ["--certfile", "no.pem"], ["--upload-limit-mb", "0"], ["--folder", "no-such-folder"], ["--port", "x"],
+        ["--allow-host", "https://scans.example"], ["--allow-host", "scans.example:80"],
+    ],
+)  # fmt: skip
+def test_wrong_words_are_one_line_before_anything_is_opened(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["serve", "--no-browser", *words]) == ExitCode.BAD_INPUT
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].startswith("ladarreg: ")
+
+
+def test_a_short_token_in_the_environment_is_refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LADARREG_TOKEN", "short")
+    assert main(["serve", "--no-browser"]) == ExitCode.BAD_INPUT
+    assert "12" in capsys.readouterr().err

@@ -1,0 +1,227 @@
+"""What is painted on the model says what it claims."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
+from ladarreg_core.inspection.model_textures import (
+    LABEL_COLOURS,
+    NOTHING_KNOWN,
+    model_texture,
+    painted_through,
+    plain_picture,
+    residual_field,
+    scattered,
+    small_picture,
+    texture_choices,
+    usable_texture,
+)
+from ladarreg_core.matches import Matches
+from ladarreg_core.photo import Photo
+from ladarreg_core.results import PoseResult
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.texture import Label, texture_scan
+from tests.scenes.painted_room import PaintedRoom, painted_room
+
+KINDS = ("colour", "intensity", "range", "residual", "uncertainty", "label")
+
+
+def result_of(room: PaintedRoom, *, accepted: bool = True, residual_px: float = 0.5, count: int = 40) -> PoseResult:
+    rng = np.random.default_rng(1)
+    cells = np.flatnonzero(room.scan.valid)
+    chosen = rng.choice(cells, count, replace=False)
+    rays, ranges = room.scan.rays.reshape(-1, 3)[chosen], room.scan.ranges.reshape(-1)[chosen]
+    return PoseResult(
+        camera_from_scanner=room.camera_from_scanner,
+        camera=room.photo.camera,
+        matches=Matches(rays, ranges, rng.uniform(0, 300, (count, 2))),
+        inliers=np.ones(count, bool),
+        residuals_px=np.tile([residual_px, 0.0], (count, 1)),
+        residuals_m=np.zeros(count),
+        stereo_depth_error_m=np.zeros(count),
+        covariance=np.diag([1e-7] * 3 + [1e-6] * 3),
+        chi2_per_dof=1.0,
+        sigma_px=0.5,
+        sigma_range_m=0.01,
+        accepted=accepted,
+        evidence="statistics" if accepted else "none",
+    )
+
+
+@pytest.fixture(scope="module")
+def room() -> PaintedRoom:
+    return painted_room(3)
+
+
+@pytest.fixture(scope="module")
+def result(room: PaintedRoom) -> PoseResult:
+    return result_of(room)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_covers_the_grid_and_tells_its_colours(kind: str, room: PaintedRoom, result: PoseResult) -> None:
+    texture = model_texture(room.scan, kind, photo=room.photo, result=result)
+    assert texture.image.shape == (*room.scan.shape, 3)
+    assert not texture.image.flags.writeable
+    assert texture.legend.title
+    assert texture.legend.ramp or texture.legend.entries
+    assert not texture.legend.ramp or (texture.legend.least and texture.legend.most)
+
+
+def test_labels_have_exactly_their_colours_and_the_legend_names_those_present(
+    room: PaintedRoom, result: PoseResult
+) -> None:
+    registered = texture_scan(
+        room.scan, room.photo, room.camera_from_scanner, camera=result.camera, covariance=np.asarray(result.covariance)
+    )
+    texture = model_texture(room.scan, "label", photo=room.photo, result=result)
+    for label, colour in LABEL_COLOURS.items():
+        assert (texture.image[registered.labels == label] == colour).all()
+    present = {LABEL_COLOURS[Label(code)] for code in np.unique(registered.labels) if code != Label.NO_RETURN}
+    assert {colour for colour, _ in texture.legend.entries} == present
+    assert {LABEL_COLOURS[Label.OCCLUDED], LABEL_COLOURS[Label.SEEN]} <= present
+    assert len(set(LABEL_COLOURS.values())) == len(LABEL_COLOURS)
+
+
+def test_without_the_z_buffer_what_is_hidden_has_the_colour_of_its_pixel(room: PaintedRoom, result: PoseResult) -> None:
+    """And with it, it has none: thesis Figure 2.23."""
+    camera, pose = room.photo.camera, room.camera_from_scanner
+    labels = texture_scan(room.scan, room.photo, pose).labels
+    hidden = labels == Label.OCCLUDED
+    assert hidden.sum() > 500
+    through = painted_through(room.scan, room.photo, result)
+    uv = camera.project(pose @ room.scan.points)[hidden].astype(np.float32)
+    smooth = cv2.remap(room.photo.pixels, uv[None, :, 0], uv[None, :, 1], cv2.INTER_LINEAR)[0]
+    assert np.abs(through[hidden].astype(int) - smooth).max() <= 1
+    solid = model_texture(room.scan, "colour", photo=room.photo, result=result).image
+    seen = labels == Label.SEEN
+    assert np.ptp(solid[hidden], axis=-1).max() == 0, "what is hidden is gray"
+    assert np.median(np.abs(through[seen].astype(int) - solid[seen])) <= 2
+    outside = labels == Label.OUT_OF_FRAME
+    np.testing.assert_array_equal(through[outside], solid[outside])
+
+
+def test_nothing_behind_the_camera_is_painted(room: PaintedRoom, result: PoseResult) -> None:
+    behind = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, [100.0, 0.0, 0.0])
+    picture = painted_through(room.scan, room.photo, dataclasses.replace(result, camera_from_scanner=behind))
+    assert np.ptp(picture, axis=-1).max() == 0
+
+
+@settings(max_examples=20)
+@given(st.lists(st.floats(0.25, 90.0, width=32), min_size=12, max_size=12))
+def test_a_farther_cell_is_never_darker(metres: list[float]) -> None:
+    """Viridis grows lighter all the way."""
+    ranges = np.array(metres, np.float32).reshape(3, 4)
+    image = model_texture(Scan(AzimuthElevation(3, 4, 0.1, 0.1), ranges, np.ones((3, 4))), "range").image
+    light = (image.astype(float) @ [0.2126, 0.7152, 0.0722]).ravel()
+    assert (np.diff(light[np.argsort(ranges.ravel())]) >= -1.0).all()
+
+
+@pytest.mark.parametrize("level", [0.01, 0.5, 7.0])
+def test_equal_residuals_give_an_even_field(level: float, room: PaintedRoom) -> None:
+    field = residual_field(room.scan, result_of(room, residual_px=level))
+    known = np.isfinite(field)
+    assert known.mean() > 0.5
+    np.testing.assert_allclose(field[known], level, rtol=1e-4)
+
+
+def test_the_field_takes_up_the_nearest_matches_and_nothing_far_away(result: PoseResult) -> None:
+    good, bad = np.array([[10, 10], [14, 13]]), np.array([[10, 290], [13, 285]])
+    geometry = AzimuthElevation(30, 300, 0.002, 0.002)
+    scan = Scan(geometry, np.full((30, 300), 3.0), np.ones((30, 300)))
+    rays = geometry.ray_at(np.vstack([good, bad]).astype(float))
+    four = dataclasses.replace(
+        result,
+        matches=Matches(rays, np.full(4, 3.0), np.zeros((4, 2))),
+        inliers=np.ones(4, bool),
+        residuals_px=np.array([[0.1, 0], [0, 0.1], [3.0, 0], [0, 3.0]]),
+    )
+    field = residual_field(scan, four)
+    assert field[10, 10] < 0.8 < 2.0 < field[10, 290]
+    outlier = dataclasses.replace(four, inliers=np.array([True, True, False, False]))
+    assert np.nanmax(residual_field(scan, outlier)) == pytest.approx(0.1, rel=1e-3)
+    assert np.isnan(residual_field(scan, outlier)[10, 290])
+    none = dataclasses.replace(four, inliers=np.zeros(4, bool))
+    assert np.isnan(residual_field(scan, none)).all()
+    picture = model_texture(scan, "residual", result=outlier)
+    assert tuple(picture.image[10, 290]) == NOTHING_KNOWN
+
+
+def test_a_less_certain_pose_is_never_darker(room: PaintedRoom, result: PoseResult) -> None:
+    """The scale ends at a round number of the picture's own, so pictures are compared in its numbers."""
+    tight = model_texture(room.scan, "uncertainty", result=result)
+    loose = dataclasses.replace(result, covariance=result.covariance * 100)
+    ends = [float(t.legend.most.split()[0]) for t in (tight, model_texture(room.scan, "uncertainty", result=loose))]
+    assert ends[1] == pytest.approx(10 * ends[0], rel=0.5)
+
+
+def test_what_is_not_accepted_paints_nothing(room: PaintedRoom, result: PoseResult) -> None:
+    refused = result_of(room, accepted=False)
+    for kind in ("colour", "label", "residual", "uncertainty"):
+        assert usable_texture(kind, None) == usable_texture(kind, refused) == "intensity"
+        assert usable_texture(kind, result) == kind
+        with pytest.raises(OptionError, match="accepted"):
+            model_texture(room.scan, kind, photo=room.photo, result=refused)
+    assert [c.kind for c in texture_choices(None)] == list(KINDS)
+    assert {c.kind for c in texture_choices(refused) if c.usable} == {"intensity", "range"}
+    assert all(c.usable for c in texture_choices(result))
+
+
+def test_nonsense_is_refused(room: PaintedRoom, result: PoseResult) -> None:
+    with pytest.raises(OptionError, match="one of colour"):
+        model_texture(room.scan, "glitter")
+    with pytest.raises(OptionError, match="photograph"):
+        model_texture(room.scan, "colour", result=result)
+    other = Photo(np.zeros((10, 10, 3), np.uint8), Camera.from_focal(10, 10, 20.0))
+    with pytest.raises(ShapeError, match="picture size"):
+        painted_through(room.scan, other, result)
+    small = texture_scan(room.scan, room.photo, room.camera_from_scanner)
+    cut = dataclasses.replace(small, image=small.image[:9], labels=small.labels[:9])
+    with pytest.raises(ShapeError, match="cells"):
+        model_texture(room.scan, "colour", photo=room.photo, result=result, registered=cut)
+
+
+@given(st.integers(1, 4000))
+def test_a_scan_without_surface_is_spread_over_few_enough_points(most: int) -> None:
+    image = np.arange(30 * 40 * 3, dtype=np.uint8).reshape(30, 40, 3)
+    ranges = np.full((30, 40), 2.0)
+    ranges[::2] = np.nan
+    scan = Scan(AzimuthElevation(30, 40, 0.01, 0.01), ranges, np.ones((30, 40)))
+    points, colours = scattered(scan, image, most=most)
+    assert 0 < len(points) <= most
+    assert points.shape == colours.shape
+    assert np.isfinite(points).all()
+    assert {tuple(c) for c in colours} <= {tuple(c) for c in image[1::2].reshape(-1, 3)}
+
+
+def test_small_pictures_keep_their_shape_and_mean() -> None:
+    rng = np.random.default_rng(0)
+    picture = rng.integers(0, 255, (300, 900, 3)).astype(np.uint8)
+    small = small_picture(picture, 300)
+    assert small.shape == (100, 300, 3)
+    assert abs(float(small.mean()) - float(picture.mean())) < 1
+    assert small_picture(picture, 5000).shape == picture.shape
+    assert (plain_picture((1, 2, 3)) == [1, 2, 3]).all()
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_a_scan_without_intensity_shows_its_shape(lean: float, tilt: float) -> None:
+    """Of a plane the cosine is known."""
+    geometry = AzimuthElevation(30, 40, 0.004, 0.004)
+    normal = np.array([1.0, lean, tilt])
+    scan = Scan(geometry, 3.0 / (geometry.rays @ normal), np.ones((30, 40)))
+    texture = model_texture(scan, "intensity")
+    assert "no intensity" in texture.legend.title
+    cosine = (geometry.rays @ normal) / np.linalg.norm(normal)
+    expected = 18 + 227 * cosine
+    assert np.abs(texture.image[1:-1, 1:-1, 0] - expected[1:-1, 1:-1]).max() < 2

@@ -1,0 +1,96 @@
+"""A photo that would be verified at more than one place: a pattern that repeats, and one that does not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pytest
+
+import ladarreg_core as lr
+from ladarreg_core.frames import look_along
+from ladarreg_core.registration import register
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.remap import look_up
+from tests.scenes.painted_room import paintings
+
+_WALL_M = 4.0
+_DOOR_M = 0.8
+_DOOR_DEPTH_M = 0.15
+_PIXELS_A_METRE = 190.0
+
+
+@dataclass(frozen=True)
+class Wall:
+    """What a scanner and a camera see of a wall."""
+
+    scan: lr.Scan
+    photo: lr.Photo
+    camera_from_scanner: lr.Rigid
+
+    def error_px(self, pose: lr.Rigid) -> float:
+        """Median displacement of the wall in the photo."""
+        points = self.scan.points[self.scan.valid][::23].astype(float)
+        true = self.photo.camera.project(self.camera_from_scanner @ points)
+        off = np.hypot(*(true - self.photo.camera.project(pose @ points))[self.photo.camera.contains(true)].T)
+        return float(np.median(off))
+
+
+def wall(seed: int, *, period_m: float, doors: str = "none") -> Wall:
+    """Make a wall painted the same every `period_m`; with `doors` it has a recess in each period."""
+    picture = paintings(seed)
+    rng = np.random.default_rng(seed)
+
+    def seen(origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        distance = (_WALL_M - origin[0]) / rays[:, 0]
+        y = origin[1] + distance * rays[:, 1]
+        if doors == "recessed":
+            behind = (_WALL_M + _DOOR_DEPTH_M - origin[0]) / rays[:, 0]
+            open_at = np.mod(origin[1] + behind * rays[:, 1], period_m) < _DOOR_M
+            distance = np.where((np.mod(y, period_m) < _DOOR_M) & open_at, behind, distance)
+            y = origin[1] + distance * rays[:, 1]
+        z = origin[2] + distance * rays[:, 2]
+        at = np.stack([np.mod(y, period_m), z + 2.5], axis=-1) * _PIXELS_A_METRE
+        colour = look_up(picture, at[:, :1].astype(np.float32), at[:, 1:].astype(np.float32))[:, 0]
+        return distance, colour
+
+    geometry = AzimuthElevation(260, 440, np.deg2rad(0.11), np.deg2rad(0.11))
+    distance, colour = seen(np.zeros(3), geometry.rays.reshape(-1, 3))
+    ranges = distance + rng.normal(0, 0.003, len(distance))
+    laser = colour[:, 0] * (1 + rng.normal(0, 0.05, len(colour))) * (2.5 / distance) ** 2
+    scan = lr.Scan(geometry, ranges.reshape(geometry.shape), laser.reshape(geometry.shape))
+    centre = np.array([0.1, -0.3, 0.05])
+    pose = lr.Rigid.from_centre(look_along(np.array([4.0, 0.1, 0.0]) - centre), centre)
+    camera = lr.Camera.from_focal(480, 340, 700.0)
+    v, u = np.mgrid[:680, :960]
+    uv = (np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5) / 2 - 0.5
+    _, colour = seen(centre, camera.unproject(uv) @ pose.rotation)
+    fine = cv2.resize(colour.reshape(680, 960, 3), (480, 340), interpolation=cv2.INTER_AREA)
+    fine = np.clip(fine + rng.normal(0, 0.01, fine.shape), 0, 1)
+    return Wall(scan, lr.Photo((255 * fine ** (1 / 2.2)).astype(np.uint8), camera), pose)
+
+
+@pytest.mark.parametrize(("seed", "period_m", "doors"), [(1, 0.7, "none"), (2, 1.1, "recessed")])
+def test_a_wall_that_repeats_is_ambiguous(seed: int, period_m: float, doors: str) -> None:
+    made = wall(seed, period_m=period_m, doors=doors)
+    result = register(made.scan, made.photo)
+    assert not result.accepted
+    assert "look alike" in result.reasons[0], result.reasons
+    assert [step.detail["found"] for step in result.steps if step.name == "second minimum"] == [True]
+
+
+def test_a_given_pose_tells_which_repetition_is_meant() -> None:
+    made = wall(1, period_m=0.7)
+    truth = made.camera_from_scanner
+    result = register(made.scan, made.photo, initial=lr.Rigid(truth.rotation, truth.translation + 0.02))
+    assert result.accepted, result.reasons
+    assert made.error_px(result.camera_from_scanner) < 1
+
+
+def test_a_wall_that_does_not_repeat_has_no_second_minimum() -> None:
+    made = wall(1, period_m=5.2)
+    result = register(made.scan, made.photo)
+    assert [step.detail["found"] for step in result.steps if step.name == "second minimum"] == [False]
+    assert result.accepted, result.reasons
+    assert made.error_px(result.camera_from_scanner) < 1

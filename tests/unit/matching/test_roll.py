@@ -1,0 +1,163 @@
+"""A turned photo is recognised by the agreement of its matches, and an upright one is left alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import LadarregError, OptionError, ShapeError
+from ladarreg_core.features.corners import CornerOptions, find_corners
+from ladarreg_core.frames import ThesisParameters
+from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.roll import Turn, seems_turned
+from ladarreg_core.photo import Photo
+from ladarreg_core.scan import Scan
+from ladarreg_core.simulate.case import simulate_case
+from ladarreg_core.surface.perspective import perspective_view
+from tests.scenes.painted_room import PaintedRoom, painted_room
+
+CORNERS = CornerOptions(count=400)
+NO_CORNERS = np.zeros((0, 2))
+
+
+@dataclass(frozen=True)
+class Picture:
+    gray: np.ndarray
+    corners: np.ndarray
+
+    @staticmethod
+    def of(gray: np.ndarray, usable: np.ndarray | None = None) -> Picture:
+        return Picture(gray, find_corners(gray, CORNERS, usable=usable).uv)
+
+
+def sides(scan: Scan, photo: Photo) -> tuple[Picture, Picture]:
+    working = working_camera(scan, photo.camera)
+    levels = scan_levels(scan, perspective_view(scan, working))
+    seen = photo_levels(photo, working)
+    return Picture.of(levels.gray_planes[0], np.isfinite(levels.ranges)), Picture.of(seen.gray, seen.usable[0])
+
+
+def turn_of(scan: Picture, photo: Picture) -> Turn | None:
+    return seems_turned(scan.gray, scan.corners, photo.gray, photo.corners)
+
+
+def off_deg(turn: Turn, expected_deg: float) -> float:
+    return abs((np.degrees(turn.angle_rad) - expected_deg + 180) % 360 - 180)
+
+
+def quarter_turned(photo: Photo, quarters: int) -> Photo:
+    """What the camera would have taken, rolled clockwise by so many quarters."""
+    pixels = np.ascontiguousarray(np.rot90(photo.pixels, quarters))
+    return Photo(pixels, Camera.from_focal(pixels.shape[1], pixels.shape[0], photo.camera.focal_px))
+
+
+def rolled(gray: np.ndarray, angle_deg: float) -> np.ndarray:
+    """What the camera would have taken, rolled clockwise: the picture's content turns the other way."""
+    height, width = gray.shape
+    counter_clockwise = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle_deg, 1)
+    return cv2.warpAffine(gray, counter_clockwise, (width, height), borderMode=cv2.BORDER_REFLECT)
+
+
+@pytest.fixture(scope="module")
+def room() -> PaintedRoom:
+    return painted_room(seed=11)
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+def test_a_photo_turned_by_quarters_is_recognised(room: PaintedRoom, quarters: int) -> None:
+    turn = turn_of(*sides(room.scan, quarter_turned(room.photo, quarters)))
+    if quarters == 0:
+        assert turn is None
+    else:
+        assert turn is not None
+        assert off_deg(turn, 90 * quarters) < 6
+        assert turn.matches > turn.upright_matches
+
+
+@settings(max_examples=8)
+@given(angle_deg=st.floats(-180, 180), seed=st.integers(0, 9))
+def test_any_roll_is_told_with_its_sign(angle_deg: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    patches = cv2.resize(rng.uniform(0, 255, (45, 60)).astype(np.float32), (360, 270), interpolation=cv2.INTER_CUBIC)
+    laser = 0.6 * patches + rng.normal(0, 6, patches.shape)
+    turn = turn_of(Picture.of(laser.astype(np.float32)), Picture.of(rolled(patches, angle_deg)))
+    if abs(angle_deg) <= 7:
+        assert turn is None
+    elif abs(angle_deg) >= 23:
+        assert turn is not None
+    if turn is not None:
+        assert off_deg(turn, angle_deg) < 5
+        assert ("counter-clockwise" in turn.in_words()) == (turn.angle_rad < 0)
+
+
+def test_a_simulated_camera_that_is_rolled_is_recognised() -> None:
+    pytest.importorskip("embreex")
+    case = simulate_case("people", set_name="rotated", seed=4)
+    gamma = np.degrees(ThesisParameters.from_pose(case.camera_from_scanner).gamma)
+    scan, photo = sides(case.scan, case.photo)
+    turn = turn_of(scan, photo)
+    assert turn is not None
+    assert off_deg(turn, gamma) < 8
+    # Turned back in the picture, nothing is left to be said.
+    assert turn_of(scan, Picture.of(rolled(photo.gray, -gamma))) is None
+
+
+def test_a_mirrored_photo_is_not_said_to_be_turned(room: PaintedRoom) -> None:
+    scan, photo = sides(room.scan, room.photo)
+    for mirrored in (photo.gray[::-1], photo.gray[:, ::-1]):
+        assert turn_of(scan, Picture.of(np.ascontiguousarray(mirrored))) is None
+
+
+def test_the_same_pictures_give_the_same_answer(room: PaintedRoom) -> None:
+    scan, photo = sides(room.scan, quarter_turned(room.photo, 1))
+    one, other = turn_of(scan, photo), turn_of(scan, photo)
+    assert one is not None
+    assert one == other
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (30, 40)])
+def test_hardly_any_corners_or_picture_tell_nothing(count: int, shape: tuple[int, int]) -> None:
+    picture = Picture(np.zeros(shape, np.float32), np.zeros((count, 2)))
+    assert turn_of(picture, picture) is None
+    assert turn_of(picture, Picture(picture.gray, NO_CORNERS)) is None
+
+
+GRAY = np.zeros((20, 30), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("gray", "uv", "options", "error"),
+    [
+        (np.zeros((20, 30, 3)), NO_CORNERS, {}, ShapeError),
+        (np.zeros((0, 30)), NO_CORNERS, {}, ShapeError),
+        (np.full((20, 30), np.nan), NO_CORNERS, {}, ShapeError),
+        (GRAY, np.zeros((3, 3)), {}, ShapeError),
+        (GRAY, [[np.nan, 1.0]], {}, ShapeError),
+        (GRAY, "corners", {}, ShapeError),
+        (GRAY, NO_CORNERS, {"window_px": 8}, OptionError),
+        (GRAY, NO_CORNERS, {"margin": -1.0}, OptionError),
+        (GRAY, NO_CORNERS, {"margin": np.nan}, OptionError),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(
+    gray: np.ndarray, uv: np.ndarray, options: dict[str, float], error: type[LadarregError]
+) -> None:
+    for sides_given in ((gray, uv, GRAY, NO_CORNERS), (GRAY, NO_CORNERS, gray, uv)):
+        with pytest.raises(error) as caught:
+            seems_turned(*sides_given, **options)
+        assert "\n" not in str(caught.value)
+
+
+def test_the_sentence_says_which_way_to_turn() -> None:
+    words = Turn(angle_rad=np.pi / 2, matches=40, upright_matches=4).in_words()
+    assert "90 deg clockwise" in words
+    assert "Turn the photo clockwise" in words
+    assert "counter" not in words
+    assert words.replace("clockwise", "counter-clockwise") == Turn(-np.pi / 2, 40, 4).in_words()

@@ -1,0 +1,223 @@
+"""The facade on the painted room: what comes out, whatever goes in."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import ladarreg_core as lr
+from ladarreg_core.errors import DegenerateGeometryError, OptionError
+from ladarreg_core.frames import rotation_from_rotvec
+from ladarreg_core.picks.measure import matches_from_picks
+from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.surface.ranges import surface_range
+from tests.scenes.painted_room import PaintedRoom, painted_room
+
+
+@pytest.fixture(scope="module")
+def room() -> PaintedRoom:
+    return painted_room(seed=3)
+
+
+@pytest.fixture(scope="module")
+def registration(room: PaintedRoom) -> lr.Registration:
+    return register(room.scan, room.photo)
+
+
+def point_picks(room: PaintedRoom, count: int = 40, *, noise_px: float = 0.5, seed: int = 0) -> list[lr.Pick]:
+    rng = np.random.default_rng(seed)
+    rays = room.scan.rays[rng.integers(30, 270, 400), rng.integers(30, 390, 400)]
+    ranges = surface_range(room.scan, rays)
+    uv = room.photo.camera.project(room.camera_from_scanner @ (rays * ranges[:, None]))
+    good = np.flatnonzero(room.photo.camera.contains(uv, border=5))[:count]
+    return [
+        lr.Pick(f"p{k}", "point", rays[k][None], uv[k][None] + rng.normal(0, noise_px, (1, 2))) for k in good.tolist()
+    ]
+
+
+def test_auto_finds_the_truth_and_says_how_well(room: PaintedRoom, registration: lr.Registration) -> None:
+    assert registration.accepted
+    assert registration.evidence == "image"
+    assert room.error_px(registration.camera_from_scanner) < 0.4
+    assert room.mahalanobis(registration.camera_from_scanner, registration.covariance) < 3
+    assert registration.method == "auto"
+
+
+def test_the_result_is_complete(registration: lr.Registration) -> None:
+    count = len(registration.matches)
+    assert count > 40
+    assert registration.inliers.shape == (count,)
+    assert registration.residuals_px.shape == (count, 2)
+    assert np.isfinite(registration.residuals_m).all()
+    assert registration.covariance.shape == (6, 6)
+    assert 0 < registration.chi2_per_dof < 10
+    # The table's residuals are the photo's own pixels minus the prediction from the measured range.
+    predicted = registration.camera.project(registration.camera_from_scanner @ registration.matches.points)
+    np.testing.assert_allclose(registration.residuals_px, registration.matches.uv - predicted)
+    names = [step.name for step in registration.steps]
+    assert names[:2] == ["photo", "channels"]
+    assert names[-6:] == ["finish", "verify", "camera", "evidence", "second minimum", "result"]
+    assert registration.options["auto"]["gate"]["fraction"] == 0.5
+
+
+def test_every_step_is_reported_as_it_ends(room: PaintedRoom) -> None:
+    seen: list[lr.Step] = []
+
+    def report(step: lr.Step) -> None:
+        seen.append(step)
+        if step.name == "hypothesis":
+            raise lr.Cancelled
+
+    with pytest.raises(lr.Cancelled):
+        register(room.scan, room.photo, report=report)
+    assert [step.name for step in seen] == ["photo", "channels", "hypothesis"]
+    assert seen[-1].matches is not None
+    assert seen[-1].pose is not None
+
+
+_FINGERPRINT = """
+import sys, cv2
+cv2.setNumThreads(int(sys.argv[1]))
+from ladarreg_core.registration import register
+from tests.scenes.painted_room import painted_room
+room = painted_room(seed=3)
+print(register(room.scan, room.photo).camera_from_scanner.matrix.tobytes().hex())
+"""
+
+
+def test_the_answer_does_not_depend_on_threads(registration: lr.Registration) -> None:
+    here = registration.camera_from_scanner.matrix.tobytes().hex()
+    for threads in ("1", "2"):
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads, "PYTHONHASHSEED": "7"}
+        environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
+        run = subprocess.run(
+            [sys.executable, "-c", _FINGERPRINT, threads], env=environment, capture_output=True, text=True, check=True
+        )
+        assert run.stdout.strip() == here
+
+
+def test_a_distorted_photo_is_matched_as_well() -> None:
+    room = painted_room(seed=5, distortion=(-0.25, 0.08, 0.001, -0.0005))
+    result = register(room.scan, room.photo)
+    assert result.accepted, result.reasons
+    assert room.error_px(result.camera_from_scanner) < 0.5
+
+
+def test_the_same_place_is_no_failure() -> None:
+    room = painted_room(seed=6, baseline_m=0.0)
+    result = register(room.scan, room.photo)
+    assert result.accepted, result.reasons
+    assert room.error_px(result.camera_from_scanner) < 0.4
+
+
+@pytest.mark.parametrize("picture", ["flat", "black", "noise", "other room"])
+def test_what_does_not_match_is_not_accepted(room: PaintedRoom, picture: str) -> None:
+    shape = room.photo.pixels.shape
+    pixels = {
+        "flat": np.full(shape, 128, np.uint8),
+        "black": np.zeros(shape, np.uint8),
+        "noise": np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8),
+        "other room": painted_room(seed=44).photo.pixels,
+    }[picture]
+    result = register(room.scan, lr.Photo(pixels, room.photo.camera))
+    assert not result.accepted
+    assert result.evidence == "none"
+    assert result.reasons
+    assert all(reason.endswith(".") for reason in result.reasons)
+
+
+def test_a_first_guess_is_tried_first(room: PaintedRoom) -> None:
+    truth = room.camera_from_scanner
+    near = lr.Rigid(rotation_from_rotvec([0.01, -0.01, 0.01]) @ truth.rotation, truth.translation)
+    result = register(room.scan, room.photo, initial=near)
+    assert result.accepted
+    starts = [step.detail["start"] for step in result.steps if step.name == "climb"]
+    assert starts[0] == "the given pose"
+    # A useless guess costs nothing but time.
+    lost = lr.Rigid(np.diag([-1.0, -1.0, 1.0]) @ truth.rotation, np.array([0.0, 0.0, 50.0]))
+    result = register(room.scan, room.photo, initial=lost)
+    assert result.accepted
+    assert room.error_px(result.camera_from_scanner) < 0.4
+
+
+def test_points_put_down_by_hand_are_solved_and_judged_by_statistics(room: PaintedRoom) -> None:
+    result = register(room.scan, room.photo, picks=point_picks(room))
+    assert result.method == "manual"
+    assert result.accepted, result.reasons
+    assert result.evidence == "statistics"
+    assert room.error_px(result.camera_from_scanner) < 0.6
+    assert result.matches.pick_ids[0].startswith("p")
+
+
+def test_mismatched_points_are_rejected_one_by_one(room: PaintedRoom) -> None:
+    picks = point_picks(room)
+    wrong = {
+        k: lr.Pick(picks[k].id, "point", picks[k].scan, picks[k].photo + np.array([[60.0, -40.0]])) for k in (3, 11, 20)
+    }
+    result = register(room.scan, room.photo, picks=[wrong.get(k, pick) for k, pick in enumerate(picks)])
+    assert result.accepted, result.reasons
+    outliers = {result.matches.pick_ids[k] for k in np.flatnonzero(~result.inliers)}
+    assert {wrong[k].id for k in wrong} <= outliers
+
+
+def test_random_points_are_not_accepted(room: PaintedRoom) -> None:
+    rng = np.random.default_rng(0)
+    picks = [
+        lr.Pick(pick.id, "point", pick.scan, rng.uniform(0, 1, (1, 2)) * room.photo.camera.size)
+        for pick in point_picks(room)
+    ]
+    try:
+        result = register(room.scan, room.photo, picks=picks)
+    except DegenerateGeometryError:
+        return
+    assert not result.accepted
+    assert result.evidence == "none"
+
+
+def test_lines_are_sampled_on_both_sides(room: PaintedRoom) -> None:
+    wall = [np.array([4.5, y, z]) for y, z in ((-1.5, -0.5), (1.5, 1.2))]
+    rays = np.array([p / np.linalg.norm(p) for p in wall])
+    uv = room.photo.camera.project(room.camera_from_scanner @ np.array(wall))
+    matches, notes = matches_from_picks(room.scan, [lr.Pick("l", "line", rays, uv)], lines="equal")
+    assert set(matches.pick_ids) == {"l"}
+    assert matches.fractions.min() == 0
+    assert matches.fractions.max() == 1
+    across = np.cross(matches.points - wall[0], wall[1] - wall[0])
+    hidden = np.linalg.norm(across, axis=1) > 0.05  # a box stands before the wall
+    assert hidden.sum() + len(notes) < len(matches)
+    along, off = uv[1] - uv[0], matches.uv - uv[0]
+    on_line = off[:, 0] * along[1] - off[:, 1] * along[0]
+    np.testing.assert_allclose(on_line, 0, atol=1e-6)
+
+
+def test_switched_off_and_rangeless_picks_are_left_out_and_said(room: PaintedRoom) -> None:
+    picks = point_picks(room, 6)
+    off = lr.Pick("off", "point", picks[0].scan, picks[0].photo, on=False)
+    sky = lr.Pick("sky", "point", np.array([[0.6, 0.0, 0.8]]), np.array([[10.0, 10.0]]))
+    matches, notes = matches_from_picks(room.scan, [*picks, off, sky])
+    assert "off" not in matches.pick_ids
+    assert "sky" not in matches.pick_ids
+    assert any("sky" in note for note in notes)
+
+
+def test_surface_ranges_are_exact_on_a_plane(room: PaintedRoom) -> None:
+    target = np.array([4.5, 0.31, 1.234])
+    ray = target / np.linalg.norm(target)
+    measured = surface_range(room.scan, ray[None])[0]
+    assert abs(measured - np.linalg.norm(target)) < 0.012  # four noisy cells of 3 mm
+    assert np.isnan(surface_range(room.scan, np.array([[-1.0, 0, 0]])))[0]
+
+
+def test_nonsense_is_refused(room: PaintedRoom) -> None:
+    with pytest.raises(OptionError, match="auto, thesis, manual"):
+        register(room.scan, room.photo, method="magic")
+    with pytest.raises(OptionError, match="no matches"):
+        register(room.scan, room.photo, method="manual")
+    with pytest.raises(OptionError, match="seed"):
+        RegisterOptions(seed=-1)
+    with pytest.raises(DegenerateGeometryError):
+        register(room.scan, room.photo, picks=point_picks(room, 2))
