@@ -1,5 +1,5 @@
-"""`python -m app` is the command line."""
+"""`python -m ladarreg` is the command line."""
 
-from app.cli import entry_point
+from .cli import entry_point
 
 entry_point()

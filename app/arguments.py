@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import tyro
 
-from app.exit_codes import ExitCode
+from .exit_codes import ExitCode
 
 T = TypeVar("T")
 _ARGUMENT = re.compile(r"((?:-[a-z] [A-Z]+, )?--[a-z-]+|[A-Z]{3,})(?= |$)")

@@ -11,8 +11,8 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from app.exit_codes import ExitCode
-from app.stop_signals import interrupt_on_stop_signals
+from .exit_codes import ExitCode
+from .stop_signals import interrupt_on_stop_signals
 
 COMMANDS = {
     "register": "Register a scan with a photograph: pose, registered picture, textured model.",
@@ -23,7 +23,7 @@ COMMANDS = {
     "serve": "Open the workbench in the browser: on a project, on a scan and photographs, or on the last project.",
     "demo": "Open the workbench on the embedded sample.",
 }
-"""Every command and its summary; its code is `app.commands.<name>`."""
+"""Every command and its summary; its code is `commands/<name>.py`."""
 
 _ANSWERS = "Exit codes: 0 done and accepted, 2 bad input, 3 ran but not accepted, 130 interrupted."
 
@@ -70,9 +70,9 @@ def entry_point() -> NoReturn:
 
 
 def _run(name: str, words: list[str], *, debug: bool) -> int:
-    from app.arguments import parse
+    from .arguments import parse
 
-    command = importlib.import_module(f"app.commands.{name}")
+    command = importlib.import_module(f".commands.{name}", __package__)
     arguments = parse(command.Arguments, words, prog=f"ladarreg {name}", description=COMMANDS[name])
     _set_up_log(debug=debug)
     return int(command.run(arguments))
@@ -100,7 +100,7 @@ def _explain(error: BaseException) -> tuple[str, ExitCode]:
 
 
 def _fail(text: str, code: ExitCode) -> ExitCode:
-    from app.messages import one_line
+    from .messages import one_line
 
     print(f"ladarreg: {one_line(text)}", file=sys.stderr)
     return code

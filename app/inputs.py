@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 
-from app.progress_bar import StepBar
+from .progress_bar import StepBar
 
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid

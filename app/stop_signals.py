@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from app.exit_codes import ExitCode
+from .exit_codes import ExitCode
 
 if TYPE_CHECKING:
     import socket

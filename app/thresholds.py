@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from app.inputs import InputArguments
+from .inputs import InputArguments
 
 if TYPE_CHECKING:
     from ladarreg_core.registration import RegisterOptions

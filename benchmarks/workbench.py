@@ -23,9 +23,9 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
+from ladarreg.gateway.delta import changed
 from websockets.sync.client import ClientConnection, connect
 
-from app.gateway.delta import changed
 from benchmarks.model_drawn import model_drawn
 from ladarreg_core.simulate.sample import sample_folder
 
@@ -145,7 +145,7 @@ def served(project: Path) -> Iterator[tuple[Served, float]]:
     folder = sample_folder()
     begun = time.perf_counter()
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", "serve", str(folder / "scan.npz"), str(next(folder.glob("photo.*"))),
+        [sys.executable, "-m", "ladarreg", "serve", str(folder / "scan.npz"), str(next(folder.glob("photo.*"))),
          "--project", str(project), "--port", "0", "--no-browser"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
     )  # fmt: skip

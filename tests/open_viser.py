@@ -6,8 +6,7 @@ import contextlib
 import io
 
 import viser
-
-from app.gateway.viser_backend import HOST
+from ladarreg.gateway.viser_backend import HOST
 
 
 def open_server(*, label: str) -> viser.ViserServer:

@@ -6,11 +6,11 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from app.exit_codes import ExitCode
-from app.inputs import input_files, print_notes, read_inputs, read_start
-from app.messages import comparison_report, comparison_verdict
-from app.progress_bar import StepBar, step_bar
-from app.thresholds import ThresholdArguments, register_options
+from ..exit_codes import ExitCode
+from ..inputs import input_files, print_notes, read_inputs, read_start
+from ..messages import comparison_report, comparison_verdict
+from ..progress_bar import StepBar, step_bar
+from ..thresholds import ThresholdArguments, register_options
 
 if TYPE_CHECKING:
     from ladarreg_core.comparison import Comparison

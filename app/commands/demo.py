@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from app.exit_codes import ExitCode
+from ..exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from app.workbench.workbench import Workbench
+    from ..workbench.workbench import Workbench
 
 _NAME = "Sample"
 
@@ -34,15 +34,16 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Open the workbench on the embedded sample and register it before everybody's eyes."""
-    from app.session.isolated_readers import READERS
+    from ..session.isolated_readers import READERS
 
     READERS.warm()  # it loads the readers while this process loads the rest
-    from app.gateway.login import new_token
-    from app.gateway.options import GatewayOptions
-    from app.process_resources import limit_arenas
-    from app.stop_signals import StopSignals
-    from app.workbench.launch import open_workbench, serve_and_close
     from ladarreg_core.simulate import sample_folder
+
+    from ..gateway.login import new_token
+    from ..gateway.options import GatewayOptions
+    from ..process_resources import limit_arenas
+    from ..stop_signals import StopSignals
+    from ..workbench.launch import open_workbench, serve_and_close
 
     limit_arenas()
     stop = StopSignals()

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from app.exit_codes import ExitCode
-from app.messages import one_line
+from ..exit_codes import ExitCode
+from ..messages import one_line
 
 
 @dataclass(frozen=True, kw_only=True)

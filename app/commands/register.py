@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from app.exit_codes import ExitCode
-from app.inputs import input_files, print_notes, read_inputs, read_start, timed
-from app.messages import assessed, report, verdict
-from app.progress_bar import StepBar, step_bar
-from app.thresholds import ThresholdArguments, check_method, register_options
+from ..exit_codes import ExitCode
+from ..inputs import input_files, print_notes, read_inputs, read_start, timed
+from ..messages import assessed, report, verdict
+from ..progress_bar import StepBar, step_bar
+from ..thresholds import ThresholdArguments, check_method, register_options
 
 if TYPE_CHECKING:
     from ladarreg_core.photo import Photo

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from app.exit_codes import ExitCode
-from app.inputs import timed
-from app.messages import self_test_report
-from app.progress_bar import step_bar
+from ..exit_codes import ExitCode
+from ..inputs import timed
+from ..messages import self_test_report
+from ..progress_bar import step_bar
 
 if TYPE_CHECKING:
     from ladarreg_core.camera import Camera

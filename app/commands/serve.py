@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from app.exit_codes import ExitCode
+from ..exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from app.gateway.options import GatewayOptions
+    from ..gateway.options import GatewayOptions
 
 _TOKEN_VARIABLE = "LADARREG_TOKEN"
 
@@ -51,13 +51,14 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Open the workbench and serve it until a signal asks to stop."""
-    from app.session.isolated_readers import READERS
+    from ..session.isolated_readers import READERS
 
     READERS.warm()  # it loads the readers while this process loads the rest
-    from app.gateway.login import checked_token, new_token
-    from app.gateway.options import GatewayOptions
-    from app.gateway.server import check_certificate
     from ladarreg_core.errors import OptionError
+
+    from ..gateway.login import checked_token, new_token
+    from ..gateway.options import GatewayOptions
+    from ..gateway.server import check_certificate
 
     # Everything that can be wrong with the words is said before a scan is read.
     options = GatewayOptions(
@@ -80,9 +81,9 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _serve(arguments: Arguments, token: str, options: GatewayOptions) -> None:
-    from app.process_resources import limit_arenas
-    from app.stop_signals import StopSignals
-    from app.workbench.launch import open_workbench, serve_and_close
+    from ..process_resources import limit_arenas
+    from ..stop_signals import StopSignals
+    from ..workbench.launch import open_workbench, serve_and_close
 
     limit_arenas()
     stop = StopSignals()

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from app.exit_codes import ExitCode
+from ..exit_codes import ExitCode
 
 
 @dataclass(frozen=True, kw_only=True)

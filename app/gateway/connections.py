@@ -26,7 +26,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from app.gateway.options import ConnectionLimits
+from .options import ConnectionLimits
 
 log = logging.getLogger(__name__)
 KEY = "connection"

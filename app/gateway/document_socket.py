@@ -11,14 +11,15 @@ from typing import Any
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from app.gateway.encoding import Encoded
-from app.gateway.json_text import NotJson, decode_object, encode
-from app.gateway.outbox import Outbox
-from app.gateway.protocol import Client, Workbench
-from app.gateway.told import Told
-from app.gateway.visitors import Visitors
-from app.process_resources import return_memory_soon
 from ladarreg_core.errors import LadarregError
+
+from ..process_resources import return_memory_soon
+from .encoding import Encoded
+from .json_text import NotJson, decode_object, encode
+from .outbox import Outbox
+from .protocol import Client, Workbench
+from .told import Told
+from .visitors import Visitors
 
 log = logging.getLogger(__name__)
 LONGEST_MESSAGE = 1_000_000

@@ -6,7 +6,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
 
-from app.gateway.protocol import Workbench
+from .protocol import Workbench
 
 
 class Exports:

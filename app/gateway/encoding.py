@@ -7,9 +7,9 @@ from typing import Any
 
 import msgspec
 
-from app.gateway.delta import change_between
-from app.gateway.json_text import encode_part
-from app.session.bounded_cache import BoundedCache, rough_bytes
+from ..session.bounded_cache import BoundedCache, rough_bytes
+from .delta import change_between
+from .json_text import encode_part
 
 _KEPT = 64
 _KEPT_BYTES = 100_000_000

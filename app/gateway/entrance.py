@@ -11,9 +11,9 @@ from urllib.parse import parse_qs
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 
-from app.gateway.attempts import Attempts
-from app.gateway.forwarded import Asked
-from app.gateway.login import Door
+from .attempts import Attempts
+from .forwarded import Asked
+from .login import Door
 
 _LONGEST_FORM = 4096
 _WRONG_DELAY_S = 0.3

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from app.gateway.forwarded import Asked
-from app.gateway.options import is_loopback
+from .forwarded import Asked
+from .options import is_loopback
 
 PAGE_POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; style-src 'self'; script-src 'self'; connect-src 'self'; "

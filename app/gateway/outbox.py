@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from app.gateway.protocol import Message
+from .protocol import Message
 
 _MOST_EVENTS = 200
 _NEWEST_WINS = frozenset({"simplex", "hover"})

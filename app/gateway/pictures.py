@@ -8,8 +8,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
-from app.gateway.protocol import Workbench
 from ladarreg_core.errors import LadarregError, OptionError
+
+from .protocol import Workbench
 
 _AT_A_TIME = 2
 _HOUR_S = 3600

@@ -11,20 +11,20 @@ from starlette.responses import RedirectResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.types import ASGIApp
 
-from app.gateway.document_socket import DocumentSocket
-from app.gateway.downloads import Exports
-from app.gateway.login import Door
-from app.gateway.options import GatewayOptions
-from app.gateway.pages import Pages, front_page
-from app.gateway.pictures import Pictures
-from app.gateway.protocol import Workbench
-from app.gateway.security import Guard
-from app.gateway.uploads import Uploads
-from app.gateway.viser_lock import ViserAddress
-from app.gateway.viser_proxy import ViserProxy
-from app.gateway.visitors import Visitors
-from app.process_resources import raised_descriptor_limit
-from app.static_files import static_folder
+from ..process_resources import raised_descriptor_limit
+from ..static_files import static_folder
+from .document_socket import DocumentSocket
+from .downloads import Exports
+from .login import Door
+from .options import GatewayOptions
+from .pages import Pages, front_page
+from .pictures import Pictures
+from .protocol import Workbench
+from .security import Guard
+from .uploads import Uploads
+from .viser_lock import ViserAddress
+from .viser_proxy import ViserProxy
+from .visitors import Visitors
 
 
 def site(

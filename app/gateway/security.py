@@ -8,12 +8,12 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from app.gateway.connections import KEY, Connection
-from app.gateway.entrance import Entrance, go_on
-from app.gateway.forwarded import Asked, asked_of
-from app.gateway.headers import security_headers
-from app.gateway.login import Door
-from app.gateway.options import GatewayOptions, is_loopback
+from .connections import KEY, Connection
+from .entrance import Entrance, go_on
+from .forwarded import Asked, asked_of
+from .headers import security_headers
+from .login import Door
+from .options import GatewayOptions, is_loopback
 
 _READING = ("GET", "HEAD")
 

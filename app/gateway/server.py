@@ -13,10 +13,11 @@ from collections.abc import Callable
 import uvicorn
 from starlette.types import ASGIApp
 
-from app.gateway.connections import PROTOCOLS, LimitedServer, WatchedApp
-from app.gateway.options import GatewayOptions
-from app.process_resources import raised_descriptor_limit
 from ladarreg_core.errors import OptionError
+
+from ..process_resources import raised_descriptor_limit
+from .connections import PROTOCOLS, LimitedServer, WatchedApp
+from .options import GatewayOptions
 
 _PORTS_TRIED = 100
 _START_S = 20.0

@@ -7,13 +7,13 @@ import sys
 from collections.abc import Callable
 from urllib.parse import quote
 
-from app.gateway.browser import open_browser
-from app.gateway.options import GatewayOptions
-from app.gateway.protocol import Workbench
-from app.gateway.routes import site
-from app.gateway.server import Gateway
-from app.gateway.viser_lock import ViserAddress
-from app.stop_signals import StopSignals, say
+from ..stop_signals import StopSignals, say
+from .browser import open_browser
+from .options import GatewayOptions
+from .protocol import Workbench
+from .routes import site
+from .server import Gateway
+from .viser_lock import ViserAddress
 
 _GIVE_WAY_S = 0.0005
 """A thread that computes gives way after so long to those that answer pages, who wait for that several times each."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from app.gateway.encoding import Encoded
-from app.gateway.json_text import encode
-from app.gateway.protocol import Client, Message
+from .encoding import Encoded
+from .json_text import encode
+from .protocol import Client, Message
 
 
 class Told:

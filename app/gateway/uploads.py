@@ -20,10 +20,11 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
-from app.gateway.protocol import Workbench
-from app.gateway.upload_name import safe_suffix, upload_name
-from app.gateway.visitors import Visitors
 from ladarreg_core.errors import LadarregError, OptionError
+
+from .protocol import Workbench
+from .upload_name import safe_suffix, upload_name
+from .visitors import Visitors
 
 log = logging.getLogger(__name__)
 KINDS = ("scan", "photo", "camera", "matches")

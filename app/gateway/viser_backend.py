@@ -6,7 +6,7 @@ import contextlib
 import io
 from typing import TYPE_CHECKING
 
-from app.gateway.viser_lock import ViserAddress, locked, new_secret
+from .viser_lock import ViserAddress, locked, new_secret
 
 if TYPE_CHECKING:
     import viser

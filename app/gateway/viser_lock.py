@@ -22,7 +22,7 @@ from ladarreg_core.errors import DependencyError
 HEADER = "X-Ladarreg-Gateway"
 """The header that carries the secret."""
 _one_at_a_time = threading.Lock()
-_quiet = logging.getLogger("app.gateway.viser_lock")
+_quiet = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.typing import Subprotocol
 
-from app.gateway.viser_lock import HEADER, ViserAddress
-from app.process_resources import return_memory_soon
+from ..process_resources import return_memory_soon
+from .viser_lock import HEADER, ViserAddress
 
 log = logging.getLogger(__name__)
 _PASSED_ON = ("content-type", "content-length", "content-encoding")

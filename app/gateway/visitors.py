@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-from app.gateway.protocol import Client
+from .protocol import Client
 
 
 class Visitors:

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.jobs.inputs import Bench, Inputs
-from app.jobs.runner import JobContext
 from ladarreg_core.errors import OptionError
+
+from .inputs import Bench, Inputs
+from .runner import JobContext
 
 if TYPE_CHECKING:
     from ladarreg_core.export.folder import FileJob

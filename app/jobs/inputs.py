@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from app.session.loader import Workroom
-from app.session.session import Session
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Document, PhotoEntry
 from ladarreg_core.project.edits import edited_photo, the_photo
+
+from ..session.loader import Workroom
+from ..session.session import Session
 
 if TYPE_CHECKING:
     from ladarreg_core.matches import Matches, Pick

@@ -6,11 +6,12 @@ import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from app.jobs.inputs import Bench, Inputs
-from app.jobs.runner import JobContext
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import switched, with_picks, without_origin
 from ladarreg_core.project.results import pose_of
+
+from .inputs import Bench, Inputs
+from .runner import JobContext
 
 if TYPE_CHECKING:
     from ladarreg_core.matches import Pick

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from app.jobs.inputs import Bench, Inputs
-from app.jobs.runner import JobContext
-from app.jobs.solve import SolvingJobs
 from ladarreg_core.project.edits import with_picks, with_pose, without_origin
 from ladarreg_core.project.results import pose_entry, pose_of
+
+from .inputs import Bench, Inputs
+from .runner import JobContext
+from .solve import SolvingJobs
 
 if TYPE_CHECKING:
     from ladarreg_core.matches import Pick

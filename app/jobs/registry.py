@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.jobs.export import ExportJobs, download_name
-from app.jobs.inputs import Bench, Inputs
-from app.jobs.matching import MatchingJobs
-from app.jobs.registration import WholeJobs
-from app.jobs.runner import FULL_SPEED, Control, JobContext, JobRunner
-from app.jobs.simplex import FIRST_SPEED, Frame, SimplexJobs, frame_event
-from app.jobs.solve import SolvingJobs
 from ladarreg_core.errors import OptionError
+
+from .export import ExportJobs, download_name
+from .inputs import Bench, Inputs
+from .matching import MatchingJobs
+from .registration import WholeJobs
+from .runner import FULL_SPEED, Control, JobContext, JobRunner
+from .simplex import FIRST_SPEED, Frame, SimplexJobs, frame_event
+from .solve import SolvingJobs
 
 Work = Callable[[Inputs, JobContext], str]
 _WATCHED: tuple[Control, ...] = ("pause", "stop", "speed", "step")

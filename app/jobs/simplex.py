@@ -7,11 +7,12 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from app.jobs.inputs import Bench, Inputs
-from app.jobs.runner import JobContext
-from app.jobs.solve import SolvingJobs
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.project.results import pose_of
+
+from .inputs import Bench, Inputs
+from .runner import JobContext
+from .solve import SolvingJobs
 
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid

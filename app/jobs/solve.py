@@ -6,13 +6,14 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from app.jobs.inputs import Bench, Inputs
-from app.jobs.runner import JobContext
-from app.messages import matches as matches_in_words
-from app.messages import verdict
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import with_pose
 from ladarreg_core.project.results import pose_entry, pose_of
+
+from ..messages import matches as matches_in_words
+from ..messages import verdict
+from .inputs import Bench, Inputs
+from .runner import JobContext
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import StageId

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from app.scene.colours import ACCENT, REFUSED, SCANNER
 from ladarreg_core.export.viser_colors import line_colours_for_viewer
 from ladarreg_core.inspection.model_textures import small_picture, view_picture
 from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
 from ladarreg_core.inspection.viewpoints import field_of_view
 from ladarreg_core.surface.blend import intensity_picture
 
+from .colours import ACCENT, REFUSED, SCANNER
+
 if TYPE_CHECKING:
     import viser
 
-    from app.scene.subject import Subject
     from ladarreg_core.arrays import ByteArray
     from ladarreg_core.camera import Camera
     from ladarreg_core.frames import Rigid
     from ladarreg_core.inspection.model_textures import Colour
+
+    from .subject import Subject
 
 NOT_ACCEPTED = "not accepted"
 _DASHES = 9

@@ -10,9 +10,10 @@ from ladarreg_core.inspection.model_textures import Legend, scattered
 if TYPE_CHECKING:
     import viser
 
-    from app.scene.draw_queue import Wishes
-    from app.scene.subject import ModelNow, ScanShown, Subject
     from ladarreg_core.inspection.model_textures import ModelTexture
+
+    from .draw_queue import Wishes
+    from .subject import ModelNow, ScanShown, Subject
 
 REPLACED_AFTER_S, REPLACED_BY_COARSE_AFTER_S = 2.0, 0.8
 _POINT_OF_RANGE = 0.004

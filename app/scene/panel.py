@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from app.scene.colours import ACCENT
-from app.scene.legend import legend_html
-from app.static_files import static_text
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.inspection.model_textures import texture_choices
+
+from ..static_files import static_text
+from .colours import ACCENT
+from .legend import legend_html
 
 if TYPE_CHECKING:
     import viser
 
-    from app.scene.actions import StageActions
-    from app.scene.subject import ModelNow
     from ladarreg_core.inspection.model_textures import Legend
     from ladarreg_core.results import PoseResult
+
+    from .actions import StageActions
+    from .subject import ModelNow
 
 OVERVIEW, SCANNER, CAMERA = "Overview", "Scanner", "Camera"
 VIEWS_LABEL, TEXTURE_LABEL, MODEL_TITLE = "Look from", "Texture", "Model"

@@ -6,16 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from app.scene.colours import BACKGROUND, HIGHLIGHT, MATCH_COLOURS
 from ladarreg_core.export.viser_colors import line_colours_for_viewer
 from ladarreg_core.inspection.scene_geometry import Marks, for_both_ends, marks_of_result, rays_to, repeated, spread
+
+from .colours import BACKGROUND, HIGHLIGHT, MATCH_COLOURS
 
 if TYPE_CHECKING:
     import viser
     from numpy.typing import ArrayLike
 
-    from app.scene.subject import Subject
     from ladarreg_core.arrays import FloatArray
+
+    from .subject import Subject
 
 _POINT_OF_RANGE = 0.006
 _TOUCH, _HIGHLIGHTED, _HALO = 1.1, 1.6, 2.4

@@ -7,29 +7,31 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
-from app.scene.cameras_layer import CamerasLayer
-from app.scene.colours import BACKGROUND
-from app.scene.draw_queue import Wishes
-from app.scene.model_layer import ModelLayer
-from app.scene.model_view import ModelChoice
-from app.scene.panel import CAMERA, OVERVIEW, SCANNER, Panel
-from app.scene.picks_layer import Picks, PicksLayer
-from app.scene.simplex_folder import SimplexFolder
-from app.scene.simplex_layer import SimplexLayer
-from app.scene.subject import ModelNow, ScanShown, Subject
 from ladarreg_core.inspection.model_textures import plain_picture
 from ladarreg_core.inspection.simplex_curves import CURVE_NAMES, SimplexCurves
+
+from .cameras_layer import CamerasLayer
+from .colours import BACKGROUND
+from .draw_queue import Wishes
+from .model_layer import ModelLayer
+from .model_view import ModelChoice
+from .panel import CAMERA, OVERVIEW, SCANNER, Panel
+from .picks_layer import Picks, PicksLayer
+from .simplex_folder import SimplexFolder
+from .simplex_layer import SimplexLayer
+from .subject import ModelNow, ScanShown, Subject
 
 if TYPE_CHECKING:
     import viser
     from numpy.typing import ArrayLike
 
-    from app.scene.actions import StageActions
-    from app.scene.simplex_frame import SimplexFrame
     from ladarreg_core.inspection.viewpoints import Standpoint
     from ladarreg_core.photo import Photo
     from ladarreg_core.results import PoseResult
     from ladarreg_core.scan import Scan
+
+    from .actions import StageActions
+    from .simplex_frame import SimplexFrame
 
 SIMPLEX_EVERY_S = 0.04
 FINE_AGAIN_S = 1.0

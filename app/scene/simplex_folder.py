@@ -6,14 +6,15 @@ import html
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from app.scene.colours import MATCH_COLOURS, REFUSED, as_css
 from ladarreg_core.inspection.simplex_curves import CURVE_NAMES, DrawnCurves, SimplexCurves
+
+from .colours import MATCH_COLOURS, REFUSED, as_css
 
 if TYPE_CHECKING:
     import viser
 
-    from app.scene.actions import StageActions
-    from app.scene.simplex_frame import SimplexFrame
+    from .actions import StageActions
+    from .simplex_frame import SimplexFrame
 
 TITLE = "Simplex"
 PAUSE, RESUME, STEP, KEEP = "Pause", "Resume", "Step", "Keep best"

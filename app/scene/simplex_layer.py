@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from app.scene.cameras_layer import add_camera, placed
-from app.scene.colours import ACCENT, BACKGROUND, REFUSED
 from ladarreg_core.export.viser_colors import line_colours_for_viewer
 from ladarreg_core.inspection.scene_geometry import (
     camera_outline,
@@ -16,15 +14,19 @@ from ladarreg_core.inspection.scene_geometry import (
     repeated,
 )
 
+from .cameras_layer import add_camera, placed
+from .colours import ACCENT, BACKGROUND, REFUSED
+
 if TYPE_CHECKING:
     import viser
 
-    from app.scene.simplex_frame import SimplexFrame
-    from app.scene.subject import Subject
     from ladarreg_core.arrays import FloatArray
     from ladarreg_core.camera import Camera
     from ladarreg_core.frames import Rigid
     from ladarreg_core.inspection.model_textures import Colour
+
+    from .simplex_frame import SimplexFrame
+    from .subject import Subject
 
 _FAINT, _DASHES = 0.45, 9
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from app.scene.model_view import ModelChoice
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
@@ -23,6 +22,8 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import Mesh, scan_mesh
 from ladarreg_core.surface.perspective import View, perspective_view
 from ladarreg_core.surface.texture import RegisteredTexture
+
+from .model_view import ModelChoice
 
 _VERTICES, _LIGHT_VERTICES, _COARSE_VERTICES = 150_000, 60_000, 12_000
 _TEXTURE_PX, _LIGHT_TEXTURE_PX, _COARSE_TEXTURE_PX = 8192, 1536, 1024

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from typing import Generic, TypeVar
 
-from app.session.bounded_cache import BoundedCache, rough_bytes
+from .bounded_cache import BoundedCache, rough_bytes
 
 _MOST_LISTS = 256
 _MOST_BYTES = 200_000_000

@@ -7,10 +7,11 @@ import threading
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from app.session.bounded_cache import BoundedCache, array_bytes
-from app.session.cache import EachOnce
-from app.session.isolated_readers import READERS
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
+
+from .bounded_cache import BoundedCache, array_bytes
+from .cache import EachOnce
+from .isolated_readers import READERS
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.session.debounce import Quiet
 from ladarreg_core.errors import LadarregError, UnsavedError
 from ladarreg_core.project.changes import check_readable
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.elsewhere import write_elsewhere
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
+
+from .debounce import Quiet
 
 log = logging.getLogger(__name__)
 Edit = Callable[[Document], Document]

@@ -16,7 +16,7 @@ from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry
 
 if TYPE_CHECKING:
-    from app.workbench.workbench import Person, Workbench
+    from .workbench import Person, Workbench
 
 Fields = Mapping[str, Any]
 Answer = dict[str, Any]
@@ -155,7 +155,7 @@ def set_camera(workbench: Workbench, person: Person, fields: Fields) -> Answer:
 
 def set_settings(workbench: Workbench, person: Person, fields: Fields) -> Answer:
     """Change thresholds and choices."""
-    from app.workbench.settings_form import check_bounds
+    from .settings_form import check_bounds
 
     values = {name: value for name, value in fields.items() if name not in ("id", "do")}
     check_bounds(values)

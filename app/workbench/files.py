@@ -16,7 +16,7 @@ from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 
 if TYPE_CHECKING:
-    from app.workbench.workbench import Workbench
+    from .workbench import Workbench
 
 What = Literal["scan", "photo", "camera", "matches"]
 _MOST_SERVED = 2000

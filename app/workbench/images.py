@@ -9,10 +9,11 @@ import threading
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from app.gateway.protocol import Picture
-from app.session.loader import Workroom
-from app.session.session import Session
 from ladarreg_core.errors import LadarregError, OptionError
+
+from ..gateway.protocol import Picture
+from ..session.loader import Workroom
+from ..session.session import Session
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import PhotoEntry, PoseEntry

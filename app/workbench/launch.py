@@ -14,20 +14,21 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.exit_codes import ExitCode
-from app.process_resources import keep_what_is_loaded
-from app.session.isolated_readers import READERS
-from app.session.loader import Workroom
-from app.session.session import Session, now
-from app.stop_signals import StopSignals, exit_now, say
 from ladarreg_core.errors import LadarregError, OptionError
+
+from ..exit_codes import ExitCode
+from ..process_resources import keep_what_is_loaded
+from ..session.isolated_readers import READERS
+from ..session.loader import Workroom
+from ..session.session import Session, now
+from ..stop_signals import StopSignals, exit_now, say
 
 if TYPE_CHECKING:
     import viser
 
-    from app.gateway.options import GatewayOptions
-    from app.gateway.viser_lock import ViserAddress
-    from app.workbench.workbench import Workbench
+    from ..gateway.options import GatewayOptions
+    from ..gateway.viser_lock import ViserAddress
+    from .workbench import Workbench
 
 _LAST = "last.json"
 _VISER_OPENS_S = 60.0
@@ -59,11 +60,12 @@ def open_workbench(
         LadarregError: if a file cannot be opened, or another program has the project open.
         Cancelled: if `check` raised it; what was opened before is saved.
     """
-    from app.workbench.workbench import Workbench
     from ladarreg_core.project.document import Document
     from ladarreg_core.project.folder import ProjectFolder, is_project
     from ladarreg_core.project.history import History
     from ladarreg_core.project.leftovers import remove_leftovers
+
+    from .workbench import Workbench
 
     given = [Path(os.path.abspath(path)) for path in inputs]
     for path in given:
@@ -120,7 +122,7 @@ def serve_and_close(
         DependencyError: if this version of viser cannot be locked.
         UnsavedError: if there are edits that the project's disk did not take.
     """
-    from app.gateway.serving import serve_until_interrupted
+    from ..gateway.serving import serve_until_interrupted
 
     for sentence in workbench.session.folder.said:
         print(f"ladarreg: {sentence}", file=sys.stderr)
@@ -129,7 +131,7 @@ def serve_and_close(
     stop.end_at_once_by(lambda: _save_and_exit(workbench.session))
 
     def open_viser() -> None:
-        from app.gateway.viser_backend import open_locked_server
+        from ..gateway.viser_backend import open_locked_server
 
         server, address = open_locked_server(label="ladarreg")
         opened.append(server)
@@ -155,7 +157,7 @@ def serve_and_close(
             workbench.close()
         finally:
             for server in opened:
-                from app.gateway.viser_backend import close_server
+                from ..gateway.viser_backend import close_server
 
                 close_server(server)
 
@@ -193,7 +195,7 @@ def _add(workbench: Workbench, files: Sequence[Path], camera: Path | None, check
 
 
 def _attach(workbench: Workbench, server: viser.ViserServer) -> None:
-    from app.scene import Stage3D
+    from ..scene import Stage3D
 
     class Actions:
         """What the 3-D scene's controls do."""

@@ -7,19 +7,21 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from app.jobs.solve import STAGE_NAMES
-from app.messages import verdict
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.inspection.figures import figures, parameters
 from ladarreg_core.project.results import pose_of
 
+from ..jobs.solve import STAGE_NAMES
+from ..messages import verdict
+
 if TYPE_CHECKING:
-    from app.session.loader import Workroom
     from ladarreg_core.matches import Matches
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import PhotoEntry, PoseEntry
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.scan import Scan
+
+    from ..session.loader import Workroom
 
 
 log = logging.getLogger(__name__)

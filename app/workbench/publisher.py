@@ -7,8 +7,8 @@ import threading
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
-from app.session.bounded_cache import BoundedCache, rough_bytes
-from app.session.debounce import Quiet
+from ..session.bounded_cache import BoundedCache, rough_bytes
+from ..session.debounce import Quiet
 
 log = logging.getLogger(__name__)
 Message = dict[str, Any]

@@ -7,15 +7,16 @@ import threading
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from app.session.debounce import Quiet
 from ladarreg_core.errors import LadarregError
 
+from ..session.debounce import Quiet
+
 if TYPE_CHECKING:
-    from app.jobs.runner import Job
-    from app.jobs.simplex import Frame
-    from app.scene import Stage3D
-    from app.scene.model_view import ModelChoice
-    from app.workbench.workbench import Workbench
+    from ..jobs.runner import Job
+    from ..jobs.simplex import Frame
+    from ..scene import Stage3D
+    from ..scene.model_view import ModelChoice
+    from .workbench import Workbench
 
 log = logging.getLogger(__name__)
 
@@ -58,7 +59,7 @@ class StageLink:
         """Draw a moment of the simplex."""
         if self._stage is None:
             return
-        from app.scene import SimplexFrame
+        from ..scene import SimplexFrame
 
         if not self._walks:
             self._walks, self._iterations, self._last_iteration = True, 0, 0
@@ -104,8 +105,9 @@ class StageLink:
         stage, workbench = self._stage, self._workbench
         if stage is None:
             return
-        from app.scene.colours import MATCH_COLOURS
         from ladarreg_core.inspection.picks import picks_in_space
+
+        from ..scene.colours import MATCH_COLOURS
 
         room, document = workbench.room, workbench.session.document
         scan, entry = room.scan(document), workbench.shown

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, json
 
-from app.session.loader import Workroom
-from app.session.session import Session
 from ladarreg_core.errors import CameraError, LadarregError
 
+from ..session.loader import Workroom
+from ..session.session import Session
+
 if TYPE_CHECKING:
-    from app.jobs.runner import Job
-    from app.session.cache import EachOnce
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
     from ladarreg_core.project.history import Entry, History
+
+    from ..jobs.runner import Job
+    from ..session.cache import EachOnce
 
 log = logging.getLogger(__name__)
 _TOLD_HISTORY = 300

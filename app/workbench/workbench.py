@@ -11,21 +11,25 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.jobs.inputs import Bench
-from app.jobs.registry import JobTable
-from app.jobs.runner import Job, JobRunner
-from app.process_resources import return_memory_soon
-from app.scene.model_view import ModelChoice
-from app.session.cache import EachOnce
-from app.session.loader import Workroom
-from app.session.session import RETRY_S, Change, Session
-from app.workbench.commands import answer
-from app.workbench.files import Files
-from app.workbench.images import Pictures
-from app.workbench.pose_state import judged_slice, line_shown, poses_slice
-from app.workbench.publisher import Teller
-from app.workbench.scene_sync import StageLink
-from app.workbench.state import (
+from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.project import edits
+from ladarreg_core.project.edits import MOST_PHOTOS, the_photo
+
+from ..jobs.inputs import Bench
+from ..jobs.registry import JobTable
+from ..jobs.runner import Job, JobRunner
+from ..process_resources import return_memory_soon
+from ..scene.model_view import ModelChoice
+from ..session.cache import EachOnce
+from ..session.loader import Workroom
+from ..session.session import RETRY_S, Change, Session
+from .commands import answer
+from .files import Files
+from .images import Pictures
+from .pose_state import judged_slice, line_shown, poses_slice
+from .publisher import Teller
+from .scene_sync import StageLink
+from .state import (
     entry_shown,
     history_slice,
     job_slice,
@@ -34,17 +38,15 @@ from app.workbench.state import (
     project_slice,
     scan_slice,
 )
-from ladarreg_core.errors import LadarregError, OptionError
-from ladarreg_core.project import edits
-from ladarreg_core.project.edits import MOST_PHOTOS, the_photo
 
 if TYPE_CHECKING:
-    from app.gateway.protocol import Picture
-    from app.scene import Stage3D
     from ladarreg_core.inspection.partners import Partners
     from ladarreg_core.project.document import CameraGiven, PhotoEntry
     from ladarreg_core.project.history import History
     from ladarreg_core.results import PoseResult
+
+    from ..gateway.protocol import Picture
+    from ..scene import Stage3D
 
 log = logging.getLogger(__name__)
 Message = dict[str, Any]
@@ -432,6 +434,6 @@ def _worked_on(history: History) -> str | None:
 
 
 def _settings(settings: Any) -> dict[str, Any]:
-    from app.workbench.settings_form import settings_shown
+    from .settings_form import settings_shown
 
     return settings_shown(settings)

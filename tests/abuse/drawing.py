@@ -7,10 +7,10 @@ import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+import ladarreg.session.session
 import numpy as np
+from ladarreg.session.session import Session
 
-import app.session.session
-from app.session.session import Session
 from ladarreg_core.matches import Pick
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document, Source
@@ -40,7 +40,7 @@ def draw(session: Session, k: int) -> bool:
 
 def work_until_killed(place: str, seed: int, answers: Connection) -> None:
     """Draw on a disk that is full for a while, telling each answer, until somebody kills this process."""
-    app.session.session.RETRY_S = 0.05
+    ladarreg.session.session.RETRY_S = 0.05
     rng = random.Random(seed)
     session = begin(Path(place))
     log = Path(place) / "history.jsonl"

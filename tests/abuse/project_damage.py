@@ -10,9 +10,9 @@ from functools import partial
 from pathlib import Path
 
 import msgspec
+from ladarreg.session.session import Session, now
+from ladarreg.workbench.launch import open_workbench
 
-from app.session.session import Session, now
-from app.workbench.launch import open_workbench
 from ladarreg_core.errors import FormatError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document, Source

@@ -8,7 +8,8 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
-from app.workbench.commands import COMMANDS
+from ladarreg.workbench.commands import COMMANDS
+
 from tests.abuse.mutations import mutated
 from tests.abuse.server_process import Page, Server, ServerGone
 

@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
+from ladarreg.gateway.delta import changed
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
-
-from app.gateway.delta import changed
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 TOKEN = "a-token-of-abuse"
@@ -151,7 +150,7 @@ def start_server(
         **(environment or {}),
     }  # fmt: skip
     words = [
-        sys.executable, "-m", "app", "serve", *map(str, inputs), "--project", str(project), "--port", "0",
+        sys.executable, "-m", "ladarreg", "serve", *map(str, inputs), "--project", str(project), "--port", "0",
         "--no-browser", "--token", TOKEN, *more,
     ]  # fmt: skip
     with said.open("w", encoding="utf-8") as stream:

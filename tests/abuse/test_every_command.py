@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ladarreg.gateway.json_text import NotJson, decode_object, encode
+from ladarreg.workbench.commands import COMMANDS
 
-from app.gateway.json_text import NotJson, decode_object, encode
-from app.workbench.commands import COMMANDS
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.pose_file import read_pose

@@ -38,7 +38,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def found(project: Path) -> Iterator[Served]:
     inputs = sample_folder()
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", "serve", str(inputs / "scan.npz"), str(next(inputs.glob("photo.*"))),
+        [sys.executable, "-m", "ladarreg", "serve", str(inputs / "scan.npz"), str(next(inputs.glob("photo.*"))),
          "--project", str(project), "--port", "0", "--no-browser"],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, preexec_fn=few_descriptors,
         env={**os.environ, "OMP_NUM_THREADS": "1"}, cwd=Path(__file__).parents[2],

@@ -16,10 +16,10 @@ from urllib.parse import urlsplit
 
 import msgspec
 import pytest
+from ladarreg.cli import _explain
+from ladarreg.exit_codes import ExitCode
+from ladarreg.session.session import Session
 
-from app.cli import _explain
-from app.exit_codes import ExitCode
-from app.session.session import Session
 from benchmarks.workbench import Page, Served
 from ladarreg_core.errors import ExportError, UnsavedError
 from ladarreg_core.export.atomic_write import AppendedFile
@@ -122,7 +122,7 @@ def test_full_disks_and_kills_lose_no_edit_that_was_answered_as_saved(tmp_path: 
 def test_what_a_full_disk_did_not_take_is_saved_as_soon_as_it_can_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.session.session.RETRY_S", 0.1)
+    monkeypatch.setattr("ladarreg.session.session.RETRY_S", 0.1)
     session = begin(tmp_path / "p")
     told = []
     session.subscribe(lambda change: told.append(session.unsaved))
@@ -222,7 +222,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_a_disk_that_is_really_full(disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.session.session.RETRY_S", 0.1)
+    monkeypatch.setattr("ladarreg.session.session.RETRY_S", 0.1)
     rng = random.Random(3)
     session = begin(disk / "p")
     ballast = fill(disk)
@@ -253,7 +253,7 @@ def test_a_server_that_cannot_save_says_so_and_ends_with_1(tmp_path: Path) -> No
     sample = sample_folder()
     surroundings = {**os.environ, "LADARREG_HOME": str(tmp_path / "home"), "OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", "serve", str(sample / "scan.npz"), str(next(sample.glob("photo.*"))),
+        [sys.executable, "-m", "ladarreg", "serve", str(sample / "scan.npz"), str(next(sample.glob("photo.*"))),
          "--project", str(tmp_path / "p"), "--port", "0", "--no-browser", "--token", TOKEN],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=surroundings, preexec_fn=hear_ctrl_c,
     )  # fmt: skip

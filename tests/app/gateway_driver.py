@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ladarreg.gateway.options import GatewayOptions
+from ladarreg.gateway.protocol import Message, Picture
+from ladarreg.gateway.routes import site
+from ladarreg.gateway.server import Gateway
+from ladarreg.gateway.viser_lock import ViserAddress
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from app.gateway.options import GatewayOptions
-from app.gateway.protocol import Message, Picture
-from app.gateway.routes import site
-from app.gateway.server import Gateway
-from app.gateway.viser_lock import ViserAddress
 from ladarreg_core.errors import FormatError, OptionError
 
 TOKEN = "a-token-of-tests"

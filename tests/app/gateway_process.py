@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from app.cli import _set_up_log
-from app.gateway.options import GatewayOptions
-from app.gateway.serving import serve_until_interrupted
-from app.gateway.viser_backend import close_server, open_locked_server
-from app.stop_signals import StopSignals
+from ladarreg.cli import _set_up_log
+from ladarreg.gateway.options import GatewayOptions
+from ladarreg.gateway.serving import serve_until_interrupted
+from ladarreg.gateway.viser_backend import close_server, open_locked_server
+from ladarreg.stop_signals import StopSignals
+
 from tests.app.gateway_driver import TOKEN, CountingBench
 
 

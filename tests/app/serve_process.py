@@ -48,7 +48,7 @@ class Server:
 def start(project: Path, *words: str, **surroundings: str) -> subprocess.Popen[str]:
     """Start the program on a project, new or not."""
     return subprocess.Popen(
-        [sys.executable, "-m", "app", "serve", "--project", str(project), "--port", "0", "--no-browser", *words],
+        [sys.executable, "-m", "ladarreg", "serve", "--project", str(project), "--port", "0", "--no-browser", *words],
         cwd=CHECKOUT,
         env=os.environ | {"LADARREG_TOKEN": TOKEN, "LADARREG_HOME": str(project.parent)} | surroundings,
         stdout=subprocess.PIPE,

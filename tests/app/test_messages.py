@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ladarreg.arguments import condensed
+from ladarreg.exit_codes import ExitCode
+from ladarreg.messages import assessed, one_line
+from ladarreg.progress_bar import step_bar
 
-from app.arguments import condensed
-from app.exit_codes import ExitCode
-from app.messages import assessed, one_line
-from app.progress_bar import step_bar
 from ladarreg_core.progress import Progress, Step
 from ladarreg_core.quality.assessment import Assessment
 from ladarreg_core.quality.findings import LEVELS, Finding

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from app.cli import COMMANDS
+from ladarreg.cli import COMMANDS
 
 
 def test_the_example_runs(tmp_path: Path, checkout: Path) -> None:

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from app.workbench.launch import open_workbench
-from app.workbench.workbench import Person, Workbench
+from ladarreg.workbench.launch import open_workbench
+from ladarreg.workbench.workbench import Person, Workbench
+
 from ladarreg_core.simulate.sample import sample_folder
 
 

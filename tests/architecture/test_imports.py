@@ -17,7 +17,7 @@ GROUND_FLOOR = {
     "frames", "camera", "scanner", "scan", "photo", "matches",
 }  # fmt: skip
 DATA = GROUND_FLOOR | {"results"}
-NEVER_IN_CORE = {"app", "viser", "starlette", "uvicorn", "rich", "tyro", "websockets"}
+NEVER_IN_CORE = {"app", "ladarreg", "viser", "starlette", "uvicorn", "rich", "tyro", "websockets"}
 ALGORITHMS = {"features", "matching", "matching/thesis", "pose", "pose/thesis", "registration", "simulate", "surface"}
 FORBIDDEN = {
     "pose/thesis": {"pose", "scan", "photo", "scanner", "surface", "matching", "features"},

@@ -42,7 +42,7 @@ def started(project: Path, port: int = 0) -> Iterator[Served]:
     """A workbench on a project, new or not, with a small limit of uploads."""
     surroundings = {**os.environ, "LADARREG_HOME": str(project.parent), "OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", "serve", "--project", str(project), "--port", str(port), "--no-browser",
+        [sys.executable, "-m", "ladarreg", "serve", "--project", str(project), "--port", str(port), "--no-browser",
          "--upload-limit-mb", "2", "--token", TOKEN],
         stdout=subprocess.PIPE, text=True, env=surroundings,
     )  # fmt: skip

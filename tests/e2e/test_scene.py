@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from ladarreg.gateway.viser_backend import close_server
+from ladarreg.scene import SimplexFrame, Stage3D
 
-from app.gateway.viser_backend import close_server
-from app.scene import SimplexFrame, Stage3D
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
 from ladarreg_core.matches import Matches

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from ladarreg.gateway.viser_backend import close_server
+from ladarreg.scene.colours import BACKGROUND
 
-from app.gateway.viser_backend import close_server
-from app.scene.colours import BACKGROUND
 from ladarreg_core.export.glb import glb_bytes
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation

@@ -37,7 +37,7 @@ def blank(browser: Browser, modules: str) -> Iterator[Page]:
 
 def run(page: Page, module: str, body: str, given: Any = None) -> Any:
     """Return what `body` gives, with the module as m and the argument as a."""
-    return page.evaluate(f"async (a) => {{ const m = await import('/js/panes/{module}.js'); {body} }}", given)
+    return page.evaluate(f"async (a) => {{ const m = await import('/js/{module}.js'); {body} }}", given)
 
 
 def place(page: Page, side: str, uv: Any) -> tuple[float, float]:
@@ -99,7 +99,7 @@ def test_places_and_pixels_are_inverse_and_zooming_keeps_the_place_under_the_cur
     body = """return a.map(({ viewport, uv, xy, zoom }) => ({
         screen: m.toScreen(viewport, uv), back: m.toPixel(viewport, m.toScreen(viewport, uv)),
         before: m.toPixel(viewport, xy), after: m.toPixel(m.zoomedAbout(viewport, xy, zoom), xy) }))"""
-    for case, got in zip(cases, run(blank, "viewport", body, cases), strict=True):
+    for case, got in zip(cases, run(blank, "panes/viewport", body, cases), strict=True):
         viewport = case["viewport"]
         expected = (np.array(case["uv"]) + 0.5) * viewport["zoom"] + [viewport["x"], viewport["y"]]
         np.testing.assert_allclose(got["screen"], expected, atol=1e-8)
@@ -111,7 +111,7 @@ def test_whatever_happens_some_of_the_picture_stays_in_sight(blank: Page) -> Non
     rng = np.random.default_rng(12)
     drawn = rng.uniform([-3, -9e4, -9e4, 1, 1], [4, 9e4, 9e4, 8000, 8000], (200, 5)).tolist()
     cases = [[{"zoom": np.exp(zoom), "x": x, "y": y}, [500, 300], [int(w), int(h)]] for zoom, x, y, w, h in drawn]
-    results = run(blank, "viewport", "return a.map((c) => m.keptInSight(...c))", cases)
+    results = run(blank, "panes/viewport", "return a.map((c) => m.keptInSight(...c))", cases)
     for (before, pane, size), kept in zip(cases, results, strict=True):
         for at, room, length in zip((kept["x"], kept["y"]), pane, size, strict=True):
             extent = length * before["zoom"]
@@ -124,7 +124,7 @@ def test_rays_are_those_of_the_core_and_nothing_behind_is_drawn(blank: Page) -> 
     anywhere = rng.normal(size=(300, 3))
     anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
     body = "return { rays: a.uv.map((p) => m.rayOf(a.lens, p)), pixels: a.rays.map((r) => m.pixelOf(a.lens, r)) }"
-    got = run(blank, "rays", body, {"lens": lens(), "uv": uv.tolist(), "rays": anywhere.tolist()})
+    got = run(blank, "panes/projection", body, {"lens": lens(), "uv": uv.tolist(), "rays": anywhere.tolist()})
     np.testing.assert_allclose(got["rays"], rays(uv), atol=1e-12)
     forward = (anywhere @ VIEW_FROM_SCANNER.T)[:, 2]
     shown = np.array([pixel is not None for pixel in got["pixels"]])
@@ -137,7 +137,7 @@ def test_a_line_that_ends_behind_the_view_is_drawn_along_the_same_line(blank: Pa
     pairs = rng.normal(size=(300, 2, 3))
     pairs /= np.linalg.norm(pairs, axis=2, keepdims=True)
     body = "return a.pairs.map(([p, q]) => m.segmentOf(a.lens, p, q))"
-    segments = run(blank, "rays", body, {"lens": lens(), "pairs": pairs.tolist()})
+    segments = run(blank, "panes/projection", body, {"lens": lens(), "pairs": pairs.tolist()})
     forward = (pairs @ VIEW_FROM_SCANNER.T)[..., 2]
     for (a, b), ahead, segment in zip(pairs, forward, segments, strict=True):
         assert (segment is None) == bool((ahead <= 0.03).all())
@@ -153,7 +153,7 @@ def test_a_line_that_ends_behind_the_view_is_drawn_along_the_same_line(blank: Pa
 def test_the_loupe_never_lies_on_what_it_shows(blank: Page) -> None:
     rng = np.random.default_rng(15)
     cases = [[rng.uniform(0, size).tolist(), size.tolist()] for size in rng.uniform(260, 1500, (200, 2))]
-    places = run(blank, "loupe", "return a.map((c) => m.loupePlace(...c))", cases)
+    places = run(blank, "panes/loupe", "return a.map((c) => m.loupePlace(...c))", cases)
     for (xy, size), at in zip(cases, places, strict=True):
         assert np.hypot(*(np.array(at) - xy)) > 66 + 4
         assert (np.array(at) > 60).all()
@@ -168,7 +168,7 @@ def test_a_throttled_question_is_asked_one_at_a_time_and_the_last_one_always(bla
         for (let n = 0; n < 60; n++) { wish(n); await rest(2); }
         while (log.at(-1) !== 59) await rest(20);
         return { log, most }"""
-    got = run(blank, "throttle", body)
+    got = run(blank, "ui/throttle", body)
     assert got["most"] == 1
     assert got["log"][-1] == 59
     assert len(got["log"]) < 40

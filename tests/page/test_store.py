@@ -8,9 +8,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from ladarreg.gateway.encoding import Encoded
+from ladarreg.gateway.told import Told
 
-from app.gateway.encoding import Encoded
-from app.gateway.told import Told
 from tests.app.slice_edits import random_states
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ladarreg.cli import COMMANDS, main
+from ladarreg.exit_codes import ExitCode
 from PIL import Image
 
-from app.cli import COMMANDS, main
-from app.exit_codes import ExitCode
 from ladarreg_core.errors import Cancelled
 from ladarreg_core.simulate.sample import sample_folder
 from tests.processes import hear_ctrl_c
@@ -88,14 +88,14 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     for name, summary in COMMANDS.items():
         assert name in shown
         assert summary in shown
-        command = importlib.import_module(f"app.commands.{name}")
+        command = importlib.import_module(f"ladarreg.commands.{name}")
         assert callable(command.run)
         assert command.Arguments.__doc__
 
 
 def test_help_imports_nothing_that_takes_time() -> None:
     code = (
-        "import sys; from app.cli import main; main(['--help'])\n"
+        "import sys; from ladarreg.cli import main; main(['--help'])\n"
         "heavy = {'tyro', 'numpy', 'rich', 'logging', 'ladarreg_core.frames', 'viser'} & set(sys.modules)\n"
         "sys.exit(f'{heavy}' if heavy else 0)"
     )
@@ -274,7 +274,7 @@ def fails_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     def run(arguments: object) -> int:
         raise error
 
-    monkeypatch.setattr("app.commands.info.run", run)
+    monkeypatch.setattr("ladarreg.commands.info.run", run)
 
 
 def test_a_fault_of_the_program_is_one_line_too(
@@ -310,7 +310,7 @@ def test_every_end_has_its_code(
 @pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
 def test_an_interruption_leaves_nothing(after: str, signum: int, tmp_path: Path, checkout: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", *sample("-o", str(tmp_path / "new"))],
+        [sys.executable, "-m", "ladarreg", *sample("-o", str(tmp_path / "new"))],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=hear_ctrl_c,
     )  # fmt: skip
     assert process.stderr is not None
@@ -437,7 +437,7 @@ def test_a_set_that_comes_later_is_refused_in_one_line(tmp_path: Path, capsys: p
 
 def test_a_reader_that_leaves_is_no_error(checkout: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=checkout
+        [sys.executable, "-m", "ladarreg", "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=checkout
     )
     assert process.stdout is not None
     process.stdout.close()
@@ -449,7 +449,7 @@ def test_a_reader_that_leaves_is_no_error(checkout: Path) -> None:
 def test_it_runs_from_anywhere(tmp_path: Path, checkout: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(checkout)}
     result = subprocess.run(
-        [sys.executable, "-m", "app", "--version"], capture_output=True, text=True, cwd=tmp_path, env=environment
+        [sys.executable, "-m", "ladarreg", "--version"], capture_output=True, text=True, cwd=tmp_path, env=environment
     )
     assert result.returncode == 0
     assert result.stdout.startswith("ladarreg ")

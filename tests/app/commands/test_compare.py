@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ladarreg.cli import main
+from ladarreg.exit_codes import ExitCode
+from ladarreg.messages import aligned
 from PIL import Image
 
 import ladarreg_core.comparison
-from app.cli import main
-from app.exit_codes import ExitCode
-from app.messages import aligned
 from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import Cancelled, DegenerateGeometryError
 from ladarreg_core.export.comparison_table import Table

@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reas
 
 def start(checkout: Path, project: Path, *more: str) -> tuple[subprocess.Popen[str], str]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", "demo", "--project", str(project), "--port", "0", "--no-browser", *more],
+        [sys.executable, "-m", "ladarreg", "demo", "--project", str(project), "--port", "0", "--no-browser", *more],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=hear_ctrl_c,
     )  # fmt: skip
     assert process.stdout is not None

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from ladarreg.cli import main
 
-from app.cli import main
 from ladarreg_core.formats.camera_file import read_camera
 
 

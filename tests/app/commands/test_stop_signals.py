@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 import pytest
+from ladarreg.exit_codes import ExitCode
+from ladarreg.stop_signals import ONE_REQUEST_S
 
-from app.exit_codes import ExitCode
-from app.stop_signals import ONE_REQUEST_S
 from ladarreg_core.simulate import sample_folder
 from tests.app.gateway_driver import soon
 from tests.app.serve_process import ask, begin_upload, name_of, serving, start
@@ -38,7 +38,7 @@ def test_a_terminal_that_is_closed_ends_the_server(tmp_path: Path) -> None:
     process, terminal = pty.fork()
     if process == 0:
         os.environ |= {"LADARREG_TOKEN": "a-token-of-tests", "LADARREG_HOME": str(tmp_path)}
-        words = ["-m", "app", "serve", "--project", str(project), "--port", "0", "--no-browser"]
+        words = ["-m", "ladarreg", "serve", "--project", str(project), "--port", "0", "--no-browser"]
         os.execv(sys.executable, [sys.executable, *words])
     try:
         shown = b""
@@ -66,7 +66,7 @@ def test_what_nohup_ignores_is_ignored(tmp_path: Path) -> None:
 
     words = ["serve", "--project", str(tmp_path / "project"), "--port", "0", "--no-browser"]
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", *words],
+        [sys.executable, "-m", "ladarreg", *words],
         cwd=Path(__file__).parents[3],
         env=os.environ | {"LADARREG_HOME": str(tmp_path)},
         stdout=subprocess.PIPE,

@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from ladarreg.gateway.connections import Connections
+from ladarreg.gateway.options import ConnectionLimits
+from ladarreg.gateway.viser_backend import close_server, open_locked_server
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from app.gateway.connections import Connections
-from app.gateway.options import ConnectionLimits
-from app.gateway.viser_backend import close_server, open_locked_server
 from tests.app.gateway_driver import Running, hear, running, soon
 
 QUICK = ConnectionLimits(header_s=0.5, stall_s=0.5, strangers=8, members=4, views=2)
@@ -217,7 +217,8 @@ def test_limits_leave_descriptors_to_files() -> None:
 def test_the_limit_of_descriptors_is_raised() -> None:
     code = (
         "import resource as r; h = r.getrlimit(r.RLIMIT_NOFILE)[1]; r.setrlimit(r.RLIMIT_NOFILE, (64, h));"
-        "from app.process_resources import raised_descriptor_limit as f; print(f(), r.getrlimit(r.RLIMIT_NOFILE)[0], h)"
+        "from ladarreg.process_resources import raised_descriptor_limit as f;"
+        "print(f(), r.getrlimit(r.RLIMIT_NOFILE)[0], h)"
     )
     found, soft, hard = map(int, subprocess.check_output([sys.executable, "-c", code], text=True).split())
     assert found == soft
@@ -228,7 +229,7 @@ def test_the_limit_of_descriptors_is_raised() -> None:
 def test_memory_goes_back() -> None:
     code = """
 import gc, time
-from app.process_resources import _resident, limit_arenas, return_memory_soon
+from ladarreg.process_resources import _resident, limit_arenas, return_memory_soon
 limit_arenas()
 before = _resident()
 class Circle: pass

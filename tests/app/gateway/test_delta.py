@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ladarreg.gateway import encoding as encoded
+from ladarreg.gateway.delta import change_between, changed
+from ladarreg.gateway.encoding import Encoded
+from ladarreg.gateway.outbox import Outbox
+from ladarreg.gateway.told import Told
+from ladarreg.session.cache import EachOnce
 
-from app.gateway import encoding as encoded
-from app.gateway.delta import change_between, changed
-from app.gateway.encoding import Encoded
-from app.gateway.outbox import Outbox
-from app.gateway.told import Told
-from app.session.cache import EachOnce
 from tests.app.slice_edits import random_states
 
 

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ladarreg.gateway.json_text import NotJson, decode_object, encode
+from ladarreg.gateway.outbox import Outbox
 from websockets.exceptions import ConnectionClosed
 
-from app.gateway.json_text import NotJson, decode_object, encode
-from app.gateway.outbox import Outbox
 from tests.app.gateway_driver import Running, hear, running, soon
 
 

@@ -12,8 +12,8 @@ from urllib.parse import quote
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ladarreg.gateway.upload_name import safe_suffix, upload_name
 
-from app.gateway.upload_name import safe_suffix, upload_name
 from ladarreg_core.errors import OptionError
 from tests.app.gateway_driver import PNG, Running, hear, running, soon
 
@@ -139,7 +139,7 @@ def test_what_a_killed_program_left_is_cleared_away(tmp_path: Path) -> None:
 
 
 def test_a_browser_that_falls_silent_is_taken_for_gone(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.gateway.uploads._SILENT_S", 0.3)
+    monkeypatch.setattr("ladarreg.gateway.uploads._SILENT_S", 0.3)
     with begin(run, b"Content-Length: 200000\r\n\r\nabc") as line:
         assert b" 408 " in line.recv(100)
         assert not left(run)
@@ -160,7 +160,7 @@ def test_what_the_disk_refuses_is_no_fault_of_the_program(run: Running, monkeypa
 
 def test_a_full_disk_is_said_before(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr("app.gateway.uploads.shutil.disk_usage", lambda _: usage(10**12, 10**12, 1000))
+    monkeypatch.setattr("ladarreg.gateway.uploads.shutil.disk_usage", lambda _: usage(10**12, 10**12, 1000))
     status, body = send(run, b"data")
     assert status == 507
     assert b"disk" in body

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ladarreg.gateway.viser_backend import close_server, open_locked_server
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from app.gateway.viser_backend import close_server, open_locked_server
 from tests.app.gateway_driver import TOKEN, Running, running, soon
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin:/usr/local/sbin:/opt/homebrew/bin")

@@ -14,13 +14,13 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from ladarreg.cli import main
+from ladarreg.exit_codes import ExitCode
+from ladarreg.gateway.options import GatewayOptions
+from ladarreg.gateway.server import Gateway
+from ladarreg.gateway.serving import warning
+from ladarreg.gateway.viser_backend import close_server, open_locked_server
 
-from app.cli import main
-from app.exit_codes import ExitCode
-from app.gateway.options import GatewayOptions
-from app.gateway.server import Gateway
-from app.gateway.serving import warning
-from app.gateway.viser_backend import close_server, open_locked_server
 from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate import sample_folder
 from tests.app.gateway_driver import TOKEN, Running, closing_code, hear, running, soon
@@ -205,7 +205,7 @@ def test_the_command_serves_a_scan_and_a_photograph(tmp_path: Path) -> None:
     inputs = sample_folder()
     words = ["serve", "--no-browser", "--port", "0", "--project", str(tmp_path / "project")]
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", *words, str(inputs / "scan.npz"), str(inputs / "photo.png")],
+        [sys.executable, "-m", "ladarreg", *words, str(inputs / "scan.npz"), str(inputs / "photo.png")],
         cwd=Path(__file__).parents[3],
         env=os.environ | {"LADARREG_TOKEN": TOKEN},
         stdout=subprocess.PIPE,

@@ -13,11 +13,11 @@ import pytest
 import viser
 import websockets.asyncio.server
 import zstandard
+from ladarreg.gateway.viser_backend import HOST, close_server, open_locked_server
+from ladarreg.gateway.viser_lock import HEADER, ViserAddress, locked
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from app.gateway.viser_backend import HOST, close_server, open_locked_server
-from app.gateway.viser_lock import HEADER, ViserAddress, locked
 from ladarreg_core.errors import DependencyError
 from tests.app.gateway_driver import Running, closing_code, running, soon
 

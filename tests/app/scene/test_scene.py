@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 import viser
+from ladarreg.gateway.viser_backend import close_server
+from ladarreg.scene import SimplexFrame, Stage3D
+from ladarreg.scene.colours import ACCENT, BACKGROUND, MATCH_COLOURS, as_css
+from ladarreg.scene.draw_queue import Wishes
+from ladarreg.scene.legend import legend_html
+from ladarreg.scene.picks_layer import Picks
+from ladarreg.static_files import static_text
 
-from app.gateway.viser_backend import close_server
-from app.scene import SimplexFrame, Stage3D
-from app.scene.colours import ACCENT, BACKGROUND, MATCH_COLOURS, as_css
-from app.scene.draw_queue import Wishes
-from app.scene.legend import legend_html
-from app.scene.picks_layer import Picks
-from app.static_files import static_text
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, ThesisParameters
@@ -110,9 +110,9 @@ def session() -> Session:
 
 @pytest.fixture
 def stage(server: viser.ViserServer, session: Session, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage3D]:
-    monkeypatch.setattr("app.scene.model_layer.REPLACED_AFTER_S", 0.1)
-    monkeypatch.setattr("app.scene.model_layer.REPLACED_BY_COARSE_AFTER_S", 0.1)
-    monkeypatch.setattr("app.scene.scene.FINE_AGAIN_S", 0.1)
+    monkeypatch.setattr("ladarreg.scene.model_layer.REPLACED_AFTER_S", 0.1)
+    monkeypatch.setattr("ladarreg.scene.model_layer.REPLACED_BY_COARSE_AFTER_S", 0.1)
+    monkeypatch.setattr("ladarreg.scene.scene.FINE_AGAIN_S", 0.1)
     server.scene.reset()
     server.gui.reset()
     session.stage = Stage3D(server, session)  # type: ignore[arg-type]

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ladarreg.gateway.protocol import Picture
+from ladarreg.session.bounded_cache import BoundedCache, array_bytes, rough_bytes
+from ladarreg.session.cache import EachOnce
+from ladarreg.session.loader import Workroom
 
-from app.gateway.protocol import Picture
-from app.session.bounded_cache import BoundedCache, array_bytes, rough_bytes
-from app.session.cache import EachOnce
-from app.session.loader import Workroom
 from ladarreg_core.camera import Camera
 from ladarreg_core.photo import Photo
 from ladarreg_core.project.folder import ProjectFolder

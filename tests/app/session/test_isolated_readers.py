@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from ladarreg.session.isolated_readers import READERS
 
-from app.session.isolated_readers import READERS
 from ladarreg_core import formats
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.isolated import ReaderLimits

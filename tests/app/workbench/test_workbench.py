@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ladarreg.workbench.commands import COMMANDS
+from ladarreg.workbench.launch import open_workbench
 from PIL import Image
 
-from app.workbench.commands import COMMANDS
-from app.workbench.launch import open_workbench
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.simulate.sample import sample_folder
@@ -678,7 +678,7 @@ def test_a_disk_that_is_full_does_not_stop_the_work(bench: Bench, monkeypatch: p
     def notices() -> list[str]:
         return [message["text"] for message in bench.told if message.get("event") == "notice"]
 
-    monkeypatch.setattr("app.session.session.RETRY_S", 0.05)
+    monkeypatch.setattr("ladarreg.session.session.RETRY_S", 0.05)
     for count, (kind, writing) in enumerate(((AppendedFile, "append"), (ProjectFolder, "_replace")), start=1):
         with monkeypatch.context() as patch:
             patch.setattr(kind, writing, full)
