@@ -17,9 +17,9 @@ from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.thesis.chain import ThesisOptions, ThesisResult, thesis_stages
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE, LineUse, check_line_use, check_samples, matches_from_picks
-from ladarreg_core.pose.confirm import confirm
-from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
+from ladarreg_core.pose.multistart import confirm
+from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.progress import StepReport
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan

@@ -20,7 +20,7 @@ from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.blocks import BlockComparison
 from ladarreg_core.matching.ecc import ClimbOptions, block_systems
 from ladarreg_core.matching.sampling import ViewPoints
-from ladarreg_core.pose.jacobian import pose_jacobian
+from ladarreg_core.pose.covariance import pose_jacobian
 
 _TRUSTED_PX = 3.0
 _SD_OF_MEDIAN = 1.4826

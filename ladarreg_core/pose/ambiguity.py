@@ -8,17 +8,22 @@ from __future__ import annotations
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.frames import Rigid
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation
+from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import (
     Descent,
     Measurements,
     States,
     information_matrix,
     linearise,
+    normal_equations,
     residuals,
     rotations_from_rotvecs,
+    settle,
 )
 from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score
+from ladarreg_core.pose.ransac import sample_pose
 
 LIKELY = 16.0
 """A rise of the score that tells two poses apart: four sigma."""
@@ -28,6 +33,11 @@ _ORBIT_RAD = np.deg2rad(20.0)
 _ORBITS = 3
 _SAMPLE = 20
 _STEPS = 4  # starts that come home are there after three
+_ON_THE_WAY = (0.25, 0.5, 0.75, 1.0)
+_GENERALISED_STEPS, _MOST_TURN_RAD = 6, 0.3
+_RANSAC_SIGMA = 6.0
+_RANSAC_ITERATIONS = 500
+_RIVAL_SHARE, _LEAST_RIVAL = 0.5, 5
 
 
 def competing_pose(
@@ -111,6 +121,92 @@ def orbits(pose: Rigid, points: FloatArray) -> list[Rigid]:
     angles = 2 * np.pi * np.arange(_ORBITS) / _ORBITS
     turns = rotations_from_rotvecs(_ORBIT_RAD * (np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * other))
     return [Rigid(R, seen - R @ centroid) for R in turns @ pose.rotation]
+
+
+def towards_mirrored(pose: Rigid, points: FloatArray) -> list[Rigid]:
+    """Return poses on the way to the mirrored one, which keep the points' middle where it is seen.
+
+    Where a plane is seen nearly face on both poses may have grown together to one minimum with a wide floor. They need
+    not be minima to tell: six sigma away by the information, and no worse by the likelihood, is another place.
+    """
+    centroid = points.mean(axis=0)
+    seen = pose @ centroid
+    turn = rotvec_from_rotation(mirrored(pose, points).rotation @ pose.rotation.T)
+    turned = [rotation_from_rotvec(share * turn) @ pose.rotation for share in _ON_THE_WAY]
+    return [Rigid(R, seen - R @ centroid) for R in turned]
+
+
+def generalised(measured: Measurements, states: States, gate: float) -> States:
+    """Return where generalised least squares leads from states: the ranges as measured, their noise in the pixels.
+
+    The errors-in-variables minimum of a small plane may lie degrees beside the likelihood's, since it gains by seeing
+    the ranges' noise across (`likelihood_scores`); here nothing is gained by that.
+    """
+    members = (residuals(measured, states).s <= gate).astype(np.float64)
+    moving = states
+    for _ in range(_GENERALISED_STEPS):
+        moving = moving.seeing(measured)
+        seen = residuals(measured, moving)
+        H, g = normal_equations(measured, seen, linearise(measured, moving, seen), members)
+        diagonal = np.einsum("bii->bi", H)
+        diagonal += 1e-9 * diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300
+        step = np.nan_to_num(np.linalg.solve(H, g[..., None])[..., 0])
+        length = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
+        step = step * np.minimum(1, _MOST_TURN_RAD / np.maximum(length, 1e-300))
+        moving = States(
+            rotations_from_rotvecs(step[:, :3]) @ moving.rotations, moving.centres + step[:, 3:], moving.rho
+        )
+    return settle(measured, moving.seeing(measured))[0]
+
+
+def pose_of_the_others(
+    matches: Matches, measured: Measurements, others: BoolArray, camera: Camera, *, sigma_px: float, seed: int = 0
+) -> Rigid | None:
+    """Return a pose of matches that disagree with another, where they are enough to matter.
+
+    Args:
+        matches: M matches.
+        measured: the same.
+        others: (M,) those that disagree.
+        camera: intrinsics.
+        sigma_px: pixel noise, px.
+        seed: of the samples.
+    """
+    count = int(np.count_nonzero(others))
+    if count < least_rival(len(others) - count):
+        return None
+    ideal = camera.without_distortion()
+    uv = (measured.xy[:, others] * [[ideal.fx], [ideal.fy]] + [[ideal.cx], [ideal.cy]]).T
+    return sample_pose(
+        matches.points[others], uv, ideal, threshold_px=_RANSAC_SIGMA * sigma_px, iterations=_RANSAC_ITERATIONS,
+        seed=seed,
+    )  # fmt: skip
+
+
+def rival_of_the_others(
+    matches: Matches, measured: Measurements, inliers: BoolArray, camera: Camera, *, sigma_px: float, gate: float
+) -> Rigid | None:
+    """Return a pose that half as many of the other matches agree on as agree with the pose found, or None.
+
+    Args:
+        matches: M matches.
+        measured: the same.
+        inliers: (M,) those that agree with the pose found.
+        camera: intrinsics.
+        sigma_px: pixel noise, px.
+        gate: largest s of a match that agrees.
+    """
+    pose = pose_of_the_others(matches, measured, ~inliers, camera, sigma_px=sigma_px)
+    if pose is None:
+        return None
+    _, seen = settle(measured, States.of([pose], measured))
+    agree = int(np.count_nonzero((seen.s[0] <= gate) & ~inliers))
+    return pose if agree >= least_rival(int(np.count_nonzero(inliers))) else None
+
+
+def least_rival(agree: int) -> int:
+    """Return how many other matches must agree on another pose to be no chance beside these."""
+    return max(_LEAST_RIVAL, int(np.ceil(_RIVAL_SHARE * agree)))
 
 
 def steps_from(pose: Rigid, states: States) -> tuple[FloatArray, FloatArray]:

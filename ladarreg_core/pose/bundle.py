@@ -145,6 +145,14 @@ class States:
         """Return some of the states."""
         return States(self.rotations[starts], self.centres[starts], self.rho[starts])
 
+    def joined(self, others: States) -> States:
+        """Return these states, then the others."""
+        return States(
+            np.concatenate([self.rotations, others.rotations]),
+            np.concatenate([self.centres, others.centres]),
+            np.concatenate([self.rho, others.rho]),
+        )
+
     def seeing(self, measured: Measurements) -> States:
         """Return the same poses with the measured ranges of other matches."""
         return States(self.rotations, self.centres, np.tile(measured.ranges, (len(self.centres), 1)))

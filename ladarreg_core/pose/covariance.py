@@ -23,6 +23,44 @@ from ladarreg_core.pose.thesis.stereo_simplex import Residual
 _STEP, _STEP_PX, _STEP_OF_RANGE = 1e-6, 1e-2, 1e-5
 _UNDETERMINED = 1e-12
 _HUGE_RAD2 = np.pi**2
+LEAST_EIGENVALUE = 1e-13
+"""Smaller eigenvalues of a scaled information matrix count as this: their variance is huge but finite."""
+
+
+def pose_jacobian(
+    camera_from_scanner: Rigid, points_scanner: FloatArray, camera: Camera
+) -> tuple[FloatArray, FloatArray]:
+    """Project points, with the derivative of the pixels by the pose.
+
+    Args:
+        camera_from_scanner: the pose.
+        points_scanner: (N, 3), m.
+        camera: intrinsics.
+
+    Returns:
+        uv (N, 2), pixels, and J (N, 2, 6) = d uv / d (w, c), with R_true = exp([w]x) R and c the shift of the camera
+        centre in the scanner frame; NaN behind the camera.
+    """
+    p = camera_from_scanner @ np.asarray(points_scanner, dtype=np.float64)
+    uv, d_uv = camera.project_with_jacobian(p)
+    by_turn = np.zeros((*p.shape[:-1], 3, 3))  # d p / d w = -[p]x
+    by_turn[..., 0, 1], by_turn[..., 0, 2] = p[..., 2], -p[..., 1]
+    by_turn[..., 1, 0], by_turn[..., 1, 2] = -p[..., 2], p[..., 0]
+    by_turn[..., 2, 0], by_turn[..., 2, 1] = p[..., 1], -p[..., 0]
+    return uv, np.concatenate([d_uv @ by_turn, -d_uv @ camera_from_scanner.rotation], axis=-1)
+
+
+def guarded_inverse(information: FloatArray) -> FloatArray:
+    """Return the inverse (P, P) of an information matrix of unit diagonal; huge but finite where undetermined."""
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray((vectors / np.maximum(values, LEAST_EIGENVALUE)) @ vectors.T)
+
+
+def pose_covariance(information: FloatArray) -> FloatArray:
+    """Return the covariance (6, 6) of a pose from its information; huge but finite where that does not determine it."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = guarded_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    return np.asarray((inverse + inverse.T) / 2)
 
 
 def simplex_covariance(

@@ -19,7 +19,6 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose import bundle
 from ladarreg_core.pose.bundle import Measurements, States, settle
-from ladarreg_core.pose.checks import LEAST_MATCHES
 from ladarreg_core.pose.intrinsics import (
     PARAMETERS,
     Descent,
@@ -30,6 +29,7 @@ from ladarreg_core.pose.intrinsics import (
     foreseen_gains,
     intrinsic,
 )
+from ladarreg_core.pose.preconditions import LEAST_MATCHES
 
 FOLDS = 5
 """How many folds the picks are dealt into."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -14,12 +15,12 @@ from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import Measurements, States, settle
-from ladarreg_core.pose.checks import checked_matches
 from ladarreg_core.pose.intrinsics import Intrinsics
 from ladarreg_core.pose.options import STATED_SIGMA_PX as STATED_SIGMA_PX
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M as STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.options import Method as Method
 from ladarreg_core.pose.options import PoseOptions as PoseOptions
+from ladarreg_core.pose.preconditions import checked_matches
 from ladarreg_core.pose.result import Fit, answer
 from ladarreg_core.pose.robust import solve_robust
 from ladarreg_core.pose.simplex_result import simplex_answer
@@ -95,14 +96,10 @@ def solve_pose(
     """
     options = options or PoseOptions()
     matches = checked_matches(matches, camera, initial)
-    if options.method == "linear":
-        return _solve_linear(matches, camera, options)
-    if options.method in ("stereo_simplex", "epipolar_simplex"):
-        return _solve_simplex(matches, camera, options, initial)
-    return solve_robust(matches, camera, options, initial=initial)
+    return _METHODS[options.method](matches, camera, options, initial)
 
 
-def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions) -> PoseResult:
+def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions, _: Rigid | None) -> PoseResult:
     sigma = options.sigma_px or STATED_SIGMA_PX, options.sigma_range_m or STATED_SIGMA_RANGE_M
     measured = Measurements.of(matches, camera, sigma_px=sigma[0], sigma_range_m=sigma[1])
     xy = measured.xy.T
@@ -128,3 +125,12 @@ def _solve_simplex(matches: Matches, camera: Camera, options: PoseOptions, initi
     how = replace(options.simplex, residual=residual)
     found = fit_simplex(matches, camera, how, initial=initial, sigma_px=options.sigma_px or STATED_SIGMA_PX)
     return simplex_answer(found, matches, camera, options)
+
+
+_METHODS: Mapping[Method, Callable[[Matches, Camera, PoseOptions, Rigid | None], PoseResult]] = {
+    "robust": solve_robust,
+    "linear": _solve_linear,
+    "stereo_simplex": _solve_simplex,
+    "epipolar_simplex": _solve_simplex,
+}
+"""The solver of each method."""

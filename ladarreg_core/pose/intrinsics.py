@@ -32,6 +32,8 @@ from ladarreg_core.pose.bundle import (
     moved,
     residuals,
 )
+from ladarreg_core.pose.covariance import guarded_inverse
+from ladarreg_core.pose.gnc import geman_mcclure
 
 Intrinsics = Literal["fixed", "focal", "focal_k1", "focal_k1_centre"]
 """What is estimated beside the pose: nothing; one scale of fx and fy; k1 too; the principal point too."""
@@ -164,15 +166,7 @@ def estimate_intrinsics(
 def _close(descent: Descent, gate: float) -> tuple[bool, BoolArray]:
     """Descend robustly while the gate closes, then plainly until the inliers stay the same."""
     for factor in _CLOSING:
-        scale = factor * gate
-
-        def weigh(s: FloatArray, scale: float = scale) -> FloatArray:
-            ratio = scale / (scale + s)
-            return np.asarray(ratio * ratio)
-
-        def cost(s: FloatArray, scale: float = scale) -> FloatArray:
-            return np.asarray((scale * (s / (scale + s))).sum(axis=-1))
-
+        weigh, cost = geman_mcclure(factor * gate)
         descent.run(weigh, cost, steps=_CLOSING_STEPS, tolerance_sigma=_CLOSING_SIGMA)
     settled, inliers = False, descent.seen.s[0] <= gate
     for _ in range(_GATE_ROUNDS):
@@ -409,8 +403,7 @@ def _covariance(descent: Descent, inliers: BoolArray) -> FloatArray:
     """Return the inverse information of the inliers; what it does not determine gets a huge but finite variance."""
     H, _, _, _ = descent.normal_equations(inliers[None].astype(np.float64))
     scale = np.sqrt(np.maximum(np.diag(H), _LEAST_INFORMATION))
-    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     unit = np.ones(len(H))
     unit[6:7] = descent.camera.focal_px  # from log f to px
-    inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T * np.outer(unit / scale, unit / scale)
+    inverse = guarded_inverse(H / np.outer(scale, scale)) * np.outer(unit / scale, unit / scale)
     return np.asarray((inverse + inverse.T) / 2)

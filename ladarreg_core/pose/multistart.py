@@ -19,7 +19,18 @@ from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.formatting import length_in_words
 from ladarreg_core.frames import Rigid, principal_extents
-from ladarreg_core.pose.ambiguity import APART_SIGMA, LIKELY, likelihood_scores, mirrored, orbits, steps_from
+from ladarreg_core.pose.ambiguity import (
+    APART_SIGMA,
+    LIKELY,
+    generalised,
+    least_rival,
+    likelihood_scores,
+    mirrored,
+    orbits,
+    pose_of_the_others,
+    steps_from,
+    towards_mirrored,
+)
 from ladarreg_core.pose.bundle import (
     Measurements,
     States,
@@ -28,11 +39,9 @@ from ladarreg_core.pose.bundle import (
     rotations_from_rotvecs,
     settle,
 )
-from ladarreg_core.pose.checks import LEAST_MATCHES
-from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, narrow_scales
-from ladarreg_core.pose.many_descents import descended, gathered, joined, near_pairs
-from ladarreg_core.pose.others import least_rival, pose_of_the_others
-from ladarreg_core.pose.planar_poses import generalised, towards_mirrored
+from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
+from ladarreg_core.pose.gnc import DEFAULT_GNC, descended, gathered, graduate, narrow_scales, near_pairs
+from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 
 BasinVerdict = Literal["unique", "ambiguous", "failed"]
@@ -157,6 +166,18 @@ class Basin:
         return f"Starts up to {_far(size)} away {'all' if every else 'nearly all'} lead here, and to no other pose."
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Confirmation:
+    """What many starts made of a result."""
+
+    result: PoseResult
+    """The result with their verdict in its reasons and its diagnostics."""
+    verdict: BasinVerdict | None
+    """`unique`, `ambiguous` or `failed`; None where nothing was accepted that could be confirmed."""
+    better: Rigid | None = None
+    """A pose that explains the matches better, to solve again from."""
+
+
 def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi2: float = 9.21) -> Basin:
     """Return from how far away starts lead to a pose, and whether another explains its matches.
 
@@ -188,7 +209,7 @@ def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi
     level_of = np.sort(np.arange(starts) % len(_LEVELS_DEG))
     perturbed = _perturbed(pose, few, level_of, reach=reach, rng=rng)
     around = States.of(orbits(pose, members), few)
-    ends, end_of = descended(few, joined(perturbed, around), gate=gate, reach=reach)
+    ends, end_of = descended(few, perturbed.joined(around), gate=gate, reach=reach)
     worth = _worth_a_look(few, ends, gate=gate)
 
     another = pose_of_the_others(
@@ -203,6 +224,31 @@ def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi
         result, found, there[end_of[:starts]], level_of,
         score=float(likelihood_scores(measured, given, gate)[0]), agree=int(np.count_nonzero(agree)), reach=reach,
     )  # fmt: skip
+
+
+def confirm(result: PoseResult, *, starts: int = 32, seed: int = 0) -> Confirmation:
+    """Probe the basin of an accepted pose; where another pose explains the matches too, it is accepted no more.
+
+    Args:
+        result: a pose with its matches. What is not accepted is returned as it is.
+        starts: how many starts, at least.
+        seed: of the starts.
+
+    Raises:
+        OptionError: if the starts or the seed have no meaning.
+    """
+    if not result.accepted:
+        return Confirmation(result, None)
+    basin = probe_basin(result, starts=starts, seed=seed)
+    diagnostics = {**result.diagnostics, "basin": basin.as_dict()}
+    if basin.verdict == "unique":
+        confirmed = replace(result, reasons=(*result.reasons, basin.in_words()), diagnostics=diagnostics)
+        return Confirmation(confirmed, basin.verdict)
+    refused = replace(
+        result, accepted=False, evidence="none", reasons=(basin.in_words(),), diagnostics=diagnostics
+    )  # fmt: skip
+    better = basin.other if basin.verdict == "failed" else None
+    return Confirmation(refused, basin.verdict, better)
 
 
 def _check(result: PoseResult, starts: int, seed: int, gate_chi2: float) -> None:
@@ -241,7 +287,7 @@ def _settled(
     if not flat:
         return settled
     valley, _ = settle(measured, States.of(towards_mirrored(settled.pose(), members), measured))
-    return joined(joined(settled, generalised(measured, settled, gate)), valley)
+    return settled.joined(generalised(measured, settled, gate)).joined(valley)
 
 
 def _worth_a_look(few: Measurements, ends: States, *, gate: float) -> IntArray:
@@ -295,14 +341,13 @@ def _differs(result: PoseResult, found: _Found, home: int) -> bool:
     """Return whether a pose lies further from its place than the noise of both explains."""
     step = steps_from(result.camera_from_scanner, found.states.subset(np.array([home])))[0][0]
     unit = 1 / np.sqrt(np.maximum(np.diag(found.information), 1e-300))
-    values, vectors = np.linalg.eigh(found.information * np.outer(unit, unit))
-    C = (vectors / np.maximum(values, 1e-13)) @ vectors.T * found.noise
+    C = guarded_inverse(found.information * np.outer(unit, unit)) * found.noise
     own = result.covariance / np.outer(unit, unit)
     if np.isfinite(own).all():
         C = C + own
     values, vectors = np.linalg.eigh((C + C.T) / 2)
     along = (step / unit) @ vectors
-    return bool((along * along / np.maximum(values, 1e-13)).sum() > APART_SIGMA**2)
+    return bool((along * along / np.maximum(values, LEAST_EIGENVALUE)).sum() > APART_SIGMA**2)
 
 
 def _judged(

@@ -21,7 +21,7 @@ from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, DependencyError, OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.pose.jacobian import pose_jacobian
+from ladarreg_core.pose.covariance import pose_jacobian
 
 Backend = Literal["auto", "poselib", "opencv"]
 

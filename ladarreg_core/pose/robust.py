@@ -31,12 +31,13 @@ from ladarreg_core.pose.bundle import (
     residuals,
     settle,
 )
-from ladarreg_core.pose.checks import LEAST_MATCHES
+from ladarreg_core.pose.covariance import pose_covariance
 from ladarreg_core.pose.cross_validation import choose_intrinsics, intrinsics_in_words, worse_when_held_out
 from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score, wide_scales
 from ladarreg_core.pose.intrinsics import IntrinsicsFit, estimate_intrinsics
 from ladarreg_core.pose.line_ends import repair_ends
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
+from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.pose.ransac import sample_pose
 from ladarreg_core.pose.result import Fit, answer, noise_shown
 from ladarreg_core.results import PoseResult
@@ -48,7 +49,7 @@ _FLAT = 0.25  # least over middle extent: above it only one of the two poses of 
 _SETTLED_NOISE = 1.1  # a change of the noise below this factor changes neither inliers nor pose
 
 
-def solve_robust(matches: Matches, camera: Camera, options: PoseOptions, *, initial: Rigid | None = None) -> PoseResult:
+def solve_robust(matches: Matches, camera: Camera, options: PoseOptions, initial: Rigid | None = None) -> PoseResult:
     """Estimate the pose of checked matches.
 
     Args:
@@ -72,7 +73,7 @@ def solve_robust(matches: Matches, camera: Camera, options: PoseOptions, *, init
         now = _unless_worse(now, initial, options)
     covariance = now.covariance
     if covariance is None:
-        covariance = _covariance(information_matrix(now.fit.measured, now.fit.state, members=now.fit.inliers)[0])
+        covariance = pose_covariance(information_matrix(now.fit.measured, now.fit.state, members=now.fit.inliers)[0])
     stopped = "settled" if now.fit.settled else "step limit"
     story = {"stopped": stopped, "noise_rounds": now.noise_rounds}
     result = answer(now.fit, now.matches, now.camera, options, covariance, now.sigma, story)
@@ -286,14 +287,6 @@ def _fit(measured: Measurements, state: States, options: PoseOptions) -> Fit:
         if (before == inliers).all():
             break
     return Fit(measured, state, inliers, seen.s[0], settled)
-
-
-def _covariance(information: FloatArray) -> FloatArray:
-    """Invert the information; what it does not determine gets a variance that is huge but finite."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T / np.outer(scale, scale)
-    return np.asarray((inverse + inverse.T) / 2)
 
 
 def _no_pose(count: int) -> DegenerateGeometryError:

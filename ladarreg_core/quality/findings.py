@@ -18,8 +18,8 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray
 from ladarreg_core.pose.acceptance import LEAST_INLIERS, LEAST_SHARE, MOST_CHI2_PER_DOF, distinct
+from ladarreg_core.pose.covariance import pose_jacobian
 from ladarreg_core.pose.diagnostics import diagnose
-from ladarreg_core.pose.jacobian import pose_jacobian
 from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
 from ladarreg_core.quality.conditioning import Placement, placement
 from ladarreg_core.quality.lens_check import lens_hint

@@ -28,8 +28,8 @@ from ladarreg_core.pose.bundle import (
     residuals,
     settle,
 )
-from ladarreg_core.pose.checks import LEAST_MATCHES
-from ladarreg_core.pose.jacobian import pose_jacobian
+from ladarreg_core.pose.covariance import pose_jacobian
+from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 
 WORTH_A_CHECK = 0.5

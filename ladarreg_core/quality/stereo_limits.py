@@ -16,7 +16,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import LEAST_INLIERS, distinct
 from ladarreg_core.pose.ransac import ransac_pose
 from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
-from ladarreg_core.pose.thesis.picture_roll import picture_roll
+from ladarreg_core.pose.thesis.starts import picture_roll
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 
 MOST_SIGMA_Z_OVER_Z = 0.05

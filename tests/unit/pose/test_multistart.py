@@ -16,9 +16,9 @@ from ladarreg_core.errors import DegenerateGeometryError, LadarregError, OptionE
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.ambiguity import mirrored
-from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import Basin, probe_basin
+from ladarreg_core.pose.result import describe_pose
 
 
 def solved(case, matches=None, **options):
