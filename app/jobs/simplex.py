@@ -58,7 +58,7 @@ class SimplexJobs:
 
     def _walk(self, inputs: Inputs, context: JobContext, *, rejecting: bool) -> str:
         from ladarreg_core.pose.estimate import STATED_SIGMA_PX
-        from ladarreg_core.pose.simplex_result import simplex_answer
+        from ladarreg_core.pose.simplex_result import build_simplex_result
         from ladarreg_core.pose.thesis.stereo_simplex import descend
 
         begun = time.perf_counter()
@@ -75,7 +75,7 @@ class SimplexJobs:
             sigma_px=pose_options.sigma_px or STATED_SIGMA_PX,
         )
         found = self._watched(steps, inputs, matches, context)
-        result = simplex_answer(found, matches, inputs.photo.camera, pose_options)
+        result = build_simplex_result(found, matches, inputs.photo.camera, pose_options)
         stopped = " Stopped; the best so far is kept." if context.stop_wanted else ""
         said = self._solving.keep(
             inputs,
@@ -84,7 +84,7 @@ class SimplexJobs:
             context,
             method="thesis",
             seconds=time.perf_counter() - begun,
-            note=found.in_words(),
+            note=found.describe(),
         )
         return said + stopped
 

@@ -1,4 +1,4 @@
-"""Matches held out as the judge: whether what was fitted to the others foretells them better.
+"""Matches held out as the folds: whether what was fitted to the others foretells them better.
 
 The picks are dealt into folds, the matches of one pick into the same; each fold is foretold by a fit to the others. Two
 cameras are compared by min(s, gate), so that mismatches cost both the same.
@@ -18,7 +18,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose import bundle
-from ladarreg_core.pose.bundle import Measurements, States, settle
+from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
 from ladarreg_core.pose.intrinsics import (
     PARAMETERS,
     Descent,
@@ -26,16 +26,16 @@ from ladarreg_core.pose.intrinsics import (
     IntrinsicsFit,
     Noise,
     estimate_intrinsics,
-    foreseen_gains,
     intrinsic,
+    predicted_gains,
 )
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
 
 FOLDS = 5
 """How many folds the picks are dealt into."""
-LOOK_SIGMA = 3.7
+SCORE_TEST_SIGMA = 3.7
 """How sure a score test must be that intrinsics are wrong before they are estimated at all: 1 in 10,000 by chance."""
-KEEP_SIGMA = 3.0
+LEAST_SHIFT_SIGMA = 3.0
 """How many of its own standard deviations an intrinsic must move to be kept."""
 CLEAR_GAIN_SIGMA = 2.0
 """How many standard errors held-out matches must gain for an intrinsic to be kept."""
@@ -98,10 +98,10 @@ class IntrinsicsChoice:
         """What was kept."""
         return "fixed" if self.fit is None else self.fit.intrinsics
 
-    def in_words(self) -> tuple[str, ...]:
+    def describe(self) -> tuple[str, ...]:
         """Return the outcome in sentences; empty where nothing asked for other intrinsics."""
         if self.fit is not None:
-            return intrinsics_in_words(self.fit, self.given)
+            return describe_intrinsics(self.fit, self.given)
         if not self.trials:
             return ()
         last = self.trials[-1].fit
@@ -113,7 +113,7 @@ class IntrinsicsChoice:
         )
 
 
-def intrinsics_in_words(fit: IntrinsicsFit, given: Camera) -> tuple[str, ...]:
+def describe_intrinsics(fit: IntrinsicsFit, given: Camera) -> tuple[str, ...]:
     """Return what was estimated beside the pose, in sentences.
 
     Args:
@@ -121,18 +121,20 @@ def intrinsics_in_words(fit: IntrinsicsFit, given: Camera) -> tuple[str, ...]:
         given: the camera that it started from.
     """
     names = {"focal_px": "focal length", "k1": "lens's k1", "cx": "principal point's u", "cy": "principal point's v"}
-    said = []
+    sentences = []
     for name, value in fit.values.items():
         unit = "" if name == "k1" else " px"
         before, sigma = intrinsic(given, name), fit.sigmas[name]
         digits = 3 if name == "k1" else 0 if sigma >= 2 else 1
-        said.append(
+        sentences.append(
             f"The {names[name]} was estimated: {value:.{digits}f} +- {sigma:.{digits}f}{unit} instead of "
             f"{before:.{digits}f}{unit}."
         )
-    if said and not fit.determined:
-        said.append("The matches do not determine the focal length; give the camera file, or add matches near and far.")
-    return tuple(said)
+    if sentences and not fit.determined:
+        sentences.append(
+            "The matches do not determine the focal length; give the camera file, or add matches near and far."
+        )
+    return tuple(sentences)
 
 
 def _estimates(fit: IntrinsicsFit) -> list[str]:
@@ -178,25 +180,25 @@ def choose_intrinsics(
     """
     ladder = _LADDER[most]
     model = _Model(camera, pose, inliers, 0)
-    judge = _Judge.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
+    folds = _Folds.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
     kept: IntrinsicsFit | None = None
     trials: list[Trial] = []
-    if not judge.misses(model, ladder):
+    if not folds.rejects(model, ladder):
         return IntrinsicsChoice(camera, None, ())
     for step in ladder:
-        if kept is not None and not judge.misses(model, (step,)):
+        if kept is not None and not folds.rejects(model, (step,)):
             continue
-        fit = judge.fit(model, step)
+        fit = folds.fit(model, step)
         tried, shift, gain = _Model.of(fit), _shift_sigma(fit, camera, step), None
-        if fit.determined and shift > KEEP_SIGMA:
-            gain = judge.gain(*(np.minimum(judge.held_out(m), gate_chi2) for m in (model, tried)))
+        if fit.determined and shift > LEAST_SHIFT_SIGMA:
+            gain = folds.gain(*(np.minimum(folds.held_out(m), gate_chi2) for m in (model, tried)))
         good = gain is not None and gain.clear
         trials.append(Trial(fit, gain, shift, good))
         if not fit.determined:
             break  # with more intrinsics free it is less so
         if good:
-            kept = judge.fit(tried, step, noise) if noise else fit
-            model, judge = _Model.of(kept), replace(judge, sigma_px=kept.sigma_px, sigma_range_m=kept.sigma_range_m)
+            kept = folds.fit(tried, step, noise) if noise else fit
+            model, folds = _Model.of(kept), replace(folds, sigma_px=kept.sigma_px, sigma_range_m=kept.sigma_range_m)
     return IntrinsicsChoice(camera, kept, tuple(trials))
 
 
@@ -234,16 +236,16 @@ def worse_when_held_out(
         gate_chi2: largest s of an inlier.
         seed: of the deal.
     """
-    judge = _Judge.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
-    measured = judge.measured(camera)
-    _, seen = settle(measured, States.of([start], measured))
-    before, after = _growing(seen.s[0], gate_chi2), judge.held_out(_Model(camera, refined, inliers, 0))
-    unknown = np.maximum(before, _growing(np.array(gate_chi2), gate_chi2))
-    after = np.where(np.isfinite(after), _growing(after, gate_chi2), unknown)
-    return not judge.gain(before, after).total > 0
+    folds = _Folds.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
+    measured = folds.measured(camera)
+    _, seen = adjust_ranges(measured, States.of([start], measured))
+    before, after = _lorentzian(seen.s[0], gate_chi2), folds.held_out(_Model(camera, refined, inliers, 0))
+    unknown = np.maximum(before, _lorentzian(np.array(gate_chi2), gate_chi2))
+    after = np.where(np.isfinite(after), _lorentzian(after, gate_chi2), unknown)
+    return not folds.gain(before, after).total > 0
 
 
-def _growing(s: FloatArray, gate: float) -> FloatArray:
+def _lorentzian(s: FloatArray, gate: float) -> FloatArray:
     """Return a cost that still grows beyond the gate: where noise was stated too small all poses would look alike.
 
     Source: Black and Anandan, The robust estimation of multiple motions (1996), the Lorentzian.
@@ -251,7 +253,7 @@ def _growing(s: FloatArray, gate: float) -> FloatArray:
     return np.asarray(gate * np.log1p(np.minimum(s, _MOST_S) / gate))
 
 
-def deal(pick_ids: Sequence[str], *, folds: int = FOLDS, seed: int = 0) -> tuple[IntArray, IntArray]:
+def assign_folds(pick_ids: Sequence[str], *, folds: int = FOLDS, seed: int = 0) -> tuple[IntArray, IntArray]:
     """Deal picks into folds of like size.
 
     Args:
@@ -284,7 +286,7 @@ class _Model:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Judge:
+class _Folds:
     """All matches, dealt into folds."""
 
     matches: Matches
@@ -295,8 +297,8 @@ class _Judge:
     fold: IntArray
 
     @staticmethod
-    def of(matches: Matches, sigma_px: float, sigma_range_m: float, gate: float, seed: int) -> _Judge:
-        return _Judge(matches, sigma_px, sigma_range_m, gate, *deal(matches.pick_ids, seed=seed))
+    def of(matches: Matches, sigma_px: float, sigma_range_m: float, gate: float, seed: int) -> _Folds:
+        return _Folds(matches, sigma_px, sigma_range_m, gate, *assign_folds(matches.pick_ids, seed=seed))
 
     def measured(self, camera: Camera) -> Measurements:
         return Measurements.of(self.matches, camera, sigma_px=self.sigma_px, sigma_range_m=self.sigma_range_m)
@@ -313,17 +315,17 @@ class _Judge:
             sigma_px=self.sigma_px, sigma_range_m=self.sigma_range_m,
         )  # fmt: skip
 
-    def misses(self, model: _Model, ladder: Sequence[Intrinsics]) -> bool:
+    def rejects(self, model: _Model, ladder: Sequence[Intrinsics]) -> bool:
         """Return whether a score test misses any of the steps."""
         if not ladder:
             return False
         descent = self.descent(model)
         counts = [len(PARAMETERS[step]) for step in ladder]
-        if max(foreseen_gains(descent, model.inliers, counts)) > LOOK_SIGMA:
+        if max(predicted_gains(descent, model.inliers, counts)) > SCORE_TEST_SIGMA:
             return True
-        wide = descent.seen.s[0] <= _WIDE * self.gate
+        wide = descent.residuals.s[0] <= _WIDE * self.gate
         more = np.count_nonzero(wide) > _WORTH_WIDENING * np.count_nonzero(model.inliers)
-        return bool(more and max(foreseen_gains(descent, wide, counts)) > LOOK_SIGMA)
+        return bool(more and max(predicted_gains(descent, wide, counts)) > SCORE_TEST_SIGMA)
 
     def gain(self, before: FloatArray, after: FloatArray) -> Gain:
         by_pick = np.bincount(self.group, before - after)
@@ -351,9 +353,9 @@ class _Judge:
         descent = bundle.Descent.start(measured, States.of([model.pose] * len(training), measured))
         for _ in range(_STEPS):
             descent.step(lambda s: counts, lambda s: np.asarray((s * counts).sum(axis=1)))
-            if (descent.moved_sigma < _SETTLED_SIGMA).all():
+            if (descent.step_sigma < _SETTLED_SIGMA).all():
                 break
-        return settle(measured, descent.states)[1].s
+        return adjust_ranges(measured, descent.states)[1].s
 
     def _free(self, model: _Model, training: BoolArray) -> FloatArray:
         """Return s (B, M) under the poses and cameras fitted to each of the memberships (B, M)."""
@@ -362,5 +364,5 @@ class _Judge:
         for members in training:
             descent = replace(start)
             descent.least_squares(members, steps=_STEPS, tolerance_sigma=_SETTLED_SIGMA)
-            found.append(settle(descent.measured, descent.state)[1].s[0])
+            found.append(adjust_ranges(descent.measured, descent.state)[1].s[0])
         return np.stack(found)

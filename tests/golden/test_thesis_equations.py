@@ -18,10 +18,10 @@ from ladarreg_core.pose.thesis.stereo import (
     STEREO_AXES_FROM_SCANNER,
     StereoPairs,
     equal_baseline,
-    equal_baselines_turn,
+    equal_baselines_rotation,
     rectify,
+    rotate_coordinates,
     stereo_depth,
-    turned,
 )
 
 LENS = Camera.from_focal(512, 512, 256.0)
@@ -97,7 +97,7 @@ def test_the_back_substitution_of_tz_needs_minus_lambda():
 def test_the_matrix_of_2_15_turns_by_plus_omega1():
     Tx, Ty = 5.0, 2.0
     D, omega1 = np.hypot(Tx, Ty), np.pi / 4 - np.arctan2(Ty, Tx)
-    turn = equal_baselines_turn(Tx, Ty)
+    turn = equal_baselines_rotation(Tx, Ty)
     assert turn == pytest.approx(rotation_about("z", omega1)[:2, :2])
     assert turn @ [Tx, Ty] == pytest.approx([D / np.sqrt(2)] * 2)
     assert equal_baseline(Tx, Ty) == pytest.approx(D / np.sqrt(2))
@@ -120,10 +120,10 @@ def test_y_up_on_one_side_is_a_left_handed_map():
     pairs = StereoPairs.of(apple_matches(), LENS)
     T = APPLE_TRUTH
     x, y = rectify(pairs.colour[0], pairs.colour[1], alpha=T.alpha, beta=T.beta, gamma=T.gamma)
-    turn, baseline = equal_baselines_turn(T.Tx, T.Ty), equal_baseline(T.Tx, T.Ty)
+    turn, baseline = equal_baselines_rotation(T.Tx, T.Ty), equal_baseline(T.Tx, T.Ty)
     for sign, exact in ((1, True), (-1, False)):
-        laser = turned(pairs.laser[0], sign * pairs.laser[1], turn)
-        error = stereo_depth(turned(x, y, turn)[0], laser[0], baseline=baseline, Tz=T.Tz) / pairs.depth - 1
+        laser = rotate_coordinates(pairs.laser[0], sign * pairs.laser[1], turn)
+        error = stereo_depth(rotate_coordinates(x, y, turn)[0], laser[0], baseline=baseline, Tz=T.Tz) / pairs.depth - 1
         assert (np.abs(error).max() < 1e-12) == exact
 
 

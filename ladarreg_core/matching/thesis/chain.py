@@ -24,7 +24,7 @@ from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE, matches_from_picks
-from ladarreg_core.pose.acceptance import LEAST_INLIERS, distinct
+from ladarreg_core.pose.acceptance import LEAST_INLIERS, count_distinct
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, Method, PoseOptions, solve_pose
 from ladarreg_core.pose.thesis.stereo_simplex import Residual
 from ladarreg_core.progress import StepReport
@@ -384,7 +384,7 @@ def _credible(result: PoseResult) -> bool:
 def _beyond_chance(result: PoseResult) -> bool:
     """Return whether more matches agree than mismatches would by chance."""
     agreeing = result.matches.subset(result.inliers)
-    different = distinct(agreeing.points, agreeing.uv)  # several scan corners may have matched one corner of the photo
+    different = count_distinct(agreeing.points, agreeing.uv)  # several scan corners may match one photo corner
     return different >= _LEAST_AGREEING and result.diagnostics["log10_chance"] <= _MOST_LOG10_CHANCE
 
 

@@ -110,7 +110,7 @@ def nelder_mead(
     for name, limit in (("most_iterations", most_iterations), ("most_evaluations", most_evaluations)):
         if isinstance(limit, bool) or not isinstance(limit, int | np.integer) or limit < 1:
             raise OptionError(f"{name} is {limit!r}; it must be a whole number of at least 1")
-    return _walk(_Counted(cost, most_evaluations), given, x_tolerance, cost_tolerance, most_iterations)
+    return _iterate(_Counted(cost, most_evaluations), given, x_tolerance, cost_tolerance, most_iterations)
 
 
 class _SpentError(Exception):
@@ -133,7 +133,7 @@ class _Counted:
         return value if value == value else np.inf
 
 
-def _walk(
+def _iterate(
     cost: _Counted, given: FloatArray, x_tolerance: float, cost_tolerance: float, most_iterations: int
 ) -> Generator[SimplexStep, None, Stopped]:
     vertices, count = np.array(given), given.shape[1]

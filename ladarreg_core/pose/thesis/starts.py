@@ -27,7 +27,7 @@ _BEST_SHARE = 0.2
 _STANDS_OUT = 0.25  # of the pairs within 20 degrees of the mode; 0.11 by chance
 
 
-def first_poses(matches: Matches, pairs: StereoPairs, initial: Rigid | None) -> list[tuple[StartName, FloatArray]]:
+def starting_poses(matches: Matches, pairs: StereoPairs, initial: Rigid | None) -> list[tuple[StartName, FloatArray]]:
     """Return the parameters (6,) to start from, in the order to try them in.
 
     The one that is given comes first. Of the linear pose and the aimed one the better leads: mismatches can throw the
@@ -39,19 +39,19 @@ def first_poses(matches: Matches, pairs: StereoPairs, initial: Rigid | None) -> 
         initial: a pose that is given, or none.
     """
     usable = pairs.subset(pairs.usable)
-    found: list[tuple[StartName, FloatArray]] = [("aimed", aimed(usable))]
+    found: list[tuple[StartName, FloatArray]] = [("aimed", aimed_start(usable))]
     try:
         pose = linear_pose(matches.points[pairs.usable], usable.colour.T)
         found.append(("linear", pairs.parameters(pose)))
     except DegenerateGeometryError:
         pass
-    found.sort(key=lambda start: _typical(start[1], usable))
+    found.sort(key=lambda start: _median_residual(start[1], usable))
     if initial is not None:
         found.insert(0, ("given", pairs.parameters(initial)))
     return found
 
 
-def aimed(pairs: StereoPairs) -> FloatArray:
+def aimed_start(pairs: StereoPairs) -> FloatArray:
     """Return the parameters (6,) of a camera a little to the left that looks at the middle of the matches.
 
     Its roll is the one that the matches show.
@@ -116,6 +116,6 @@ def _towards(coordinates: FloatArray) -> FloatArray:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _typical(x: FloatArray, pairs: StereoPairs) -> float:
+def _median_residual(x: FloatArray, pairs: StereoPairs) -> float:
     error = np.linalg.norm(epipolar_residuals(x, pairs), axis=0)
     return float(np.median(np.where(np.isfinite(error), error, np.inf)))

@@ -64,7 +64,7 @@ def rectify(
     return focal * (across - focal * sin_a * cos_b) / along, -focal * up / along
 
 
-def equal_baselines_turn(Tx: float, Ty: float) -> FloatArray:
+def equal_baselines_rotation(Tx: float, Ty: float) -> FloatArray:
     """Return the turn (2, 2) by omega1 = 45 deg - atan2(Ty, Tx) about the optical axis, which makes bx = by.
 
     Source: thesis Eq 2.15; the text says "rotated by -omega1", the matrix turns by +omega1 and is right.
@@ -77,7 +77,7 @@ def equal_baseline(Tx: float, Ty: float) -> float:
     return float(np.sqrt((Tx * Tx + Ty * Ty) / 2))
 
 
-def turned(x: FloatArray, y: FloatArray, turn: FloatArray) -> _Coordinates:
+def rotate_coordinates(x: FloatArray, y: FloatArray, turn: FloatArray) -> _Coordinates:
     """Return picture coordinates (N,) turned about the optical axis. Source: thesis Eq 2.15, 2.16."""
     return turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
 
@@ -121,8 +121,8 @@ def stereo_depths(
     x, y = rectify(colour[0], colour[1], alpha=p.alpha, beta=p.beta, gamma=p.gamma, focal=focal)
     if not hypot(p.Tx, p.Ty) > 0:
         return np.full_like(x, np.nan), np.full_like(x, np.nan)
-    turn, baseline = equal_baselines_turn(p.Tx, p.Ty), equal_baseline(p.Tx, p.Ty)
-    (xl, yl), (xc, yc) = turned(laser[0], laser[1], turn), turned(x, y, turn)
+    turn, baseline = equal_baselines_rotation(p.Tx, p.Ty), equal_baseline(p.Tx, p.Ty)
+    (xl, yl), (xc, yc) = rotate_coordinates(laser[0], laser[1], turn), rotate_coordinates(x, y, turn)
     return (
         stereo_depth(xc, xl, baseline=baseline, Tz=p.Tz, focal=focal),
         stereo_depth(yc, yl, baseline=baseline, Tz=p.Tz, focal=focal),
@@ -207,7 +207,7 @@ class StereoPairs:
         return np.array([p.Tx, p.Ty, p.Tz, p.alpha, p.beta, p.gamma])
 
     def ahead(self, camera_from_scanner: Rigid) -> BoolArray:
-        """Return which colour pixels (M,) look forward along the frame's X once derotated."""
+        """Return which colour pixels (M,) look forward along the frame's X once stereo_disparities."""
         forward = camera_from_scanner.rotation @ self.frame_from_scanner[0]
         return np.asarray(forward @ np.vstack([self.colour, np.ones(len(self))]) > 0)
 

@@ -24,7 +24,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.thesis.epipolar import epipolar_cost, epipolar_residuals
 from ladarreg_core.pose.thesis.nelder_mead import SimplexStep, nelder_mead, start_simplex
-from ladarreg_core.pose.thesis.starts import StartName, first_poses
+from ladarreg_core.pose.thesis.starts import StartName, starting_poses
 from ladarreg_core.pose.thesis.stereo import StereoPairs, pose_of, stereo_cost
 
 Residual = Literal["stereo", "epipolar"]
@@ -160,7 +160,7 @@ class SimplexFit:
     collapsed: bool
     """Whether it ended in the valley at T = 0, which is an answer to the cost and none to the question."""
 
-    def story(self) -> dict[str, Any]:
+    def diagnostics(self) -> dict[str, Any]:
         """Return what a result's diagnostics say of it, JSON-ready."""
         return {
             "residual": self.residual,
@@ -176,7 +176,7 @@ class SimplexFit:
             "before_rejection": self.before.camera_from_scanner.matrix.tolist(),
         }
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return one sentence on the outcome."""
         if self.collapsed:
             return (
@@ -221,7 +221,7 @@ def fit_simplex(
     sigma_px: float = 1.0,
 ) -> SimplexFit:
     """Return the pose before and after the rejection of outliers; `descend` is this, watched."""
-    return _exhausted(descend(matches, camera, options, initial=initial, sigma_px=sigma_px))
+    return _return_value(descend(matches, camera, options, initial=initial, sigma_px=sigma_px))
 
 
 def descend(
@@ -263,12 +263,12 @@ def descend(
             f"only {usable} of {len(matches)} matches lie in front of the scanner and within the lens, and a pose "
             f"needs {LEAST_MATCHES}; add matches"
         )
-    walk = _Walk(pairs, options or SimplexOptions(), camera.focal_px, float(sigma_px))
-    return walk.whole(first_poses(matches, pairs, initial))
+    fitter = _Fitter(pairs, options or SimplexOptions(), camera.focal_px, float(sigma_px))
+    return fitter.run(starting_poses(matches, pairs, initial))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _End:
+class _Minimum:
     """Where a descent, or a descent with its rejections, ended."""
 
     x: FloatArray
@@ -283,7 +283,7 @@ _Steps = Generator[DescentStep, None, _T]
 
 
 @dataclass(slots=True, eq=False)
-class _Walk:
+class _Fitter:
     """All descents of one fit."""
 
     pairs: StereoPairs
@@ -299,16 +299,16 @@ class _Walk:
     def reach_m(self) -> float:
         return float(np.median(self.pairs.depth[self.pairs.usable]))
 
-    def whole(self, starts: list[tuple[StartName, FloatArray]]) -> _Steps[SimplexFit]:
+    def run(self, starts: list[tuple[StartName, FloatArray]]) -> _Steps[SimplexFit]:
         """Walk from the first start, elsewhere where that ends in doubt, and reject in between."""
         residual, everything = self.options.residual, self.pairs.usable
         name, x = starts[0]
         others = starts[1:]
         if residual == "stereo" and name == "aimed":  # too far off for Ez, whose valley is near
-            best = yield from self.led(x)
+            best = yield from self.via_epipolar(x)
             self.round = 0
             before = yield from self.descent(best.x, everything, residual, narrow=True)
-            best = min(best, before, key=self.worth)
+            best = min(best, before, key=self.rank)
         else:
             before = best = yield from self.descent(x, everything, residual)
             if residual == "stereo":
@@ -316,18 +316,18 @@ class _Walk:
         while self.restart < self.options.restarts and others and self.doubtful(best, residual):
             self.restart += 1
             (other_name, x), others = others[0], others[1:]
-            end = yield from (self.led(x) if residual == "stereo" else self.descent(x, everything, residual))
+            end = yield from (self.via_epipolar(x) if residual == "stereo" else self.descent(x, everything, residual))
             self.round = 0
-            if self.worth(end) < self.worth(best):
+            if self.rank(end) < self.rank(best):
                 best, name = end, other_name
         if best is not before:
             again = yield from self.descent(best.x, everything, residual, narrow=True)
             if again.cost < before.cost or self.collapsed(before, residual):
                 before = again
-        after = yield from self.rejecting(best, residual)
+        after = yield from self.reject_outliers(best, residual)
         return SimplexFit(
-            before=self.answer(before),
-            after=self.answer(after),
+            before=self.simplex_pose(before),
+            after=self.simplex_pose(after),
             residual=residual,
             start=name,
             rejected_by=self.rejected_by(after.x, residual),
@@ -340,22 +340,22 @@ class _Walk:
             collapsed=self.collapsed(after, residual),
         )
 
-    def led(self, x: FloatArray) -> _Steps[_End]:
+    def via_epipolar(self, x: FloatArray) -> _Steps[_Minimum]:
         """Walk the residual without poles first, and reject; then leave out what lies near a pole, and walk down Ez."""
         end = yield from self.descent(x, self.pairs.usable, "epipolar")
-        end = yield from self.rejecting(end, "epipolar")
-        return (yield from self.rejecting(end, "stereo"))
+        end = yield from self.reject_outliers(end, "epipolar")
+        return (yield from self.reject_outliers(end, "stereo"))
 
-    def worth(self, end: _End) -> tuple[bool, float]:
+    def rank(self, end: _Minimum) -> tuple[bool, float]:
         """Return what orders ends, the best first."""
-        return self.collapsed(end, self.options.residual), self.typical(end, self.options.residual)
+        return self.collapsed(end, self.options.residual), self.median_error(end, self.options.residual)
 
-    def answer(self, end: _End) -> SimplexPose:
-        return SimplexPose(self.pairs.pose(end.x), _frozen(end.keep), end.cost)
+    def simplex_pose(self, end: _Minimum) -> SimplexPose:
+        return SimplexPose(self.pairs.pose(end.x), _read_only(end.keep), end.cost)
 
-    def descent(self, x: FloatArray, keep: BoolArray, residual: Residual, *, narrow: bool = False) -> _Steps[_End]:
+    def descent(self, x: FloatArray, keep: BoolArray, residual: Residual, *, narrow: bool = False) -> _Steps[_Minimum]:
         """Walk down the cost of the matches kept."""
-        o, chosen, reach, keep = self.options, self.pairs.subset(keep), self.reach_m, _frozen(keep)
+        o, chosen, reach, keep = self.options, self.pairs.subset(keep), self.reach_m, _read_only(keep)
         share = _NARROW if narrow else 1.0
         side_m = (o.step_m if o.step_m is not None else 0.1 * reach) * share
         sides = np.maximum([side_m] * 3 + [o.step_rad * share] * 3, 1e-6 * np.abs(x))
@@ -381,9 +381,9 @@ class _Walk:
                 break
         self.iterations += last.iteration
         self.evaluations += last.evaluations
-        return _End(last.best, keep, last.cost, "cost below threshold" if last.cost <= goal else "settled")
+        return _Minimum(last.best, keep, last.cost, "cost below threshold" if last.cost <= goal else "settled")
 
-    def rejecting(self, end: _End, residual: Residual) -> _Steps[_End]:
+    def reject_outliers(self, end: _Minimum, residual: Residual) -> _Steps[_Minimum]:
         """Keep what lies within the threshold and walk again, until the same matches are kept; some may come back."""
         x, keep, cost, threshold = end.x, end.keep, end.cost, np.inf
         known: set[bytes] = set()
@@ -395,7 +395,7 @@ class _Walk:
             threshold = self.threshold(errors, x, residual)
             within = errors <= threshold
             halving = halving and self.rejected_by(x, residual) == "pixel residual"
-            if (within == keep).all() and not (halving and self.doubtful(_End(x, keep, cost), residual)):
+            if (within == keep).all() and not (halving and self.doubtful(_Minimum(x, keep, cost), residual)):
                 stopped = "settled"
                 break
             if halving:
@@ -418,7 +418,7 @@ class _Walk:
             if there.stopped == "cost below threshold":
                 stopped = there.stopped
                 break
-        return _End(x, keep, cost, stopped, float(threshold), end.rounds + rounds)
+        return _Minimum(x, keep, cost, stopped, float(threshold), end.rounds + rounds)
 
     def rejected_by(self, x: FloatArray, residual: Residual) -> RejectedBy:
         """Return what tells outliers: the depth error, but pixels where the epipolar residual's depths mean little."""
@@ -447,20 +447,20 @@ class _Walk:
         least = _NEVER_BELOW_OF_RANGE * self.reach_m if by_depth else _NEVER_BELOW_PX
         return max(self.options.reject_sigma * _MAD * float(np.median(errors[self.pairs.usable])), least)
 
-    def typical(self, end: _End, residual: Residual) -> float:
+    def median_error(self, end: _Minimum, residual: Residual) -> float:
         """Return the median error of all usable matches, of the depth (`stereo`) or in px: poles do not move it."""
         if residual == "stereo":
             relative = self.pairs.depth_errors(end.x)[self.pairs.usable] / self.pairs.depth[self.pairs.usable]
             return float(np.median(relative) / np.sqrt(2))
         return float(np.median(self.pixel_errors(end.x)[self.pairs.usable]))
 
-    def doubtful(self, end: _End, residual: Residual) -> bool:
+    def doubtful(self, end: _Minimum, residual: Residual) -> bool:
         if self.collapsed(end, residual):
             return True
         most = max(_DOUBT_SIGMA * self.sigma_px, _DOUBT_OF_FOCAL * self.focal_px)
-        return not self.typical(end, residual) <= (_DOUBT_OF_DEPTH if residual == "stereo" else most)
+        return not self.median_error(end, residual) <= (_DOUBT_OF_DEPTH if residual == "stereo" else most)
 
-    def collapsed(self, end: _End, residual: Residual) -> bool:
+    def collapsed(self, end: _Minimum, residual: Residual) -> bool:
         """Return whether the baseline is below what a pixel can tell, or the cost that of no baseline at all."""
         if residual == "epipolar":
             return False
@@ -470,7 +470,7 @@ class _Walk:
         return bool(within_noise or not end.cost < _VALLEY * valley)
 
 
-def _exhausted(steps: Generator[Any, None, _T]) -> _T:
+def _return_value(steps: Generator[Any, None, _T]) -> _T:
     while True:
         try:
             next(steps)
@@ -479,7 +479,7 @@ def _exhausted(steps: Generator[Any, None, _T]) -> _T:
             return value
 
 
-def _frozen(mask: BoolArray) -> BoolArray:
+def _read_only(mask: BoolArray) -> BoolArray:
     mask = mask.copy()
     mask.flags.writeable = False
     return mask

@@ -9,7 +9,7 @@ from benchmarks.case import start_near
 from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.cross_validation import choose_intrinsics, deal, worse_when_held_out
+from ladarreg_core.pose.cross_validation import assign_folds, choose_intrinsics, worse_when_held_out
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.noise import estimate_noise
 
@@ -43,7 +43,7 @@ def rolled_back(case, start, **options):
 
 @given(st.lists(st.sampled_from("abcdefghijklm"), min_size=1, max_size=40), st.integers(0, 99))
 def test_the_matches_of_a_pick_stay_together_and_folds_are_alike(ids, seed):
-    group, fold = deal(ids, seed=seed)
+    group, fold = assign_folds(ids, seed=seed)
     picks = sorted(set(ids))
     of_pick = {name: {int(f) for f, other in zip(fold, ids, strict=True) if other == name} for name in picks}
     assert all(len(folds) == 1 for folds in of_pick.values())
@@ -51,7 +51,7 @@ def test_the_matches_of_a_pick_stay_together_and_folds_are_alike(ids, seed):
     assert len(sizes) == min(5, len(picks))
     assert np.ptp(sizes) <= 1
     assert len(np.unique(group)) == len(picks)
-    assert (deal(ids, seed=seed)[1] == fold).all()
+    assert (assign_folds(ids, seed=seed)[1] == fold).all()
 
 
 @settings(max_examples=15)
@@ -74,7 +74,7 @@ def test_a_wrong_focal_length_is_found(seed, factor, stated):
     assert abs(fit.camera.focal_px - 974) < 4.5 * fit.sigmas["focal_px"]
     assert fit.pose.distance_to(case.pose) < 0.04  # as given and fixed: .1 to .5 m
     assert fit.sigma_px == pytest.approx(1.0, rel=0.2)
-    words = choice.in_words()
+    words = choice.describe()
     assert words[0].startswith(f"The focal length was estimated: 9{words[0].split(': 9')[1][:2]}")
     assert words[0].endswith(f" px instead of {974 * factor:.1f} px.")
 
@@ -116,7 +116,7 @@ def test_what_is_suggested_but_not_determined_is_said_and_not_used():
         choice = choose_intrinsics(matches, given, result.camera_from_scanner, result.inliers, **SIGMA)
         if choice.fit is not None:
             assert choice.fit.determined
-        found |= set(choice.in_words()) if choice.fit is None else set()
+        found |= set(choice.describe()) if choice.fit is None else set()
     assert found
     assert all("The matches suggest other intrinsics (focal length " in words for words in found)
     assert all("kept as given" in words for words in found)

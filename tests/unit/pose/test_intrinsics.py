@@ -12,7 +12,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.intrinsics import PARAMETERS, Descent, estimate_intrinsics, foreseen_gains, intrinsic
+from ladarreg_core.pose.intrinsics import PARAMETERS, Descent, estimate_intrinsics, intrinsic, predicted_gains
 
 SIGMA = {"sigma_px": 1.0, "sigma_range_m": 0.015}
 LENSES = {
@@ -170,9 +170,9 @@ def test_the_score_foresees_what_the_fit_brings(seed):
     descents = [Descent.start(case.matches, given, case.pose, count, **SIGMA) for count in (0, 1)]
     for descent in descents:
         descent.least_squares(everyone)
-    fixed, free = (descent.seen.s[0].sum() for descent in descents)
+    fixed, free = (descent.residuals.s[0].sum() for descent in descents)
     exact = norm.isf(f.sf((fixed - free) / (free / (240 - 7)), 1, 240 - 7))
-    assert foreseen_gains(descents[0], everyone, (1, 2))[0] == pytest.approx(exact, rel=0.05)
+    assert predicted_gains(descents[0], everyone, (1, 2))[0] == pytest.approx(exact, rel=0.05)
     right = Descent.start(case.matches, descents[1].camera, descents[1].state.pose(), 0, **SIGMA)
     right.least_squares(everyone)
-    assert foreseen_gains(right, everyone, (1,))[0] < 0
+    assert predicted_gains(right, everyone, (1,))[0] < 0

@@ -13,7 +13,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import Measurements, States, settle
+from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.line_ends import RepairedEnds, repair_ends
 
@@ -64,7 +64,7 @@ def drawn(seed: int, camera: Camera, *, slid: int = 0, swapped: int = 0, both: i
 def repaired(matches: Matches, pose: Rigid, camera: Camera) -> RepairedEnds:
     measured = Measurements.of(matches, camera, sigma_px=SIGMA_PX, sigma_range_m=SIGMA_M)
     state = States.of([pose], measured)
-    inliers = settle(measured, state)[1].s[0] <= GATE
+    inliers = adjust_ranges(measured, state)[1].s[0] <= GATE
     return repair_ends(matches, inliers, state, camera, gate=GATE, sigma_px=SIGMA_PX, sigma_range_m=SIGMA_M)
 
 
@@ -92,7 +92,7 @@ def test_what_is_as_it_should_be_is_left_alone() -> None:
         gate=GATE, sigma_px=SIGMA_PX, sigma_range_m=SIGMA_M,
     )  # fmt: skip
     assert found.matches is matches
-    assert found.in_words() == ()
+    assert found.describe() == ()
 
 
 def test_a_line_of_another_edge_stays_a_mismatch() -> None:
@@ -120,8 +120,8 @@ def test_a_repair_says_what_was_done_and_nothing_is_moved_but_the_ends() -> None
     found = repaired(matches, pose, LENSES["ideal"])
     assert set(found.slid) >= {"L0", "L1"}
     assert found.swapped == ("L2",)
-    assert found.in_words()[0].startswith("Line L2 was drawn the other way round in the photo")
-    assert "not drawn between the same points" in found.in_words()[1]
+    assert found.describe()[0].startswith("Line L2 was drawn the other way round in the photo")
+    assert "not drawn between the same points" in found.describe()[1]
     changed = (found.matches.uv != matches.uv).any(axis=1)
     assert set(np.flatnonzero(changed)) == {4, 5}
     np.testing.assert_array_equal(found.matches.rays, matches.rays)

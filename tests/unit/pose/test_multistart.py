@@ -39,7 +39,7 @@ def plane(seed, *, extent_m, distance_m, tilt_rad, count=40, sigma_px=1.0, sigma
 
 def same(a: Basin, b: Basin) -> bool:
     def key(x):
-        return [(p.score, p.starts, p.agree, *p.pose.matrix.ravel()) for p in x.places]
+        return [(p.score, p.starts, p.agree, *p.pose.matrix.ravel()) for p in x.clusters]
 
     return a.verdict == b.verdict and a.levels == b.levels and key(a) == key(b)
 
@@ -49,12 +49,12 @@ def test_a_room_has_one_place_and_a_wide_basin(outliers):
     for seed in range(500, 506):
         case = room_case(seed, outliers=outliers)
         found = probe_basin(solved(case), seed=seed)
-        assert found.verdict == "unique", found.in_words()
+        assert found.verdict == "unique", found.describe()
         assert found.size is not None
         assert found.size.angle_rad >= np.deg2rad(20) - 1e-9
-        assert found.in_words().startswith("Starts up to ")
+        assert found.describe().startswith("Starts up to ")
         assert found.starts == sum(level.starts for level in found.levels) == 32
-        assert found.places[0].pose.distance_to(case.pose) < 0.02
+        assert found.clusters[0].pose.distance_to(case.pose) < 0.02
 
 
 def test_it_scales_with_the_scene():
@@ -65,7 +65,7 @@ def test_it_scales_with_the_scene():
         probe_basin(solved(case, matches, sigma_range_m=sigma))
         for matches, sigma in ((case.matches, 0.015), (small, 0.00015))
     )
-    assert [level.home for level in large.levels] == [level.home for level in little.levels]
+    assert [level.returned for level in large.levels] == [level.returned for level in little.levels]
     for a, b in zip(large.levels, little.levels, strict=True):
         assert b.distance_m == pytest.approx(a.distance_m / 100, rel=1e-3)
 
@@ -107,7 +107,7 @@ def test_a_plane_from_afar_is_ambiguous_and_names_the_mirrored_pose():
         nearer = min((result.camera_from_scanner, found.other), key=pose.angle_to)
         assert nearer.angle_to(pose) < 0.35
         assert result.camera_from_scanner.angle_to(found.other) > 0.3
-        assert "off their plane" in found.in_words()
+        assert "off their plane" in found.describe()
 
 
 @pytest.mark.parametrize("share", [0.5, 0.4])
@@ -145,7 +145,7 @@ def test_a_wrong_pose_fails_and_the_better_one_is_named(degrees, metres, outlier
             assert found.other is not None
             step = difference(case.pose, found.other)
             assert step @ case.bound() @ step < 36
-            assert found.in_words().startswith("A better pose lies ")
+            assert found.describe().startswith("A better pose lies ")
 
 
 def test_the_mirrored_pose_of_a_large_plane_fails():
@@ -216,10 +216,10 @@ def test_what_no_pose_explains_is_answered_all_the_same(kind, seed, count):
     matches = Matches(rays, ranges, uv)
     found = probe_basin(random_result(seed, matches, camera), seed=seed)
     assert found.verdict in ("unique", "ambiguous", "failed")
-    assert found.in_words().endswith(".")
-    assert all(np.isfinite(p.pose.matrix).all() and np.isfinite(p.score) for p in found.places)
+    assert found.describe().endswith(".")
+    assert all(np.isfinite(p.pose.matrix).all() and np.isfinite(p.score) for p in found.clusters)
     if kind in ("line", "copies", "one", "wrong", "behind"):
-        assert found.verdict != "unique", found.in_words()
+        assert found.verdict != "unique", found.describe()
     try:
         result = solve_pose(matches, camera, PoseOptions(sigma_px=1.0, sigma_range_m=0.015))
     except LadarregError:
