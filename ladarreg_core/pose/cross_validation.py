@@ -1,7 +1,7 @@
-"""Matches held out as the folds: whether what was fitted to the others foretells them better.
+"""Cross-validation of intrinsics and poses: the model that predicts held-out matches better is preferred.
 
-The picks are dealt into folds, the matches of one pick into the same; each fold is foretold by a fit to the others. Two
-cameras are compared by min(s, gate), so that mismatches cost both the same.
+Picks are assigned to folds, with all matches of a pick in the same fold; each fold is predicted by a fit to the others.
+Two cameras are compared by min(s, gate), so that outliers cost both the same.
 
 Source: Stone, Cross-validatory choice and assessment of statistical predictions (1974).
 """
@@ -32,15 +32,15 @@ from ladarreg_core.pose.intrinsics import (
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
 
 FOLDS = 5
-"""How many folds the picks are dealt into."""
+"""Number of folds."""
 SCORE_TEST_SIGMA = 3.7
-"""How sure a score test must be that intrinsics are wrong before they are estimated at all: 1 in 10,000 by chance."""
+"""Significance of the score test above which intrinsics are estimated at all: 1 in 10,000 by chance."""
 LEAST_SHIFT_SIGMA = 3.0
-"""How many of its own standard deviations an intrinsic must move to be kept."""
+"""Smallest change of an estimated intrinsic that is kept, in its standard deviations."""
 CLEAR_GAIN_SIGMA = 2.0
-"""How many standard errors held-out matches must gain for an intrinsic to be kept."""
+"""Smallest gain on held-out matches for which an intrinsic is kept, in standard errors."""
 
-_WIDE = 9.0  # of the gate: a wrong camera puts true matches beyond it
+_WIDE = 9.0  # relative to the gate: a wrong camera puts correct matches beyond it
 _WORTH_WIDENING = 1.05
 _MOST_S = 1e6
 _STEPS = 10
@@ -55,84 +55,84 @@ _LADDER: dict[Intrinsics, tuple[Intrinsics, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """By how much held-out matches cost less under one model than under another."""
+    """Decrease of the cost of held-out matches from one model to another."""
 
     total: float
-    """Sum over the matches, in units of s; positive: better."""
+    """Sum over the matches, in units of s; positive means better."""
     sigma: float
     """Its standard error, over picks."""
 
     @property
     def clear(self) -> bool:
-        """Whether the gain is more than chance."""
+        """True if the gain is significant."""
         return self.total > CLEAR_GAIN_SIGMA * self.sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """One step up the ladder of intrinsics."""
+    """One step up the ladder of intrinsics models."""
 
     fit: IntrinsicsFit
-    """The fit with the noise of the model before."""
+    """The fit, with the noise of the previous model."""
     gain: Gain | None
-    """Of held-out matches, against the model before; None where the fit is not worth asking them."""
+    """Gain over the previous model on held-out matches; None if the fit was discarded before."""
     shift_sigma: float
-    """How far the new intrinsic moved, in its own standard deviations by the scatter that the fit leaves."""
+    """Change of the new intrinsic, in standard deviations scaled by the scatter of the residuals."""
     kept: bool
-    """Whether it was kept."""
+    """True if the fit was kept."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IntrinsicsChoice:
-    """Which intrinsics the matches ask for."""
+    """Intrinsics selected by cross-validation."""
 
     given: Camera
-    """The camera that was given."""
+    """The given camera."""
     fit: IntrinsicsFit | None
     """The fit that was kept; None: the camera stays as given."""
     trials: tuple[Trial, ...]
-    """What was tried, in order; empty where nothing asked for it."""
+    """The models that were tried, in order; empty if the given camera passed the score test."""
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """What was kept."""
+        """The intrinsics that were kept."""
         return "fixed" if self.fit is None else self.fit.intrinsics
 
     def describe(self) -> tuple[str, ...]:
-        """Return the outcome in sentences; empty where nothing asked for other intrinsics."""
+        """Return the outcome in sentences; empty if the given camera passed the score test."""
         if self.fit is not None:
             return describe_intrinsics(self.fit, self.given)
         if not self.trials:
             return ()
         last = self.trials[-1].fit
         changes = " and ".join(_estimates(last))
-        why = "do not determine them" if not last.determined else "foretell held-out matches no better with them"
+        why = "do not determine them" if not last.determined else "held-out matches are predicted no better"
         return (
-            f"The matches suggest other intrinsics ({changes}), but {why}; the camera was kept as given. Give the "
-            "camera file, or add matches near and far and all over the picture.",
+            f"The matches suggest other intrinsics ({changes}), but {why}; the camera was kept as given. Provide a "
+            "camera file, or add matches near and far and across the whole photo.",
         )
 
 
 def describe_intrinsics(fit: IntrinsicsFit, given: Camera) -> tuple[str, ...]:
-    """Return what was estimated beside the pose, in sentences.
+    """Return the estimated intrinsics in sentences.
 
     Args:
         fit: the fit.
-        given: the camera that it started from.
+        given: the given camera.
     """
-    names = {"focal_px": "focal length", "k1": "lens's k1", "cx": "principal point's u", "cy": "principal point's v"}
+    names = {"focal_px": "focal length", "k1": "distortion k1", "cx": "principal point cx", "cy": "principal point cy"}
     sentences = []
     for name, value in fit.values.items():
         unit = "" if name == "k1" else " px"
         before, sigma = intrinsic(given, name), fit.sigmas[name]
         digits = 3 if name == "k1" else 0 if sigma >= 2 else 1
         sentences.append(
-            f"The {names[name]} was estimated: {value:.{digits}f} +- {sigma:.{digits}f}{unit} instead of "
-            f"{before:.{digits}f}{unit}."
+            f"The {names[name]} was estimated as {value:.{digits}f} +- {sigma:.{digits}f}{unit} (given: "
+            f"{before:.{digits}f}{unit})."
         )
     if sentences and not fit.determined:
         sentences.append(
-            "The matches do not determine the focal length; give the camera file, or add matches near and far."
+            "The matches do not determine the focal length; provide a camera file, or add matches near and far."
         )
     return tuple(sentences)
 
@@ -160,23 +160,23 @@ def choose_intrinsics(
     noise: Noise | None = None,
     seed: int = 0,
 ) -> IntrinsicsChoice:
-    """Estimate those intrinsics, and only those, without which the matches disagree.
+    """Estimate only those intrinsics that the matches require.
 
-    A score test asks first whether anything is wrong, which costs less than the pose did. Then each step of the ladder
-    (focal, k1, centre) is kept only if held-out matches get clearly better, if the intrinsic moved by more than 3 of
-    its own sigmas, and if the matches determine the focal length to 2 %.
+    A score test, cheaper than the pose, first detects whether the given intrinsics are wrong at all. Then each step of
+    the ladder (focal, k1, centre) is kept only if the prediction of held-out matches improves significantly, the
+    intrinsic changed by more than 3 sigma, and the matches determine the focal length to 2 %.
 
     Args:
-        matches: M matches, mismatches among them.
-        camera: as given.
+        matches: M matches, which may contain outliers.
+        camera: the given camera.
         pose: camera_from_scanner, fitted with that camera.
-        inliers: (M,) the matches that agree with it.
+        inliers: (M,) inliers of that pose.
         sigma_px: pixel noise used, px.
         sigma_range_m: range noise used, m.
-        gate_chi2: largest s of an inlier.
+        gate_chi2: largest cost s of an inlier.
         most: the last step of the ladder.
-        noise: what noise a fit shows, where it is not known; None: as stated.
-        seed: of the deal.
+        noise: estimator of the noise if it is not stated; None: the noise is as given.
+        seed: random seed of the folds.
     """
     ladder = _LADDER[most]
     model = _Model(camera, pose, inliers, 0)
@@ -195,7 +195,7 @@ def choose_intrinsics(
         good = gain is not None and gain.clear
         trials.append(Trial(fit, gain, shift, good))
         if not fit.determined:
-            break  # with more intrinsics free it is less so
+            break  # more free intrinsics determine it even less
         if good:
             kept = folds.fit(tried, step, noise) if noise else fit
             model, folds = _Model.of(kept), replace(folds, sigma_px=kept.sigma_px, sigma_range_m=kept.sigma_range_m)
@@ -203,7 +203,7 @@ def choose_intrinsics(
 
 
 def _shift_sigma(fit: IntrinsicsFit, given: Camera, step: Intrinsics) -> float:
-    """Return how far the intrinsics that a step adds moved, the furthest of them, in standard deviations."""
+    """Return the largest change among the intrinsics that a step adds, in standard deviations."""
     new = {"focal": ("focal_px",), "focal_k1": ("k1",), "focal_k1_centre": ("cx", "cy")}[step]
     scatter = np.sqrt(max(1.0, fit.chi2_per_dof)) if fit.dof > 0 else np.inf
     return float(max(abs(fit.values[name] - intrinsic(given, name)) / fit.sigmas[name] for name in new) / scatter)
@@ -221,20 +221,20 @@ def worse_when_held_out(
     gate_chi2: float = 9.21,
     seed: int = 0,
 ) -> bool:
-    """Return whether a pose fitted to the matches foretells held-out ones worse than the pose it started from.
+    """Return whether poses fitted to the matches predict held-out ones worse than the initial pose does.
 
-    It is so, too, where the matches are too few to hold any out: then nothing speaks for the fit.
+    True as well if there are too few matches to hold any out, because then nothing supports the fit.
 
     Args:
-        matches: M matches, mismatches among them.
+        matches: M matches, which may contain outliers.
         camera: intrinsics.
-        start: camera_from_scanner, from elsewhere: these matches had no part in it.
+        start: the initial camera_from_scanner, obtained without these matches.
         refined: camera_from_scanner, fitted to the matches.
-        inliers: (M,) the matches that agree with it.
+        inliers: (M,) inliers of the refined pose.
         sigma_px: pixel noise, px.
         sigma_range_m: range noise, m.
-        gate_chi2: largest s of an inlier.
-        seed: of the deal.
+        gate_chi2: largest cost s of an inlier.
+        seed: random seed of the folds.
     """
     folds = _Folds.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
     measured = folds.measured(camera)
@@ -246,7 +246,7 @@ def worse_when_held_out(
 
 
 def _lorentzian(s: FloatArray, gate: float) -> FloatArray:
-    """Return a cost that still grows beyond the gate: where noise was stated too small all poses would look alike.
+    """Return a cost that still grows beyond the gate; a truncated one cannot compare poses if the noise is understated.
 
     Source: Black and Anandan, The robust estimation of multiple motions (1996), the Lorentzian.
     """
@@ -254,15 +254,15 @@ def _lorentzian(s: FloatArray, gate: float) -> FloatArray:
 
 
 def assign_folds(pick_ids: Sequence[str], *, folds: int = FOLDS, seed: int = 0) -> tuple[IntArray, IntArray]:
-    """Deal picks into folds of like size.
+    """Assign picks to folds of similar size.
 
     Args:
         pick_ids: (M,) the pick of each match.
-        folds: at most so many; never more than there are picks.
-        seed: of the deal.
+        folds: maximum number of folds; never more than there are picks.
+        seed: random seed.
 
     Returns:
-        The number of each match's pick, and its fold, both (M,).
+        The index of each match's pick, and its fold, both (M,).
     """
     number: dict[str, int] = {}
     group = np.array([number.setdefault(name, len(number)) for name in pick_ids], dtype=np.intp)
@@ -272,13 +272,13 @@ def assign_folds(pick_ids: Sequence[str], *, folds: int = FOLDS, seed: int = 0) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Model:
-    """What is put to the test."""
+    """A pose and camera under test."""
 
     camera: Camera
     pose: Rigid
     inliers: BoolArray
     count: int
-    """How many of (log f, k1, cx, cy) are free."""
+    """Number of free intrinsics among (log f, k1, cx, cy)."""
 
     @staticmethod
     def of(fit: IntrinsicsFit) -> _Model:
@@ -287,7 +287,7 @@ class _Model:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Folds:
-    """All matches, dealt into folds."""
+    """All matches, assigned to folds."""
 
     matches: Matches
     sigma_px: float
@@ -316,7 +316,7 @@ class _Folds:
         )  # fmt: skip
 
     def rejects(self, model: _Model, ladder: Sequence[Intrinsics]) -> bool:
-        """Return whether a score test misses any of the steps."""
+        """Return whether a score test rejects the model in favour of any step of the ladder."""
         if not ladder:
             return False
         descent = self.descent(model)
@@ -335,8 +335,8 @@ class _Folds:
     def held_out(self, model: _Model) -> FloatArray:
         """Return s (M,) of every match under the fit to the inliers of the other folds.
 
-        Where those are too few for a fit it is infinite: a fit that they do not hold would still know the held-out
-        ones, from which it starts.
+        It is infinite if those are too few for a fit: an underdetermined fit would still depend on the held-out matches
+        through its starting pose.
         """
         folds = np.arange(self.fold.max() + 1)
         training = model.inliers & (self.fold != folds[:, None])  # (B, M)
@@ -347,7 +347,7 @@ class _Folds:
         return np.where(enough[self.fold], own, np.inf)
 
     def _fixed(self, model: _Model, training: BoolArray) -> FloatArray:
-        """Return s (B, M) under the poses fitted to each of the memberships (B, M)."""
+        """Return s (B, M) under the poses fitted to each training set (B, M)."""
         measured = self.measured(model.camera)
         counts = training.astype(np.float64)
         descent = bundle.Descent.start(measured, States.of([model.pose] * len(training), measured))
@@ -358,7 +358,7 @@ class _Folds:
         return adjust_ranges(measured, descent.states)[1].s
 
     def _free(self, model: _Model, training: BoolArray) -> FloatArray:
-        """Return s (B, M) under the poses and cameras fitted to each of the memberships (B, M)."""
+        """Return s (B, M) under the poses and cameras fitted to each training set (B, M)."""
         found = []
         start = self.descent(model)
         for members in training:

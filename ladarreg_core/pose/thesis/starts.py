@@ -1,4 +1,4 @@
-"""Where a simplex starts: the pose that is given, the linear one, or a guess that needs nothing."""
+"""Starting poses of a simplex: the given pose, the linear pose, or a camera aimed at the matches."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ _SMOOTHING_DEG = 6.0
 _NEAR_DEG = 20.0
 _LEVEL = 0.02
 _BEST_SHARE = 0.2
-_STANDS_OUT = 0.25  # of the pairs within 20 degrees of the mode; 0.11 by chance
+_LEAST_MODE_SHARE = 0.25  # of the pairs within 20 degrees of the mode; 0.11 by chance
 
 
 def starting_poses(matches: Matches, pairs: StereoPairs, initial: Rigid | None) -> list[tuple[StartName, FloatArray]]:
-    """Return the parameters (6,) to start from, in the order to try them in.
+    """Return the parameters (6,) of the starting poses, in the order in which to try them.
 
-    The one that is given comes first. Of the linear pose and the aimed one the better leads: mismatches can throw the
-    linear pose anywhere, and near a plane there is none.
+    The given pose comes first, then the better of the linear and the aimed pose: outliers can make the linear pose
+    useless, and near a plane it does not exist.
 
     Args:
         matches: M matches.
-        pairs: the same.
-        initial: a pose that is given, or none.
+        pairs: the same matches.
+        initial: the given pose, or None.
     """
     usable = pairs.subset(pairs.usable)
     found: list[tuple[StartName, FloatArray]] = [("aimed", aimed_start(usable))]
@@ -52,9 +52,9 @@ def starting_poses(matches: Matches, pairs: StereoPairs, initial: Rigid | None) 
 
 
 def aimed_start(pairs: StereoPairs) -> FloatArray:
-    """Return the parameters (6,) of a camera a little to the left that looks at the middle of the matches.
+    """Return the parameters (6,) of a camera slightly to the left, aimed at the median of the matches.
 
-    Its roll is the one that the matches show.
+    Its roll is estimated from the matches.
 
     Source: thesis 3.2 ('two meter translation'), scaled by the range.
     """
@@ -73,12 +73,16 @@ def aimed_start(pairs: StereoPairs) -> FloatArray:
 
 
 def picture_roll(laser: FloatArray, colour: FloatArray, depth: FloatArray) -> float | None:
-    """Return gamma, the roll of the colour camera about its optical axis, rad; None where nothing stands out.
+    """Return gamma, the roll of the colour camera about its optical axis, rad; None if the matches do not show it.
+
+    The direction from one match to another rotates by the roll, regardless of shift and scale between the two images.
+    Outliers spread it evenly, and parallax perturbs it little between points of similar depth, so that the mode over
+    many pairs is robust to both.
 
     Args:
-        laser: (2, N) coordinates in the scan's picture.
-        colour: (2, N) coordinates in the photo, with axes that point the same way.
-        depth: (N,) of the scan's points, m.
+        laser: (2, N) coordinates in the scan image.
+        colour: (2, N) coordinates in the photo, with axes in the same directions.
+        depth: (N,) of the scan points, m.
     """
     count = laser.shape[1]
     if count < _LEAST_MATCHES:
@@ -88,23 +92,23 @@ def picture_roll(laser: FloatArray, colour: FloatArray, depth: FloatArray) -> fl
     second = (first + np.repeat(shifts, count)) % count
     l, c = (xy[0] + 1j * xy[1] for xy in (laser, colour))  # noqa: E741 - laser and colour, as complex numbers
     from_laser, from_colour = l[second] - l[first], c[second] - c[first]
-    # Short ways turn most with the noise of their ends, steep ones with the parallax.
+    # noise rotates short directions most, parallax those between different depths
     length = np.minimum(np.abs(from_laser), np.abs(from_colour))
     long = (length > 0) & (length >= np.median(length))
     inverse = 1 / depth
-    worth = np.where(long, length / (np.abs(inverse[second] - inverse[first]) + _LEVEL * np.median(inverse)), 0.0)
-    long &= worth >= np.quantile(worth, 1 - _BEST_SHARE)
+    quality = np.where(long, length / (np.abs(inverse[second] - inverse[first]) + _LEVEL * np.median(inverse)), 0.0)
+    long &= quality >= np.quantile(quality, 1 - _BEST_SHARE)
     if not long.any():
         return None
-    turn = np.angle(from_laser[long] * np.conj(from_colour[long]))
-    frequency = np.bincount(np.floor(np.degrees(turn)).astype(np.intp) % 360, minlength=360).astype(np.float64)
+    rotation = np.angle(from_laser[long] * np.conj(from_colour[long]))
+    frequency = np.bincount(np.floor(np.degrees(rotation)).astype(np.intp) % 360, minlength=360).astype(np.float64)
     offset = np.minimum(np.arange(360), 360 - np.arange(360))
     kernel = np.exp(-0.5 * (offset / _SMOOTHING_DEG) ** 2)
     smooth = np.fft.irfft(np.fft.rfft(frequency) * np.fft.rfft(kernel), 360)
     mode = np.deg2rad(float(np.argmax(smooth)) + 0.5)
-    off = np.angle(np.exp(1j * (turn - mode)))
+    off = np.angle(np.exp(1j * (rotation - mode)))
     near = np.abs(off) <= np.deg2rad(_NEAR_DEG)
-    if near.mean() < _STANDS_OUT:
+    if near.mean() < _LEAST_MODE_SHARE:
         return None
     return float(np.angle(np.exp(1j * (mode + np.median(off[near])))))
 

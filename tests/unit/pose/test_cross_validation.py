@@ -75,8 +75,8 @@ def test_a_wrong_focal_length_is_found(seed, factor, stated):
     assert fit.pose.distance_to(case.pose) < 0.04  # as given and fixed: .1 to .5 m
     assert fit.sigma_px == pytest.approx(1.0, rel=0.2)
     words = choice.describe()
-    assert words[0].startswith(f"The focal length was estimated: 9{words[0].split(': 9')[1][:2]}")
-    assert words[0].endswith(f" px instead of {974 * factor:.1f} px.")
+    assert words[0].startswith(f"The focal length was estimated as 9{words[0].split(' as 9')[1][:2]}")
+    assert words[0].endswith(f" px (given: {974 * factor:.1f} px).")
 
 
 @pytest.mark.parametrize("stated", [True, False])

@@ -120,7 +120,7 @@ def test_a_repair_says_what_was_done_and_nothing_is_moved_but_the_ends() -> None
     found = repaired(matches, pose, LENSES["ideal"])
     assert set(found.slid) >= {"L0", "L1"}
     assert found.swapped == ("L2",)
-    assert found.describe()[0].startswith("Line L2 was drawn the other way round in the photo")
+    assert found.describe()[0].startswith("Line L2 was drawn in the opposite direction in the photo")
     assert "not drawn between the same points" in found.describe()[1]
     changed = (found.matches.uv != matches.uv).any(axis=1)
     assert set(np.flatnonzero(changed)) == {4, 5}

@@ -52,7 +52,7 @@ def test_a_room_has_one_place_and_a_wide_basin(outliers):
         assert found.verdict == "unique", found.describe()
         assert found.size is not None
         assert found.size.angle_rad >= np.deg2rad(20) - 1e-9
-        assert found.describe().startswith("Starts up to ")
+        assert "ll starting poses up to " in found.describe()
         assert found.starts == sum(level.starts for level in found.levels) == 32
         assert found.clusters[0].pose.distance_to(case.pose) < 0.02
 
@@ -107,7 +107,7 @@ def test_a_plane_from_afar_is_ambiguous_and_names_the_mirrored_pose():
         nearer = min((result.camera_from_scanner, found.other), key=pose.angle_to)
         assert nearer.angle_to(pose) < 0.35
         assert result.camera_from_scanner.angle_to(found.other) > 0.3
-        assert "off their plane" in found.describe()
+        assert "off their common plane" in found.describe()
 
 
 @pytest.mark.parametrize("share", [0.5, 0.4])

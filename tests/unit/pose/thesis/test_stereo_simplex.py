@@ -146,7 +146,7 @@ def test_rejection_is_by_the_thesis_s_depth_error():
     assert (fit.after.inliers == (error <= 0.5)).all()
     kept = pairs.subset(fit.after.inliers)
     assert fit.after.cost == pytest.approx(stereo_cost(kept)(pairs.parameters(fit.after.camera_from_scanner)))
-    assert f"{fit.after.inliers.sum()} of 208 matches kept by their depth error" in fit.describe()
+    assert f"{fit.after.inliers.sum()} of 208 inliers by depth error" in fit.describe()
     one = fit_simplex(case.matches, case.camera, SimplexOptions(reject_rounds=0), initial=THESIS_START)
     assert one.after.camera_from_scanner.matrix == pytest.approx(fit.before.camera_from_scanner.matrix, abs=1e-9)
 
