@@ -63,22 +63,24 @@ def solve_robust(matches: Matches, camera: Camera, options: PoseOptions, initial
         DegenerateGeometryError: if no pose has 4 inliers.
     """
     sigma = options.sigma_px or STATED_SIGMA_PX, options.sigma_range_m or STATED_SIGMA_RANGE_M
-    now = _Solution(matches, camera, sigma, _initial_fit(matches, camera, options, sigma, initial))
-    now = _with_repaired_ends(now, options)
-    now = replace(now, fit=_likelier_of_mirrored(now.fit.measured, now.fit, options))
-    now = _with_estimated_noise(now, options)
-    if now.fit.count < LEAST_MATCHES:
+    solution = _Solution(matches, camera, sigma, _initial_fit(matches, camera, options, sigma, initial))
+    solution = _with_repaired_ends(solution, options)
+    solution = replace(solution, fit=_likelier_of_mirrored(solution.fit.measured, solution.fit, options))
+    solution = _with_estimated_noise(solution, options)
+    if solution.fit.count < LEAST_MATCHES:
         raise _no_pose(len(matches))
-    now = _with_intrinsics(now, options)
+    solution = _with_intrinsics(solution, options)
     if initial is not None and options.keep_better_start:
-        now = _or_initial_pose(now, initial, options)
-    covariance = now.covariance
+        solution = _or_initial_pose(solution, initial, options)
+    covariance = solution.covariance
     if covariance is None:
-        covariance = pose_covariance(information_matrix(now.fit.measured, now.fit.state, members=now.fit.inliers)[0])
-    stopped = "settled" if now.fit.settled else "step limit"
-    search = {"stopped": stopped, "noise_rounds": now.noise_rounds}
-    result = build_result(now.fit, now.matches, now.camera, options, covariance, now.sigma, search)
-    return replace(result, camera_sigmas=now.camera_sigmas, reasons=(*result.reasons, *now.notes))
+        covariance = pose_covariance(
+            information_matrix(solution.fit.measured, solution.fit.state, members=solution.fit.inliers)[0]
+        )
+    stopped = "settled" if solution.fit.settled else "step limit"
+    search = {"stopped": stopped, "noise_rounds": solution.noise_rounds}
+    result = build_result(solution.fit, solution.matches, solution.camera, options, covariance, solution.sigma, search)
+    return replace(result, camera_sigmas=solution.camera_sigmas, reasons=(*result.reasons, *solution.notes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,81 +113,85 @@ def _initial_fit(
     return _fit(measured, _best_of(measured, first, options, wide=initial is not None), options)
 
 
-def _with_repaired_ends(now: _Solution, options: PoseOptions) -> _Solution:
+def _with_repaired_ends(solution: _Solution, options: PoseOptions) -> _Solution:
     repaired = repair_ends(
-        now.matches, now.fit.inliers, now.fit.state, now.camera,
-        gate=options.gate_chi2, sigma_px=now.sigma[0], sigma_range_m=now.sigma[1],
+        solution.matches, solution.fit.inliers, solution.fit.state, solution.camera,
+        gate=options.gate_chi2, sigma_px=solution.sigma[0], sigma_range_m=solution.sigma[1],
     )  # fmt: skip
-    if repaired.matches is now.matches:
-        return now
-    now = replace(now, matches=repaired.matches, notes=(*now.notes, *repaired.describe()))
-    return replace(now, fit=_fit(now.measured_by(now.sigma), now.fit.state, options))
+    if repaired.matches is solution.matches:
+        return solution
+    solution = replace(solution, matches=repaired.matches, notes=(*solution.notes, *repaired.describe()))
+    return replace(solution, fit=_fit(solution.measured_by(solution.sigma), solution.fit.state, options))
 
 
-def _with_estimated_noise(now: _Solution, options: PoseOptions) -> _Solution:
+def _with_estimated_noise(solution: _Solution, options: PoseOptions) -> _Solution:
     """Alternate between estimating unstated noise and selecting inliers until both are stable."""
-    while (options.sigma_px is None or options.sigma_range_m is None) and now.fit.count >= LEAST_INLIERS:
-        sigma = noise_of_inliers(now.fit, now.matches, now.camera, options)
-        change = max(max(a / b, b / a) for a, b in zip(sigma, now.sigma, strict=True))
-        measured, rounds = now.measured_by(sigma), now.noise_rounds + 1
+    while (options.sigma_px is None or options.sigma_range_m is None) and solution.fit.count >= LEAST_INLIERS:
+        sigma = noise_of_inliers(solution.fit, solution.matches, solution.camera, options)
+        change = max(max(a / b, b / a) for a, b in zip(sigma, solution.sigma, strict=True))
+        measured, rounds = solution.measured_by(sigma), solution.noise_rounds + 1
         last = change < _SETTLED_NOISE or rounds > _NOISE_ROUNDS
-        start = now.fit.state
+        start = solution.fit.state
         if not last:
             scales = narrow_scales(start, options.gate_chi2)
             start, _ = graduate(measured, start, scales, options.gate_chi2, options.gnc)
-        now = replace(now, sigma=sigma, fit=_fit(measured, start, options), noise_rounds=rounds)
+        solution = replace(solution, sigma=sigma, fit=_fit(measured, start, options), noise_rounds=rounds)
         if last:
             break
-    return now
+    return solution
 
 
-def _with_intrinsics(now: _Solution, options: PoseOptions) -> _Solution:
+def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
     """Estimate the intrinsics that were requested, or those that held-out matches support."""
     if options.intrinsics == "fixed":
-        return now
+        return solution
     unknown = options.sigma_px is None or options.sigma_range_m is None
 
     def noise(pose: Rigid, of: Camera, inliers: BoolArray) -> tuple[float, float]:
         if np.count_nonzero(inliers) < LEAST_INLIERS:
-            return now.sigma
-        there = replace(now.fit, state=States.of([pose], now.fit.measured), inliers=inliers)
-        return noise_of_inliers(there, now.matches, of, options)
+            return solution.sigma
+        there = replace(solution.fit, state=States.of([pose], solution.fit.measured), inliers=inliers)
+        return noise_of_inliers(there, solution.matches, of, options)
 
     stated: dict[str, Any] = {
-        "sigma_px": now.sigma[0], "sigma_range_m": now.sigma[1], "gate_chi2": options.gate_chi2,
+        "sigma_px": solution.sigma[0], "sigma_range_m": solution.sigma[1], "gate_chi2": options.gate_chi2,
         "noise": noise if unknown else None,
     }  # fmt: skip
-    pose = now.fit.state.pose()
+    pose = solution.fit.state.pose()
     free: IntrinsicsFit | None
     if options.intrinsics == "auto":
-        choice = choose_intrinsics(now.matches, now.camera, pose, now.fit.inliers, seed=options.seed, **stated)
+        choice = choose_intrinsics(
+            solution.matches, solution.camera, pose, solution.fit.inliers, seed=options.seed, **stated
+        )
         free, words = choice.fit, choice.describe()
     else:
-        free = estimate_intrinsics(now.matches, now.camera, pose, options.intrinsics, **stated)
-        words = describe_intrinsics(free, now.camera)
-    now = replace(now, notes=(*now.notes, *words))
+        free = estimate_intrinsics(solution.matches, solution.camera, pose, options.intrinsics, **stated)
+        words = describe_intrinsics(free, solution.camera)
+    solution = replace(solution, notes=(*solution.notes, *words))
     if free is None:
-        return now
-    now = replace(now, camera=free.camera, sigma=(free.sigma_px, free.sigma_range_m), camera_sigmas=free.sigmas)
-    measured = now.measured_by(now.sigma)
+        return solution
+    solution = replace(
+        solution, camera=free.camera, sigma=(free.sigma_px, free.sigma_range_m), camera_sigmas=free.sigmas
+    )
+    measured = solution.measured_by(solution.sigma)
     state, _ = adjust_ranges(measured, States.of([free.pose], measured))
     fit = Fit(measured, state, free.inliers, free.s, free.settled, free=len(free.covariance))
-    return replace(now, fit=fit, covariance=free.covariance[:6, :6])
+    return replace(solution, fit=fit, covariance=free.covariance[:6, :6])
 
 
-def _or_initial_pose(now: _Solution, initial: Rigid, options: PoseOptions) -> _Solution:
+def _or_initial_pose(solution: _Solution, initial: Rigid, options: PoseOptions) -> _Solution:
     """Return to the initial pose if it predicts held-out matches better than a pose fitted to the others."""
     worse = worse_when_held_out(
-        now.matches, now.camera, initial, now.fit.state.pose(), now.fit.inliers,
-        sigma_px=now.sigma[0], sigma_range_m=now.sigma[1], gate_chi2=options.gate_chi2, seed=options.seed,
+        solution.matches, solution.camera, initial, solution.fit.state.pose(), solution.fit.inliers,
+        sigma_px=solution.sigma[0], sigma_range_m=solution.sigma[1], gate_chi2=options.gate_chi2, seed=options.seed,
     )  # fmt: skip
     if not worse:
-        return now
-    measured = now.fit.measured
+        return solution
+    measured = solution.fit.measured
     state, seen = adjust_ranges(measured, States.of([initial], measured))
     fit = Fit(measured, state, seen.s[0] <= options.gate_chi2, seen.s[0], True)
     words = "The initial pose predicts held-out matches at least as well as a pose fitted to the others, and is kept."
-    return replace(now, fit=fit, notes=(*now.notes, words))
+    return replace(solution, fit=fit, notes=(*solution.notes, words))
 
 
 def _likelier_of_mirrored(measured: Measurements, fit: Fit, options: PoseOptions) -> Fit:

@@ -1,4 +1,4 @@
-"""The thesis's linear method: exact without noise, refused where it is blind."""
+"""The thesis's linear method: exact without noise, refused for degenerate matches."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_its_translation_is_that_of_the_corrected_back_substitution():
     assert linear_pose(points, seen[:, :2] / seen[:, 2:]).translation == pytest.approx([-0.4, 0.2, 0.643], abs=1e-9)
 
 
-def test_it_says_how_uncertain_it_is():
+def test_its_covariance_is_consistent():
     distances, kept = [], 0
     for seed in range(30):
         case = room_case(seed, count=100)
