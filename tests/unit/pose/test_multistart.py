@@ -39,7 +39,7 @@ def plane(seed, *, extent_m, distance_m, tilt_rad, count=40, sigma_px=1.0, sigma
 
 def same(a: Basin, b: Basin) -> bool:
     def key(x):
-        return [(p.score, p.starts, p.agree, *p.pose.matrix.ravel()) for p in x.clusters]
+        return [(p.score, p.starts, p.inliers, *p.pose.matrix.ravel()) for p in x.clusters]
 
     return a.verdict == b.verdict and a.levels == b.levels and key(a) == key(b)
 
