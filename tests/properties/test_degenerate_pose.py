@@ -332,5 +332,5 @@ def right(result: PoseResult, problem: Problem) -> None:
 
 @given(problem=problems())
 @settings(max_examples=1000)
-def test_a_thousand_degenerate_problems_have_valid_outcomes(problem: Problem) -> None:
+def test_a_thousand_degenerate_problems_end_honestly(problem: Problem) -> None:
     event(verify(problem))
