@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ladarreg_core as lr
+from benchmarks.nid import NidPair
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.features.correlation import edge_picture
 from ladarreg_core.frames import look_along
-from ladarreg_core.matching.nid import NidPair
 from ladarreg_core.matching.thesis.chain import ThesisOptions
 from ladarreg_core.matching.thesis.densify import DensifyOptions
 from ladarreg_core.matching.thesis.matcher import ThesisMatchOptions

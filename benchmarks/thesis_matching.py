@@ -17,8 +17,8 @@ import numpy as np
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.thesis.culling import CullingSide
 from ladarreg_core.matching.thesis.matcher import FoundMatches, ThesisMatchOptions, ThesisSearch
+from ladarreg_core.matching.thesis.search import CullingSide
 from ladarreg_core.simulate import SCENES, SimulatedCase, simulate_case
 
 RIGHT_PX = 3.0

@@ -10,16 +10,18 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement, agreement
-from ladarreg_core.matching.block_matches import BlockMatches, block_matches
-from ladarreg_core.matching.blocks import BlockComparison, Target, compare_blocks
-from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
+from ladarreg_core.matching.blocks import BlockComparison, BlockMatches, Target, block_matches, compare_blocks
 from ladarreg_core.matching.covariance import RegionEvidence, region_evidence
-from ladarreg_core.matching.ecc import ClimbOptions, climb
-from ladarreg_core.matching.flow import flow_step
-from ladarreg_core.matching.pyramid import LEVELS, PhotoLevels, ScanLevels
+from ladarreg_core.matching.ecc import AS_STATED, CameraChange, ClimbOptions, climb
+from ladarreg_core.matching.pyramid import LEVELS, PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.sampling import ViewPoints, draw_points, edge_strength
 from ladarreg_core.matching.verification import GateOptions, Verification, verify
+from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.matching.zbuffer import Occluder
+from ladarreg_core.photo import Photo
+from ladarreg_core.pose.ransac import ransac_pose
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.perspective import perspective_view
 
 _CLIMB = {2: ClimbOptions(tau_px=8, iterations=8), 1: ClimbOptions(tau_px=6, iterations=6)}
 _FINISH = ClimbOptions(tau_px=3, iterations=6)
@@ -32,6 +34,11 @@ _FINISH_ROUNDS = 5
 _LOOSE_STEPS = 2
 _REFOCUS_ROUNDS = 3
 _STILL_PX = 0.05
+_LEAST_HEIGHT_SD = 2.2
+_POINTS_A_WINDOW = 3
+_RANSAC_PX = 1.5
+_RANSAC_ITERATIONS = 200
+_LEAST_MATCHES, _LEAST_INLIERS = 24, 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,3 +221,55 @@ class Aligner:
         buffer = self.occluder.depth_buffer(pose)
         target = self._fine_target.seen_by(change.applied(self.photo.cameras[0]))
         return compare_blocks(self._fine_points, target, self.occluder, buffer, pose)
+
+
+def verify_pose(
+    scan: Scan, photo: Photo, camera_from_scanner: Rigid, *, gate: GateOptions | None = None, seed: int = 0
+) -> Verification | None:
+    """Return whether regions of both pictures agree under a pose; None where there is too little to compare.
+
+    Args:
+        scan: the scan.
+        photo: the photograph, with the camera that the pose was found with.
+        camera_from_scanner: the pose.
+        gate: what it must show.
+        seed: of the points drawn.
+    """
+    working = working_camera(scan, photo.camera)
+    direction = viewing_directions(scan, working, initial=camera_from_scanner)[0]
+    view = perspective_view(scan, working, view_from_scanner=direction)
+    aligner = Aligner(scan_levels(scan, view), photo_levels(photo, working), gate=gate or GateOptions(), seed=seed)
+    return aligner.judge(camera_from_scanner)[0] if aligner.usable else None
+
+
+def flow_step(points: ViewPoints, target: Target, maps: Agreement, *, seed: int) -> Rigid | None:
+    """Return the pose that most windows' peaks agree on, or None where they agree on none.
+
+    Args:
+        points: the level's scan points.
+        target: the photo at that level.
+        maps: agreement of that level at the present pose.
+        seed: of RANSAC.
+    """
+    if not maps.windows:
+        return None
+    shift, height, border = maps.peaks()
+    index, uv = [], []
+    for k in np.flatnonzero((height >= _LEAST_HEIGHT_SD) & ~border):
+        members = maps.members[k]
+        chosen = members[np.linspace(0, len(members) - 1, _POINTS_A_WINDOW).astype(np.intp)]
+        index.append(chosen)
+        uv.append(maps.uv[chosen] + shift[k])
+    if _POINTS_A_WINDOW * len(index) < _LEAST_MATCHES:
+        return None
+    result = ransac_pose(
+        points.points[np.concatenate(index)].astype(np.float64),
+        np.concatenate(uv).astype(np.float64),
+        target.camera,
+        threshold_px=_RANSAC_PX,
+        iterations=_RANSAC_ITERATIONS,
+        seed=seed,
+    )
+    if result is None or np.count_nonzero(result.inliers) < _LEAST_INLIERS:
+        return None
+    return result.camera_from_scanner

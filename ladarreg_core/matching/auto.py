@@ -13,19 +13,15 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner, Candidate
-from ladarreg_core.matching.alike import Places, alike_in_words
-from ladarreg_core.matching.ambiguity import second_minimum
-from ladarreg_core.matching.block_matches import BlockMatches
+from ladarreg_core.matching.ambiguity import Places, alike_in_words, second_minimum
+from ladarreg_core.matching.blocks import BlockMatches
 from ladarreg_core.matching.covariance import WindowEvidence, window_evidence
-from ladarreg_core.matching.density import density_in
-from ladarreg_core.matching.pictures import Pictures
-from ladarreg_core.matching.pyramid import ChannelSet
+from ladarreg_core.matching.pyramid import ChannelSet, Pictures
 from ladarreg_core.matching.roll import Turn
 from ladarreg_core.matching.self_calibration import FreeCamera, check_free_camera, finished, with_camera_free
-from ladarreg_core.matching.verification import GateOptions, Verification
-from ladarreg_core.matching.verify_finished import judged_by_precision, regions_of
+from ladarreg_core.matching.verification import GateOptions, Verification, judged_by_precision, regions_of
 from ladarreg_core.matching.view_search import ViewSearch
-from ladarreg_core.matching.views import rolled, viewing_directions
+from ladarreg_core.matching.views import density_in, rolled, viewing_directions
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog

@@ -13,8 +13,7 @@ import numpy as np
 
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
-from ladarreg_core.matching.pictures import Pictures
-from ladarreg_core.matching.pyramid import ChannelSet
+from ladarreg_core.matching.pyramid import ChannelSet, Pictures
 from ladarreg_core.matching.verification import GateOptions, Verification
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan

@@ -5,6 +5,7 @@ The photo is undistorted and never warped again; the scan is seen in perspective
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -16,9 +17,10 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import add_channels, normalised_channels, raw_channels
+from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.perspective import View, native_focal_px
+from ladarreg_core.surface.perspective import View, native_focal_px, perspective_view
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.spikes import fill_from_nearest, gate_spikes, median_range
 from ladarreg_core.thermal import thermal_gray
@@ -37,6 +39,7 @@ _RANGE_SPAN_M = (0.3, 30.0)
 _HOLE_REACH_PX = 2.0
 _FINE = {"blur_px": 1.2, "local_factor": 2.0}
 _OF_EVERY_SET = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
+_KEPT_VIEWS = 2  # some ten bytes a pixel and channel: what a scan of one view needs, upright and rolled
 
 
 def _normalised(raw: FloatArray, level: int) -> FloatArray:
@@ -246,6 +249,44 @@ def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> 
         edge,
         channel_set,
     )
+
+
+class Pictures:
+    """What the two pictures of a pair look like to the matcher, whichever channels of the scan are compared.
+
+    Args:
+        scan: the scan.
+        photo: the photograph.
+    """
+
+    def __init__(self, scan: Scan, photo: Photo) -> None:
+        self.scan = scan
+        self.working = working_camera(scan, photo.camera)
+        self._photo = photo
+        self._photo_levels: PhotoLevels | None = None
+        self._views: deque[tuple[Rigid, ScanLevels]] = deque(maxlen=_KEPT_VIEWS)
+
+    @property
+    def photo(self) -> PhotoLevels:
+        """The photo's levels."""
+        if self._photo_levels is None:
+            self._photo_levels = photo_levels(self._photo, self.working)
+        return self._photo_levels
+
+    def view(self, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
+        """Return the scan's levels in one view.
+
+        Args:
+            direction: the rotation (view from scanner).
+            channel_set: what of the scan is compared.
+        """
+        for known, levels in self._views:
+            if (known.rotation == direction.rotation).all():
+                return levels.with_channels(channel_set)
+        view = perspective_view(self.scan, self.working, view_from_scanner=direction)
+        levels = scan_levels(self.scan, view, channel_set=channel_set)
+        self._views.append((direction, levels))
+        return levels
 
 
 def _laser_gray(scan: Scan, ranges: FloatArray) -> FloatArray:

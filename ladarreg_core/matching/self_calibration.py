@@ -13,8 +13,8 @@ from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
 from ladarreg_core.matching.covariance import RegionEvidence
+from ladarreg_core.matching.ecc import AS_STATED, CameraChange
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.verification import Verification, verify
 from ladarreg_core.photo import Photo

@@ -13,12 +13,11 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.aligner import Aligner, Candidate
-from ladarreg_core.matching.alike import Places
+from ladarreg_core.matching.ambiguity import Places
 from ladarreg_core.matching.ecc import ClimbOptions, ClimbResult, climb
 from ladarreg_core.matching.grid_search import Place, likely_places
 from ladarreg_core.matching.hypotheses import Hypothesis, described_corners, hypotheses, inliers_of, points_at
-from ladarreg_core.matching.pictures import Pictures
-from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, ScanLevels
+from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, Pictures, ScanLevels
 from ladarreg_core.matching.roll import Turn, turn_between
 from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.matching.views import towards_seen

@@ -16,11 +16,14 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels
 from ladarreg_core.matching.roll import Turn, seems_turned
-from ladarreg_core.matching.thesis.culling import CullingSide, alike, check_culling, disparities
 from ladarreg_core.matching.thesis.densify import DensifyOptions, lines_between
 from ladarreg_core.matching.thesis.search import (
+    CullingSide,
+    alike,
     alike_displacements,
     candidates_near,
+    check_culling,
+    disparities,
     matches_near,
     predicted_pixels,
     recentred,

@@ -7,9 +7,8 @@ import pytest
 
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.agreement import agreement
-from ladarreg_core.matching.aligner import Aligner
+from ladarreg_core.matching.aligner import Aligner, flow_step
 from ladarreg_core.matching.covariance import window_evidence
-from ladarreg_core.matching.flow import flow_step
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.verification import GateOptions, verify
 from ladarreg_core.surface.perspective import perspective_view

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.frames import Rigid, look_along
-from ladarreg_core.matching.pictures import Pictures
-from ladarreg_core.matching.pyramid import ChannelSet, scan_levels
+from ladarreg_core.matching.pyramid import ChannelSet, Pictures, scan_levels
 from ladarreg_core.surface.perspective import perspective_view
 from tests.scenes.painted_room import PaintedRoom, painted_room
 

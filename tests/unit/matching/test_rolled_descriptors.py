@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ladarreg_core.features.channels import normalised_channels, raw_channels
 from ladarreg_core.features.descriptors import describe
 from ladarreg_core.frames import Rigid, ThesisParameters, look_along
-from ladarreg_core.matching.rotated import describe_turned, turned_by
+from ladarreg_core.matching.roll import describe_turned, turned_by
 from ladarreg_core.matching.views import rolled
 
 

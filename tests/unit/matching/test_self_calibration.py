@@ -14,9 +14,8 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
 from ladarreg_core.matching.covariance import RegionEvidence
-from ladarreg_core.matching.ecc import _jacobian
+from ladarreg_core.matching.ecc import AS_STATED, CameraChange, _jacobian
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.self_calibration import Finished, finished, with_camera_free
 from ladarreg_core.matching.verification import GateOptions

@@ -7,7 +7,7 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_about, rotation_from_rotvec
-from ladarreg_core.matching.alike import Places, alike_in_words
+from ladarreg_core.matching.ambiguity import Places, alike_in_words
 from tests.scenes.painted_room import PaintedRoom, painted_room
 from tests.scenes.panorama import Panorama, panorama
 

@@ -16,10 +16,9 @@ import ladarreg_core as lr
 from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.density import NEEDED_POINTS, density_in
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.verification import GateOptions, verify
-from ladarreg_core.matching.verify_finished import judged_by_precision, regions_of
+from ladarreg_core.matching.verification import GateOptions, judged_by_precision, regions_of, verify
+from ladarreg_core.matching.views import NEEDED_POINTS, density_in
 from ladarreg_core.registration import register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view

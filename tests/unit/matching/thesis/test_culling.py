@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
-from ladarreg_core.matching.thesis.culling import alike, disparities
+from ladarreg_core.matching.thesis.search import alike, disparities
 
 PIXELS = st.floats(-1000, 1000, allow_nan=False, width=32)
 LISTS = hnp.arrays(np.float64, st.integers(1, 30), elements=st.floats(0, 500, allow_nan=False, width=32))
