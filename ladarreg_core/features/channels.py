@@ -14,7 +14,7 @@ ORIENTATIONS = 8
 _PRE_BLUR_PX = 0.8
 _SELECTIVITY = 0.83
 _STRIP_ROWS = 48
-_LEAST_FACTOR, _NOISE_FACTOR = 0.02, 1.0
+_MIN_FACTOR, _NOISE_FACTOR = 0.02, 1.0
 _ANGLES = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
 
 
@@ -83,7 +83,7 @@ def normalised_channels(
         return np.zeros((*norm.shape, len(planes)), np.float32)
     noise = float(np.median(norm[norm > 0]))
     norm += np.float32(local_factor) * _broad_blur(norm, local_px)
-    norm += np.float32(_LEAST_FACTOR * largest + _NOISE_FACTOR * noise)
+    norm += np.float32(_MIN_FACTOR * largest + _NOISE_FACTOR * noise)
     for plane in planes:
         plane /= norm
     return np.asarray(cv2.merge(planes), dtype=np.float32)

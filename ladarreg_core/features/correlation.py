@@ -13,7 +13,7 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.features.descriptors import unit_rows
 
 Response = Literal["gray", "edge"]
-BOTH: tuple[Response, ...] = ("gray", "edge")
+RESPONSES: tuple[Response, ...] = ("gray", "edge")
 """The thesis's two: gray levels and the edge detector's response."""
 _WINDOW_PX = 15
 _LARGEST_WINDOW_PX = 101
@@ -52,7 +52,7 @@ def check_window(side_px: int) -> None:
 
 
 def correlation_rows(
-    gray: FloatArray, uv: FloatArray, *, side_px: int = _WINDOW_PX, responses: tuple[Response, ...] = BOTH
+    gray: FloatArray, uv: FloatArray, *, side_px: int = _WINDOW_PX, responses: tuple[Response, ...] = RESPONSES
 ) -> FloatArray:
     """Return what each corner is compared by: its normalised windows in each response, side by side.
 
@@ -70,7 +70,7 @@ def correlation_rows(
         ShapeError: if the pixels are not (N, 2) or not finite.
     """
     if not responses or any(response not in get_args(Response) for response in responses):
-        raise OptionError(f"corners are compared by {responses!r}; it must be one or both of {', '.join(BOTH)}")
+        raise OptionError(f"corners are compared by {responses!r}; it must be one or both of {', '.join(RESPONSES)}")
     if np.ndim(uv) != 2 or np.shape(uv)[1] != 2 or not np.isfinite(uv).all():
         raise ShapeError(f"corners are finite pixels (N, 2); the array given has the shape {np.shape(uv)}")
     levels = np.ascontiguousarray(gray, dtype=np.float32)
@@ -85,7 +85,7 @@ def correlation_product(
     photo_uv: FloatArray,
     *,
     side_px: int = _WINDOW_PX,
-    responses: tuple[Response, ...] = BOTH,
+    responses: tuple[Response, ...] = RESPONSES,
 ) -> FloatArray:
     """Return m (N, M): the mean of gray-level and edge correlation of each scan corner with each photo corner.
 

@@ -19,14 +19,14 @@ from ladarreg_core.matching.blocks import Target, project_visible
 from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.matching.zbuffer import Occluder
 
-_LEAST_POINTS = 12
-_LEAST_NEIGHBOURS = 5
-LEAST_WINDOWS = 12
+_MIN_POINTS = 12
+_MIN_NEIGHBOURS = 5
+MIN_WINDOWS = 12
 """Fewer windows than this say nothing."""
 _NEAR_PX, _FAR_PX = 3.0, 7.0
-_NO_CORRELATION = 1e-9
-_DRAWN_BY_CLIMB = 0.25  # the most that was seen of the blocks of climbed wrong poses; by their area 9 of 169
-_EACH_CHANNEL = np.eye(CHANNELS, dtype=np.float32)
+_TINY = 1e-9
+_MIN_CHANCE = 0.25  # the most that was seen of the blocks of climbed wrong poses; by their area 9 of 169
+_CHANNEL_IDENTITY = np.eye(CHANNELS, dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +98,7 @@ class Agreement:
         best = self.block_maps.reshape(count, -1).argmax(axis=1)
         far = np.hypot(u, v) > 2 * near
         apart = np.hypot(u[far, None] - u[best], v[far, None] - v[best])
-        p = max(_DRAWN_BY_CLIMB, float((apart <= near).mean(axis=1).max(initial=0.0)))
+        p = max(_MIN_CHANCE, float((apart <= near).mean(axis=1).max(initial=0.0)))
         return float(sum(comb(count, k) * p**k * (1 - p) ** (count - k) for k in range(agreeing, count + 1)))
 
     def _peak_distances(self, maps: FloatArray) -> FloatArray:
@@ -139,7 +139,7 @@ def agreement(
     _, uv, visible = project_visible(points, target, occluder, buffer, pose, border=radius + 1)
     of = points.blocks.of_point
     count = points.blocks.sum(visible.astype(np.int64))
-    blocks = np.flatnonzero(count >= _LEAST_POINTS)
+    blocks = np.flatnonzero(count >= _MIN_POINTS)
     side = 2 * radius + 1
     if not len(blocks):
         none = np.zeros(0, np.intp)
@@ -163,7 +163,7 @@ def agreement(
         for j in range(3):
             pooled += dense[grid[:, 0] + i, grid[:, 1] + j]
             neighbours += there[grid[:, 0] + i, grid[:, 1] + j]
-    judged = np.flatnonzero(neighbours >= _LEAST_NEIGHBOURS)
+    judged = np.flatnonzero(neighbours >= _MIN_NEIGHBOURS)
     ends = np.append(starts[1:], len(kept))
     members = tuple(kept[starts[k] : ends[k]] for k in judged)
     return Agreement(level, radius, pooled[judged], grid[judged], neighbours[judged], members, uv, visible, rho)
@@ -187,7 +187,9 @@ def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target
     A = channels - (np.add.reduceat(channels, starts) / count[:, None].astype(np.float32)).take(of, axis=0)
     norm_a = np.sqrt(np.add.reduceat(channel_products(A, A), starts))
     # One product gives the correlation with A (which is centred, so B need not be) and the sums of B's channels.
-    right = np.tile(np.column_stack([np.zeros(CHANNELS, np.float32), _EACH_CHANNEL]), (int(count.max(initial=0)), 1))
+    right = np.tile(
+        np.column_stack([np.zeros(CHANNELS, np.float32), _CHANNEL_IDENTITY]), (int(count.max(initial=0)), 1)
+    )
     rho = np.empty((len(starts), side * side))
     for k, (first, n) in enumerate(zip(starts, count, strict=True)):
         pixels = offsets[:, None] + base[first : first + n]
@@ -195,5 +197,5 @@ def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target
         right[: n * CHANNELS, 0] = A[first : first + n].reshape(-1)
         products = B @ right[: n * CHANNELS]
         length = squares.take(pixels).sum(axis=1) - (products[:, 1:] ** 2).sum(axis=1) / n
-        rho[k] = products[:, 0] / (norm_a[k] * np.sqrt(np.maximum(length, 0)) + _NO_CORRELATION)
+        rho[k] = products[:, 0] / (norm_a[k] * np.sqrt(np.maximum(length, 0)) + _TINY)
     return rho.reshape(-1, side, side)

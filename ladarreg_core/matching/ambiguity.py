@@ -16,29 +16,29 @@ from ladarreg_core.features.channels import ORIENTATIONS
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.blocks import project_visible
-from ladarreg_core.matching.ecc import ClimbOptions, climb
+from ladarreg_core.matching.ecc import RefineOptions, refine_pose
 from ladarreg_core.matching.pyramid import LEVELS
 from ladarreg_core.matching.verification import Verification
 from ladarreg_core.pose.ambiguity import mirrored
 from ladarreg_core.scan import Scan
 
 _COARSEST = LEVELS[-1]
-_CLIMB = ClimbOptions(tau_px=8, iterations=8)
-_LEAST_SHIFT_PX = 3.0  # level pixels; less is the same basin
-_LEAST_OVERLAP = 0.4
+_REFINEMENT = RefineOptions(tau_px=8, iterations=8)
+_MIN_SHIFT_PX = 3.0  # level pixels; less is the same basin
+_MIN_OVERLAP = 0.4
 _PEAK_OF_ZERO = 0.4
-_MOST_PEAKS = 2
-_RIVAL_CORRELATION = 0.8
-_NEARLY, _NEARLY_AS_MANY = 0.8, 0.6
-_MOST_CLIMBED = 2
-_TURNED_RAD = np.deg2rad(3.0)
-_LEAST_POINTS = 30
+_MAX_PEAKS = 2
+_MIN_RELATIVE_CORRELATION = 0.8
+_MIN_RELATIVE_FRACTION, _MIN_RELATIVE_COUNT = 0.8, 0.6
+_MAX_REFINED = 2
+_DIFFERENT_ANGLE_RAD = np.deg2rad(3.0)
+_MIN_POINTS = 30
 _SAMPLES = 10_000
 _SAME_START_PX = 40.0  # the basin of a climb
-_SAME_PLACE_PX = 8.0
+_SAME_POSE_PX = 8.0
 
 
-class Places:
+class KnownPoses:
     """The poses at which a photo was verified, and which of them are the same.
 
     Args:
@@ -60,19 +60,19 @@ class Places:
         """Keep a verified pose."""
         self._poses.append(pose)
 
-    def leads_to_one(self, start: Rigid) -> bool:
+    def covers_start(self, start: Rigid) -> bool:
         """Return whether a climb from here would only end at a pose that is kept already."""
-        return any(self._apart_px(pose, start) < _SAME_START_PX for pose in self._poses)
+        return any(self._distance_px(pose, start) < _SAME_START_PX for pose in self._poses)
 
-    def other_than(self, pose: Rigid) -> Rigid | None:
+    def different_from(self, pose: Rigid) -> Rigid | None:
         """Return a kept pose that puts the photo elsewhere; None where all are this place."""
-        return next((other for other in self._poses if self._apart_px(other, pose) > _SAME_PLACE_PX), None)
+        return next((other for other in self._poses if self._distance_px(other, pose) > _SAME_POSE_PX), None)
 
-    def apart(self, first: Rigid, second: Rigid) -> bool:
+    def differ(self, first: Rigid, second: Rigid) -> bool:
         """Return whether two poses put the photo at different places."""
-        return self._apart_px(first, second) > _SAME_PLACE_PX
+        return self._distance_px(first, second) > _SAME_POSE_PX
 
-    def _apart_px(self, first: Rigid, second: Rigid) -> float:
+    def _distance_px(self, first: Rigid, second: Rigid) -> float:
         """Return the median distance in the photo of what the first pose sees; infinite where the second sees none."""
         uv = self._camera.project(first @ self._points)
         seen = self._camera.contains(uv)
@@ -82,16 +82,16 @@ class Places:
         return float(np.median(np.where(np.isfinite(off), off, np.inf)))
 
 
-def alike_in_words(first: Rigid, second: Rigid) -> str:
+def ambiguity_sentence(first: Rigid, second: Rigid) -> str:
     """Return what is to be said where a photo is verified at two places."""
-    apart, turned = first.distance_to(second), float(np.degrees(first.angle_to(second)))
+    apart_m, angle_deg = first.distance_to(second), float(np.degrees(first.angle_to(second)))
     return (
-        f"Two places in the scan look alike to this photo: both poses agree with the pictures, and they are "
-        f"{apart:.2f} m and {turned:.1f} deg apart."
+        f"The pose is ambiguous: two poses, {apart_m:.2f} m and {angle_deg:.1f} deg apart, agree with the images "
+        "about equally well."
     )
 
 
-def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: Places) -> Rigid | None:
+def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: KnownPoses) -> Rigid | None:
     """Return another pose that the same pictures verify, or nearly so, or None where none was found.
 
     A wall of bricks agrees with the picture of any such wall, and with the next brick nearly as well as with this one.
@@ -105,36 +105,38 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: Pla
     """
     ends = []
     for start in (pose, *_starts(aligner, pose)):
-        end = climb(aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder, start, _CLIMB)
+        end = refine_pose(aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder, start, _REFINEMENT)
         if end is not None:
             ends.append(end)
         elif start is pose:
             return None
     first, *others = ends
-    others = [e for e in others if e.correlation >= _RIVAL_CORRELATION * first.correlation]
+    others = [e for e in others if e.correlation >= _MIN_RELATIVE_CORRELATION * first.correlation]
     others.sort(key=lambda e: -e.correlation)
     elsewhere = [e for e in others if _differ(places, pose, e.camera_from_scanner)]
-    for end in elsewhere[:_MOST_CLIMBED]:
-        candidate = aligner.approach(end.camera_from_scanner)
-        if candidate is None or not _rivals(candidate.first_look, own):
+    for end in elsewhere[:_MAX_REFINED]:
+        candidate = aligner.refine(end.camera_from_scanner)
+        if candidate is None or not _competes(candidate.coarse_verdict, own):
             continue
         if not _differ(places, pose, candidate.camera_from_scanner):
             continue
         rival = aligner.finish(candidate.camera_from_scanner)
-        if _differ(places, pose, rival) and _rivals(aligner.judge(rival)[0], own):
+        if _differ(places, pose, rival) and _competes(aligner.verify(rival)[0], own):
             return rival
     return None
 
 
-def _rivals(other: Verification, own: Verification) -> bool:
+def _competes(other: Verification, own: Verification) -> bool:
     """Return whether another pose is verified, or agrees with nearly as much of the picture as the verified one."""
-    nearly = other.fraction >= _NEARLY * own.fraction and other.agreeing >= _NEARLY_AS_MANY * own.agreeing
+    nearly = (
+        other.fraction >= _MIN_RELATIVE_FRACTION * own.fraction and other.agreeing >= _MIN_RELATIVE_COUNT * own.agreeing
+    )
     return other.accepted or nearly
 
 
-def _differ(places: Places, first: Rigid, second: Rigid) -> bool:
+def _differ(places: KnownPoses, first: Rigid, second: Rigid) -> bool:
     """Return whether two poses put the photo elsewhere, or show it there from another side."""
-    return places.apart(first, second) or first.angle_to(second) > _TURNED_RAD
+    return places.differ(first, second) or first.angle_to(second) > _DIFFERENT_ANGLE_RAD
 
 
 def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
@@ -142,7 +144,7 @@ def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
     points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
     buffer = aligner.occluder.depth_buffer(pose)
     in_camera, uv, visible = project_visible(points, target, aligner.occluder, buffer, pose, border=1)
-    if np.count_nonzero(visible) < _LEAST_POINTS:
+    if np.count_nonzero(visible) < _MIN_POINTS:
         return
     seen = points.points[visible].astype(np.float64)
     yield mirrored(pose, seen)
@@ -178,12 +180,12 @@ def _peaks(channels: FloatArray, uv: FloatArray, picture: FloatArray) -> list[tu
     energy = np.fft.irfft2(seen * np.fft.rfft2((centred**2).sum(axis=-1), shape), shape)
     overlap = np.fft.irfft2(seen * np.fft.rfft2(np.ones_like(mask), shape), shape) / mask.sum()
     score = np.fft.irfft2(product, shape) / np.sqrt(np.maximum(energy, 1e-6 * float(energy.max()) + 1e-12))
-    score = np.fft.fftshift(np.where(overlap >= _LEAST_OVERLAP, score, -np.inf))
+    score = np.fft.fftshift(np.where(overlap >= _MIN_OVERLAP, score, -np.inf))
     at_zero = float(score[height, width])
     v, u = np.mgrid[-height:height, -width:width]
-    near = int(2 * _LEAST_SHIFT_PX) | 1
+    near = int(2 * _MIN_SHIFT_PX) | 1
     highest = score >= cv2.dilate(score, np.ones((near, near)))
-    peak = highest & (np.hypot(u, v) > _LEAST_SHIFT_PX) & (score > _PEAK_OF_ZERO * at_zero)
+    peak = highest & (np.hypot(u, v) > _MIN_SHIFT_PX) & (score > _PEAK_OF_ZERO * at_zero)
     rows, columns = np.nonzero(peak)
-    best = np.argsort(-score[rows, columns], kind="stable")[:_MOST_PEAKS]
+    best = np.argsort(-score[rows, columns], kind="stable")[:_MAX_PEAKS]
     return [(int(columns[k]) - width, int(rows[k]) - height) for k in best]

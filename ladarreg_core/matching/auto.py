@@ -13,23 +13,23 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner, Candidate
-from ladarreg_core.matching.ambiguity import Places, alike_in_words, second_minimum
+from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum
 from ladarreg_core.matching.blocks import BlockMatches
 from ladarreg_core.matching.covariance import WindowEvidence, window_evidence
-from ladarreg_core.matching.pyramid import ChannelSet, Pictures
-from ladarreg_core.matching.roll import Turn
-from ladarreg_core.matching.self_calibration import FreeCamera, check_free_camera, finished, with_camera_free
-from ladarreg_core.matching.verification import GateOptions, Verification, judged_by_precision, regions_of
+from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
+from ladarreg_core.matching.roll import Roll
+from ladarreg_core.matching.self_calibration import FreeCamera, check_free_camera, estimate_camera, verify_finished
+from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers
 from ladarreg_core.matching.view_search import ViewSearch
-from ladarreg_core.matching.views import density_in, rolled, viewing_directions
+from ladarreg_core.matching.views import rolled, scan_density, viewing_directions
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
 
 log = logging.getLogger(__name__)
 Reach = Literal["everywhere", "near_start"]
-_MOST_TURNED, _MOST_FROM_EVERYWHERE = 2, 3
-_SURE_FRACTION = 0.6
+_MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
+_SUFFICIENT_FRACTION = 0.6
 _RANGE_M = (1e-6, 1e7)  # generous, for millimetres taken for metres; the estimator of matches ends there, too
 
 
@@ -85,7 +85,7 @@ def register_auto(
     *,
     initial: Rigid | None = None,
     options: AutoOptions | None = None,
-    pictures: Pictures | None = None,
+    pictures: PairLevels | None = None,
 ) -> AutoResult:
     """Find the photo's pose from the pictures alone.
 
@@ -104,7 +104,7 @@ def register_auto(
         pictures: of the pair, where it was looked at before.
     """
     o = options or AutoOptions()
-    pictures = pictures or Pictures(scan, photo)
+    pictures = pictures or PairLevels(scan, photo)
     working = pictures.working
     with steps.step("photo") as note:
         photo_side = pictures.photo
@@ -131,19 +131,21 @@ def register_auto(
         seed=o.seed,
         channel_set=o.channel_set,
     )
-    found = _Findings(search, photo, Places(scan, photo.camera), steps, o)
+    found = CandidateSet(search, photo, KnownPoses(scan, photo.camera), steps, o)
     directions = viewing_directions(scan, working, initial=initial)
     if initial is not None and o.reach == "near_start":
-        _look_near(search, found, directions[0], initial)
+        _search_near(search, found, directions[0], initial)
     else:
-        _look_everywhere(search, found, directions, initial)
-    return _told_if_sparse(found.answer(initial), scan, photo, [*directions, *([initial] if initial else [])])
+        _search_everywhere(search, found, directions, initial)
+    return _explain_if_sparse(found.answer(initial), scan, photo, [*directions, *([initial] if initial else [])])
 
 
-class _Findings:
+class CandidateSet:
     """What the views gave: the verified poses, and the best of what was not verified."""
 
-    def __init__(self, search: ViewSearch, photo: Photo, places: Places, steps: StepLog, options: AutoOptions) -> None:
+    def __init__(
+        self, search: ViewSearch, photo: Photo, places: KnownPoses, steps: StepLog, options: AutoOptions
+    ) -> None:
         self.places = places
         self._search = search
         self._photo = photo
@@ -151,16 +153,16 @@ class _Findings:
         self._options = options
         self._accepted: AutoResult | None = None
         self._accepted_by: Aligner | None = None
-        self._alike: tuple[Rigid, Rigid] | None = None
+        self._ambiguous_poses: tuple[Rigid, Rigid] | None = None
         self._refused: AutoResult | None = None
         self._unfinished: Candidate | None = None
 
     @property
-    def settled(self) -> bool:
+    def is_ambiguous(self) -> bool:
         """Whether two places are known to look alike, so that no further view can change the answer."""
-        return self._alike is not None
+        return self._ambiguous_poses is not None
 
-    def consider(self, aligner: Aligner, candidate: Candidate | None) -> None:
+    def add_candidate(self, aligner: Aligner, candidate: Candidate | None) -> None:
         """Finish and judge the best climb of a view, if it is worth it."""
         if candidate is None:
             return
@@ -168,16 +170,16 @@ class _Findings:
             if self._unfinished is None or candidate.fraction > self._unfinished.fraction:
                 self._unfinished = candidate
             return
-        aligner, candidate = self._search.seen_whole(aligner, candidate)
+        aligner, candidate = self._search.with_full_overlap(aligner, candidate)
         result, aligner = _finish(aligner, candidate, self._photo, self._steps, self._options.intrinsics)
         pose = result.camera_from_scanner
         if result.verification is None or not result.verification.accepted or pose is None:
             if self._refused is None or _fraction(result) > _fraction(self._refused):
                 self._refused = result
             return
-        other = self.places.other_than(pose)
+        other = self.places.different_from(pose)
         if other is not None:
-            self._alike = (other, pose)
+            self._ambiguous_poses = (other, pose)
         self.places.add(pose)
         if self._accepted is None or _fraction(result) > _fraction(self._accepted):
             self._accepted, self._accepted_by = result, aligner
@@ -186,9 +188,13 @@ class _Findings:
         """Return the result."""
         if self._accepted is not None:
             # Which of alike places is meant, a given pose tells; not that there is one of which much agrees.
-            if self._alike is None and (initial is None or _fraction(self._accepted) < _SURE_FRACTION):
-                self._alike = self._second_minimum()
-            return self._accepted if self._alike is None else _undecided(self._accepted, *self._alike)
+            if self._ambiguous_poses is None and (initial is None or _fraction(self._accepted) < _SUFFICIENT_FRACTION):
+                self._ambiguous_poses = self._second_minimum()
+            return (
+                self._accepted
+                if self._ambiguous_poses is None
+                else _refused_as_ambiguous(self._accepted, *self._ambiguous_poses)
+            )
         if self._refused is not None:
             return self._refused
         if self._unfinished is None:
@@ -196,7 +202,7 @@ class _Findings:
             return AutoResult(initial, None, None, (reason, _ADVICE))
         best = self._unfinished
         reason = f"The best start found agrees in only {best.fraction:.0%} of the picture."
-        return AutoResult(best.camera_from_scanner, best.first_look, None, (reason, _ADVICE))
+        return AutoResult(best.camera_from_scanner, best.coarse_verdict, None, (reason, _ADVICE))
 
     def _second_minimum(self) -> tuple[Rigid, Rigid] | None:
         """Return the accepted pose and another one near it that is verified, too."""
@@ -212,29 +218,31 @@ class _Findings:
         return None if other is None else (pose, other)
 
 
-def _told_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequence[Rigid]) -> AutoResult:
+def _explain_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequence[Rigid]) -> AutoResult:
     """Return a refusal with the scan's want of points as its first reason, and the only one where nothing was tried."""
     if result.verification is not None and result.verification.accepted:
         return result
-    density = density_in(scan, photo.camera, poses)
+    density = scan_density(scan, photo.camera, poses)
     if density is None or not density.too_sparse:
         return result
     if result.verification is None:
-        return replace(result, reasons=(density.in_words(), _ADVICE))
-    return replace(result, reasons=(density.in_words(), *result.reasons))
+        return replace(result, reasons=(density.summary(), _ADVICE))
+    return replace(result, reasons=(density.summary(), *result.reasons))
 
 
-def _look_near(search: ViewSearch, found: _Findings, direction: Rigid, initial: Rigid) -> None:
+def _search_near(search: ViewSearch, found: CandidateSet, direction: Rigid, initial: Rigid) -> None:
     """Look from the given pose, and from places around it."""
     aligner = search.view(direction, name="the given pose")
     if aligner is None:
         return
-    found.consider(aligner, search.from_start(aligner, found.places, initial))
+    found.add_candidate(aligner, search.from_start(aligner, found.places, initial))
     if not found.places:
-        found.consider(aligner, search.from_places(aligner, found.places, around=initial))
+        found.add_candidate(aligner, search.from_grid(aligner, found.places, around=initial))
 
 
-def _look_everywhere(search: ViewSearch, found: _Findings, directions: Sequence[Rigid], initial: Rigid | None) -> None:
+def _search_everywhere(
+    search: ViewSearch, found: CandidateSet, directions: Sequence[Rigid], initial: Rigid | None
+) -> None:
     """Look upright in every view; then rolled, where corners speak for a roll; then from everywhere.
 
     One verified pose ends the search where the scan has one view. Where it has several the others are looked at, too:
@@ -242,17 +250,17 @@ def _look_everywhere(search: ViewSearch, found: _Findings, directions: Sequence[
     """
     upright = directions[0 if initial is None else 1 :]
     several = len(upright) > 1
-    turns: list[tuple[Turn, Rigid]] = []
+    turns: list[tuple[Roll, Rigid]] = []
     for number, direction in enumerate(directions):
         given = initial if number == 0 else None
         aligner = search.view(direction, name=number)
         if aligner is None:
             continue
-        found.consider(aligner, search.from_corners(aligner, found.places, given=given))
+        found.add_candidate(aligner, search.from_corners(aligner, found.places, given=given))
         if given is not None and not found.places:
-            found.consider(aligner, search.from_places(aligner, found.places, around=given))
+            found.add_candidate(aligner, search.from_grid(aligner, found.places, around=given))
         # Which of alike places is meant is told by a pose that was given.
-        if found.settled or (found.places and (given is not None or not several)):
+        if found.is_ambiguous or (found.places and (given is not None or not several)):
             return
         turn = None if found.places else search.turn(aligner)
         if turn is not None:
@@ -261,35 +269,35 @@ def _look_everywhere(search: ViewSearch, found: _Findings, directions: Sequence[
         return
 
     turns.sort(key=lambda item: -item[0].matches)
-    likely = [rolled(direction, turn.angle_rad) for turn, direction in turns[:_MOST_TURNED]]
+    likely = [rolled(direction, turn.angle_rad) for turn, direction in turns[:_MAX_ROLLED_VIEWS]]
     others = [rolled(direction, turns[0][0].angle_rad) for direction in upright if several and likely]
-    _compare(search, found, "rolled", likely, others, search.from_corners)
+    _search_views(search, found, "rolled", likely, others, search.from_corners)
     if not found.places:
-        likely, others = list(upright[:_MOST_FROM_EVERYWHERE]), list(upright[_MOST_FROM_EVERYWHERE:])
-        _compare(search, found, "again", likely, others, search.from_places)
+        likely, others = list(upright[:_MAX_GRID_VIEWS]), list(upright[_MAX_GRID_VIEWS:])
+        _search_views(search, found, "again", likely, others, search.from_grid)
 
 
-def _compare(
+def _search_views(
     search: ViewSearch,
-    found: _Findings,
+    found: CandidateSet,
     name: str,
     likely: Sequence[Rigid],
     others: Sequence[Rigid],
-    find: Callable[[Aligner, Places], Candidate | None],
+    find: Callable[[Aligner, KnownPoses], Candidate | None],
 ) -> None:
     """Look in the likely views, and after a verified pose in all others for what looks alike."""
     for number, direction in enumerate([*likely, *others]):
-        if found.settled or (number >= len(likely) and not found.places):
+        if found.is_ambiguous or (number >= len(likely) and not found.places):
             return
         aligner = search.view(direction, name=f"{name} {number}")
         if aligner is not None:
-            found.consider(aligner, find(aligner, found.places))
+            found.add_candidate(aligner, find(aligner, found.places))
 
 
-def _undecided(result: AutoResult, first: Rigid, second: Rigid) -> AutoResult:
+def _refused_as_ambiguous(result: AutoResult, first: Rigid, second: Rigid) -> AutoResult:
     """Return a verified result as not accepted, since another place was verified as well."""
     assert result.verification is not None, "only what was verified can look alike"
-    reasons = (alike_in_words(first, second), _ADVICE)
+    reasons = (ambiguity_sentence(first, second), _ADVICE)
     return replace(result, verification=replace(result.verification, accepted=False, reasons=reasons), reasons=reasons)
 
 
@@ -309,27 +317,27 @@ def _finish(
         pose = aligner.finish(start)
         steps.pose = pose
     with steps.step("verify") as note:
-        found = finished(aligner, photo.camera, pose)
+        found = verify_finished(aligner, photo.camera, pose)
         note.update(found.verification.as_dict())
     if intrinsics != "fixed":
         with steps.step("camera") as note:
-            found = with_camera_free(found, photo, start, intrinsics)
+            found = estimate_camera(found, photo, start, intrinsics)
             note.update(estimated=bool(found.free), focal_px=round(found.camera.focal_px, 3))
             note.update(found.verification.as_dict())
             steps.pose = found.camera_from_scanner
     with steps.step("evidence"):
         aligner, camera, pose = found.aligner, found.camera, found.camera_from_scanner
-        evidence = window_evidence(found.fine, aligner.judged_points, aligner.photo.cameras[0], camera, pose)
+        evidence = window_evidence(found.fine, aligner.verification_points, aligner.photo.cameras[0], camera, pose)
         if found.regions is not None:
-            evidence = replace(evidence, covariance=found.regions.of_pose)
+            evidence = replace(evidence, covariance=found.regions.pose_covariance)
         blocks = aligner.block_matches(pose)
         steps.pose, steps.matches = pose, blocks.matches if blocks else None
-    points = aligner.judged_points.points[found.fine.visible]
-    verification = judged_by_precision(found.verification, points, camera, pose, evidence.covariance)
-    verification = replace(verification, regions=regions_of(found.fine, aligner.photo.cameras[0], camera))
+    points = aligner.verification_points.points[found.fine.visible]
+    verification = check_precision(found.verification, points, camera, pose, evidence.covariance)
+    verification = replace(verification, regions=region_markers(found.fine, aligner.photo.cameras[0], camera))
     reasons: tuple[Any, ...] = verification.reasons
     advice = () if verification.accepted else (_ADVICE,)
     return AutoResult(
-        pose, verification, evidence, (*reasons, *found.in_words(photo.camera), *advice), blocks,
+        pose, verification, evidence, (*reasons, *found.summary(photo.camera), *advice), blocks,
         camera if found.free else None, found.camera_sigmas,
     ), aligner  # fmt: skip

@@ -16,15 +16,15 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.matching.sampling import Blocks, ViewPoints, runs
 from ladarreg_core.matching.zbuffer import Occluder
 
-LEAST_POINTS = 8
+MIN_POINTS = 8
 """Visible points that a block needs."""
-LEAST_BLOCKS = 8
+MIN_BLOCKS = 8
 """Such blocks that a comparison needs."""
-_LEAST_CORRELATION = 0.4  # a block that is less alike is no match
-_LEAST_SHARED = 0.1
+_MIN_CORRELATION = 0.4  # a block that is less alike is no match
+_MIN_SHARED = 0.1
 _DAMPING = 0.3
 _SD_OF_MEDIAN = 1.4826
-_LEAST_SCATTER_PX = 0.02
+_MIN_SCATTER_PX = 0.02
 _OUTLIER_SIGMA = 3.5
 
 
@@ -89,7 +89,7 @@ def project_visible(
 def block_counts(blocks: Blocks, visible: BoolArray) -> tuple[FloatArray, BoolArray]:
     """Return the visible points of each block (B,), and which blocks have enough."""
     count = blocks.sum(visible.astype(np.float32))
-    return count, count >= LEAST_POINTS
+    return count, count >= MIN_POINTS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +148,7 @@ def compare_blocks(
     """Compare the points that the photo sees at a pose, or return None where too few blocks are left."""
     points_camera, uv, visible = project_visible(points, target, occluder, buffer, pose, border=2)
     _, enough = block_counts(points.blocks, visible)
-    if np.count_nonzero(enough) < LEAST_BLOCKS:
+    if np.count_nonzero(enough) < MIN_BLOCKS:
         return None
     kept = np.flatnonzero(visible & enough[points.blocks.of_point])
     blocks = _sub_blocks(points.blocks.of_point[kept])
@@ -204,30 +204,30 @@ def block_matches(seen: BlockComparison, points: ViewPoints, working: Camera, ca
     """
     uu, uv, vv, right_u, right_v = (np.asarray(value, np.float64) for value in seen.normal_equations())
     # Only what a block shares with the photo curves; the rest of its gradient is noise.
-    shared = np.maximum(seen.rho, _LEAST_SHARED).astype(np.float64)
+    shared = np.maximum(seen.rho, _MIN_SHARED).astype(np.float64)
     damping = _DAMPING * float(np.median(shared * (uu + vv)))
     uu, uv, vv = shared * uu + damping, shared * uv, shared * vv + damping
     det = np.maximum(uu * vv - uv * uv, np.finfo(np.float64).tiny)  # flat blocks stay where they are
     offset = np.stack([vv * right_u - uv * right_v, uu * right_v - uv * right_u], axis=-1) / det[:, None]
 
-    nearest = _middles(seen)
+    nearest = _centre_points(seen)
     at = points.points[seen.index[nearest]].astype(np.float64)
     ranges = np.linalg.norm(at, axis=-1)
     pixel = seen.uv[nearest].astype(np.float64) + offset
     own = camera.project(working.unproject(pixel))
-    alike = (seen.rho >= _LEAST_CORRELATION) & np.isfinite(own).all(axis=-1)
+    alike = (seen.rho >= _MIN_CORRELATION) & np.isfinite(own).all(axis=-1)
     grid = points.blocks.grid[points.blocks.of_point[seen.index[nearest]]][alike]
     names = tuple(f"b{row}.{column}" for row, column in grid.tolist())
     matches = Matches(at[alike] / ranges[alike, None], ranges[alike], own[alike], names)
     if not len(matches):
         return BlockMatches(matches, np.zeros(0, np.bool_), float("nan"))
     off = np.abs(offset[alike])
-    scatter = _SD_OF_MEDIAN * float(np.median(off)) + _LEAST_SCATTER_PX
+    scatter = _SD_OF_MEDIAN * float(np.median(off)) + _MIN_SCATTER_PX
     inliers = off.max(axis=-1) <= _OUTLIER_SIGMA * scatter
     return BlockMatches(matches, inliers, scatter * camera.focal_px / working.focal_px)
 
 
-def _middles(seen: BlockComparison) -> NDArray[np.intp]:
+def _centre_points(seen: BlockComparison) -> NDArray[np.intp]:
     """Return the point of each block (b,) that lies nearest to its middle."""
     of = seen.blocks.of_point
     middle: FloatArray = seen.blocks.sum(seen.uv) / seen.count[:, None]

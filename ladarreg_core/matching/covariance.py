@@ -18,21 +18,23 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.blocks import BlockComparison
-from ladarreg_core.matching.ecc import ClimbOptions, block_systems
+from ladarreg_core.matching.ecc import RefineOptions, block_systems
 from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.pose.jacobian import pose_jacobian
 
 _TRUSTED_PX = 3.0
 _SD_OF_MEDIAN = 1.4826
-_LEAST_SCATTER_PX = 0.02
+_MIN_SCATTER_PX = 0.02
 _PRIOR_ANGLE_RAD, _PRIOR_POSITION_M = np.pi, 100.0
 _REGION_BLOCKS = (3, 2, 1)
-_LEAST_REGIONS = 12
-_LEAST_INFORMATION = 1e-9
-_MOST_SHAPE = 0.5
-_UNSEEN = 1.7  # what errs alike over several regions is seen by none of them; on simulated and half-real sets, variance
-_OF_THE_WHOLE = 1.5  # and what errs alike over the whole picture; on simulated sets of other seeds
-_LEAST_ANGLE_RAD, _LEAST_POSITION_M = 1e-6, 1e-6  # so that it can be inverted
+_MIN_REGIONS = 12
+_MIN_INFORMATION = 1e-9
+_MAX_SHAPE_SHARE = 0.5
+_BETWEEN_REGIONS = (
+    1.7  # what errs alike over several regions is seen by none of them; on simulated and half-real sets, variance
+)
+_WHOLE_IMAGE = 1.5  # and what errs alike over the whole picture; on simulated sets of other seeds
+_MIN_ANGLE_RAD, _MIN_POSITION_M = 1e-6, 1e-6  # so that it can be inverted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,11 +59,11 @@ class RegionEvidence:
     """How many regions were left out in turn."""
 
     @property
-    def of_pose(self) -> FloatArray:
+    def pose_covariance(self) -> FloatArray:
         """(6, 6) of (w, c), with what errs alike over the whole picture: such errors move no camera against another."""
-        return _OF_THE_WHOLE * self.covariance[:6, :6]
+        return _WHOLE_IMAGE * self.covariance[:6, :6]
 
-    def in_doubt(self, moved: FloatArray) -> RegionEvidence:
+    def inflated_by(self, moved: FloatArray) -> RegionEvidence:
         """Return the evidence for a pose that another, no better explanation of the picture moves by (w, c), (6,).
 
         The move counts as an error of its own. As many standard deviations as it is long, as far may the pose be off in
@@ -71,7 +73,7 @@ class RegionEvidence:
         squared = float(moved @ np.linalg.solve(covariance, moved)) / len(moved)
         return RegionEvidence((1 + squared) * covariance + np.outer(moved, moved), self.regions)
 
-    def deviate(self, moved: FloatArray) -> float:
+    def normal_deviate(self, moved: FloatArray) -> float:
         """Return how surely (log f, k1), (K,), moved: not by chance, as a normal deviate.
 
         Source: Hotelling, The generalization of Student's ratio (1931); the deviate of F is Paulson's (1942).
@@ -86,7 +88,7 @@ class RegionEvidence:
 
 
 def region_evidence(
-    seen: BlockComparison, points: ViewPoints, camera: Camera, pose: Rigid, options: ClimbOptions
+    seen: BlockComparison, points: ViewPoints, camera: Camera, pose: Rigid, options: RefineOptions
 ) -> RegionEvidence | None:
     """Return how a finished pose moves without each region, or None where too few regions are seen.
 
@@ -101,7 +103,7 @@ def region_evidence(
     for side in _REGION_BLOCKS:
         _, region = np.unique(grid // side, axis=0, return_inverse=True)
         count = int(region.max()) + 1
-        if count >= _LEAST_REGIONS:
+        if count >= _MIN_REGIONS:
             break
     else:
         return None
@@ -111,19 +113,19 @@ def region_evidence(
     np.add.at(g_regions, region.ravel(), g_blocks)
     H, g = H_regions.sum(axis=0), g_regions.sum(axis=0)
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    known = H / np.outer(scale, scale) + _LEAST_INFORMATION * np.eye(len(H))
+    known = H / np.outer(scale, scale) + _MIN_INFORMATION * np.eye(len(H))
     without = known - H_regions / np.outer(scale, scale)
     steps = np.linalg.solve(without, ((g - g_regions) / scale)[..., None])[..., 0]
     moved = steps - steps.mean(axis=0)
-    covariance = _UNSEEN * (count - 1) / count * moved.T @ moved
+    covariance = _BETWEEN_REGIONS * (count - 1) / count * moved.T @ moved
     # Few regions cannot tell all directions; part of the answer is the shape that the information alone has.
     shape = np.linalg.inv(known)
-    share = min(_MOST_SHAPE, len(H) / count)
+    share = min(_MAX_SHAPE_SHARE, len(H) / count)
     covariance = (1 - share) * covariance + share * np.trace(covariance @ known) / len(H) * shape
     to_centre = np.diag(1 / scale)
     to_centre[3:6] = -pose.rotation.T @ to_centre[3:6]  # from a shift of the camera's frame to one of its centre
     covariance = to_centre @ covariance @ to_centre.T
-    covariance[range(6), range(6)] += [_LEAST_ANGLE_RAD**2] * 3 + [_LEAST_POSITION_M**2] * 3
+    covariance[range(6), range(6)] += [_MIN_ANGLE_RAD**2] * 3 + [_MIN_POSITION_M**2] * 3
     return RegionEvidence((covariance + covariance.T) / 2, count)
 
 
@@ -156,7 +158,7 @@ def window_evidence(
         return WindowEvidence(len(used), prior, float("nan"))
     _, J = pose_jacobian(pose, at[used], camera)
     # From the median: the pose is a robust estimate, which windows that hardly agree do not move.
-    scatter = float(_SD_OF_MEDIAN * to_photo * np.median(np.abs(shift[used]))) + _LEAST_SCATTER_PX
+    scatter = float(_SD_OF_MEDIAN * to_photo * np.median(np.abs(shift[used]))) + _MIN_SCATTER_PX
     pooled = maps.pooled_blocks[used].astype(np.float64)
     information = np.einsum("n,nip,niq->pq", 1 / pooled, J, J) / scatter**2
     covariance = np.linalg.inv(information + np.linalg.inv(prior))

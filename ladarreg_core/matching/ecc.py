@@ -20,10 +20,10 @@ from ladarreg_core.matching.blocks import BlockComparison, Target, compare_block
 from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.matching.zbuffer import Occluder
 
-_MOST_MOTION_PX = 4.0
+_MAX_MOTION_PX = 4.0
 _STILL_PX = 0.02
 _REFRESH_VISIBILITY = 3
-_MOST_LOG_FOCAL, _MOST_K1 = math.log(1.6), 0.5
+_MAX_LOG_FOCAL, _MAX_K1 = math.log(1.6), 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,16 +40,16 @@ class CameraChange:
         if not len(step):
             return self
         log_focal, k1 = (*map(float, step), 0.0)[:2]
-        return CameraChange(_clipped(self.log_focal + log_focal, _MOST_LOG_FOCAL), _clipped(self.k1 + k1, _MOST_K1))
+        return CameraChange(_clipped(self.log_focal + log_focal, _MAX_LOG_FOCAL), _clipped(self.k1 + k1, _MAX_K1))
 
-    def applied(self, camera: Camera) -> Camera:
+    def applied_to(self, camera: Camera) -> Camera:
         """Return a camera with the change; a lens keeps its other terms, and an ideal one gets four."""
         factor = math.exp(self.log_focal)
         first, *others = camera.distortion or (0.0,) * 4
         return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor, distortion=(first + self.k1, *others))
 
 
-AS_STATED = CameraChange()
+NO_CHANGE = CameraChange()
 """No change."""
 
 
@@ -58,7 +58,7 @@ def _clipped(value: float, most: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class ClimbOptions:
+class RefineOptions:
     """One climb."""
 
     tau_px: float
@@ -72,7 +72,7 @@ class ClimbOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ClimbResult:
+class RefineResult:
     """Where a climb ended."""
 
     camera_from_scanner: Rigid
@@ -89,15 +89,15 @@ class ClimbResult:
     """Median motion of the last step."""
 
 
-def climb(
+def refine_pose(
     points: ViewPoints,
     target: Target,
     occluder: Occluder,
     start: Rigid,
-    options: ClimbOptions,
+    options: RefineOptions,
     *,
-    change: CameraChange = AS_STATED,
-) -> ClimbResult | None:
+    change: CameraChange = NO_CHANGE,
+) -> RefineResult | None:
     """Climb from a start pose to the best agreement of blocks.
 
     Args:
@@ -117,7 +117,7 @@ def climb(
     for iteration in range(options.iterations):
         if iteration and iteration % _REFRESH_VISIBILITY == 0:
             buffer = occluder.depth_buffer(pose)
-        seen_by = target.seen_by(change.applied(target.camera)) if options.free or change != AS_STATED else target
+        seen_by = target.seen_by(change.applied_to(target.camera)) if options.free or change != NO_CHANGE else target
         step = _gauss_newton_step(points, seen_by, occluder, buffer, pose, options)
         if step is None:
             return result
@@ -125,14 +125,14 @@ def climb(
         turn = rotation_from_rotvec(delta[:3])
         pose = Rigid(turn @ pose.rotation, turn @ pose.translation + delta[3:6])
         change = change.after(delta[6:])
-        result = ClimbResult(pose, change, iteration + 1, correlation, blocks, motion)
+        result = RefineResult(pose, change, iteration + 1, correlation, blocks, motion)
         if motion < _STILL_PX:
             break
     return result
 
 
 def _gauss_newton_step(
-    points: ViewPoints, target: Target, occluder: Occluder, buffer: FloatArray, pose: Rigid, options: ClimbOptions
+    points: ViewPoints, target: Target, occluder: Occluder, buffer: FloatArray, pose: Rigid, options: RefineOptions
 ) -> tuple[FloatArray, float, float, int] | None:
     seen = compare_blocks(points, target, occluder, buffer, pose)
     if seen is None:
@@ -171,12 +171,12 @@ def _gauss_newton_step(
     except np.linalg.LinAlgError:
         return None
     motion = float(np.median(np.hypot(Ju @ delta, Jv @ delta)))
-    if motion > _MOST_MOTION_PX:
-        delta *= _MOST_MOTION_PX / motion
+    if motion > _MAX_MOTION_PX:
+        delta *= _MAX_MOTION_PX / motion
     return delta, motion, float(np.average(rho)), len(blocks)
 
 
-def block_systems(seen: BlockComparison, camera: Camera, options: ClimbOptions) -> tuple[FloatArray, FloatArray]:
+def block_systems(seen: BlockComparison, camera: Camera, options: RefineOptions) -> tuple[FloatArray, FloatArray]:
     """Return what each block contributes to a Gauss-Newton step.
 
     Args:
@@ -206,10 +206,10 @@ def block_systems(seen: BlockComparison, camera: Camera, options: ClimbOptions) 
 
 
 def _weights(seen: BlockComparison, tau_px: float) -> FloatArray:
-    return np.asarray(seen.rho**2 / (1 + (_own_steps(seen) / tau_px) ** 2) ** 2)
+    return np.asarray(seen.rho**2 / (1 + (_block_steps(seen) / tau_px) ** 2) ** 2)
 
 
-def _own_steps(seen: BlockComparison) -> FloatArray:
+def _block_steps(seen: BlockComparison) -> FloatArray:
     """Return how far each block (B,) would move by its own Lucas-Kanade step, level pixels."""
     uu, uv, vv, right_u, right_v = seen.normal_equations()
     # A straight edge says nothing of its own direction: the damping keeps that from becoming a long step.

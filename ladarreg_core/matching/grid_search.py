@@ -18,24 +18,24 @@ from ladarreg_core.features.channels import ORIENTATIONS
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels
 
-MOST_STARTS = 5
+MAX_STARTS = 5
 """So many places, the likeliest first, are given at the most."""
 _LEVEL = 2
 _SCALE = 0.5  # of that level: what a climb bears is some of these pixels
 _STEP_OF_RANGE = 0.06
-_PLACES = tuple((x, y, z) for x in range(-4, 5) for y in (-0.5, 0.5) for z in (-0.6, 0.6))
+_GRID = tuple((x, y, z) for x in range(-4, 5) for y in (-0.5, 0.5) for z in (-0.6, 0.6))
 _NEAR_STEP_M = 0.2
-_PLACES_NEAR = tuple((x, y, z) for x in range(-2, 3) for y in (-1, 0, 1) for z in (-1, 0, 1))
-_MOST_TURN_RAD, _MOST_TURN_NEAR_RAD = np.deg2rad(16), np.deg2rad(7)  # beyond, false peaks win
-_LEAST_OVERLAP = 0.3
+_GRID_NEAR = tuple((x, y, z) for x in range(-2, 3) for y in (-1, 0, 1) for z in (-1, 0, 1))
+_MAX_ROTATION_RAD, _MAX_ROTATION_NEAR_RAD = np.deg2rad(16), np.deg2rad(7)  # beyond, false peaks win
+_MIN_OVERLAP = 0.3
 _NEAREST_DEPTH_M = 0.05
-_LEAST_POINTS = 100
+_MIN_POINTS = 100
 _APART_PX = 16.0
-_TOLD_APART_BY = 300
+_BASIN_SAMPLES = 300
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class ScoredPose:
     """A start and how well the pictures agree there."""
 
     camera_from_scanner: Rigid
@@ -44,7 +44,7 @@ class Place:
     """The correlation of the channels times the root of the pixels compared: standard deviations from none."""
 
 
-def likely_places(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None = None) -> list[Place]:
+def likely_poses(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None = None) -> list[ScoredPose]:
     """Return the poses, likeliest first, from which the scan looks most like the photo.
 
     Args:
@@ -56,13 +56,13 @@ def likely_places(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None 
         at most `MOST_STARTS`, each in another basin; none where the scan shows hardly anything.
     """
     cloud = _Cloud.of(scan)
-    if len(cloud.points) < _LEAST_POINTS:
+    if len(cloud.points) < _MIN_POINTS:
         return []
     middle = float(np.median(np.linalg.norm(cloud.points, axis=-1)))
     if around is None:
-        base, places, step, most = scan.view.view_from_scanner, _PLACES, _STEP_OF_RANGE * middle, _MOST_TURN_RAD
+        base, places, step, most = scan.view.view_from_scanner, _GRID, _STEP_OF_RANGE * middle, _MAX_ROTATION_RAD
     else:
-        base, places, most = around, _PLACES_NEAR, _MOST_TURN_NEAR_RAD
+        base, places, most = around, _GRID_NEAR, _MAX_ROTATION_NEAR_RAD
         step = max(_NEAR_STEP_M, _STEP_OF_RANGE * middle)
     slider = _Slider(photo, most)
     found = []
@@ -71,9 +71,9 @@ def likely_places(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None 
         best = slider.best(*cloud.seen_by(slider.camera, seen_from))
         if best is not None:
             turn, score = best
-            found.append(Place(turn @ seen_from, score))
+            found.append(ScoredPose(turn @ seen_from, score))
     found.sort(key=lambda item: -item.score)
-    return _in_other_basins(found, photo.cameras[0], cloud.points)
+    return _one_per_basin(found, photo.cameras[0], cloud.points)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +119,7 @@ class _Cloud:
 class _Slider:
     """The photo's coarse channels, transformed once, to be compared with pictures of the scan at every shift."""
 
-    def __init__(self, photo: PhotoLevels, most_turn_rad: float) -> None:
+    def __init__(self, photo: PhotoLevels, max_rotation_rad: float) -> None:
         level = photo.cameras[_LEVEL]
         self.camera = level.scaled(_SCALE)
         # Plane by plane: OpenCV averages areas of four channels at the most.
@@ -131,7 +131,7 @@ class _Slider:
         mask = (small.pop() > 0.99).astype(np.float32)
         channels = np.stack(small) * mask
         channels -= mask * (channels.sum(axis=(1, 2)) / max(float(mask.sum()), 1.0))[:, None, None]
-        reach = self.camera.fx * np.tan(most_turn_rad)
+        reach = self.camera.fx * np.tan(max_rotation_rad)
         height, width = self.camera.height, self.camera.width
         self._reach = tuple(int(min(reach, side - 1)) for side in (height, width))
         padded = [n + r for n, r in zip((height, width), self._reach, strict=True)]
@@ -143,7 +143,7 @@ class _Slider:
         """Return the turn of the virtual camera that fits best, and its score; None where nothing can be compared."""
         where = mask.astype(np.float32)
         total = float(where.sum())
-        if total < _LEAST_OVERLAP * mask.size:
+        if total < _MIN_OVERLAP * mask.size:
             return None
         centred = channels - where * (channels.sum(axis=(1, 2)) / total)[:, None, None]
         seen = self._transform(where)
@@ -151,7 +151,7 @@ class _Slider:
         pixels = self._at_shifts(np.conj(seen) * self._mask)
         of_photo = self._at_shifts(np.conj(seen) * self._energy)
         of_scan = self._at_shifts(np.conj(self._transform((centred**2).sum(axis=0))) * self._mask)
-        enough = (pixels >= _LEAST_OVERLAP * mask.size) & (of_photo > 1e-6) & (of_scan > 1e-6)
+        enough = (pixels >= _MIN_OVERLAP * mask.size) & (of_photo > 1e-6) & (of_scan > 1e-6)
         if not enough.any():
             return None
         length = np.sqrt(np.where(enough, of_photo * of_scan, 1))
@@ -173,15 +173,15 @@ class _Slider:
         return np.asarray(whole[: 2 * self._reach[0] + 1, : 2 * self._reach[1] + 1])
 
 
-def _in_other_basins(found: list[Place], camera: Camera, points: FloatArray) -> list[Place]:
+def _one_per_basin(found: list[ScoredPose], camera: Camera, points: FloatArray) -> list[ScoredPose]:
     """Return the best of those places from which the same climb would start."""
-    some = points[:: max(1, len(points) // _TOLD_APART_BY)].astype(np.float64)
-    kept: list[tuple[Place, FloatArray]] = []
+    some = points[:: max(1, len(points) // _BASIN_SAMPLES)].astype(np.float64)
+    kept: list[tuple[ScoredPose, FloatArray]] = []
     for item in found:
         uv = camera.project(item.camera_from_scanner @ some)
         apart = (np.nanmedian(np.hypot(*(uv - other).T)) > _APART_PX for _, other in kept)
         if all(apart):
             kept.append((item, uv))
-        if len(kept) == MOST_STARTS:
+        if len(kept) == MAX_STARTS:
             break
     return [item for item, _ in kept]

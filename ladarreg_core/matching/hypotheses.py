@@ -51,11 +51,11 @@ def hypotheses(scan: ScanLevels, photo: PhotoLevels, *, seed: int) -> Iterator[H
         photo: the photo's levels.
         seed: of RANSAC.
     """
-    described = _Described(scan, photo)
+    described = _DescriptorMatcher(scan, photo)
     attempts: list[tuple[str, Callable[[], tuple[FloatArray, FloatArray]]]] = [
         ("descriptors of intensity", lambda: described.matches(scan.intensity_channels[0])),
         ("descriptors of intensity and geometry", lambda: described.matches(scan.channels[0])),
-        ("gray and edge correlation", lambda: _correlated(scan, photo)),
+        ("gray and edge correlation", lambda: _correlation_matches(scan, photo)),
     ]
     needed = _FIRST_INLIERS
     for k, (source, find) in enumerate(attempts):
@@ -65,11 +65,11 @@ def hypotheses(scan: ScanLevels, photo: PhotoLevels, *, seed: int) -> Iterator[H
         needed = _LATER_INLIERS
 
 
-class _Described:
+class _DescriptorMatcher:
     """Descriptor matching; the photo's side and the corners are shared by both attempts."""
 
     def __init__(self, scan: ScanLevels, photo: PhotoLevels) -> None:
-        self._scan_uv, self._photo_uv = described_corners(scan, photo)
+        self._scan_uv, self._photo_uv = descriptor_corners(scan, photo)
         self._photo = describe(photo.channels[0], self._photo_uv)
 
     def matches(self, channels: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -78,7 +78,7 @@ class _Described:
         return self._scan_uv[first], self._photo_uv[second]
 
 
-def described_corners(scan: ScanLevels, photo: PhotoLevels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def descriptor_corners(scan: ScanLevels, photo: PhotoLevels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the corners, pixels (N, 2) of the view and (M, 2) of the photo, that descriptors are taken at."""
     usable = np.isfinite(scan.ranges)
     return (
@@ -93,13 +93,13 @@ def points_at(scan: ScanLevels, uv: FloatArray) -> FloatArray:
     return np.asarray(scan.view.rays_at(uv) * scan.ranges[pixel[:, 1], pixel[:, 0], None])
 
 
-def inliers_of(scan: ScanLevels, photo: PhotoLevels, scan_uv: FloatArray, photo_uv: FloatArray, *, seed: int) -> int:
+def count_inliers(scan: ScanLevels, photo: PhotoLevels, scan_uv: FloatArray, photo_uv: FloatArray, *, seed: int) -> int:
     """Return how many matches, pixels (K, 2) of the view and of the photo, the best pose of RANSAC explains."""
     found = _solve(scan, photo, scan_uv, photo_uv, source="", needed=_LATER_INLIERS, seed=seed)
     return 0 if found is None else found.inliers
 
 
-def _correlated(scan: ScanLevels, photo: PhotoLevels) -> tuple[FloatArray, FloatArray]:
+def _correlation_matches(scan: ScanLevels, photo: PhotoLevels) -> tuple[FloatArray, FloatArray]:
     scan_gray = scan.gray_planes[0]
     scan_uv = find_corners(scan_gray, _NCC_CORNERS, usable=np.isfinite(scan.ranges)).uv
     photo_uv = find_corners(photo.gray, _NCC_CORNERS, usable=photo.usable[0]).uv

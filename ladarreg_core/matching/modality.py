@@ -13,7 +13,7 @@ import numpy as np
 
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
-from ladarreg_core.matching.pyramid import ChannelSet, Pictures
+from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
 from ladarreg_core.matching.verification import GateOptions, Verification
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
@@ -24,19 +24,19 @@ COARSE_GATE = GateOptions(
 )
 """What a thermal pose must show: in fewer regions than one in colour, for the picture is small; it is called coarse."""
 
-_SHOWN_AS: dict[ChannelSet, str] = {
+_CHANNEL_LABELS: dict[ChannelSet, str] = {
     "both": "intensity and geometry together",
     "geometry": "geometry alone",
     "intensity": "intensity alone",
 }
-_WORTH_A_START = 0.3
+_PROMISING_FRACTION = 0.3
 _COARSE_VARIANCE = 4.5
 """A thermal pose's variance over that of the same scatter in colour, on simulated pictures: the edges of what is warm
 lie beside those of what is seen, and alike all over the picture."""
 
 
 @dataclass(frozen=True, slots=True)
-class LadderVerification(Verification):
+class ModalityVerification(Verification):
     """A verdict that tells which of the scan's channels it was found by."""
 
     channel_set: ChannelSet = "both"
@@ -46,7 +46,7 @@ class LadderVerification(Verification):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures, JSON-ready."""
-        figures = super(LadderVerification, self).as_dict()
+        figures = super(ModalityVerification, self).as_dict()
         return {**figures, "channels": self.channel_set, **({"label": self.label} if self.label else {})}
 
 
@@ -81,10 +81,10 @@ def register_by_modality(
         # A few soft regions fix a pose, and no lens besides.
         o = replace(o, gate=COARSE_GATE, intrinsics="fixed" if o.intrinsics == "auto" else o.intrinsics)
     found: dict[ChannelSet, AutoResult] = {}
-    pictures = Pictures(scan, photo)
+    pictures = PairLevels(scan, photo)
     start = initial
     for channel_set in get_args(ChannelSet):
-        if len(found) == 2 and not any(map(_leads_somewhere, found.values())):
+        if len(found) == 2 and not any(map(_is_promising, found.values())):
             break  # intensity alone has never found what neither the sum nor geometry had an inkling of
         # what one set of channels has found need only be looked at by the others
         reach: Reach = o.reach if start is initial else "near_start"
@@ -98,7 +98,7 @@ def register_by_modality(
         )
         if _accepted(found[channel_set]) and not thermal:
             break
-        if _leads_somewhere(found[channel_set]) and not any(
+        if _is_promising(found[channel_set]) and not any(
             _accepted(r) for name, r in found.items() if name != channel_set
         ):
             start = found[channel_set].camera_from_scanner
@@ -112,19 +112,19 @@ def register_by_modality(
         steps.pose = found[best].camera_from_scanner
     others = [result for name, result in found.items() if name != best and _accepted(result)]
     answer = _with_disagreement(found[best], others)
-    return _labelled(_widened(answer, _COARSE_VARIANCE) if thermal else answer, best, thermal=thermal)
+    return _labelled(_scaled_covariance(answer, _COARSE_VARIANCE) if thermal else answer, best, thermal=thermal)
 
 
 def _accepted(result: AutoResult) -> bool:
     return result.verification is not None and result.verification.accepted
 
 
-def _leads_somewhere(result: AutoResult) -> bool:
-    return result.verification is not None and result.verification.fraction >= _WORTH_A_START
+def _is_promising(result: AutoResult) -> bool:
+    return result.verification is not None and result.verification.fraction >= _PROMISING_FRACTION
 
 
 def _with_disagreement(result: AutoResult, others: list[AutoResult]) -> AutoResult:
-    """Return the result with what the other channels' poses differ by counted into its covariance.
+    """Return the result with what the other channels' poses apart by counted into its covariance.
 
     The channels of a soft picture are each biased in their own way, of which their windows' scatter knows nothing.
     """
@@ -140,7 +140,7 @@ def _with_disagreement(result: AutoResult, others: list[AutoResult]) -> AutoResu
     return replace(result, evidence=replace(evidence, covariance=covariance))
 
 
-def _widened(result: AutoResult, factor: float) -> AutoResult:
+def _scaled_covariance(result: AutoResult, factor: float) -> AutoResult:
     evidence = result.evidence
     if evidence is None:
         return result
@@ -163,11 +163,11 @@ def _labelled(result: AutoResult, channel_set: ChannelSet, *, thermal: bool) -> 
     reasons = result.reasons
     if thermal:
         kind = "Coarse" if verdict.accepted else "Not even coarsely registered"
-        reasons = (*reasons, f"{kind}: a thermal picture, compared with the scan's {_SHOWN_AS[channel_set]}.")
+        reasons = (*reasons, f"{kind}: a thermal picture, compared with the scan's {_CHANNEL_LABELS[channel_set]}.")
     elif channel_set != "both":
-        reasons = (*reasons, f"The photo was compared with the scan's {_SHOWN_AS[channel_set]}.")
+        reasons = (*reasons, f"The photo was compared with the scan's {_CHANNEL_LABELS[channel_set]}.")
     return replace(
         result,
-        verification=LadderVerification(**figures, channel_set=channel_set, label=label),
+        verification=ModalityVerification(**figures, channel_set=channel_set, label=label),
         reasons=reasons,
     )

@@ -29,16 +29,16 @@ ChannelSet = Literal["both", "geometry", "intensity"]
 """What of the scan a photo is compared with: laser intensity, normals and log range, or the sum of both."""
 LEVELS = (0, 1, 2)
 """Level L has 1 / 2^L of the working resolution."""
-_MOST_PIXELS = 1_000_000
+_MAX_PIXELS = 1_000_000
 _FEW_PIXELS = 160_000
-_MOST_ENLARGED = 2.0
+_MAX_ENLARGED = 2.0
 _STANDARD_RANGE_M = 2.5
 _RANGE_RATIO = (0.4, 4.0)
 _STRETCH_PERCENT = (1.0, 99.5)
 _RANGE_SPAN_M = (0.3, 30.0)
 _HOLE_REACH_PX = 2.0
 _FINE = {"blur_px": 1.2, "local_factor": 2.0}
-_OF_EVERY_SET = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
+_SHARED_BY_SETS = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
 _KEPT_VIEWS = 2  # some ten bytes a pixel and channel: what a scan of one view needs, upright and rolled
 
 
@@ -60,8 +60,8 @@ def working_camera(scan: Scan, camera: Camera) -> Camera:
     twice the share agrees as of one enlarged to the scan's resolution.)
     """
     pixels = camera.width * camera.height
-    enlarged = min(max(1.0, float(np.sqrt(_FEW_PIXELS / pixels))), _MOST_ENLARGED)
-    factor = min(enlarged, native_focal_px(scan) / camera.focal_px, float(np.sqrt(_MOST_PIXELS / pixels)))
+    enlarged = min(max(1.0, float(np.sqrt(_FEW_PIXELS / pixels))), _MAX_ENLARGED)
+    factor = min(enlarged, native_focal_px(scan) / camera.focal_px, float(np.sqrt(_MAX_PIXELS / pixels)))
     scaled = camera.scaled(factor)
     return Camera(scaled.width, scaled.height, scaled.focal_px, scaled.focal_px, scaled.cx, scaled.cy)
 
@@ -159,7 +159,7 @@ class ScanLevels:
         if channel_set == self.channel_set:
             return self
         other = replace(self, channel_set=channel_set)
-        shared = {name: made for name, made in vars(self).items() if name in _OF_EVERY_SET}
+        shared = {name: made for name, made in vars(self).items() if name in _SHARED_BY_SETS}
         vars(other).update(shared)
         return other
 
@@ -251,7 +251,7 @@ def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> 
     )
 
 
-class Pictures:
+class PairLevels:
     """What the two pictures of a pair look like to the matcher, whichever channels of the scan are compared.
 
     Args:

@@ -23,14 +23,14 @@ ANGLES = 24
 """So many turns are tried, evenly spaced."""
 _STEP_RAD = 2 * np.pi / ANGLES
 _MARGIN = 0.02
-_MOST_CORNERS = 500
+_MAX_CORNERS = 500
 _APART_PX = 3
 _SPACING_PX, _WINDOW_PX = 6.0, 15
 _ALIKE_PX = 40.0  # parallax spreads the displacements of one scene
-_LEAST_MATCHES = 10
-_MOST_POSED, _LEAST_INLIERS = 3, 8
-_STANDS_OUT = 1.5
-_BORNE_RAD = 1.5 * _STEP_RAD
+_MIN_MATCHES = 10
+_MAX_POSED, _MIN_INLIERS = 3, 8
+_MIN_PEAK_RATIO = 1.5
+_TOLERATED_RAD = 1.5 * _STEP_RAD
 _Pairs = tuple[NDArray[np.float64], NDArray[np.float64]]
 Inliers = Callable[[NDArray[np.float64], NDArray[np.float64]], int]
 """How many of the matches, pixels (K, 2) of the view and of the photo, one pose explains."""
@@ -39,7 +39,7 @@ _BIN_RAD = np.pi / ORIENTATIONS
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class Roll:
     """A roll of the photo against the scan's view that its corners speak for."""
 
     angle_rad: float
@@ -50,7 +50,7 @@ class Turn:
     upright_matches: int
     """The same with the photo as it is."""
 
-    def in_words(self) -> str:
+    def summary(self) -> str:
         """Return the finding with what to do, as a sentence for an operator."""
         degrees = abs(np.degrees(self.angle_rad))
         way = "clockwise" if self.angle_rad > 0 else "counter-clockwise"
@@ -62,10 +62,10 @@ class Turn:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TurnedMatches:
+class RollMatches:
     """A roll with the matches that were found at it."""
 
-    turn: Turn
+    turn: Roll
     """The roll."""
     scan_uv: NDArray[np.float64]
     """(K, 2) pixels of the view."""
@@ -73,7 +73,7 @@ class TurnedMatches:
     """(K, 2) pixels of the photo as it is."""
 
 
-def seems_turned(
+def detect_roll(
     scan_gray: ArrayLike,
     scan_uv: ArrayLike,
     photo_gray: ArrayLike,
@@ -81,7 +81,7 @@ def seems_turned(
     *,
     window_px: int = _WINDOW_PX,
     margin: float = _MARGIN,
-) -> Turn | None:
+) -> Roll | None:
     """Return by how much the photo seems rolled against the scan's view.
 
     Args:
@@ -106,11 +106,11 @@ def seems_turned(
     sides = ((scan_gray, scan_uv, "scan"), (photo_gray, photo_uv, "photo"))
     (scan, scan_at), (photo, photo_at) = (_channels_and_corners(*side) for side in sides)
     spacing = _SPACING_PX * window_px / _WINDOW_PX
-    found = turn_between(scan, scan_at, photo, photo_at, margin=margin, spacing_px=spacing)
-    return None if found is None or abs(found.turn.angle_rad) < _BORNE_RAD else found.turn
+    found = roll_between(scan, scan_at, photo, photo_at, margin=margin, spacing_px=spacing)
+    return None if found is None or abs(found.turn.angle_rad) < _TOLERATED_RAD else found.turn
 
 
-def turn_between(
+def roll_between(
     scan_channels: FloatArray,
     scan_uv: NDArray[np.float64],
     photo_channels: FloatArray,
@@ -119,7 +119,7 @@ def turn_between(
     margin: float = _MARGIN,
     spacing_px: float = _SPACING_PX,
     inliers: Inliers | None = None,
-) -> TurnedMatches | None:
+) -> RollMatches | None:
     """Return the roll that the matches of turned descriptors agree on.
 
     Args:
@@ -136,10 +136,10 @@ def turn_between(
         the roll, of half a step of 15 degrees or more; None where upright fits best, or no angle stands out.
     """
     scan_at, photo_at = _apart(scan_uv), _apart(photo_uv)
-    described = describe_turned(scan_channels, scan_at, 0.0, spacing_px=spacing_px)
+    described = describe_rotated(scan_channels, scan_at, 0.0, spacing_px=spacing_px)
 
     def matches_at(angle: float, margin: float) -> _Pairs:
-        score = described @ describe_turned(photo_channels, photo_at, angle, spacing_px=spacing_px).T
+        score = described @ describe_rotated(photo_channels, photo_at, angle, spacing_px=spacing_px).T
         first, second, _ = unique_matches(score, margin=margin)
         return scan_at[first], photo_at[second]
 
@@ -149,26 +149,26 @@ def turn_between(
     best = int(np.argmax(counts))
     agreeing, pairs, between = counts[best], matched[best], _peak(*(counts[k] for k in _within_a_step(best)))
     others = [counts[k] for k in set(range(ANGLES)).difference(_within_a_step(best))]
-    if agreeing < max(_LEAST_MATCHES, _STANDS_OUT * max(others)):
+    if agreeing < max(_MIN_MATCHES, _MIN_PEAK_RATIO * max(others)):
         if inliers is None:
             return None
-        likely = [int(k) for k in np.argsort(counts, kind="stable")[::-1][:_MOST_POSED]]
+        likely = [int(k) for k in np.argsort(counts, kind="stable")[::-1][:_MAX_POSED]]
         found = {k: matches_at(angles[k], 0.0) for k in likely}
         explained = {k: inliers(*found[k]) for k in likely}
         best = max(likely, key=lambda k: explained[k])
         agreeing, pairs, between = explained[best], found[best], 0.0
-        if agreeing < _LEAST_INLIERS:
+        if agreeing < _MIN_INLIERS:
             return None
     if best == 0:
         return None
     # The photo's descriptors were turned clockwise to where the scan's are: the camera was turned the other way.
     clockwise = _STEP_RAD * (best + between)
     angle = (np.pi - clockwise) % (2 * np.pi) - np.pi
-    turn = Turn(angle_rad=float(angle), matches=agreeing, upright_matches=counts[0])
-    return TurnedMatches(turn, *pairs)
+    turn = Roll(angle_rad=float(angle), matches=agreeing, upright_matches=counts[0])
+    return RollMatches(turn, *pairs)
 
 
-def describe_turned(
+def describe_rotated(
     channels: FloatArray, uv: NDArray[np.float64], angle_rad: float, *, spacing_px: float = 6.0
 ) -> FloatArray:
     """Return the descriptors of pixels that a picture turned back by an angle would have.
@@ -188,7 +188,7 @@ def describe_turned(
     height, width = channels.shape[:2]
     reach = (np.arange(_SIDE) - _SIDE // 2) * spacing_px
     dv, du = np.meshgrid(reach, reach, indexing="ij")
-    offsets = turned_by(np.stack([du.ravel(), dv.ravel()], axis=-1), angle_rad)
+    offsets = rotate_pixels(np.stack([du.ravel(), dv.ravel()], axis=-1), angle_rad)
     u = np.clip(np.rint(uv[:, 0, None] + offsets[:, 0]).astype(np.intp), 0, width - 1)
     v = np.clip(np.rint(uv[:, 1, None] + offsets[:, 1]).astype(np.intp), 0, height - 1)
     samples = channels.reshape(-1, ORIENTATIONS).take(v * width + u, axis=0)
@@ -200,7 +200,7 @@ def describe_turned(
     return unit_rows(samples.reshape(len(uv), _SIDE * _SIDE * ORIENTATIONS))
 
 
-def turned_by(uv: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64]:
+def rotate_pixels(uv: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64]:
     """Return vectors (N, 2) of pixels (u right, v down) turned by an angle, rad, clockwise on the screen."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.asarray(uv @ np.array([[c, -s], [s, c]]).T)
@@ -221,14 +221,14 @@ def _apart(uv: NDArray[np.float64]) -> NDArray[np.float64]:
     kept = ~np.tril(near, -1).any(axis=1)
     for k in np.flatnonzero(~kept):  # what crowds only corners that are not kept is kept itself
         kept[k] = not (near[k, :k] & kept[:k]).any()
-    return uv[np.flatnonzero(kept)[:_MOST_CORNERS]]
+    return uv[np.flatnonzero(kept)[:_MAX_CORNERS]]
 
 
 def _agreeing(scan_uv: NDArray[np.float64], photo_uv: NDArray[np.float64], angle: float) -> int:
     """Return how many matches have displacements that are alike, the scan's picture turned by the angle."""
     if not len(scan_uv):
         return 0
-    displacement = photo_uv - turned_by(scan_uv, angle)
+    displacement = photo_uv - rotate_pixels(scan_uv, angle)
     between = displacement[:, None] - displacement[None]
     return int((np.hypot(between[..., 0], between[..., 1]) <= _ALIKE_PX).sum(axis=1).max())
 

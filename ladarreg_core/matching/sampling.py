@@ -16,7 +16,7 @@ BLOCK_PX = 48
 """Side of a block, full-resolution pixels of the scan's view."""
 _COUNT = (7000, 7000, 3500)
 _STRATUM_PX = (32, 16, 8)
-_LEAST_NORM = 0.15
+_MIN_NORM = 0.15
 _BORDER_PX = 4
 
 
@@ -72,7 +72,7 @@ def edge_strength(
     """
     surface, edge = _at_level(scan, scan.cameras[level], level)
     norm = np.sqrt(channel_products(channels, channels))
-    usable = np.isfinite(surface) & (norm > _LEAST_NORM)
+    usable = np.isfinite(surface) & (norm > _MIN_NORM)
     if away_from_edges:
         usable &= ~edge
     usable[:_BORDER_PX] = usable[-_BORDER_PX:] = False

@@ -14,7 +14,7 @@ from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.covariance import RegionEvidence
-from ladarreg_core.matching.ecc import AS_STATED, CameraChange
+from ladarreg_core.matching.ecc import NO_CHANGE, CameraChange
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.verification import Verification, verify
 from ladarreg_core.photo import Photo
@@ -24,22 +24,22 @@ FreeCamera = Literal["auto", "fixed", "focal", "focal_k1"]
 """What is free with the pose: what the picture asks for; nothing; the focal length; k1 too."""
 
 _FREE: Mapping[FreeCamera, int] = {"auto": 2, "fixed": 0, "focal": 1, "focal_k1": 2}
-_LOOK_SIGMA = 3.0
-_AT_EASE, _AT_EASE_SHIFT = 2.0, 0.01  # two steps tell of a wrong camera most of what a whole finish does, or move it
+_SUSPECT_SIGMA = 3.0
+_FITS_SIGMA, _FITS_SHIFT = 2.0, 0.01  # two steps tell of a wrong camera most of what a whole finish does, or move it
 _KEEP_SIGMA = 3.0
 _REFUSE_SIGMA = 5.0
 _WRONG_CAMERA = (
     "The picture speaks against the stated focal length or lens, and none was found that fits; give the camera file."
 )
-_MOST_SIGMA_OF_FOCAL = 0.02
+_MAX_LOG_FOCAL_SIGMA = 0.02
 _ROUNDS = 4
 _SETTLED_LOG_FOCAL, _SETTLED_K1 = 0.003, 0.02
-_SAME_VIEW = 0.04
-_SURE = 0.6
-_LEAST_FINE_FRACTION = 0.5
-_BEYOND_CALIBRATION = 0.025  # of the distance from the picture's middle
-_MIDDLE = 0.3
-_PROMISING, _HEADWAY = 0.5, 0.05  # of the windows at level 1
+_SAME_VIEW_LOG_FOCAL = 0.04
+_SUFFICIENT_FINE_FRACTION = 0.6
+_MIN_FINE_FRACTION = 0.5
+_MIN_SHIFT_CALIBRATED = 0.025  # of the distance from the picture's middle
+_CENTRAL_FRACTION = 0.3
+_PROMISING_FRACTION, _MIN_GAIN = 0.5, 0.05  # of the windows at level 1
 
 
 def check_free_camera(value: object) -> None:
@@ -53,7 +53,7 @@ def check_free_camera(value: object) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Finished:
+class FinishedPose:
     """A finished pose with its camera, judged on the photo as that camera sees it."""
 
     aligner: Aligner
@@ -80,7 +80,7 @@ class Finished:
         scaled = sigma * np.array([self.camera.focal_px, 1.0])[: self.free]
         return dict(zip(("focal_px", "k1"), scaled.tolist(), strict=False))
 
-    def in_words(self, given: Camera) -> tuple[str, ...]:
+    def summary(self, given: Camera) -> tuple[str, ...]:
         """Return what was estimated beside the pose, in sentences."""
         said = []
         for name, sigma in self.camera_sigmas.items():
@@ -96,7 +96,7 @@ class Finished:
         return tuple(said)
 
 
-def finished(aligner: Aligner, camera: Camera, pose: Rigid, *, free: int = 0) -> Finished:
+def verify_finished(aligner: Aligner, camera: Camera, pose: Rigid, *, free: int = 0) -> FinishedPose:
     """Judge a finished pose.
 
     Args:
@@ -105,11 +105,11 @@ def finished(aligner: Aligner, camera: Camera, pose: Rigid, *, free: int = 0) ->
         pose: `camera_from_scanner`.
         free: how many of (log f, k1) were estimated with it.
     """
-    verification, _, fine = aligner.judge(pose)
-    return Finished(aligner, camera, pose, verification, fine, aligner.regions(pose, free=free), free)
+    verification, _, fine = aligner.verify(pose)
+    return FinishedPose(aligner, camera, pose, verification, fine, aligner.regions(pose, free=free), free)
 
 
-def with_camera_free(fixed: Finished, photo: Photo, start: Rigid, intrinsics: FreeCamera) -> Finished:
+def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics: FreeCamera) -> FinishedPose:
     """Return a finished pose with the intrinsics that the picture asks for.
 
     A test of the regions asks first whether the pose would rather have another camera. Its estimate is kept where the
@@ -124,31 +124,33 @@ def with_camera_free(fixed: Finished, photo: Photo, start: Rigid, intrinsics: Fr
     if intrinsics == "fixed" or (intrinsics == "auto" and photo.temperature_k is not None):
         return fixed  # a thermal picture has too few structures to tell
     free = _FREE[intrinsics]
-    if intrinsics == "auto" and _at_ease(fixed, *fixed.aligner.loosen(fixed.camera_from_scanner, free=free)):
+    if intrinsics == "auto" and _camera_fits(
+        fixed, *fixed.aligner.few_free_camera_steps(fixed.camera_from_scanner, free=free)
+    ):
         return fixed
-    pose, change = fixed.aligner.finish_free(fixed.camera_from_scanner, free=free)
-    doubt = _doubt(fixed, pose, change)
-    if intrinsics == "auto" and doubt <= _LOOK_SIGMA:
+    pose, change = fixed.aligner.finish_with_free_camera(fixed.camera_from_scanner, free=free)
+    doubt = _camera_deviate(fixed, pose, change)
+    if intrinsics == "auto" and doubt <= _SUSPECT_SIGMA:
         return fixed
-    best: Finished | None = None
+    best: FinishedPose | None = None
     # Near the truth the finish tells the camera; else it must be climbed to again, at the coarser level.
-    starts = [(start, AS_STATED, True)]
+    starts = [(start, NO_CHANGE, True)]
     if fixed.verification.accepted:
         starts.insert(0, (pose, change, False))
     for begin, begin_change, coarsely in starts:
-        found = _estimated(fixed, photo, begin, begin_change, free=free, coarsely=coarsely)
+        found = _estimate(fixed, photo, begin, begin_change, free=free, coarsely=coarsely)
         if found is not None and (best is None or _rank(found) > _rank(best)):
             best = found
-        if best is not None and (best.verification.fine_fraction or 0) >= _SURE:
+        if best is not None and (best.verification.fine_fraction or 0) >= _SUFFICIENT_FINE_FRACTION:
             break
-    believed = best is not None and (intrinsics != "auto" or _convinces(best, fixed, calibrated=photo.calibrated))
+    believed = best is not None and (intrinsics != "auto" or _is_better(best, fixed, calibrated=photo.calibrated))
     if best is None or not believed:
         lost = best is None or not best.verification.accepted
-        return _less_certain(_refused(fixed) if lost and doubt > _REFUSE_SIGMA else fixed, pose)
+        return _inflated(_refused(fixed) if lost and doubt > _REFUSE_SIGMA else fixed, pose)
     return best
 
 
-def _refused(fixed: Finished) -> Finished:
+def _refused(fixed: FinishedPose) -> FinishedPose:
     """Return a pose as not accepted, since its camera is wrong and no right one was found."""
     verification = fixed.verification
     said = verification.reasons if not verification.accepted else ()
@@ -156,49 +158,49 @@ def _refused(fixed: Finished) -> Finished:
     return replace(fixed, verification=replace(verification, accepted=False, reasons=reasons))
 
 
-def _less_certain(fixed: Finished, other: Rigid) -> Finished:
+def _inflated(fixed: FinishedPose, other: Rigid) -> FinishedPose:
     """Return a pose whose camera is in doubt, as uncertain as that doubt makes it."""
     if fixed.regions is None:
         return fixed
     pose = fixed.camera_from_scanner
     turn = rotvec_from_rotation(other.rotation @ pose.rotation.T)
     moved = np.concatenate([turn, other.centre - pose.centre])
-    return replace(fixed, regions=fixed.regions.in_doubt(moved))
+    return replace(fixed, regions=fixed.regions.inflated_by(moved))
 
 
-def _doubt(fixed: Finished, pose: Rigid, change: CameraChange) -> float:
+def _camera_deviate(fixed: FinishedPose, pose: Rigid, change: CameraChange) -> float:
     """Return how surely the regions agree on another camera, once it is free, as a normal deviate."""
     moved = np.array([change.log_focal, change.k1])[: _FREE["auto"]]
     asked = fixed.aligner.regions(pose, free=len(moved), change=change)
-    return 0.0 if asked is None else asked.deviate(moved)
+    return 0.0 if asked is None else asked.normal_deviate(moved)
 
 
-def _at_ease(fixed: Finished, pose: Rigid, change: CameraChange) -> bool:
+def _camera_fits(fixed: FinishedPose, pose: Rigid, change: CameraChange) -> bool:
     """Return whether a first look at a free camera speaks for the stated one: it neither doubts nor moves it."""
-    shift = _largest_shift(fixed.camera, change.applied(fixed.camera))
-    return shift <= _AT_EASE_SHIFT and _doubt(fixed, pose, change) <= _AT_EASE
+    shift = _largest_shift(fixed.camera, change.applied_to(fixed.camera))
+    return shift <= _FITS_SHIFT and _camera_deviate(fixed, pose, change) <= _FITS_SIGMA
 
 
-def _rank(found: Finished) -> tuple[bool, float]:
+def _rank(found: FinishedPose) -> tuple[bool, float]:
     return found.verification.accepted, found.verification.fine_fraction or 0.0
 
 
-def _convinces(found: Finished, stated: Finished, *, calibrated: bool) -> bool:
+def _is_better(found: FinishedPose, stated: FinishedPose, *, calibrated: bool) -> bool:
     """Return whether regions agree on other intrinsics, and the picture agrees better with them.
 
     A little of it may always be the scan's own distortion, so that a calibration is overruled by a large change only.
     """
-    if calibrated and _largest_shift(stated.camera, found.camera) < _BEYOND_CALIBRATION:
+    if calibrated and _largest_shift(stated.camera, found.camera) < _MIN_SHIFT_CALIBRATED:
         return False
     if not found.verification.accepted or found.regions is None:
         return False
-    if np.sqrt(found.regions.covariance[6, 6]) > _MOST_SIGMA_OF_FOCAL:
+    if np.sqrt(found.regions.covariance[6, 6]) > _MAX_LOG_FOCAL_SIGMA:
         return False
-    if not stated.verification.accepted and (found.verification.fine_fraction or 0.0) < _LEAST_FINE_FRACTION:
+    if not stated.verification.accepted and (found.verification.fine_fraction or 0.0) < _MIN_FINE_FRACTION:
         return False  # with more free there is more that agrees by chance
     before, after = stated.camera, found.camera
     moved = np.array([np.log(after.focal_px / before.focal_px), _k1(after) - _k1(before)])[: found.free]
-    if found.regions.deviate(moved) < _KEEP_SIGMA:
+    if found.regions.normal_deviate(moved) < _KEEP_SIGMA:
         return False
     return (found.verification.fine_fraction or 0.0) >= (stated.verification.fine_fraction or 0.0)
 
@@ -210,7 +212,7 @@ def _largest_shift(before: Camera, after: Camera) -> float:
     away = np.linalg.norm(uv - (before.cx, before.cy), axis=1)
     shift = np.linalg.norm(after.project(before.unproject(uv)) - uv, axis=1)
     ratio = shift / np.maximum(away, 1.0)
-    known = np.isfinite(ratio) & (away > _MIDDLE * away.max())
+    known = np.isfinite(ratio) & (away > _CENTRAL_FRACTION * away.max())
     return float(ratio[known].max()) if known.any() else np.inf
 
 
@@ -218,56 +220,56 @@ def _k1(camera: Camera) -> float:
     return camera.distortion[0] if camera.distortion else 0.0
 
 
-def _estimated(
-    fixed: Finished, photo: Photo, start: Rigid, change: CameraChange, *, free: int, coarsely: bool
-) -> Finished | None:
+def _estimate(
+    fixed: FinishedPose, photo: Photo, start: Rigid, change: CameraChange, *, free: int, coarsely: bool
+) -> FinishedPose | None:
     """Climb with the camera free, the photo undistorted anew with each, until neither moves; None where it gets lost.
 
     A change of the lens is modelled in the undistorted picture, which is exact only as it vanishes: hence the rounds.
     """
-    aligner, pose, camera = fixed.aligner, start, change.applied(photo.camera)
+    aligner, pose, camera = fixed.aligner, start, change.applied_to(photo.camera)
     agreeing = fixed.verification.fraction
     try:
-        if change != AS_STATED:
-            aligner = _seen_by(aligner, photo, camera)
+        if change != NO_CHANGE:
+            aligner = _aligner_for(aligner, photo, camera)
         for _ in range(_ROUNDS if coarsely else 0):
-            pose, change = aligner.refocus(pose, free=free)
-            camera = change.applied(camera)
-            aligner = _seen_by(aligner, photo, camera)
-            before, agreeing = agreeing, verify(aligner.look(pose, 1), None, aligner.gate).fraction
-            if agreeing < _PROMISING and agreeing < before + _HEADWAY:
+            pose, change = aligner.refine_with_free_camera(pose, free=free)
+            camera = change.applied_to(camera)
+            aligner = _aligner_for(aligner, photo, camera)
+            before, agreeing = agreeing, verify(aligner.agreement_at(pose, 1), None, aligner.gate).fraction
+            if agreeing < _PROMISING_FRACTION and agreeing < before + _MIN_GAIN:
                 return None
-            if _settled(change):
+            if _is_settled(change):
                 break
         for _ in range(_ROUNDS):
-            pose, change = aligner.finish_free(pose, free=free)
-            camera = change.applied(camera)
-            aligner = _seen_by(aligner, photo, camera)
-            if _settled(change):
+            pose, change = aligner.finish_with_free_camera(pose, free=free)
+            camera = change.applied_to(camera)
+            aligner = _aligner_for(aligner, photo, camera)
+            if _is_settled(change):
                 break
-        return finished(aligner, camera, pose, free=free)
-    except (CameraError, _LostError):
+        return verify_finished(aligner, camera, pose, free=free)
+    except (CameraError, _NothingToCompareError):
         return None
 
 
-class _LostError(Exception):
+class _NothingToCompareError(Exception):
     """The scan shows nothing to compare at the camera's focal length."""
 
 
-def _settled(change: CameraChange) -> bool:
+def _is_settled(change: CameraChange) -> bool:
     return abs(change.log_focal) < _SETTLED_LOG_FOCAL and abs(change.k1) < _SETTLED_K1
 
 
-def _seen_by(aligner: Aligner, photo: Photo, camera: Camera) -> Aligner:
+def _aligner_for(aligner: Aligner, photo: Photo, camera: Camera) -> Aligner:
     """Return the pair with the photo undistorted by another camera, and the view of its focal length."""
     scan, view = aligner.scan.view.scan, aligner.scan.view
     working = working_camera(scan, camera)
     levels = aligner.scan
-    if abs(np.log(working.focal_px / view.camera.focal_px)) > _SAME_VIEW:
+    if abs(np.log(working.focal_px / view.camera.focal_px)) > _SAME_VIEW_LOG_FOCAL:
         turned = perspective_view(scan, working, view_from_scanner=view.view_from_scanner)
         levels = scan_levels(scan, turned, channel_set=levels.channel_set)
     side = photo_levels(replace(photo, camera=camera), working)
     seen = Aligner(levels, side, gate=aligner.gate, seed=aligner.seed)
     if not seen.usable:
-        raise _LostError
+        raise _NothingToCompareError
     return seen

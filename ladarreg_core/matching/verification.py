@@ -10,14 +10,14 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.agreement import LEAST_WINDOWS, Agreement
+from ladarreg_core.matching.agreement import MIN_WINDOWS, Agreement
 from ladarreg_core.surface.uncertainty import pixel_sigma
 
 NEAR_PX = {1: 3.0, 0: 1.5}
 """Photo pixels within which a window's peak counts as agreeing, by level."""
-_MOST_SIGMA_PX = 1.0  # two sigma are the 2 px that an accepted pose stays below
+_MAX_SIGMA_PX = 1.0  # two sigma are the 2 px that an accepted pose stays below
 _STANDARD_PIXELS = 1_000_000
-_MOST_REGIONS = 250
+_MAX_REGIONS = 250
 _SAMPLE = 500
 
 
@@ -102,11 +102,11 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
     alarm = coarse.false_alarm(NEAR_PX[1]) * (1.0 if fine is None else fine.false_alarm(NEAR_PX[0]))
     bound = o.false_alarm if fine is not None else o.false_alarm**0.5
     beyond_accident = alarm <= bound and f >= o.fewest_fraction and zb >= o.fewest_contrast
-    enough = n >= LEAST_WINDOWS and (a >= o.many or (a >= o.few and f >= o.few_fraction and zb >= o.few_contrast))
+    enough = n >= MIN_WINDOWS and (a >= o.many or (a >= o.few and f >= o.few_fraction and zb >= o.few_contrast))
     reasons = []
-    if n < LEAST_WINDOWS and not (n and beyond_accident):
+    if n < MIN_WINDOWS and not (n and beyond_accident):
         reasons.append(
-            f"Only {n} regions of the picture hold enough structure of the scan to compare; {LEAST_WINDOWS} are "
+            f"Only {n} regions of the picture hold enough structure of the scan to compare; {MIN_WINDOWS} are "
             "needed, or fewer that nearly all agree."
         )
     else:
@@ -134,7 +134,7 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
     return Verification(n, a, f, zb, f0, alarm, accepted, tuple(reasons), by_few=accepted and not enough)
 
 
-def judged_by_precision(
+def check_precision(
     verdict: Verification, points: FloatArray, camera: Camera, pose: Rigid, covariance: FloatArray
 ) -> Verification:
     """Return a verdict that rests on few regions as refused where they tell the pose too roughly.
@@ -152,7 +152,7 @@ def judged_by_precision(
         return verdict
     some = points[:: max(1, len(points) // _SAMPLE)].astype(np.float64)
     sigma_px = float(np.nanmedian(pixel_sigma(pose @ some, camera, pose.rotation, covariance)))
-    most = _MOST_SIGMA_PX * max(1.0, float(np.sqrt(camera.width * camera.height / _STANDARD_PIXELS)))
+    most = _MAX_SIGMA_PX * max(1.0, float(np.sqrt(camera.width * camera.height / _STANDARD_PIXELS)))
     if sigma_px <= most:
         return verdict
     reason = (
@@ -162,7 +162,7 @@ def judged_by_precision(
     return replace(verdict, accepted=False, reasons=(reason,))
 
 
-def regions_of(fine: Agreement, working: Camera, camera: Camera) -> tuple[tuple[float, float, bool], ...]:
+def region_markers(fine: Agreement, working: Camera, camera: Camera) -> tuple[tuple[float, float, bool], ...]:
     """Return where the photo agrees with the scan, (u, v, agrees) in the photo's own pixels: 250 places at the most.
 
     Args:
@@ -175,7 +175,7 @@ def regions_of(fine: Agreement, working: Camera, camera: Camera) -> tuple[tuple[
     middle = np.array([fine.uv[members].mean(axis=0) for members in fine.members])
     uv = camera.project(working.unproject(middle))
     agrees = fine.agreeing(NEAR_PX[0])
-    every = -(-fine.windows // _MOST_REGIONS)
+    every = -(-fine.windows // _MAX_REGIONS)
     shown = np.flatnonzero(np.isfinite(uv).all(axis=-1))
     shown = shown[fine.grid[shown].sum(axis=1) % every == 0]
     return tuple(

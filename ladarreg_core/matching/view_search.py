@@ -13,19 +13,19 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.aligner import Aligner, Candidate
-from ladarreg_core.matching.ambiguity import Places
-from ladarreg_core.matching.ecc import ClimbOptions, ClimbResult, climb
-from ladarreg_core.matching.grid_search import Place, likely_places
-from ladarreg_core.matching.hypotheses import Hypothesis, described_corners, hypotheses, inliers_of, points_at
-from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, Pictures, ScanLevels
-from ladarreg_core.matching.roll import Turn, turn_between
+from ladarreg_core.matching.ambiguity import KnownPoses
+from ladarreg_core.matching.ecc import RefineOptions, RefineResult, refine_pose
+from ladarreg_core.matching.grid_search import ScoredPose, likely_poses
+from ladarreg_core.matching.hypotheses import Hypothesis, count_inliers, descriptor_corners, hypotheses, points_at
+from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, PairLevels, ScanLevels
+from ladarreg_core.matching.roll import Roll, roll_between
 from ladarreg_core.matching.verification import GateOptions
-from ladarreg_core.matching.views import towards_seen
+from ladarreg_core.matching.views import direction_towards_overlap
 from ladarreg_core.steps import StepLog
 
 _COARSEST = LEVELS[-1]
-_COARSE_CLIMB = ClimbOptions(tau_px=8, iterations=8)
-_MOST_PLACES = 2
+_COARSE_REFINEMENT = RefineOptions(tau_px=8, iterations=8)
+_MAX_GRID_POSES = 2
 _KEPT_VIEWS = 2  # a scan of one view comes back to it after it was rolled
 
 
@@ -34,7 +34,7 @@ class ViewSearch:
 
     def __init__(
         self,
-        pictures: Pictures,
+        pictures: PairLevels,
         steps: StepLog,
         *,
         gate: GateOptions,
@@ -64,42 +64,42 @@ class ViewSearch:
         self._kept.append((direction, aligner))
         return aligner if aligner.usable else None
 
-    def convinces(self, candidate: Candidate) -> bool:
+    def is_sufficient(self, candidate: Candidate) -> bool:
         """Return whether a climb ended where no other start needs to be tried."""
-        return candidate.fraction >= self._good_fraction and candidate.first_look.accepted
+        return candidate.fraction >= self._good_fraction and candidate.coarse_verdict.accepted
 
-    def from_start(self, aligner: Aligner, known: Places, start: Rigid) -> Candidate | None:
+    def from_start(self, aligner: Aligner, known: KnownPoses, start: Rigid) -> Candidate | None:
         """Climb from the given pose alone."""
         return self._best(aligner, [("the given pose", start)], known)
 
-    def from_corners(self, aligner: Aligner, known: Places, *, given: Rigid | None = None) -> Candidate | None:
+    def from_corners(self, aligner: Aligner, known: KnownPoses, *, given: Rigid | None = None) -> Candidate | None:
         """Climb from the given pose and from hypotheses until one convinces; return the best."""
         return self._best(aligner, self._starts(aligner, given), known)
 
-    def from_places(self, aligner: Aligner, known: Places, *, around: Rigid | None = None) -> Candidate | None:
+    def from_grid(self, aligner: Aligner, known: KnownPoses, *, around: Rigid | None = None) -> Candidate | None:
         """Climb from the likeliest of a grid of places until one convinces; return the best."""
         with self._steps.step("places") as note:
-            found = likely_places(aligner.scan, aligner.photo, around=around)
-            ends = sorted(_coarse_ends(aligner, found), key=lambda end: -end.correlation)
+            found = likely_poses(aligner.scan, aligner.photo, around=around)
+            ends = sorted(_coarse_refinements(aligner, found), key=lambda end: -end.correlation)
             note.update(near="the scanner" if around is None else "the given pose")
             note["scores"] = [round(place.score, 2) for place in found]
             note["correlations"] = [round(end.correlation, 3) for end in ends]
             if ends:
                 self._steps.pose = ends[0].camera_from_scanner
-        starts = ((f"place {k + 1}", end.camera_from_scanner) for k, end in enumerate(ends[:_MOST_PLACES]))
+        starts = ((f"place {k + 1}", end.camera_from_scanner) for k, end in enumerate(ends[:_MAX_GRID_POSES]))
         return self._best(aligner, starts, known)
 
-    def turn(self, aligner: Aligner) -> Turn | None:
+    def turn(self, aligner: Aligner) -> Roll | None:
         """Return the roll of the photo against the view, where its corners speak for one."""
         with self._steps.step("turn") as note:
             scan, photo = aligner.scan, aligner.photo
-            scan_uv, photo_uv = described_corners(scan, photo)
-            found = turn_between(
+            scan_uv, photo_uv = descriptor_corners(scan, photo)
+            found = roll_between(
                 scan.channels[0],
                 scan_uv,
                 photo.channels[0],
                 photo_uv,
-                inliers=partial(inliers_of, scan, photo, seed=self._seed),
+                inliers=partial(count_inliers, scan, photo, seed=self._seed),
             )
             if found is None:
                 note["none"] = "no roll stands out"
@@ -110,38 +110,38 @@ class ViewSearch:
             self._steps.matches = _as_matches(points[known], found.photo_uv[known], aligner)
         return found.turn
 
-    def seen_whole(self, aligner: Aligner, candidate: Candidate) -> tuple[Aligner, Candidate]:
+    def with_full_overlap(self, aligner: Aligner, candidate: Candidate) -> tuple[Aligner, Candidate]:
         """Return the pair in a view of all that the photo sees, where the present view shows only part of it."""
         pose = candidate.camera_from_scanner
-        direction = towards_seen(self._scan, self._photo.cameras[0], pose, view=aligner.scan.view)
+        direction = direction_towards_overlap(self._scan, self._photo.cameras[0], pose, view=aligner.scan.view)
         whole = None if direction is None else self.view(direction, name="what the photo sees")
         if whole is None:
             return aligner, candidate
-        again = self._climbed(whole, "the pose found in another view", pose)
-        if again is None or again.first_look.agreeing <= candidate.first_look.agreeing:
+        again = self._refined(whole, "the pose found in another view", pose)
+        if again is None or again.coarse_verdict.agreeing <= candidate.coarse_verdict.agreeing:
             return aligner, candidate
         return whole, again
 
-    def _best(self, aligner: Aligner, starts: Iterable[tuple[str, Rigid]], known: Places) -> Candidate | None:
+    def _best(self, aligner: Aligner, starts: Iterable[tuple[str, Rigid]], known: KnownPoses) -> Candidate | None:
         best: Candidate | None = None
         for source, start in starts:
-            if known.leads_to_one(start):
+            if known.covers_start(start):
                 continue
-            candidate = self._climbed(aligner, source, start)
+            candidate = self._refined(aligner, source, start)
             if candidate is None:
                 continue
             if best is None or candidate.fraction > best.fraction:
                 best = candidate
-            if self.convinces(candidate):
+            if self.is_sufficient(candidate):
                 break
         return best
 
-    def _climbed(self, aligner: Aligner, source: str, start: Rigid) -> Candidate | None:
+    def _refined(self, aligner: Aligner, source: str, start: Rigid) -> Candidate | None:
         with self._steps.step("climb") as note:
-            candidate = aligner.approach(start)
+            candidate = aligner.refine(start)
             note["start"] = source
             if candidate is not None:
-                note.update(candidate.first_look.as_dict())
+                note.update(candidate.coarse_verdict.as_dict())
                 self._steps.pose = candidate.camera_from_scanner
         return candidate
 
@@ -164,14 +164,14 @@ class ViewSearch:
                 yield item.source, item.camera_from_scanner
 
 
-def _coarse_ends(aligner: Aligner, places: Sequence[Place]) -> list[ClimbResult]:
+def _coarse_refinements(aligner: Aligner, places: Sequence[ScoredPose]) -> list[RefineResult]:
     """Return where short climbs on the coarsest level end: there the right place stands out from all others."""
     points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
-    ends = (climb(points, target, aligner.occluder, p.camera_from_scanner, _COARSE_CLIMB) for p in places)
+    ends = (refine_pose(points, target, aligner.occluder, p.camera_from_scanner, _COARSE_REFINEMENT) for p in places)
     return [end for end in ends if end is not None]
 
 
-def _with_channels(pictures: Pictures, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
+def _with_channels(pictures: PairLevels, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
     """Return the scan's levels with the channels of both sides made, on two cores where there are two."""
     photo_side = pictures.photo
     with ThreadPoolExecutor(1) as other_core:

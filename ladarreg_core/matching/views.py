@@ -15,11 +15,11 @@ from ladarreg_core.surface.perspective import View
 
 _STEP = 0.6
 _MARGIN = 1.4
-_LEAST_SHARE = 0.05
+_MIN_SHARE = 0.05
 _SAMPLES = 10_000
-_LEAST_SEEN = 30
-_MOST_SEEN, _WORTHWHILE = 0.7, 0.1
-NEEDED_POINTS = 25_000
+_MIN_SEEN = 30
+_ENOUGH_SEEN, _MIN_GAIN_SEEN = 0.7, 0.1
+MIN_RETURNS_IN_PHOTO = 25_000
 """Returns in a whole picture from which the method works: it compares at the scan's resolution, not the photo's."""
 _DENSITY_SAMPLES = 200_000
 _TILES = (16, 10)
@@ -40,7 +40,7 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
     """
     found = []
     if initial is not None:
-        found.append(towards_seen(scan, camera, initial) or Rigid(initial.rotation, np.zeros(3)))
+        found.append(direction_towards_overlap(scan, camera, initial) or Rigid(initial.rotation, np.zeros(3)))
     rays = scan.sampled_directions
     rays = rays[np.isfinite(rays).all(axis=-1)]  # beyond what a strong lens can see there are none
     centre = scan.mean_direction
@@ -57,7 +57,7 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
     for turn in (np.arange(count) - (count - 1) / 2) * step:
         angle = np.arctan2(centre[1], centre[0]) + turn
         near = np.abs(_wrapped(azimuth - angle)) < half_width
-        if near.mean() < _LEAST_SHARE:
+        if near.mean() < _MIN_SHARE:
             continue
         elevation = float(np.median(np.arcsin(np.clip(rays[near, 2], -1, 1))))
         direction = [np.cos(elevation) * np.cos(angle), np.cos(elevation) * np.sin(angle), np.sin(elevation)]
@@ -71,7 +71,7 @@ def rolled(view_from_scanner: Rigid, angle_rad: float) -> Rigid:
     return Rigid(rotation_about("z", -angle_rad), np.zeros(3)) @ view_from_scanner
 
 
-def towards_seen(scan: Scan, camera: Camera, pose: Rigid, *, view: View | None = None) -> Rigid | None:
+def direction_towards_overlap(scan: Scan, camera: Camera, pose: Rigid, *, view: View | None = None) -> Rigid | None:
     """Return the rotation (view from scanner) that looks at what a photo sees, rolled as the photo is.
 
     Args:
@@ -87,7 +87,7 @@ def towards_seen(scan: Scan, camera: Camera, pose: Rigid, *, view: View | None =
     points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=-1)]
     points = points[camera.contains(camera.project(pose @ points))]
-    if len(points) < _LEAST_SEEN:
+    if len(points) < _MIN_SEEN:
         return None
     rays = points / np.linalg.norm(points, axis=-1, keepdims=True)
     forward = rays.mean(axis=0)
@@ -101,13 +101,13 @@ def towards_seen(scan: Scan, camera: Camera, pose: Rigid, *, view: View | None =
             float(view.camera.contains(view.camera.project(rays @ turn.rotation.T)).mean())
             for turn in (view.view_from_scanner, found)
         )
-        if now >= _MOST_SEEN or then < now + _WORTHWHILE:
+        if now >= _ENOUGH_SEEN or then < now + _MIN_GAIN_SEEN:
             return None
     return found
 
 
 @dataclass(frozen=True, slots=True)
-class Density:
+class ScanDensity:
     """How a photo would be sampled by a scan."""
 
     points: int
@@ -122,7 +122,7 @@ class Density:
         """Whether too few returns lie in the picture for any pose to be told."""
         return self.photo_px_per_point > self.needed_px_per_point
 
-    def in_words(self) -> str:
+    def summary(self) -> str:
         """Return what is to be said of a scan that is too sparse."""
         return (
             f"The scan is too sparse for this photo: 1 point per {self.photo_px_per_point:.0f} photo pixels "
@@ -131,7 +131,7 @@ class Density:
         )
 
 
-def density_in(scan: Scan, camera: Camera, poses: Sequence[Rigid]) -> Density | None:
+def scan_density(scan: Scan, camera: Camera, poses: Sequence[Rigid]) -> ScanDensity | None:
     """Return how densely a photo is sampled at the densest of some poses, or None where it sees no return at any.
 
     Args:
@@ -142,7 +142,7 @@ def density_in(scan: Scan, camera: Camera, poses: Sequence[Rigid]) -> Density | 
     stride = max(1, round(float(np.sqrt(scan.ranges.size / _DENSITY_SAMPLES))))
     points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=-1)]
-    densest: Density | None = None
+    densest: ScanDensity | None = None
     area = camera.width * camera.height
     for pose in poses:
         uv = camera.project(pose @ points)
@@ -154,7 +154,7 @@ def density_in(scan: Scan, camera: Camera, poses: Sequence[Rigid]) -> Density | 
         column, row = np.minimum(np.floor((uv + 0.5) * tiles / camera.size).astype(np.intp), tiles - 1).T
         seen = np.bincount(row * _TILES[0] + column, minlength=_TILES[0] * _TILES[1])
         covered = np.count_nonzero(seen) / len(seen)
-        densest = Density(count, covered * area / count, area / NEEDED_POINTS)
+        densest = ScanDensity(count, covered * area / count, area / MIN_RETURNS_IN_PHOTO)
     return densest
 
 

@@ -35,11 +35,11 @@ from ladarreg_core.steps import StepLog
 from ladarreg_core.surface.perspective import perspective_view
 
 FirstPose = Literal["linear", "robust", "linear_only"]
-_CREDIBLE_SHARE = 0.5
-_LEAST_AGREEING = 7
-_MOST_LOG10_CHANCE = -3.0
+_CREDIBLE_FRACTION = 0.5
+_MIN_AGREEING = 7
+_MAX_LOG10_CHANCE = -3.0
 _LOWER_MARGINS = (1.0, 0.6, 0.3)
-_MANY_PARTNERS = 100
+_ENOUGH_PARTNERS = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +93,7 @@ class ThesisResult:
         return next(accepted, self.last)
 
     @property
-    def left_behind(self) -> tuple[str, ...]:
+    def fallback_note(self) -> tuple[str, ...]:
         """A sentence where a later stage moved away from the answer and lost its acceptance."""
         if self.answer is self.last:
             return ()
@@ -157,18 +157,18 @@ def register_thesis(
         found = search.unconstrained()
         note.update(corners=[len(search.scan_uv), len(search.photo_uv)], matches=len(found))
         steps.matches = found.matches
-    found = _culled(search, found, steps)
+    found = _filtered(search, found, steps)
     linear = solver.stage("linear", found.matches)
     first = initial or solver.first_pose(linear, found.matches, search)
     if first is None:
         rest = _not_reached("constrained_linear", "There is no pose that could constrain the second search.")
-        return ThesisResult((linear, *rest), _foreseen(found.matches, None, search, photo.camera, o))
+        return ThesisResult((linear, *rest), _predicted_cautions(found.matches, None, search, photo.camera, o))
 
     with steps.step("constrained search") as note:
         found = search.constrained(first)
         note.update(matches=len(found))
         steps.matches, steps.pose = found.matches, first
-    found = _culled(search, found, steps)
+    found = _filtered(search, found, steps)
     constrained = solver.stage("constrained_linear", found.matches)
     with steps.step("lines between matches") as note:
         second = constrained.result
@@ -179,11 +179,11 @@ def register_thesis(
 
     guess = linear.result
     doubted = guess is not None and pose is guess.camera_from_scanner and not _credible(guess)
-    cautions = _foreseen(corners.matches, None if doubted else pose, search, photo.camera, o)
+    cautions = _predicted_cautions(corners.matches, None if doubted else pose, search, photo.camera, o)
     simplex, removed = solver.simplex(found.matches, pose)
     with steps.step("verify") as note:
         aligner = Aligner(search.scan, search.photo, gate=o.gate, seed=o.pose.seed)
-        stages = tuple(_judged(stage, aligner) for stage in (linear, constrained, simplex, removed))
+        stages = tuple(_verified(stage, aligner) for stage in (linear, constrained, simplex, removed))
         result = ThesisResult(stages, cautions)
         if result.last is not None:
             steps.pose = result.last.camera_from_scanner
@@ -191,7 +191,7 @@ def register_thesis(
     return result
 
 
-def _judged(stage: Stage, aligner: Aligner) -> Stage:
+def _verified(stage: Stage, aligner: Aligner) -> Stage:
     """Return the stage with the verdict of the pictures: matches found by machine can agree and all be wrong."""
     result = stage.result
     if result is None:
@@ -201,7 +201,7 @@ def _judged(stage: Stage, aligner: Aligner) -> Stage:
     accepted, told = False, dict[str, Any]()
     reasons: tuple[str, ...] = ("The scan has too little that could be compared with the photo.",)
     if aligner.usable:
-        verdict = aligner.judge(result.camera_from_scanner)[0]
+        verdict = aligner.verify(result.camera_from_scanner)[0]
         accepted, reasons, told = verdict.accepted, verdict.reasons, verdict.as_dict()
     judged = replace(
         result,
@@ -240,7 +240,7 @@ def solve_thesis(
     linear = solver.stage("linear", matches)
     credible = linear.result is not None and _credible(linear.result)
     start = initial or (linear.result.camera_from_scanner if linear.result and credible else None)
-    cautions = _foreseen(matches, start, None, camera, o)
+    cautions = _predicted_cautions(matches, start, None, camera, o)
     simplex, removed = solver.simplex(matches, start)
     drawn = Stage(name="constrained_linear", result=None, note="Drawn matches are not searched again.")
     return ThesisResult((linear, drawn, simplex, removed), cautions)
@@ -258,7 +258,7 @@ class _Solver:
         """Return the answer of an estimator that needs no start."""
         with self.steps.step(_STEP_NAMES[name]) as note:
             stage = self._solved(name, matches, method)
-            self._tell(stage, note)
+            self._note(stage, note)
         return stage
 
     def first_pose(self, linear: Stage, culled: Matches, search: ThesisSearch) -> Rigid | None:
@@ -280,16 +280,16 @@ class _Solver:
                 stage = self._solved("linear", found, "robust")
                 if stage.result is None or not _beyond_chance(stage.result):
                     continue
-                partners = len(search.culled(search.constrained(stage.result.camera_from_scanner)))
+                partners = len(search.filtered(search.constrained(stage.result.camera_from_scanner)))
                 if best is None or partners > best[0]:
                     best = (partners, margin, stage)
-                if partners >= _MANY_PARTNERS:
+                if partners >= _ENOUGH_PARTNERS:
                     break
             if best is None:
                 note["said"] = "No pose agrees with more matches than chance would."
                 return None
             partners, margin, stage = best
-            self._tell(stage, note)
+            self._note(stage, note)
             del note["stage"]  # it serves the next stage and is no stage of the thesis
             note.update(t1=round(margin, 4), partners=partners)
         assert stage.result is not None
@@ -302,13 +302,13 @@ class _Solver:
         whole = replace(o.pose.simplex, reject_rounds=0)
         with self.steps.step("simplex") as note:
             first = self._solved("simplex", matches, method, start, replace(o.pose, simplex=whole))
-            self._tell(first, note)
+            self._note(first, note)
         if first.result is None:
             return first, Stage(name="simplex_outliers_removed", result=None, note=first.note)
         with self.steps.step("outliers removed") as note:
             again = first.result.camera_from_scanner
             second = self._solved("simplex_outliers_removed", matches, method, again, o.pose)
-            self._tell(second, note)
+            self._note(second, note)
         return first, second
 
     def _solved(
@@ -325,9 +325,9 @@ class _Solver:
             result = solve_pose(matches, self.camera, how, initial=start)
         except (DegenerateGeometryError, ShapeError) as error:
             return Stage(name=name, result=None, note=_sentence(str(error)))
-        return Stage(name=name, result=result, note=_sentence(_words(result)))
+        return Stage(name=name, result=result, note=_sentence(_summary(result)))
 
-    def _tell(self, stage: Stage, note: dict[str, Any]) -> None:
+    def _note(self, stage: Stage, note: dict[str, Any]) -> None:
         note.update(stage=stage.name, said=stage.note)
         if stage.result is not None:
             note.update(matches=len(stage.result.matches), inliers=int(stage.result.inliers.sum()))
@@ -348,7 +348,7 @@ def _search(scan: Scan, photo: Photo, steps: StepLog, initial: Rigid | None, opt
         with steps.step("corners") as note:
             view = perspective_view(scan, working, view_from_scanner=turn)
             search = ThesisSearch(scan_levels(scan, view), photo_side, options.matching)
-            count = len(search.culled(search.unconstrained()))
+            count = len(search.filtered(search.unconstrained()))
             note.update(view=number, scan=len(search.scan_uv), photo=len(search.photo_uv), matches=count)
         if initial is not None or best is None or count > best[0]:
             best = (count, search)
@@ -358,34 +358,34 @@ def _search(scan: Scan, photo: Photo, steps: StepLog, initial: Rigid | None, opt
     return best[1]
 
 
-def _culled(search: ThesisSearch, found: FoundMatches, steps: StepLog) -> FoundMatches:
+def _filtered(search: ThesisSearch, found: FoundMatches, steps: StepLog) -> FoundMatches:
     with steps.step("disparity culling") as note:
-        kept = search.culled(found)
+        kept = search.filtered(found)
         note.update(matches=len(kept), culled=len(found) - len(kept))
         steps.matches = kept.matches
     return kept
 
 
-def _foreseen(
+def _predicted_cautions(
     matches: Matches, pose: Rigid | None, search: ThesisSearch | None, camera: Camera, options: ThesisOptions
 ) -> tuple[str, ...]:
     """Return the cautions of thesis 3.4."""
     view = search.scan.view.view_from_scanner if search is not None else None
     sigma = options.pose.sigma_px or STATED_SIGMA_PX
     found = stereo_cautions(matches, camera, pose=pose, sigma_px=sigma, view_from_scanner=view)
-    turn = search.seems_turned() if search is not None and len(matches) < LEAST_INLIERS else None
-    return found if turn is None else (*found, turn.in_words())
+    turn = search.detect_roll() if search is not None and len(matches) < LEAST_INLIERS else None
+    return found if turn is None else (*found, turn.summary())
 
 
 def _credible(result: PoseResult) -> bool:
-    return float(result.inliers.mean()) >= _CREDIBLE_SHARE
+    return float(result.inliers.mean()) >= _CREDIBLE_FRACTION
 
 
 def _beyond_chance(result: PoseResult) -> bool:
     """Return whether more matches agree than mismatches would by chance."""
     agreeing = result.matches.subset(result.inliers)
     different = distinct(agreeing.points, agreeing.uv)  # several scan corners may have matched one corner of the photo
-    return different >= _LEAST_AGREEING and result.diagnostics["log10_chance"] <= _MOST_LOG10_CHANCE
+    return different >= _MIN_AGREEING and result.diagnostics["log10_chance"] <= _MAX_LOG10_CHANCE
 
 
 def _not_reached(first: StageName, why: str) -> tuple[Stage, ...]:
@@ -393,7 +393,7 @@ def _not_reached(first: StageName, why: str) -> tuple[Stage, ...]:
     return tuple(Stage(name=name, result=None, note=why) for name in names[names.index(first) :])
 
 
-def _words(result: PoseResult) -> str:
+def _summary(result: PoseResult) -> str:
     kept, count = int(result.inliers.sum()), len(result.matches)
     if result.diagnostics.get("collapsed"):
         return result.reasons[0]
@@ -405,7 +405,7 @@ def _sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
-def search_of(
+def thesis_search(
     scan: Scan,
     photo: Photo,
     options: ThesisMatchOptions | None = None,

@@ -20,8 +20,8 @@ from ladarreg_core.surface.remap import look_up
 Kappa = Literal["equal", "by_pose"]
 _LINES_AT_A_TIME = 256
 _CHECK_EVERY_PX = 1.0  # what breaks a surface is marked three pixels around
-_MOST_NEIGHBOURS = 100
-_MOST_LINES = 10_000
+_MAX_NEIGHBOURS = 100
+_MAX_LINES = 10_000
 _LARGEST_PX = 1e5
 _LARGEST_M = 1e6
 
@@ -71,9 +71,9 @@ class DensifyOptions:
             if not (number and least <= value <= most):
                 raise OptionError(f"the lines' {name} is {value!r}; it must be a number from {least:g} to {most:g}")
         counts = (
-            ("neighbours", _MOST_NEIGHBOURS),
-            ("lines_per_match", _MOST_NEIGHBOURS),
-            ("most_lines", _MOST_LINES),
+            ("neighbours", _MAX_NEIGHBOURS),
+            ("lines_per_match", _MAX_NEIGHBOURS),
+            ("most_lines", _MAX_LINES),
         )
         for name, most_whole in counts:
             value = getattr(self, name)
@@ -146,8 +146,8 @@ def lines_between(
     on_scan = read_only(scan_uv, np.float64, (None, 2), "the matches' scan pixels")
     on_photo = read_only(photo_uv, np.float64, (len(on_scan), 2), "the matches' photo pixels")
     surface = _Surface(scan)
-    ends = _chosen_lines(on_scan, on_photo, surface, photo_camera, o)
-    line, fraction = _stations(_lengths(on_scan, ends), o.interval_px)
+    ends = _select_lines(on_scan, on_photo, surface, photo_camera, o)
+    line, fraction = _sample_fractions(_lengths(on_scan, ends), o.interval_px)
     kappa = np.ones(len(ends))
     if pose is not None and o.kappa == "by_pose":
         kappa = _kappa(on_scan, ends, surface, pose)
@@ -187,7 +187,7 @@ class _Surface:
             return np.asarray(1 / inverse.reshape(uv.shape[:-1]))
 
 
-def _chosen_lines(
+def _select_lines(
     scan_uv: FloatArray, photo_uv: FloatArray, surface: _Surface, photo_camera: Camera, options: DensifyOptions
 ) -> NDArray[np.intp]:
     """Return the ends (L, 2) of the lines to sample."""
@@ -195,11 +195,11 @@ def _chosen_lines(
         usable = np.flatnonzero(surface.unbroken(scan_uv) & photo_camera.contains(photo_uv))
     scan_uv, photo_uv = scan_uv[usable], photo_uv[usable]
     pairs = _neighbour_pairs(scan_uv, options)
-    pairs = pairs[_alike_in_length(_lengths(scan_uv, pairs), _lengths(photo_uv, pairs), options)]
-    chooser = _Chooser(scan_uv, options)
+    pairs = pairs[_similar_lengths(_lengths(scan_uv, pairs), _lengths(photo_uv, pairs), options)]
+    chooser = _LineSelector(scan_uv, options)
     for start in range(0, len(pairs), _LINES_AT_A_TIME):
         some = pairs[start : start + _LINES_AT_A_TIME]
-        some = some[chooser.may_still(some)]
+        some = some[chooser.available(some)]
         chooser.add(some[_on_planes(_ends_of(scan_uv, some), surface, options)])
         if chooser.full:
             break
@@ -213,7 +213,7 @@ def _on_planes(lines: FloatArray, surface: _Surface, options: DensifyOptions) ->
     square of what separates it from the measured surface, along the lines of sight, is the thesis's variance.
     """
     result = np.zeros(len(lines), np.bool_)
-    for rows, steps in _of_similar_length(lines):
+    for rows, steps in _length_classes(lines):
         s = np.linspace(0, 1, steps)
         uv = lines[rows, :1] + s[:, None] * (lines[rows, 1:] - lines[rows, :1])
         whole = surface.unbroken(uv).all(axis=1)
@@ -228,7 +228,7 @@ def _on_planes(lines: FloatArray, surface: _Surface, options: DensifyOptions) ->
     return result
 
 
-def _of_similar_length(lines: FloatArray) -> Iterator[tuple[NDArray[np.intp], int]]:
+def _length_classes(lines: FloatArray) -> Iterator[tuple[NDArray[np.intp], int]]:
     """Yield groups of lines with the number of places at which each is checked, at most a pixel apart."""
     length = np.hypot(*(lines[:, 1] - lines[:, 0]).T)
     class_of = np.ceil(np.log2(np.maximum(length / _CHECK_EVERY_PX, 4))).astype(np.intp)
@@ -236,7 +236,7 @@ def _of_similar_length(lines: FloatArray) -> Iterator[tuple[NDArray[np.intp], in
         yield np.flatnonzero(class_of == k), 2 ** int(k) + 1
 
 
-def _stations(length: FloatArray, interval_px: float) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _sample_fractions(length: FloatArray, interval_px: float) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return each point's line and its fraction along it: at constant intervals about the middle, without the ends."""
     count = np.maximum(np.ceil(length / interval_px).astype(np.intp) - 1, 1)
     line = np.repeat(np.arange(len(length)), count)
@@ -260,12 +260,12 @@ def _neighbour_pairs(uv: FloatArray, options: DensifyOptions) -> NDArray[np.intp
     return pairs[np.argsort(np.round(_lengths(uv, pairs), 6), kind="stable")]
 
 
-def _alike_in_length(on_scan: FloatArray, on_photo: FloatArray, options: DensifyOptions) -> BoolArray:
+def _similar_lengths(on_scan: FloatArray, on_photo: FloatArray, options: DensifyOptions) -> BoolArray:
     stretch = options.most_stretch
     return (on_photo >= options.shortest_px) & (on_photo <= stretch * on_scan) & (on_scan <= stretch * on_photo)
 
 
-class _Chooser:
+class _LineSelector:
     """Takes lines in order, but no more than each match may have, and none that doubles another."""
 
     def __init__(self, uv: FloatArray, options: DensifyOptions) -> None:
@@ -289,7 +289,7 @@ class _Chooser:
         """Whether there are as many lines as there may be."""
         return len(self._chosen) >= self._options.most_lines
 
-    def may_still(self, pairs: IntArray) -> BoolArray:
+    def available(self, pairs: IntArray) -> BoolArray:
         """Return which pairs (P, 2) have ends that may have a further line."""
         return np.asarray((self._used[pairs] < self._options.lines_per_match).all(axis=1))
 
@@ -298,14 +298,14 @@ class _Chooser:
         for i, j in pairs.tolist():
             if self.full:
                 return
-            if max(self._used[i], self._used[j]) >= self._options.lines_per_match or self._doubles(i, j):
+            if max(self._used[i], self._used[j]) >= self._options.lines_per_match or self._duplicates(i, j):
                 continue
             self._chosen.append((i, j))
             self._other_ends[i].add(j)
             self._other_ends[j].add(i)
             self._used[[i, j]] += 1
 
-    def _doubles(self, i: int, j: int) -> bool:
+    def _duplicates(self, i: int, j: int) -> bool:
         """Return whether both ends lie within an interval of another line's ends."""
         return any(not self._other_ends[k].isdisjoint(self._near[j]) for k in self._near[i] if self._other_ends[k])
 

@@ -15,14 +15,14 @@ from ladarreg_core.features.correlation import check_window, correlation_product
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels
-from ladarreg_core.matching.roll import Turn, seems_turned
+from ladarreg_core.matching.roll import Roll, detect_roll
 from ladarreg_core.matching.thesis.densify import DensifyOptions, lines_between
 from ladarreg_core.matching.thesis.search import (
-    CullingSide,
+    FilterSide,
     alike,
-    alike_displacements,
     candidates_near,
-    check_culling,
+    check_filter,
+    consistent_displacements,
     disparities,
     matches_near,
     predicted_pixels,
@@ -30,7 +30,7 @@ from ladarreg_core.matching.thesis.search import (
 )
 
 DepthEdges = Literal["foreground", "left_out"]
-SecondCulling = Literal["prediction", "disparity"]
+GuidedFilter = Literal["prediction", "disparity"]
 _MANY_CORNERS = CornerOptions(count=1500)
 
 
@@ -52,7 +52,7 @@ class ThesisMatchOptions:
     """A corner at a depth edge takes the range of the `foreground`, or is `left_out`."""
     t2_px: float = 20.0
     """Largest deviation of a disparity from the median."""
-    culling: CullingSide = "two_sided"
+    culling: FilterSide = "two_sided"
     """`one_sided` is the thesis's Step 5 to the letter."""
     search_px: float = 15.0
     """Half the side of the window of the second search."""
@@ -63,7 +63,7 @@ class ThesisMatchOptions:
     """T1 of the second search, where rivals are few."""
     least_score: float = 0.4
     """C2 counts as at least so much in the second search, also where a corner has no rival."""
-    second_culling: SecondCulling = "prediction"
+    second_culling: GuidedFilter = "prediction"
     """The second search is culled by how far matches lie from their `prediction`, or by `disparity` as the first."""
     second_t2_px: float = 6.0
     """Largest deviation from the median displacement from the prediction."""
@@ -80,21 +80,21 @@ class ThesisMatchOptions:
             if not isinstance(getattr(self, name), wanted):
                 raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a {wanted.__name__}")
         check_window(self.window_px)
-        check_culling(self.t2_px, self.culling)
-        check_culling(self.second_t2_px, self.culling)
+        check_filter(self.t2_px, self.culling)
+        check_filter(self.second_t2_px, self.culling)
         for name in ("t1", "constrained_t1", "least_score", "search_px", "first_search_px"):
             value, in_pixels = getattr(self, name), name.endswith("_px")
             number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
             if not (number and np.isfinite(value) and (value > 0 if in_pixels else 0 <= value <= 2)):
-                raise OptionError(f"{name} is {value!r}; it must be a number {_SPAN[in_pixels]}")
-        for name, kind in (("depth_edges", DepthEdges), ("second_culling", SecondCulling)):
+                raise OptionError(f"{name} is {value!r}; it must be a number {_ALLOWED[in_pixels]}")
+        for name, kind in (("depth_edges", DepthEdges), ("second_culling", GuidedFilter)):
             if getattr(self, name) not in get_args(kind):
                 raise OptionError(f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(get_args(kind))}")
 
 
-_MOST_CORNERS = 4000  # every one is compared with every other
-_SURE_T1, _SURE_SCORE, _SURE_T2_PX = 0.1, 0.5, 15.0  # of the large window, whose matches only move the small ones
-_SPAN = {True: "of pixels above 0", False: "from 0 to 2"}
+_MAX_CORNERS = 4000  # every one is compared with every other
+_WIDE_T1, _WIDE_SCORE, _WIDE_T2_PX = 0.1, 0.5, 15.0  # of the large window, whose matches only move the small ones
+_ALLOWED = {True: "of pixels above 0", False: "from 0 to 2"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,12 +137,12 @@ class ThesisSearch:
         usable = np.isfinite(self.scan.ranges)
         if self.options.depth_edges == "left_out":
             usable &= ~self.scan.edge
-        return find_corners(self.scan.gray_planes[0], self.options.scan_corners, usable=usable).uv[:_MOST_CORNERS]
+        return find_corners(self.scan.gray_planes[0], self.options.scan_corners, usable=usable).uv[:_MAX_CORNERS]
 
     @cached_property
     def photo_uv(self) -> FloatArray:
         """(M, 2) working pixels of the photo's corners. Source: thesis 2.3.2."""
-        return find_corners(self.photo.gray, self.options.photo_corners, usable=self.photo.usable[0]).uv[:_MOST_CORNERS]
+        return find_corners(self.photo.gray, self.options.photo_corners, usable=self.photo.usable[0]).uv[:_MAX_CORNERS]
 
     @cached_property
     def correlation(self) -> FloatArray:
@@ -174,10 +174,10 @@ class ThesisSearch:
         if reach > o.search_px:
             near = candidates_near(expected, self.photo_uv, search_px=reach)
             first, second, _ = matches_near(
-                self.correlation, near, margin=_SURE_T1, least_score=_SURE_SCORE, mutual=o.mutual
+                self.correlation, near, margin=_WIDE_T1, least_score=_WIDE_SCORE, mutual=o.mutual
             )
             shift = self.photo_uv[second] - expected[first]
-            sure = alike_displacements(shift, most_px=_SURE_T2_PX)
+            sure = consistent_displacements(shift, most_px=_WIDE_T2_PX)
             expected = recentred(expected, expected[first[sure]], shift[sure])
         near = candidates_near(expected, self.photo_uv, search_px=o.search_px)
         first, second, score = matches_near(
@@ -185,7 +185,7 @@ class ThesisSearch:
         )
         return self._found(first, second, score, expected[first])
 
-    def culled(self, found: FoundMatches) -> FoundMatches:
+    def filtered(self, found: FoundMatches) -> FoundMatches:
         """Leave out what moved unlike the others: by disparity, or from where the second search expected it.
 
         Source: thesis 2.3.2, disparity culling, Steps 2-5.
@@ -193,7 +193,7 @@ class ThesisSearch:
         o = self.options
         if found.predicted_uv is not None and o.second_culling == "prediction":
             shift = found.photo_uv - found.predicted_uv
-            return found.subset(alike_displacements(shift, most_px=o.second_t2_px))
+            return found.subset(consistent_displacements(shift, most_px=o.second_t2_px))
         scan, photo = self.scan.cameras[0], self.photo.cameras[0]
         disparity = disparities(found.scan_uv - (scan.cx, scan.cy), found.photo_uv - (photo.cx, photo.cy))
         return found.subset(alike(disparity, t2_px=o.t2_px, side=o.culling))
@@ -228,9 +228,9 @@ class ThesisSearch:
             both,
         )
 
-    def seems_turned(self) -> Turn | None:
+    def detect_roll(self) -> Roll | None:
         """Return by how much the photo seems rolled against the view; None where upright fits best. Thesis 3.4."""
-        return seems_turned(
+        return detect_roll(
             self.scan.gray_planes[0],
             self.scan_uv,
             self.photo.gray,

@@ -17,8 +17,8 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.features.correlation import unique_matches
 from ladarreg_core.frames import Rigid
 
-CullingSide = Literal["two_sided", "one_sided"]
-_LEAST_T2_PX, _MOST_T2_PX = 1e-3, 1e6
+FilterSide = Literal["two_sided", "one_sided"]
+_MIN_T2_PX, _MAX_T2_PX = 1e-3, 1e6
 
 
 def disparities(scan_uv: ArrayLike, photo_uv: ArrayLike) -> NDArray[np.float64]:
@@ -38,7 +38,7 @@ def disparities(scan_uv: ArrayLike, photo_uv: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.hypot(scan[:, 0] - photo[:, 0], scan[:, 1] - photo[:, 1]))
 
 
-def alike(disparity: FloatArray, *, t2_px: float = 20.0, side: CullingSide = "two_sided") -> BoolArray:
+def alike(disparity: FloatArray, *, t2_px: float = 20.0, side: FilterSide = "two_sided") -> BoolArray:
     """Return which matches (K,) survive: those whose disparity is within T2 of the median.
 
     Args:
@@ -53,7 +53,7 @@ def alike(disparity: FloatArray, *, t2_px: float = 20.0, side: CullingSide = "tw
 
     Source: thesis 2.3.2, disparity culling, Steps 3-5.
     """
-    check_culling(t2_px, side)
+    check_filter(t2_px, side)
     d = read_only(disparity, np.float64, (None,), "the disparities")
     known = np.isfinite(d)
     if not known.any():
@@ -62,16 +62,16 @@ def alike(disparity: FloatArray, *, t2_px: float = 20.0, side: CullingSide = "tw
     return np.asarray(known & ((np.abs(off) if side == "two_sided" else off) <= t2_px))
 
 
-def check_culling(t2_px: float, side: str) -> None:
+def check_filter(t2_px: float, side: str) -> None:
     """Raise an OptionError if T2 is not positive or the side is unknown."""
     number = isinstance(t2_px, int | float | np.number) and not isinstance(t2_px, bool)
-    if not (number and _LEAST_T2_PX <= t2_px <= _MOST_T2_PX):
+    if not (number and _MIN_T2_PX <= t2_px <= _MAX_T2_PX):
         raise OptionError(
             f"the culling threshold T2 is {t2_px!r}; it must be a positive number of pixels "
-            f"({_LEAST_T2_PX:g} to {_MOST_T2_PX:g})"
+            f"({_MIN_T2_PX:g} to {_MAX_T2_PX:g})"
         )
-    if side not in get_args(CullingSide):
-        raise OptionError(f"the culling is {side!r}; it must be one of {', '.join(get_args(CullingSide))}")
+    if side not in get_args(FilterSide):
+        raise OptionError(f"the culling is {side!r}; it must be one of {', '.join(get_args(FilterSide))}")
 
 
 def predicted_pixels(points_scanner: FloatArray, camera: Camera, pose: Rigid, *, border_px: float = 0.0) -> FloatArray:
@@ -129,7 +129,7 @@ def recentred(
     return moved
 
 
-def alike_displacements(displacement: FloatArray, *, most_px: float) -> BoolArray:
+def consistent_displacements(displacement: FloatArray, *, most_px: float) -> BoolArray:
     """Return which displacements (K, 2) from the predictions lie within so many pixels of their median vector.
 
     The predictions have the parallax in them already, so what is left is the pose's error, which is nearly the same

@@ -56,8 +56,8 @@ def test_the_best_n_are_the_strongest_and_keep_their_distance() -> None:
     assert len(best) == 50
     assert (np.diff(best.w) <= 0).all()
     np.testing.assert_array_equal(best.uv, more.uv[:50])
-    apart = np.abs(more.uv[:, None] - more.uv).max(axis=-1) + 99 * np.eye(len(more))
-    assert apart.min() > 4
+    distance = np.abs(more.uv[:, None] - more.uv).max(axis=-1) + 99 * np.eye(len(more))
+    assert distance.min() > 4
 
 
 def test_sub_pixel_corners_follow_a_sub_pixel_shift() -> None:

@@ -76,7 +76,7 @@ def test_a_wall_that_repeats_is_ambiguous(seed: int, period_m: float, doors: str
     made = wall(seed, period_m=period_m, doors=doors)
     result = register(made.scan, made.photo)
     assert not result.accepted
-    assert "look alike" in result.reasons[0], result.reasons
+    assert "ambiguous" in result.reasons[0], result.reasons
     assert [step.detail["found"] for step in result.steps if step.name == "second minimum"] == [True]
 
 

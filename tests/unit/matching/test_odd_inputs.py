@@ -12,7 +12,7 @@ from ladarreg_core.features.correlation import windows_at
 from ladarreg_core.features.descriptors import describe
 from ladarreg_core.frames import look_along, rotation_from_rotvec
 from ladarreg_core.matching.pyramid import photo_levels, working_camera
-from ladarreg_core.matching.views import towards_seen, viewing_directions
+from ladarreg_core.matching.views import direction_towards_overlap, viewing_directions
 from ladarreg_core.registration import register
 from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid
 from ladarreg_core.surface.perspective import perspective_view
@@ -110,15 +110,15 @@ def test_a_view_follows_what_the_photo_sees(room: PaintedRoom) -> None:
     seen = points[camera.contains(camera.project(pose @ points))]
     view = perspective_view(room.scan, camera, view_from_scanner=turn)
     assert camera.contains(view.project(seen)).mean() > 0.8
-    assert towards_seen(room.scan, camera, pose, view=view) is None
+    assert direction_towards_overlap(room.scan, camera, pose, view=view) is None
     along_axis = perspective_view(room.scan, camera, view_from_scanner=lr.Rigid(rolled, np.zeros(3)))
     assert camera.contains(along_axis.project(seen)).mean() < 0.5
-    again = towards_seen(room.scan, camera, pose, view=along_axis)
+    again = direction_towards_overlap(room.scan, camera, pose, view=along_axis)
     assert again is not None
     np.testing.assert_allclose(again.rotation, turn.rotation)
     assert abs(again.rotation[0] @ rolled[1]) < 1e-6  # with the photo's roll
     away = lr.Rigid(np.diag([-1.0, 1.0, -1.0]) @ rolled, np.zeros(3))
-    assert towards_seen(room.scan, camera, away) is None
+    assert direction_towards_overlap(room.scan, camera, away) is None
 
 
 def test_rays_that_do_not_spread_are_refused(room: PaintedRoom) -> None:

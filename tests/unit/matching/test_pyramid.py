@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.frames import Rigid, look_along
-from ladarreg_core.matching.pyramid import ChannelSet, Pictures, scan_levels
+from ladarreg_core.matching.pyramid import ChannelSet, PairLevels, scan_levels
 from ladarreg_core.surface.perspective import perspective_view
 from tests.scenes.painted_room import PaintedRoom, painted_room
 
@@ -21,7 +21,7 @@ def room() -> PaintedRoom:
 @pytest.mark.parametrize("first", get_args(ChannelSet))
 def test_other_channels_of_a_view_are_those_of_the_view_made_anew(room: PaintedRoom, first: ChannelSet) -> None:
     direction = Rigid(look_along(room.scan.mean_direction), np.zeros(3))
-    pictures = Pictures(room.scan, room.photo)
+    pictures = PairLevels(room.scan, room.photo)
     known = pictures.view(direction, first)
     assert known.channels
     assert known.fine_channels is not None
@@ -36,7 +36,7 @@ def test_other_channels_of_a_view_are_those_of_the_view_made_anew(room: PaintedR
 
 
 def test_another_direction_is_another_view(room: PaintedRoom) -> None:
-    pictures = Pictures(room.scan, room.photo)
+    pictures = PairLevels(room.scan, room.photo)
     ahead = Rigid(look_along(room.scan.mean_direction), np.zeros(3))
     aside = Rigid(look_along(room.scan.mean_direction + np.array([0.0, 0.2, 0.0])), np.zeros(3))
     assert not np.array_equal(pictures.view(ahead, "both").ranges, pictures.view(aside, "both").ranges)

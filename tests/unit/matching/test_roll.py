@@ -15,7 +15,7 @@ from ladarreg_core.errors import LadarregError, OptionError, ShapeError
 from ladarreg_core.features.corners import CornerOptions, find_corners
 from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.roll import Turn, seems_turned
+from ladarreg_core.matching.roll import Roll, detect_roll
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.case import simulate_case
@@ -43,11 +43,11 @@ def sides(scan: Scan, photo: Photo) -> tuple[Picture, Picture]:
     return Picture.of(levels.gray_planes[0], np.isfinite(levels.ranges)), Picture.of(seen.gray, seen.usable[0])
 
 
-def turn_of(scan: Picture, photo: Picture) -> Turn | None:
-    return seems_turned(scan.gray, scan.corners, photo.gray, photo.corners)
+def turn_of(scan: Picture, photo: Picture) -> Roll | None:
+    return detect_roll(scan.gray, scan.corners, photo.gray, photo.corners)
 
 
-def off_deg(turn: Turn, expected_deg: float) -> float:
+def off_deg(turn: Roll, expected_deg: float) -> float:
     return abs((np.degrees(turn.angle_rad) - expected_deg + 180) % 360 - 180)
 
 
@@ -93,7 +93,7 @@ def test_any_roll_is_told_with_its_sign(angle_deg: float, seed: int) -> None:
         assert turn is not None
     if turn is not None:
         assert off_deg(turn, angle_deg) < 5
-        assert ("counter-clockwise" in turn.in_words()) == (turn.angle_rad < 0)
+        assert ("counter-clockwise" in turn.summary()) == (turn.angle_rad < 0)
 
 
 def test_a_simulated_camera_that_is_rolled_is_recognised() -> None:
@@ -151,13 +151,13 @@ def test_bad_input_is_refused_in_one_line(
 ) -> None:
     for sides_given in ((gray, uv, GRAY, NO_CORNERS), (GRAY, NO_CORNERS, gray, uv)):
         with pytest.raises(error) as caught:
-            seems_turned(*sides_given, **options)
+            detect_roll(*sides_given, **options)
         assert "\n" not in str(caught.value)
 
 
 def test_the_sentence_says_which_way_to_turn() -> None:
-    words = Turn(angle_rad=np.pi / 2, matches=40, upright_matches=4).in_words()
+    words = Roll(angle_rad=np.pi / 2, matches=40, upright_matches=4).summary()
     assert "90 deg clockwise" in words
     assert "Turn the photo clockwise" in words
     assert "counter" not in words
-    assert words.replace("clockwise", "counter-clockwise") == Turn(-np.pi / 2, 40, 4).in_words()
+    assert words.replace("clockwise", "counter-clockwise") == Roll(-np.pi / 2, 40, 4).summary()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ladarreg_core.features.channels import normalised_channels, raw_channels
 from ladarreg_core.features.descriptors import describe
 from ladarreg_core.frames import Rigid, ThesisParameters, look_along
-from ladarreg_core.matching.roll import describe_turned, turned_by
+from ladarreg_core.matching.roll import describe_rotated, rotate_pixels
 from ladarreg_core.matching.views import rolled
 
 
@@ -33,8 +33,8 @@ def test_a_quarter_turned_picture_has_the_same_descriptors(picture: np.ndarray, 
     turned_picture = np.ascontiguousarray(np.rot90(picture, -quarters))  # clockwise
     middle = (picture.shape[0] - 1) / 2
     angle = quarters * np.pi / 2
-    corners = turned_by(CORNERS - middle, angle) + middle
-    turned = describe_turned(channels_of(turned_picture), corners, angle)
+    corners = rotate_pixels(CORNERS - middle, angle) + middle
+    turned = describe_rotated(channels_of(turned_picture), corners, angle)
     np.testing.assert_allclose(turned, upright, atol=0.02)
 
 
@@ -44,8 +44,8 @@ def test_a_whole_turn_changes_nothing(angle_deg: float, turns: int) -> None:
     rng = np.random.default_rng(0)
     channels = rng.uniform(0, 1, (60, 60, 8)).astype(np.float32)
     angle = np.deg2rad(angle_deg)
-    once = describe_turned(channels, CORNERS / 3, angle, spacing_px=2.0)
-    again = describe_turned(channels, CORNERS / 3, angle + 2 * np.pi * turns, spacing_px=2.0)
+    once = describe_rotated(channels, CORNERS / 3, angle, spacing_px=2.0)
+    again = describe_rotated(channels, CORNERS / 3, angle + 2 * np.pi * turns, spacing_px=2.0)
     # A sample may round to the neighbouring pixel: nearly all stay.
     assert (np.abs(once - again) < 1e-3).mean() > 0.97
 

@@ -17,8 +17,8 @@ from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.verification import GateOptions, judged_by_precision, regions_of, verify
-from ladarreg_core.matching.views import NEEDED_POINTS, density_in
+from ladarreg_core.matching.verification import GateOptions, check_precision, region_markers, verify
+from ladarreg_core.matching.views import MIN_RETURNS_IN_PHOTO, scan_density
 from ladarreg_core.registration import register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view
@@ -114,11 +114,11 @@ def test_climbed_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRo
         for _ in range(4):
             turn = rotation_from_rotvec(rng.normal(0, scale, 3))
             start = lr.Rigid(turn @ truth.rotation, truth.translation + rng.normal(0, 2 * scale, 3))
-            candidate = pair.approach(start)
+            candidate = pair.refine(start)
             if candidate is None:
                 continue
             pose = pair.finish(candidate.camera_from_scanner)
-            verdict = pair.judge(pose)[0]
+            verdict = pair.verify(pose)[0]
             wrong = pair is other or room.error_px(pose) > 2
             judged += wrong
             assert not (wrong and verdict.accepted), (verdict, room.error_px(pose))
@@ -127,7 +127,7 @@ def test_climbed_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRo
 
 def test_a_first_look_asks_for_half_the_digits(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
-    _, coarse, fine = aligner.judge(room.camera_from_scanner)
+    _, coarse, fine = aligner.verify(room.camera_from_scanner)
     alarm = coarse.false_alarm(3.0)
     just, short = (GateOptions(false_alarm=(factor * alarm) ** 2) for factor in (1.01, 0.99))
     assert verify(coarse, None, just).accepted
@@ -137,16 +137,16 @@ def test_a_first_look_asks_for_half_the_digits(room: PaintedRoom) -> None:
 
 def test_few_regions_that_tell_the_pose_roughly_are_refused_in_words(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
-    verdict = aligner.judge(room.camera_from_scanner)[0]
+    verdict = aligner.verify(room.camera_from_scanner)[0]
     assert verdict.accepted
-    points, camera, pose = aligner.judged_points.points, room.photo.camera, room.camera_from_scanner
+    points, camera, pose = aligner.verification_points.points, room.photo.camera, room.camera_from_scanner
     fine, rough = (np.diag([s**2] * 3 + [1e-12] * 3) for s in (0.2 / camera.fx, 3 / camera.fx))
-    assert judged_by_precision(verdict, points, camera, pose, fine) is verdict
-    refused = judged_by_precision(verdict, points, camera, pose, rough)
+    assert check_precision(verdict, points, camera, pose, fine) is verdict
+    refused = check_precision(verdict, points, camera, pose, rough)
     assert not refused.accepted
     assert "photo pixels only" in refused.reasons[0]
     many = replace(verdict, by_few=False)
-    assert judged_by_precision(many, points, camera, pose, rough) is many
+    assert check_precision(many, points, camera, pose, rough) is many
 
 
 def test_regions_lie_in_the_photo_and_agree_at_the_truth(room: PaintedRoom) -> None:
@@ -156,7 +156,7 @@ def test_regions_lie_in_the_photo_and_agree_at_the_truth(room: PaintedRoom) -> N
     for turn in (0.0, np.deg2rad(1.0)):
         off = lr.Rigid(rotation_from_rotvec([0, turn, 0]) @ room.camera_from_scanner.rotation, np.zeros(3))
         pose = lr.Rigid(off.rotation, off.rotation @ -room.camera_from_scanner.centre)
-        regions = regions_of(aligner.look(pose, 0), aligner.photo.cameras[0], camera)
+        regions = region_markers(aligner.agreement_at(pose, 0), aligner.photo.cameras[0], camera)
         assert 12 <= len(regions) <= 300
         assert json.loads(json.dumps(regions)) == [list(region) for region in regions]
         assert camera.contains(np.array([region[:2] for region in regions])).all()
@@ -176,9 +176,9 @@ def test_a_sparse_scan_is_refused_for_that_reason(room: PaintedRoom, start: str)
 def test_density_counts_the_returns_in_the_picture(room: PaintedRoom, step: int) -> None:
     scan, camera = thinned(room.scan, step), room.photo.camera
     behind = lr.Rigid(np.diag([-1.0, 1.0, -1.0]) @ room.camera_from_scanner.rotation, np.zeros(3))
-    density = density_in(scan, camera, [behind, room.camera_from_scanner])
+    density = scan_density(scan, camera, [behind, room.camera_from_scanner])
     assert density is not None
     uv = camera.project(room.camera_from_scanner @ scan.points[scan.valid].astype(float))
     assert density.points == int(camera.contains(uv).sum())
-    assert density.too_sparse == (density.points < NEEDED_POINTS)
-    assert density_in(scan, camera, [behind]) is None
+    assert density.too_sparse == (density.points < MIN_RETURNS_IN_PHOTO)
+    assert scan_density(scan, camera, [behind]) is None

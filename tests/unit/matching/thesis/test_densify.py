@@ -148,8 +148,8 @@ def test_a_line_is_not_drawn_twice(room: Room) -> None:
     ends = doubled[0][lines.ends]
     assert len(ends) > 20
     for both_ways in (ends, ends[:, ::-1]):
-        apart = np.abs(ends[:, None] - both_ways).max(axis=(2, 3))
-        assert (apart[np.triu_indices(len(ends), 1)] >= DensifyOptions().interval_px).all()
+        distance = np.abs(ends[:, None] - both_ways).max(axis=(2, 3))
+        assert (distance[np.triu_indices(len(ends), 1)] >= DensifyOptions().interval_px).all()
 
 
 @pytest.mark.parametrize(

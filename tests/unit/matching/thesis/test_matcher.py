@@ -23,7 +23,7 @@ OPTIONS = ThesisMatchOptions(scan_corners=MANY, photo_corners=MANY, depth_edges=
 RIGHT_PX = 3.0
 
 
-def search_of(scan: Scan, photo: Photo, options: ThesisMatchOptions = OPTIONS) -> ThesisSearch:
+def thesis_search(scan: Scan, photo: Photo, options: ThesisMatchOptions = OPTIONS) -> ThesisSearch:
     working = working_camera(scan, photo.camera)
     view = perspective_view(scan, working)
     return ThesisSearch(scan_levels(scan, view), photo_levels(photo, working), options)
@@ -42,7 +42,7 @@ def room() -> PaintedRoom:
 
 @pytest.fixture(scope="module")
 def search(room: PaintedRoom) -> ThesisSearch:
-    return search_of(room.scan, room.photo)
+    return thesis_search(room.scan, room.photo)
 
 
 def test_few_matches_nearly_all_correct() -> None:
@@ -50,31 +50,31 @@ def test_few_matches_nearly_all_correct() -> None:
     ratios = []
     for seed, scene in enumerate(SCENES):
         case = simulate_case(scene, seed=40 + seed)
-        here = search_of(case.scan, case.photo)
-        ratios.append(right(here.culled(here.unconstrained()), case).mean())
+        here = thesis_search(case.scan, case.photo)
+        ratios.append(right(here.filtered(here.unconstrained()), case).mean())
     assert np.median(ratios) >= 0.9
 
 
 def test_the_second_search_finds_many_more(room: PaintedRoom, search: ThesisSearch) -> None:
-    first = search.culled(search.unconstrained())
+    first = search.filtered(search.unconstrained())
     assert right(first, room).mean() >= 0.9
-    second = search.culled(search.constrained(room.camera_from_scanner))
+    second = search.filtered(search.constrained(room.camera_from_scanner))
     assert len(second) > 2 * len(first)
     assert right(second, room).mean() > 0.8
     turn = rotation_from_rotvec([0.002, -0.006, 0.0])  # some three pixels
     near = Rigid.from_centre(turn @ room.camera_from_scanner.rotation, room.camera_from_scanner.centre)
-    again = search.culled(search.constrained(near))
+    again = search.filtered(search.constrained(near))
     assert len(again) > 0.6 * len(second)
     assert right(again, room).mean() > 0.75
 
 
 def test_culling_takes_away_and_adds_nothing(room: PaintedRoom, search: ThesisSearch) -> None:
     for found in (search.unconstrained(), search.constrained(room.camera_from_scanner)):
-        kept = search.culled(found)
+        kept = search.filtered(found)
         assert set(kept.matches.pick_ids) <= set(found.matches.pick_ids)
         assert right(kept, room).mean() >= right(found, room).mean()
     literal = ThesisSearch(search.scan, search.photo, replace(OPTIONS, culling="one_sided"))
-    two_sided, one_sided = (set(s.culled(s.unconstrained()).matches.pick_ids) for s in (search, literal))
+    two_sided, one_sided = (set(s.filtered(s.unconstrained()).matches.pick_ids) for s in (search, literal))
     assert two_sided <= one_sided
 
 
@@ -99,7 +99,7 @@ def test_one_corner_has_one_name_in_both_searches(room: PaintedRoom, search: The
 
 
 def test_lines_multiply_the_matches(room: PaintedRoom, search: ThesisSearch) -> None:
-    found = search.culled(search.constrained(room.camera_from_scanner))
+    found = search.filtered(search.constrained(room.camera_from_scanner))
     dense = search.densified(found, room.camera_from_scanner)
     assert len(dense) > 2 * len(found)
     assert dense.matches.pick_ids[: len(found)] == found.matches.pick_ids
@@ -117,7 +117,7 @@ def test_lines_multiply_the_matches(room: PaintedRoom, search: ThesisSearch) -> 
 
 
 def test_the_same_pictures_give_the_same_matches(room: PaintedRoom, search: ThesisSearch) -> None:
-    again = search_of(room.scan, room.photo)
+    again = thesis_search(room.scan, room.photo)
     for one, other in (
         (search.unconstrained(), again.unconstrained()),
         (search.constrained(room.camera_from_scanner), again.constrained(room.camera_from_scanner)),
@@ -128,7 +128,7 @@ def test_the_same_pictures_give_the_same_matches(room: PaintedRoom, search: Thes
 
 def test_corners_at_depth_edges_are_left_out_on_request(room: PaintedRoom, search: ThesisSearch) -> None:
     both = {
-        where: search_of(room.scan, room.photo, replace(OPTIONS, depth_edges=where))
+        where: thesis_search(room.scan, room.photo, replace(OPTIONS, depth_edges=where))
         for where in ("foreground", "left_out")
     }
     at_edge = {}
@@ -143,9 +143,9 @@ def test_pictures_without_corners_have_no_matches_and_no_fault(room: PaintedRoom
     flat = Photo(np.full_like(room.photo.pixels, 90), room.photo.camera)
     dull = Scan(room.scan.geometry, room.scan.ranges, np.ones(room.scan.shape), intensity_is="range_normalised")
     for scan, photo in ((room.scan, flat), (dull, room.photo), (dull, flat)):
-        here = search_of(scan, photo)
+        here = thesis_search(scan, photo)
         for found in (here.unconstrained(), here.constrained(room.camera_from_scanner)):
-            culled = here.culled(found)
+            culled = here.filtered(found)
             assert len(found.matches) == len(culled.matches) == 0
             assert len(here.densified(culled, room.camera_from_scanner)) == 0
 
@@ -153,7 +153,7 @@ def test_pictures_without_corners_have_no_matches_and_no_fault(room: PaintedRoom
 def test_a_pose_that_looks_away_finds_nothing(room: PaintedRoom, search: ThesisSearch) -> None:
     away = Rigid(rotation_from_rotvec([0, np.pi, 0]) @ room.camera_from_scanner.rotation, np.zeros(3))
     found = search.constrained(away)
-    assert len(found) == len(search.culled(found)) == 0
+    assert len(found) == len(search.filtered(found)) == 0
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.features.correlation import unique_matches
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matching.thesis.search import (
-    alike_displacements,
     candidates_near,
+    consistent_displacements,
     matches_near,
     predicted_pixels,
     recentred,
@@ -115,10 +115,10 @@ def test_a_pose_that_is_wrong_everywhere_alike_culls_nobody(common: np.ndarray, 
     rng = np.random.default_rng(seed)
     shift = common + rng.uniform(-2, 2, (40, 2))
     shift[:8] += np.array([1.0, -1.0]) * rng.uniform(15, 40, (8, 1))
-    kept = alike_displacements(shift, most_px=7)
+    kept = consistent_displacements(shift, most_px=7)
     assert not kept[:8].any()
     assert kept[8:].all()
 
 
 def test_no_displacements_are_no_matches() -> None:
-    assert alike_displacements(np.zeros((0, 2)), most_px=5).shape == (0,)
+    assert consistent_displacements(np.zeros((0, 2)), most_px=5).shape == (0,)
