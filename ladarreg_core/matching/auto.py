@@ -21,7 +21,7 @@ from ladarreg_core.matching.roll import Roll
 from ladarreg_core.matching.self_calibration import FreeCamera, check_free_camera, estimate_camera, verify_finished
 from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers
 from ladarreg_core.matching.view_search import ViewSearch
-from ladarreg_core.matching.views import rolled, scan_density, viewing_directions
+from ladarreg_core.matching.views import rolled_view, scan_density, viewing_directions
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
@@ -269,8 +269,8 @@ def _search_everywhere(
         return
 
     turns.sort(key=lambda item: -item[0].matches)
-    likely = [rolled(direction, turn.angle_rad) for turn, direction in turns[:_MAX_ROLLED_VIEWS]]
-    others = [rolled(direction, turns[0][0].angle_rad) for direction in upright if several and likely]
+    likely = [rolled_view(direction, turn.angle_rad) for turn, direction in turns[:_MAX_ROLLED_VIEWS]]
+    others = [rolled_view(direction, turns[0][0].angle_rad) for direction in upright if several and likely]
     _search_views(search, found, "rolled", likely, others, search.from_corners)
     if not found.places:
         likely, others = list(upright[:_MAX_GRID_VIEWS]), list(upright[_MAX_GRID_VIEWS:])

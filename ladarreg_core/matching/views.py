@@ -66,7 +66,7 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
     return [*found, *(view for _, view in scored)] or [first]
 
 
-def rolled(view_from_scanner: Rigid, angle_rad: float) -> Rigid:
+def rolled_view(view_from_scanner: Rigid, angle_rad: float) -> Rigid:
     """Return the rotation (view from scanner) rolled clockwise, seen from behind the view, by an angle, rad."""
     return Rigid(rotation_about("z", -angle_rad), np.zeros(3)) @ view_from_scanner
 

@@ -19,7 +19,6 @@ from ladarreg_core.matching.roll import Roll, detect_roll
 from ladarreg_core.matching.thesis.densify import DensifyOptions, lines_between
 from ladarreg_core.matching.thesis.search import (
     FilterSide,
-    alike,
     candidates_near,
     check_filter,
     consistent_displacements,
@@ -27,6 +26,7 @@ from ladarreg_core.matching.thesis.search import (
     matches_near,
     predicted_pixels,
     recentred,
+    within_disparity,
 )
 
 DepthEdges = Literal["foreground", "left_out"]
@@ -196,7 +196,7 @@ class ThesisSearch:
             return found.subset(consistent_displacements(shift, most_px=o.second_t2_px))
         scan, photo = self.scan.cameras[0], self.photo.cameras[0]
         disparity = disparities(found.scan_uv - (scan.cx, scan.cy), found.photo_uv - (photo.cx, photo.cy))
-        return found.subset(alike(disparity, t2_px=o.t2_px, side=o.culling))
+        return found.subset(within_disparity(disparity, t2_px=o.t2_px, side=o.culling))
 
     def densified(self, found: FoundMatches, camera_from_scanner: Rigid | None = None) -> FoundMatches:
         """Add points along lines between matches on planar surfaces. Source: thesis 2.3.2, Figure 2.17."""

@@ -38,7 +38,7 @@ def disparities(scan_uv: ArrayLike, photo_uv: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.hypot(scan[:, 0] - photo[:, 0], scan[:, 1] - photo[:, 1]))
 
 
-def alike(disparity: FloatArray, *, t2_px: float = 20.0, side: FilterSide = "two_sided") -> BoolArray:
+def within_disparity(disparity: FloatArray, *, t2_px: float = 20.0, side: FilterSide = "two_sided") -> BoolArray:
     """Return which matches (K,) survive: those whose disparity is within T2 of the median.
 
     Args:

@@ -10,11 +10,10 @@ import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.features.correlation import windows_at
 from ladarreg_core.features.descriptors import describe
-from ladarreg_core.frames import look_along, rotation_from_rotvec
+from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.matching.pyramid import photo_levels, working_camera
-from ladarreg_core.matching.views import direction_towards_overlap, viewing_directions
 from ladarreg_core.registration import register
-from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid
+from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view
 from tests.scenes.painted_room import PaintedRoom, painted_room
 
@@ -87,38 +86,6 @@ def test_pictures_without_corners_end_in_a_verdict(room: PaintedRoom) -> None:
         assert result.reasons
     assert describe(np.ones((20, 20, 8), np.float32), np.zeros((0, 2))).shape == (0, 392)
     assert windows_at(np.ones((20, 20), np.float32), np.zeros((0, 2))).shape == (0, 225)
-
-
-def test_cells_that_a_strong_lens_cannot_see_are_no_direction(room: PaintedRoom) -> None:
-    lens = lr.Camera(width=50, height=40, fx=50, fy=50, cx=25, cy=20, distortion=(-2.0, 0, 0, 0))
-    scan = lr.Scan(PinholeGrid(lens), np.full((40, 50), 3.0), np.ones((40, 50)))
-    assert len(viewing_directions(scan, lr.Camera.from_focal(100, 80, 90.0))) >= 1
-    # A view in which the lens shows nothing at all is empty, not undefined.
-    away = lr.Rigid(look_along(np.array([-1.0, 0.0, 0.0])), np.zeros(3))
-    view = perspective_view(scan, lr.Camera.from_focal(64, 48, 90.0), view_from_scanner=away)
-    assert np.isfinite(view.cells).all()
-    assert not view.inside.any()
-
-
-def test_a_view_follows_what_the_photo_sees(room: PaintedRoom) -> None:
-    camera = lr.Camera.from_focal(160, 120, 520.0)
-    rolled = rotation_from_rotvec([0, 0, 1.2]) @ look_along(np.array([1.0, 0.15, 0.0]))
-    pose = lr.Rigid.from_centre(rolled, np.array([0.0, 0.9, 0.0]))
-    turn = viewing_directions(room.scan, camera, initial=pose)[0]
-    np.testing.assert_allclose(turn.translation, 0)
-    points = room.scan.points[room.scan.valid].astype(float)
-    seen = points[camera.contains(camera.project(pose @ points))]
-    view = perspective_view(room.scan, camera, view_from_scanner=turn)
-    assert camera.contains(view.project(seen)).mean() > 0.8
-    assert direction_towards_overlap(room.scan, camera, pose, view=view) is None
-    along_axis = perspective_view(room.scan, camera, view_from_scanner=lr.Rigid(rolled, np.zeros(3)))
-    assert camera.contains(along_axis.project(seen)).mean() < 0.5
-    again = direction_towards_overlap(room.scan, camera, pose, view=along_axis)
-    assert again is not None
-    np.testing.assert_allclose(again.rotation, turn.rotation)
-    assert abs(again.rotation[0] @ rolled[1]) < 1e-6  # with the photo's roll
-    away = lr.Rigid(np.diag([-1.0, 1.0, -1.0]) @ rolled, np.zeros(3))
-    assert direction_towards_overlap(room.scan, camera, away) is None
 
 
 def test_rays_that_do_not_spread_are_refused(room: PaintedRoom) -> None:

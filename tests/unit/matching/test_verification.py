@@ -18,11 +18,10 @@ from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.verification import GateOptions, check_precision, region_markers, verify
-from ladarreg_core.matching.views import MIN_RETURNS_IN_PHOTO, scan_density
 from ladarreg_core.registration import register
-from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view
 from tests.scenes.painted_room import PaintedRoom, painted_room
+from tests.scenes.thinned_scan import thinned
 
 _RADIUS = 6
 _SIDE = 2 * _RADIUS + 1
@@ -31,21 +30,6 @@ _SIDE = 2 * _RADIUS + 1
 @pytest.fixture(scope="module")
 def room() -> PaintedRoom:
     return painted_room(seed=4)
-
-
-def thinned(scan: lr.Scan, step: int) -> lr.Scan:
-    """Keep every cell of every `step`-th row and column."""
-    ranges, intensity = scan.ranges[::step, ::step], scan.intensity[::step, ::step]
-    old = scan.geometry
-    assert isinstance(old, AzimuthElevation)
-    rows, columns = ranges.shape
-    offset = [(n - 1 - step * (m - 1)) / 2 for n, m in ((old.columns, columns), (old.rows, rows))]
-    steps = old.d_azimuth_rad, old.d_elevation_rad
-    geometry = AzimuthElevation(
-        rows, columns, step * steps[0], step * steps[1], offset[0] * steps[0], offset[1] * steps[1]
-    )
-    np.testing.assert_allclose(geometry.rays, scan.rays[::step, ::step], atol=1e-12)
-    return lr.Scan(geometry, ranges, intensity)
 
 
 def aligner_of(scan: lr.Scan, photo: lr.Photo) -> Aligner:
@@ -162,23 +146,3 @@ def test_regions_lie_in_the_photo_and_agree_at_the_truth(room: PaintedRoom) -> N
         assert camera.contains(np.array([region[:2] for region in regions])).all()
         shares.append(np.mean([agrees for *_, agrees in regions]))
     assert shares[0] > 0.8 > 0.4 > shares[1]
-
-
-@pytest.mark.parametrize("start", ["none", "truth"])
-def test_a_sparse_scan_is_refused_for_that_reason(room: PaintedRoom, start: str) -> None:
-    sparse = thinned(room.scan, 6)
-    result = register(sparse, room.photo, initial=room.camera_from_scanner if start == "truth" else None)
-    assert not result.accepted
-    assert result.reasons[0].startswith("The scan is too sparse for this photo: 1 point per "), result.reasons
-
-
-@pytest.mark.parametrize("step", [1, 2, 5])
-def test_density_counts_the_returns_in_the_picture(room: PaintedRoom, step: int) -> None:
-    scan, camera = thinned(room.scan, step), room.photo.camera
-    behind = lr.Rigid(np.diag([-1.0, 1.0, -1.0]) @ room.camera_from_scanner.rotation, np.zeros(3))
-    density = scan_density(scan, camera, [behind, room.camera_from_scanner])
-    assert density is not None
-    uv = camera.project(room.camera_from_scanner @ scan.points[scan.valid].astype(float))
-    assert density.points == int(camera.contains(uv).sum())
-    assert density.too_sparse == (density.points < MIN_RETURNS_IN_PHOTO)
-    assert scan_density(scan, camera, [behind]) is None
