@@ -1,4 +1,4 @@
-"""One photo against one view of the scan: climbs, flow steps, the finish and the verification."""
+"""Alignment of one photo with one view of the scan: refinement, flow steps, finish and verification."""
 
 from __future__ import annotations
 
@@ -50,16 +50,23 @@ class Candidate:
     coarse: Agreement
     """Agreement at level 1."""
     coarse_verdict: Verification
-    """The gate at level 1."""
+    """Preliminary verdict, from level 1 alone."""
 
     @property
     def fraction(self) -> float:
-        """Share of windows that agree."""
+        """Fraction of windows that agree at level 1."""
         return self.coarse_verdict.fraction
 
 
 class Aligner:
-    """Holds what is computed once for a pair, and aligns from any start."""
+    """Aligns one photo with one view of the scan from any initial pose; data of the pair are computed once.
+
+    Args:
+        scan: the scan's levels in one view.
+        photo: the photo's levels.
+        gate: thresholds of verification.
+        seed: random seed of the points drawn.
+    """
 
     def __init__(self, scan: ScanLevels, photo: PhotoLevels, *, gate: GateOptions, seed: int) -> None:
         self.scan = scan
@@ -76,12 +83,12 @@ class Aligner:
 
     @property
     def usable(self) -> bool:
-        """Whether the scan has anything to compare."""
+        """Whether the view has points to compare on every level."""
         return len(self.points) == len(LEVELS)
 
     @cached_property
     def occluder(self) -> Occluder:
-        """The scan's surface for the photo's camera."""
+        """Occlusion test by the scan's surface, for the photo's camera."""
         return Occluder(self.scan, self.photo.cameras[0])
 
     @cached_property
@@ -103,8 +110,8 @@ class Aligner:
 
     @cached_property
     def verification_points(self) -> ViewPoints:
-        """The level-0 points of the verdict: more of them than a climb needs, so that a window's peak is its own."""
-        assert 0 in self._strength, "an aligner without points must not be asked to judge"
+        """Level-0 points of the verdict: more than refinement needs, so that each window's peak is well determined."""
+        assert 0 in self._strength, "an aligner that is not usable cannot verify"
         channels, strength = self.scan.channels[0], self._strength[0]
         return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=_VERIFICATION_POINTS)
 
@@ -114,7 +121,7 @@ class Aligner:
         return agreement(points, self.targets[level], self.occluder, pose, level=level, radius=_RADIUS[level])
 
     def refine(self, start: Rigid) -> Candidate | None:
-        """Climb at levels 2 and 1, with up to two flow steps where the result is not sure yet."""
+        """Refine a pose at levels 2 and 1, with up to two flow steps while the agreement is not sufficient."""
         best = self._refine_from(start, (2, 1))
         for level in (2, 1):
             if best is None or best.fraction >= _SUFFICIENT_FRACTION:
@@ -139,11 +146,11 @@ class Aligner:
         return Candidate(pose, coarse, verify(coarse, None, self.gate))
 
     def finish(self, start: Rigid) -> Rigid:
-        """Refine at level 0, then on intensity alone, until the pose stops moving."""
+        """Refine a pose at level 0, then on intensity alone, until it stops moving."""
         return self.finish_with_free_camera(start, free=0)[0]
 
     def refine_with_free_camera(self, start: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
-        """Climb at level 1 with the first `free` of (log f, k1) free, damped, until the pose stops moving."""
+        """Refine at level 1 with the first `free` of (log f, k1) free, damped, until the pose stops moving."""
         pose, change = start, NO_CHANGE
         options = replace(_REFINEMENT[1], free=free, damping=_DAMPING)
         for _ in range(_FREE_CAMERA_ROUNDS):
@@ -182,7 +189,7 @@ class Aligner:
         return pose, change
 
     def few_free_camera_steps(self, pose: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
-        """Make a few of the last steps of a finish again, from its end, with the first `free` of (log f, k1) free."""
+        """Make two further steps from a finished pose, with the first `free` of (log f, k1) free."""
         if self._fine_points is None:
             return pose, NO_CHANGE
         options = replace(_FINE, free=free, iterations=_FREE_CAMERA_STEPS)
@@ -198,12 +205,12 @@ class Aligner:
         return float(np.median(length[known])) if known.any() else np.inf
 
     def verify(self, pose: Rigid) -> tuple[Verification, Agreement, Agreement]:
-        """Verify a finished pose; also return its agreement at levels 1 and 0."""
+        """Return the verdict on a finished pose, and its agreement at levels 1 and 0."""
         coarse, fine = self.agreement_at(pose, 1), self.agreement_at(pose, 0)
         return verify(coarse, fine, self.gate), coarse, fine
 
     def regions(self, pose: Rigid, *, free: int, change: CameraChange = NO_CHANGE) -> RegionEvidence | None:
-        """Return what the regions say of a finished pose, and of the first `free` of (log f, k1)."""
+        """Return the covariance of a finished pose and of the first `free` of (log f, k1), by leaving out regions."""
         seen = self._fine_blocks(pose, change)
         if seen is None or self._fine_points is None:
             return None
@@ -211,7 +218,7 @@ class Aligner:
         return region_evidence(seen, self._fine_points, camera, pose, replace(_FINE, free=free))
 
     def block_matches(self, pose: Rigid) -> BlockMatches | None:
-        """Return the sub-pixel point matches of a finished pose, or None where too little is seen."""
+        """Return the sub-pixel point matches of a finished pose, or None if too few blocks are visible."""
         seen = self._fine_blocks(pose, NO_CHANGE)
         if seen is None or self._fine_points is None:
             return None
@@ -228,14 +235,14 @@ class Aligner:
 def verify_pose(
     scan: Scan, photo: Photo, camera_from_scanner: Rigid, *, gate: GateOptions | None = None, seed: int = 0
 ) -> Verification | None:
-    """Return whether regions of both pictures agree under a pose; None where there is too little to compare.
+    """Verify a given pose against the image; return None if there is too little structure to compare.
 
     Args:
         scan: the scan.
-        photo: the photograph, with the camera that the pose was found with.
+        photo: the photograph, with the camera used in finding the pose.
         camera_from_scanner: the pose.
-        gate: what it must show.
-        seed: of the points drawn.
+        gate: thresholds of verification.
+        seed: random seed of the points drawn.
     """
     working = working_camera(scan, photo.camera)
     direction = viewing_directions(scan, working, initial=camera_from_scanner)[0]
@@ -245,13 +252,13 @@ def verify_pose(
 
 
 def flow_step(points: ViewPoints, target: Target, maps: Agreement, *, seed: int) -> Rigid | None:
-    """Return the pose that most windows' peaks agree on, or None where they agree on none.
+    """Return the pose that most windows' correlation peaks agree on, by RANSAC; None if there is no consensus.
 
     Args:
         points: the level's scan points.
         target: the photo at that level.
-        maps: agreement of that level at the present pose.
-        seed: of RANSAC.
+        maps: agreement of that level at the current pose.
+        seed: random seed of RANSAC.
     """
     if not maps.windows:
         return None

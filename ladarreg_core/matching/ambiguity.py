@@ -1,4 +1,4 @@
-"""Whether a verified photo would be verified elsewhere, too: mirrored about a flat scene, or a repetition further.
+"""Search for a second pose that explains the image as well: the mirrored pose of a flat scene, or a repetition.
 
 Source: Schweighofer and Pinz, Robust pose estimation from a planar target (2006), for the two-fold ambiguity.
 """
@@ -24,7 +24,7 @@ from ladarreg_core.scan import Scan
 
 _COARSEST = LEVELS[-1]
 _REFINEMENT = RefineOptions(tau_px=8, iterations=8)
-_MIN_SHIFT_PX = 3.0  # level pixels; less is the same basin
+_MIN_SHIFT_PX = 3.0  # level pixels; smaller shifts lie in the same basin
 _MIN_OVERLAP = 0.4
 _PEAK_OF_ZERO = 0.4
 _MAX_PEAKS = 2
@@ -34,12 +34,12 @@ _MAX_REFINED = 2
 _DIFFERENT_ANGLE_RAD = np.deg2rad(3.0)
 _MIN_POINTS = 30
 _SAMPLES = 10_000
-_SAME_START_PX = 40.0  # the basin of a climb
+_SAME_START_PX = 40.0  # radius of the basin of refinement
 _SAME_POSE_PX = 8.0
 
 
 class KnownPoses:
-    """The poses at which a photo was verified, and which of them are the same.
+    """Poses at which a photo was verified, and their distances in the image.
 
     Args:
         scan: the scan.
@@ -57,23 +57,23 @@ class KnownPoses:
         return len(self._poses)
 
     def add(self, pose: Rigid) -> None:
-        """Keep a verified pose."""
+        """Add a verified pose."""
         self._poses.append(pose)
 
     def covers_start(self, start: Rigid) -> bool:
-        """Return whether a climb from here would only end at a pose that is kept already."""
+        """Return whether a start lies in the basin of a known pose, so that refining it would give nothing new."""
         return any(self._distance_px(pose, start) < _SAME_START_PX for pose in self._poses)
 
     def different_from(self, pose: Rigid) -> Rigid | None:
-        """Return a kept pose that puts the photo elsewhere; None where all are this place."""
+        """Return a known pose that differs from this one; None if there is none."""
         return next((other for other in self._poses if self._distance_px(other, pose) > _SAME_POSE_PX), None)
 
     def differ(self, first: Rigid, second: Rigid) -> bool:
-        """Return whether two poses put the photo at different places."""
+        """Return whether two poses project the scan to different places in the photo."""
         return self._distance_px(first, second) > _SAME_POSE_PX
 
     def _distance_px(self, first: Rigid, second: Rigid) -> float:
-        """Return the median distance in the photo of what the first pose sees; infinite where the second sees none."""
+        """Return the median displacement in the photo of the points that the first pose sees; inf if it sees none."""
         uv = self._camera.project(first @ self._points)
         seen = self._camera.contains(uv)
         if not seen.any():
@@ -83,7 +83,7 @@ class KnownPoses:
 
 
 def ambiguity_sentence(first: Rigid, second: Rigid) -> str:
-    """Return what is to be said where a photo is verified at two places."""
+    """Return the sentence that reports two verified poses."""
     apart_m, angle_deg = first.distance_to(second), float(np.degrees(first.angle_to(second)))
     return (
         f"The pose is ambiguous: two poses, {apart_m:.2f} m and {angle_deg:.1f} deg apart, agree with the images "
@@ -92,16 +92,16 @@ def ambiguity_sentence(first: Rigid, second: Rigid) -> str:
 
 
 def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: KnownPoses) -> Rigid | None:
-    """Return another pose that the same pictures verify, or nearly so, or None where none was found.
+    """Return another pose that the image verifies, or nearly verifies; None if none is found.
 
-    A wall of bricks agrees with the picture of any such wall, and with the next brick nearly as well as with this one.
-    So a rival need not pass the gate that the pose itself has just passed.
+    A brick wall agrees with the image when shifted by one brick, nearly as well as at its own position. The second pose
+    therefore need not pass the thresholds that the first one has passed.
 
     Args:
         aligner: the pair that the pose was verified with.
         pose: `camera_from_scanner`, verified.
         own: its verdict.
-        places: what tells that two poses are one place.
+        places: decides which poses are different.
     """
     ends = []
     for start in (pose, *_starts(aligner, pose)):
@@ -127,7 +127,7 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: Kno
 
 
 def _competes(other: Verification, own: Verification) -> bool:
-    """Return whether another pose is verified, or agrees with nearly as much of the picture as the verified one."""
+    """Return whether another pose is verified, or agrees with nearly as much of the image as the verified one."""
     nearly = (
         other.fraction >= _MIN_RELATIVE_FRACTION * own.fraction and other.agreeing >= _MIN_RELATIVE_COUNT * own.agreeing
     )
@@ -135,12 +135,12 @@ def _competes(other: Verification, own: Verification) -> bool:
 
 
 def _differ(places: KnownPoses, first: Rigid, second: Rigid) -> bool:
-    """Return whether two poses put the photo elsewhere, or show it there from another side."""
+    """Return whether two poses differ in the image, or in camera orientation."""
     return places.differ(first, second) or first.angle_to(second) > _DIFFERENT_ANGLE_RAD
 
 
 def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
-    """Yield the mirrored pose, and where the coarse picture agrees again if it is shifted as a whole."""
+    """Yield the mirrored pose, and the poses at which the coarse image, shifted as a whole, agrees again."""
     points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
     buffer = aligner.occluder.depth_buffer(pose)
     in_camera, uv, visible = project_visible(points, target, aligner.occluder, buffer, pose, border=1)
@@ -150,7 +150,7 @@ def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
     yield mirrored(pose, seen)
     depth, camera = float(np.median(in_camera[visible, 2])), target.camera
     for du, dv in _peaks(points.channels[visible], uv[visible], target.channels):
-        # Seen from further left, a wall stands further right; a turned camera moves what is near and far alike.
+        # An image shift is either a translation, at the median depth, or a rotation, which does not depend on depth.
         shift = np.array([du / camera.fx, dv / camera.fy, 0.0]) * depth
         yield Rigid(pose.rotation, pose.translation + shift)
         turn = rotation_about("y", np.arctan2(du, camera.fx)) @ rotation_about("x", -np.arctan2(dv, camera.fy))
@@ -158,12 +158,12 @@ def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
 
 
 def _peaks(channels: FloatArray, uv: FloatArray, picture: FloatArray) -> list[tuple[int, int]]:
-    """Return the far shifts (du, dv), level pixels, at which points agree with the picture nearly as well, best first.
+    """Return the far shifts (du, dv), level pixels, at which points agree with the image nearly as well, best first.
 
     Args:
         channels: (N, 8) of the points.
-        uv: (N, 2) where they are in the picture.
-        picture: (h, w, 8) its channels.
+        uv: (N, 2) their pixels in the image.
+        picture: (h, w, 8) channels of the image.
     """
     height, width = picture.shape[:2]
     shape = (2 * height, 2 * width)

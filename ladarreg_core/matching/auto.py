@@ -1,4 +1,4 @@
-"""The automatic registration: from two pictures to a verified pose, without a first guess."""
+"""Automatic registration: from a scan and a photo to a verified pose, without an initial pose."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ log = logging.getLogger(__name__)
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _SUFFICIENT_FRACTION = 0.6
-_RANGE_M = (1e-6, 1e7)  # generous, for millimetres taken for metres; the estimator of matches ends there, too
+_RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
 
 
 @dataclass(frozen=True, slots=True)
 class AutoOptions:
-    """How the automatic method works."""
+    """Options of the automatic method."""
 
     seed: int = 0
-    """Of every draw."""
+    """Random seed; equal seeds give equal results."""
     good_fraction: float = 0.6
-    """A climb that reaches this share of agreeing windows ends the search, if it passes the gate."""
+    """A candidate with at least this fraction of agreeing regions ends the search, if it is verified."""
     least_fraction: float = 0.35
-    """A best climb below this is not worth finishing."""
+    """A candidate with a smaller fraction of agreeing regions is not finished."""
     gate: GateOptions = field(default_factory=GateOptions)
-    """What a pose must show."""
+    """Thresholds of image verification."""
     intrinsics: FreeCamera = "auto"
-    """What of the camera may be estimated with the pose."""
+    """Intrinsics that may be estimated with the pose."""
     channel_set: ChannelSet = "both"
-    """What of the scan the photo is compared with."""
+    """Channels of the scan that the photo is compared with."""
     reach: Reach = "everywhere"
-    """How far the photo's place is looked for; `near_start` needs a first pose, and takes a fraction of the time."""
+    """Extent of the search; `near_start` needs an initial pose and takes a fraction of the time."""
 
     def __post_init__(self) -> None:
         check_free_camera(self.intrinsics)
@@ -60,22 +60,22 @@ class AutoOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AutoResult:
-    """The best pose found, and what is to be said for it."""
+    """The best pose found, with its verdict and uncertainty."""
 
     camera_from_scanner: Rigid | None
-    """None where nothing could even be tried."""
+    """The pose; None if no candidate was found."""
     verification: Verification | None
-    """The verdict on it; None where no pose was worth verifying."""
+    """The verdict; None if no candidate was good enough to verify."""
     evidence: WindowEvidence | None
-    """How uncertain it is."""
+    """Uncertainty of the pose."""
     reasons: tuple[str, ...]
     """The verdict in sentences."""
     blocks: BlockMatches | None = None
-    """Its sub-pixel point matches."""
+    """Sub-pixel point matches at the pose."""
     camera: Camera | None = None
-    """The camera that was estimated with it; None: as stated."""
+    """The camera estimated with the pose; None: as stated."""
     camera_sigmas: Mapping[str, float] = field(default_factory=dict)
-    """The standard deviations of what was estimated, as in `PoseResult`."""
+    """Standard deviations of the estimated intrinsics, as in `PoseResult`."""
 
 
 def register_auto(
@@ -87,21 +87,21 @@ def register_auto(
     options: AutoOptions | None = None,
     pictures: PairLevels | None = None,
 ) -> AutoResult:
-    """Find the photo's pose from the pictures alone.
+    """Find the pose of a photo from the images alone.
 
-    Channels, points, hypotheses, climbs, finish and verification, in that order; the first climb that convinces ends
-    the search. Where nothing does, the photo is taken to be turned about its axis, if its corners say so, and then
-    compared as a whole from a grid of places. The scan's view is what is rolled, so that all pixels stay the photo's.
-    Views are tried one after the other where the scan is much wider than the photo, and all of them: a photo that is
-    verified at two places is not accepted.
+    The steps are channels, points, hypotheses, refinement, finish and verification; the first sufficient candidate ends
+    the search. Without one, a roll of the camera is detected from corners and the search repeated in a rolled view;
+    after that, the photo is compared as a whole with the scan as seen from a grid of camera positions. The view of the
+    scan is rolled, never the photo, so that all pixels remain those of the photo. If the scan is much wider than the
+    photo, all views are searched: a photo that is verified at two poses is not accepted.
 
     Args:
         scan: the scan.
         photo: the photograph.
         steps: receives every step.
-        initial: a rough pose to try first.
+        initial: an initial pose, tried first.
         options: thresholds and seed.
-        pictures: of the pair, where it was looked at before.
+        pictures: the levels of the pair, if they have been computed already.
     """
     o = options or AutoOptions()
     pictures = pictures or PairLevels(scan, photo)
@@ -111,16 +111,16 @@ def register_auto(
         contrast = max(float(plane.max() - plane.min()) for plane in photo_side.planes[0])
         note.update(width=working.width, height=working.height, focal_px=round(working.fx, 3))
     if contrast < 1:
-        return AutoResult(initial, None, None, ("The photo is one flat colour: there is nothing in it to match.",))
+        return AutoResult(initial, None, None, ("The photo is uniform and has no structure to match.",))
 
     nearest, farthest = float(np.nanmin(scan.ranges)), float(np.nanmax(scan.ranges))
     if nearest == farthest:
-        reason = f"Every return of the scan has the same range, {nearest:g} m: nothing was measured that fixes a pose."
+        reason = f"All returns of the scan have the same range, {nearest:g} m, so the scan does not determine a pose."
         return AutoResult(initial, None, None, (reason,))
 
     median = float(np.nanmedian(scan.ranges))
     if not _RANGE_M[0] <= median <= _RANGE_M[1]:
-        reason = f"The scan's median range is {median:.3g} m, which no laser measures: check its unit and scale."
+        reason = f"The median range of the scan is {median:.3g} m, which is implausible: check its unit and scale."
         return AutoResult(initial, None, None, (reason,))
 
     search = ViewSearch(
@@ -141,7 +141,7 @@ def register_auto(
 
 
 class CandidateSet:
-    """What the views gave: the verified poses, and the best of what was not verified."""
+    """Candidates of all views: the verified poses, and the best of those that were not verified."""
 
     def __init__(
         self, search: ViewSearch, photo: Photo, places: KnownPoses, steps: StepLog, options: AutoOptions
@@ -159,11 +159,11 @@ class CandidateSet:
 
     @property
     def is_ambiguous(self) -> bool:
-        """Whether two places are known to look alike, so that no further view can change the answer."""
+        """Whether two different poses were verified, so that no further view can change the result."""
         return self._ambiguous_poses is not None
 
     def add_candidate(self, aligner: Aligner, candidate: Candidate | None) -> None:
-        """Finish and judge the best climb of a view, if it is worth it."""
+        """Finish and verify the best candidate of a view, if enough regions agree."""
         if candidate is None:
             return
         if candidate.fraction < self._options.least_fraction:
@@ -187,7 +187,7 @@ class CandidateSet:
     def answer(self, initial: Rigid | None) -> AutoResult:
         """Return the result."""
         if self._accepted is not None:
-            # Which of alike places is meant, a given pose tells; not that there is one of which much agrees.
+            # A given pose decides which of several similar places is meant, but only if most regions agree there.
             if self._ambiguous_poses is None and (initial is None or _fraction(self._accepted) < _SUFFICIENT_FRACTION):
                 self._ambiguous_poses = self._second_minimum()
             return (
@@ -198,19 +198,19 @@ class CandidateSet:
         if self._refused is not None:
             return self._refused
         if self._unfinished is None:
-            reason = "No start could be found: too few features of the scan and the photo look alike."
+            reason = "No initial pose was found: too few features of the scan match features of the photo."
             return AutoResult(initial, None, None, (reason, _ADVICE))
         best = self._unfinished
-        reason = f"The best start found agrees in only {best.fraction:.0%} of the picture."
+        reason = f"At the best candidate pose only {best.fraction:.0%} of the image regions agree."
         return AutoResult(best.camera_from_scanner, best.coarse_verdict, None, (reason, _ADVICE))
 
     def _second_minimum(self) -> tuple[Rigid, Rigid] | None:
-        """Return the accepted pose and another one near it that is verified, too."""
+        """Return the accepted pose and a second one that explains the image as well; None if there is none."""
         accepted, aligner = self._accepted, self._accepted_by
         if accepted is None or aligner is None or accepted.verification is None:
             return None
         pose = accepted.camera_from_scanner
-        assert pose is not None, "what was accepted has a pose"
+        assert pose is not None, "an accepted result has a pose"
         with self._steps.step("second minimum") as note:
             other = second_minimum(aligner, pose, accepted.verification, self.places)
             note.update(found=other is not None)
@@ -219,7 +219,7 @@ class CandidateSet:
 
 
 def _explain_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequence[Rigid]) -> AutoResult:
-    """Return a refusal with the scan's want of points as its first reason, and the only one where nothing was tried."""
+    """Return a refused result with a sparse scan as its first reason, or as its only one if nothing was verified."""
     if result.verification is not None and result.verification.accepted:
         return result
     density = scan_density(scan, photo.camera, poses)
@@ -231,7 +231,7 @@ def _explain_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequ
 
 
 def _search_near(search: ViewSearch, found: CandidateSet, direction: Rigid, initial: Rigid) -> None:
-    """Look from the given pose, and from places around it."""
+    """Search from the given pose, then from a grid around it."""
     aligner = search.view(direction, name="the given pose")
     if aligner is None:
         return
@@ -243,10 +243,10 @@ def _search_near(search: ViewSearch, found: CandidateSet, direction: Rigid, init
 def _search_everywhere(
     search: ViewSearch, found: CandidateSet, directions: Sequence[Rigid], initial: Rigid | None
 ) -> None:
-    """Look upright in every view; then rolled, where corners speak for a roll; then from everywhere.
+    """Search every upright view; then rolled views, if corners indicate a roll; then from a grid of positions.
 
-    One verified pose ends the search where the scan has one view. Where it has several the others are looked at, too:
-    what looks alike elsewhere would be verified there as well.
+    With one view of the scan, one verified pose ends the search. With several views the others are searched as well,
+    because a similar place elsewhere would be verified there.
     """
     upright = directions[0 if initial is None else 1 :]
     several = len(upright) > 1
@@ -259,7 +259,7 @@ def _search_everywhere(
         found.add_candidate(aligner, search.from_corners(aligner, found.places, given=given))
         if given is not None and not found.places:
             found.add_candidate(aligner, search.from_grid(aligner, found.places, around=given))
-        # Which of alike places is meant is told by a pose that was given.
+        # A given pose decides which of several similar places is meant.
         if found.is_ambiguous or (found.places and (given is not None or not several)):
             return
         turn = None if found.places else search.turn(aligner)
@@ -285,7 +285,7 @@ def _search_views(
     others: Sequence[Rigid],
     find: Callable[[Aligner, KnownPoses], Candidate | None],
 ) -> None:
-    """Look in the likely views, and after a verified pose in all others for what looks alike."""
+    """Search the likely views, and after a verified pose all others for a second one."""
     for number, direction in enumerate([*likely, *others]):
         if found.is_ambiguous or (number >= len(likely) and not found.places):
             return
@@ -295,13 +295,13 @@ def _search_views(
 
 
 def _refused_as_ambiguous(result: AutoResult, first: Rigid, second: Rigid) -> AutoResult:
-    """Return a verified result as not accepted, since another place was verified as well."""
-    assert result.verification is not None, "only what was verified can look alike"
+    """Return a verified result as refused, since a second pose explains the image as well."""
+    assert result.verification is not None, "only verified poses are compared"
     reasons = (ambiguity_sentence(first, second), _ADVICE)
     return replace(result, verification=replace(result.verification, accepted=False, reasons=reasons), reasons=reasons)
 
 
-_ADVICE = "Draw a few matching lines by hand, or give a rough pose."
+_ADVICE = "Draw a few matches by hand, or give an initial pose."
 
 
 def _fraction(result: AutoResult) -> float:
@@ -311,7 +311,7 @@ def _fraction(result: AutoResult) -> float:
 def _finish(
     aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog, intrinsics: FreeCamera
 ) -> tuple[AutoResult, Aligner]:
-    """Return the finished and judged pose, and the pair as its camera sees it."""
+    """Return the finished and verified result, and the aligner of its camera."""
     start = candidate.camera_from_scanner
     with steps.step("finish"):
         pose = aligner.finish(start)

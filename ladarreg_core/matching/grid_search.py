@@ -1,7 +1,7 @@
-"""Starts where no corners match: the scan's coarse channels, seen from a grid of places, slid over the photo's.
+"""Initial poses without corner matches: the scan, rendered from a grid of positions, is correlated with the photo.
 
-From each place a virtual camera sees the scan; the Fourier transform then compares all small turns of it at once. It
-needs no single feature to be alike, only the picture as a whole.
+A virtual camera renders the coarse channels of the scan at each position; the Fourier transform correlates them with
+the photo at all small rotations at once. No single feature has to match, only the image as a whole.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels
 
 MAX_STARTS = 5
-"""So many places, the likeliest first, are given at the most."""
+"""Maximum number of poses returned."""
 _LEVEL = 2
-_SCALE = 0.5  # of that level: what a climb bears is some of these pixels
+_SCALE = 0.5  # of that level: the basin of refinement is several of these pixels wide
 _STEP_OF_RANGE = 0.06
 _GRID = tuple((x, y, z) for x in range(-4, 5) for y in (-0.5, 0.5) for z in (-0.6, 0.6))
 _NEAR_STEP_M = 0.2
@@ -36,24 +36,24 @@ _BASIN_SAMPLES = 300
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredPose:
-    """A start and how well the pictures agree there."""
+    """An initial pose with its score."""
 
     camera_from_scanner: Rigid
     """The pose."""
     score: float
-    """The correlation of the channels times the root of the pixels compared: standard deviations from none."""
+    """Correlation of the channels times the square root of the pixels compared: standard deviations above zero."""
 
 
 def likely_poses(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None = None) -> list[ScoredPose]:
-    """Return the poses, likeliest first, from which the scan looks most like the photo.
+    """Return the poses at which the scan correlates best with the photo, best first.
 
     Args:
-        scan: the scan's levels; the photo is taken to stand as upright as the view does.
+        scan: the scan's levels; the photo is assumed to have the roll of the view.
         photo: the photo's levels.
-        around: a rough pose to look near to; None: around the scanner, in the direction of the view.
+        around: the pose to search around; None: the scanner, in the direction of the view.
 
     Returns:
-        at most `MOST_STARTS`, each in another basin; none where the scan shows hardly anything.
+        at most `MAX_STARTS` poses, each in a basin of its own; none if the view has hardly any returns.
     """
     cloud = _Cloud.of(scan)
     if len(cloud.points) < _MIN_POINTS:
@@ -78,7 +78,7 @@ def likely_poses(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None =
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cloud:
-    """The scan's returns of the coarse level, with their channels."""
+    """Returns of the scan at the coarse level, with their channels."""
 
     points: FloatArray
     """(N, 3) float32, scanner frame, m."""
@@ -97,7 +97,7 @@ class _Cloud:
         return _Cloud((rays.T * ranges[v, u][:, None]).astype(np.float32), channels[v, u])
 
     def seen_by(self, camera: Camera, pose: Rigid) -> tuple[FloatArray, BoolArray]:
-        """Return the channels (8, h, w) of the nearest return in each pixel, and where (h, w) there is one."""
+        """Return the channels (8, h, w) of the nearest return in each pixel, and a mask (h, w) of pixels with one."""
         there = pose @ self.points
         in_front = np.flatnonzero(there[:, 2] > _NEAREST_DEPTH_M)
         uv = camera.project(there[in_front])
@@ -117,12 +117,12 @@ class _Cloud:
 
 
 class _Slider:
-    """The photo's coarse channels, transformed once, to be compared with pictures of the scan at every shift."""
+    """Correlates rendered views of the scan with the photo at every shift; the photo is transformed once."""
 
     def __init__(self, photo: PhotoLevels, max_rotation_rad: float) -> None:
         level = photo.cameras[_LEVEL]
         self.camera = level.scaled(_SCALE)
-        # Plane by plane: OpenCV averages areas of four channels at the most.
+        # Plane by plane: OpenCV's area interpolation supports at most four channels.
         planes = [*np.moveaxis(photo.channels[_LEVEL], -1, 0), photo.usable[_LEVEL].astype(np.float32)]
         small = [
             np.asarray(cv2.resize(np.ascontiguousarray(p), self.camera.size, interpolation=cv2.INTER_AREA))
@@ -140,7 +140,7 @@ class _Slider:
         self._energy = self._transform((channels**2).sum(axis=0))
 
     def best(self, channels: FloatArray, mask: BoolArray) -> tuple[Rigid, float] | None:
-        """Return the turn of the virtual camera that fits best, and its score; None where nothing can be compared."""
+        """Return the best rotation of the virtual camera and its score, or None if too little overlaps."""
         where = mask.astype(np.float32)
         total = float(where.sum())
         if total < _MIN_OVERLAP * mask.size:
@@ -158,7 +158,7 @@ class _Slider:
         score = np.where(enough, product / length * np.sqrt(np.maximum(pixels, 0)), -np.inf)
         row, column = np.unravel_index(int(score.argmax()), score.shape)
         dv, du = int(row) - self._reach[0], int(column) - self._reach[1]
-        # A turn about y to the right moves what is seen to the right, one about x moves it up.
+        # A positive rotation about y shifts the image to the right, one about x shifts it up.
         turn = rotation_about("y", np.arctan2(du, self.camera.fx)) @ rotation_about(
             "x", -np.arctan2(dv, self.camera.fy)
         )
@@ -174,7 +174,7 @@ class _Slider:
 
 
 def _one_per_basin(found: list[ScoredPose], camera: Camera, points: FloatArray) -> list[ScoredPose]:
-    """Return the best of those places from which the same climb would start."""
+    """Return the best pose of each basin of refinement, at most `MAX_STARTS`."""
     some = points[:: max(1, len(points) // _BASIN_SAMPLES)].astype(np.float64)
     kept: list[tuple[ScoredPose, FloatArray]] = []
     for item in found:

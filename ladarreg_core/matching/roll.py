@@ -1,8 +1,8 @@
-"""Recognise a photo that is turned about its optical axis, from either picture's corners, before a pose is known.
+"""Detection of camera roll about the optical axis from the corners of both images, before a pose is known.
 
-Correlation windows and descriptors bear some 15 degrees of roll. Beyond that hardly any correct match is found (thesis
-3.4, Figure 3.20), and what is found looks no different from the few matches of a difficult pair. So the photo's
-descriptors are turned too: at the right angle the matches agree on where the one picture lies in the other.
+Correlation windows and descriptors tolerate about 15 degrees of roll. Beyond that hardly any correct match is found
+(thesis 3.4, Figure 3.20), and the result cannot be distinguished from the few matches of a difficult pair. Therefore
+the photo's descriptors are computed for a set of rotations: at the correct one the matches agree on one displacement.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ladarreg_core.features.correlation import check_window, unique_matches
 from ladarreg_core.features.descriptors import unit_rows
 
 ANGLES = 24
-"""So many turns are tried, evenly spaced."""
+"""Number of rotations tried, evenly spaced."""
 _STEP_RAD = 2 * np.pi / ANGLES
 _MARGIN = 0.02
 _MAX_CORNERS = 500
@@ -33,44 +33,44 @@ _MIN_PEAK_RATIO = 1.5
 _TOLERATED_RAD = 1.5 * _STEP_RAD
 _Pairs = tuple[NDArray[np.float64], NDArray[np.float64]]
 Inliers = Callable[[NDArray[np.float64], NDArray[np.float64]], int]
-"""How many of the matches, pixels (K, 2) of the view and of the photo, one pose explains."""
+"""Counts the inliers of the best pose among matches given as pixels (K, 2) of the view and of the photo."""
 _SIDE = 7
 _BIN_RAD = np.pi / ORIENTATIONS
 
 
 @dataclass(frozen=True, slots=True)
 class Roll:
-    """A roll of the photo against the scan's view that its corners speak for."""
+    """Roll of the camera relative to the scan's view, estimated from corners."""
 
     angle_rad: float
-    """gamma of the thesis's parameters, rad: positive where the camera was rolled clockwise, seen from behind it. What
-    the photo shows is then turned counter-clockwise. Known to some degrees; within 15 where few matches agree."""
+    """gamma of the thesis's parameters, rad: positive if the camera was rolled clockwise, seen from behind it. The
+    content of the photo is then rotated counter-clockwise. Accurate to a few degrees; to 15 if few matches agree."""
     matches: int
-    """Matches that agree on one displacement between the pictures at this turn."""
+    """Matches that agree on one displacement between the images at this roll."""
     upright_matches: int
-    """The same with the photo as it is."""
+    """The same number without roll."""
 
     def summary(self) -> str:
-        """Return the finding with what to do, as a sentence for an operator."""
+        """Return the finding and the advice, for an operator."""
         degrees = abs(np.degrees(self.angle_rad))
         way = "clockwise" if self.angle_rad > 0 else "counter-clockwise"
         return (
-            f"The camera seems to have been rolled by about {degrees:.0f} deg {way} ({self.matches} matches agree on "
-            f"it, {self.upright_matches} on the photo as it is), and windows that are not turned hardly correlate. "
-            f"Turn the photo {way} by as much, so that it stands upright, or pick the matches by hand."
+            f"The camera appears to have been rolled by about {degrees:.0f} deg {way}: {self.matches} matches agree at "
+            f"that roll, {self.upright_matches} without it. Correlation does not work at such a roll. "
+            f"Rotate the photo {way} by that angle, or pick the matches by hand."
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RollMatches:
-    """A roll with the matches that were found at it."""
+    """A roll with the matches found at it."""
 
     turn: Roll
     """The roll."""
     scan_uv: NDArray[np.float64]
     """(K, 2) pixels of the view."""
     photo_uv: NDArray[np.float64]
-    """(K, 2) pixels of the photo as it is."""
+    """(K, 2) pixels of the unrotated photo."""
 
 
 def detect_roll(
@@ -82,25 +82,25 @@ def detect_roll(
     window_px: int = _WINDOW_PX,
     margin: float = _MARGIN,
 ) -> Roll | None:
-    """Return by how much the photo seems rolled against the scan's view.
+    """Return the roll of the camera relative to the scan's view, if it is too large for correlation.
 
     Args:
         scan_gray: (H, W) gray levels of the view.
-        scan_uv: (N, 2) its corners, pixels, the strongest first.
+        scan_uv: (N, 2) its corners, pixels, strongest first.
         photo_gray: (h, w) gray levels of the photo, at the same focal length.
-        photo_uv: (M, 2) its corners, pixels, the strongest first.
-        window_px: side of the windows that the corners are else compared by, odd; the descriptors grow with it.
-        margin: C1 - C2 must exceed it. Far less than for matches that a pose is to be solved from: which of them are
-            right is told by their agreement.
+        photo_uv: (M, 2) its corners, pixels, strongest first.
+        window_px: side of the correlation windows, odd; the descriptors scale with it.
+        margin: C1 - C2 must exceed it. It is much smaller than for matches used for a pose, because here wrong matches
+            are recognised by their displacement.
 
     Returns:
-        the turn; None where the photo as it is fits as well, or no angle stands out from the others.
+        the roll; None if it is small or if no angle has clearly more matches than the others.
 
     Raises:
-        ShapeError: if a picture is not (H, W) and finite, or corners are not (N, 2) and finite.
-        OptionError: if there is no such window or margin.
+        ShapeError: if an image is not (H, W) and finite, or corners are not (N, 2) and finite.
+        OptionError: if the window or the margin is out of range.
 
-    Source: thesis 3.4, Figure 3.20, where this is what fails.
+    Source: thesis 3.4, Figure 3.20, for the failure that this detects.
     """
     check_window(window_px)
     sides = ((scan_gray, scan_uv, "scan"), (photo_gray, photo_uv, "photo"))
@@ -120,20 +120,20 @@ def roll_between(
     spacing_px: float = _SPACING_PX,
     inliers: Inliers | None = None,
 ) -> RollMatches | None:
-    """Return the roll that the matches of turned descriptors agree on.
+    """Return the roll that the matches of rotated descriptors agree on.
 
     Args:
         scan_channels: (H, W, 8) normalised channels of the view.
-        scan_uv: (N, 2) its corners, pixels, the strongest first.
+        scan_uv: (N, 2) its corners, pixels, strongest first.
         photo_channels: (h, w, 8) those of the photo, at the same focal length.
-        photo_uv: (M, 2) its corners, pixels, the strongest first.
+        photo_uv: (M, 2) its corners, pixels, strongest first.
         margin: C1 - C2 must exceed it.
-        spacing_px: between a descriptor's samples.
-        inliers: how many matches one pose explains, where that can be asked. Displacements of a deep scene differ, so
-            that no roll stands out by them; a pose explains them all.
+        spacing_px: distance between the samples of a descriptor.
+        inliers: counts the inliers of a pose; None: matches are counted by displacement only. In a deep scene the
+            displacements differ, so that no roll has clearly more of them, while a pose explains all matches.
 
     Returns:
-        the roll, of half a step of 15 degrees or more; None where upright fits best, or no angle stands out.
+        the roll, at least half a step of 15 degrees; None if no roll fits best, or no angle is distinct.
     """
     scan_at, photo_at = _apart(scan_uv), _apart(photo_uv)
     described = describe_rotated(scan_channels, scan_at, 0.0, spacing_px=spacing_px)
@@ -161,7 +161,7 @@ def roll_between(
             return None
     if best == 0:
         return None
-    # The photo's descriptors were turned clockwise to where the scan's are: the camera was turned the other way.
+    # The photo's descriptors were rotated clockwise onto the scan's: the camera was rolled the other way.
     clockwise = _STEP_RAD * (best + between)
     angle = (np.pi - clockwise) % (2 * np.pi) - np.pi
     turn = Roll(angle_rad=float(angle), matches=agreeing, upright_matches=counts[0])
@@ -171,19 +171,19 @@ def roll_between(
 def describe_rotated(
     channels: FloatArray, uv: NDArray[np.float64], angle_rad: float, *, spacing_px: float = 6.0
 ) -> FloatArray:
-    """Return the descriptors of pixels that a picture turned back by an angle would have.
+    """Return the descriptors that pixels would have in the image rotated back by an angle.
 
-    What lies d beside a corner in an upright picture lies at d turned by the angle in this one, and an edge's
-    orientation there is greater by the angle. Between two orientation channels it is interpolated linearly.
+    Both the sample positions and the orientation channels are rotated by the angle; between two channels the response
+    is interpolated linearly.
 
     Args:
         channels: (H, W, 8) normalised channels.
-        uv: (N, 2) pixels; samples beyond the picture take its border's value.
-        angle_rad: by which the picture is turned clockwise on the screen (u right, v down).
-        spacing_px: between the 7 x 7 samples.
+        uv: (N, 2) pixels; samples outside the image take the value of its border.
+        angle_rad: clockwise rotation of the image on the screen (u right, v down).
+        spacing_px: distance between the 7 x 7 samples.
 
     Returns:
-        (N, 392) float32, mean removed, unit length; at an angle of 0 those of `describe`.
+        (N, 392) float32, mean removed, unit length; equal to `describe` at an angle of 0.
     """
     height, width = channels.shape[:2]
     reach = (np.arange(_SIDE) - _SIDE // 2) * spacing_px
@@ -201,31 +201,31 @@ def describe_rotated(
 
 
 def rotate_pixels(uv: NDArray[np.float64], angle_rad: float) -> NDArray[np.float64]:
-    """Return vectors (N, 2) of pixels (u right, v down) turned by an angle, rad, clockwise on the screen."""
+    """Return pixel vectors (N, 2) (u right, v down) rotated clockwise on the screen by an angle, rad."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.asarray(uv @ np.array([[c, -s], [s, c]]).T)
 
 
 def _channels_and_corners(gray: ArrayLike, uv: ArrayLike, name: str) -> tuple[FloatArray, NDArray[np.float64]]:
-    picture = read_only(gray, np.float32, (None, None), f"the {name}'s gray picture")
+    picture = read_only(gray, np.float32, (None, None), f"the {name}'s gray image")
     corners = read_only(uv, np.float64, (None, 2), f"the {name}'s corners")
     if not picture.size or not (np.isfinite(picture).all() and np.isfinite(corners).all()):
-        raise ShapeError(f"the {name}'s gray picture or corners are empty or hold NaN or infinity; give finite ones")
+        raise ShapeError(f"the {name}'s gray image or corners are empty or contain NaN or infinity; give finite values")
     return normalised_channels(raw_channels([picture])), corners
 
 
 def _apart(uv: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the first corners of those that crowd: a crowd's corners are each other's rivals."""
+    """Return the corners without those close to a stronger one, since neighbours compete in unique matching."""
     u, v = uv.T
     near = (np.abs(u[:, None] - u) <= _APART_PX) & (np.abs(v[:, None] - v) <= _APART_PX)
     kept = ~np.tril(near, -1).any(axis=1)
-    for k in np.flatnonzero(~kept):  # what crowds only corners that are not kept is kept itself
+    for k in np.flatnonzero(~kept):  # a corner close only to dropped corners is kept
         kept[k] = not (near[k, :k] & kept[:k]).any()
     return uv[np.flatnonzero(kept)[:_MAX_CORNERS]]
 
 
 def _agreeing(scan_uv: NDArray[np.float64], photo_uv: NDArray[np.float64], angle: float) -> int:
-    """Return how many matches have displacements that are alike, the scan's picture turned by the angle."""
+    """Return the largest number of matches with similar displacements, the view being rotated by the angle."""
     if not len(scan_uv):
         return 0
     displacement = photo_uv - rotate_pixels(scan_uv, angle)
@@ -234,9 +234,9 @@ def _agreeing(scan_uv: NDArray[np.float64], photo_uv: NDArray[np.float64], angle
 
 
 def _peak(before: int, at: int, after: int) -> float:
-    """Return where between -.5 and .5 steps the parabola through three counts has its peak.
+    """Return the peak of the parabola through three counts, between -.5 and .5 steps.
 
-    Parallax does not disturb it as it does the turn that the matches' positions would tell.
+    Unlike a rotation fitted to the positions of the matches, it is not biased by parallax.
     """
     curvature = 2 * at - before - after
     return 0.5 * (after - before) / curvature if curvature > 0 else 0.0

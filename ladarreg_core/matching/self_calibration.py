@@ -1,4 +1,4 @@
-"""The focal length and the lens, found with the pose where the picture speaks against the stated camera."""
+"""Self-calibration: focal length and k1 estimated with the pose if the image contradicts the stated camera."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import perspective_view
 
 FreeCamera = Literal["auto", "fixed", "focal", "focal_k1"]
-"""What is free with the pose: what the picture asks for; nothing; the focal length; k1 too."""
+"""Intrinsics estimated with the pose: automatic; none; the focal length; the focal length and k1."""
 
 _FREE: Mapping[FreeCamera, int] = {"auto": 2, "fixed": 0, "focal": 1, "focal_k1": 2}
 _SUSPECT_SIGMA = 3.0
@@ -29,7 +29,8 @@ _FITS_SIGMA, _FITS_SHIFT = 2.0, 0.01  # two steps tell of a wrong camera most of
 _KEEP_SIGMA = 3.0
 _REFUSE_SIGMA = 5.0
 _WRONG_CAMERA = (
-    "The picture speaks against the stated focal length or lens, and none was found that fits; give the camera file."
+    "The image contradicts the stated focal length or lens distortion, and no values that fit were found; "
+    "give a camera file."
 )
 _MAX_LOG_FOCAL_SIGMA = 0.02
 _ROUNDS = 4
@@ -43,21 +44,21 @@ _PROMISING_FRACTION, _MIN_GAIN = 0.5, 0.05  # of the windows at level 1
 
 
 def check_free_camera(value: object) -> None:
-    """Refuse what is no `FreeCamera`.
+    """Check the option `intrinsics`.
 
     Raises:
-        OptionError: if it is none.
+        OptionError: if it is not a `FreeCamera`.
     """
     if value not in get_args(FreeCamera):
-        raise OptionError(f"the intrinsics are {value!r}; they must be one of {', '.join(get_args(FreeCamera))}")
+        raise OptionError(f"the option intrinsics is {value!r}; it must be one of {', '.join(get_args(FreeCamera))}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinishedPose:
-    """A finished pose with its camera, judged on the photo as that camera sees it."""
+    """A finished pose with its camera, verified on the photo undistorted with that camera."""
 
     aligner: Aligner
-    """Of that camera."""
+    """The aligner of that camera."""
     camera: Camera
     """The photo's own camera, as stated or estimated."""
     camera_from_scanner: Rigid
@@ -67,13 +68,13 @@ class FinishedPose:
     fine: Agreement
     """Agreement at level 0."""
     regions: RegionEvidence | None
-    """How uncertain it is."""
+    """Covariance of pose and intrinsics."""
     free: int = 0
-    """How many of (log f, k1) were estimated."""
+    """Number of (log f, k1) estimated."""
 
     @property
     def camera_sigmas(self) -> dict[str, float]:
-        """The standard deviation of each intrinsic that was estimated, by name."""
+        """Standard deviations of the estimated intrinsics, by name."""
         if not self.free or self.regions is None:
             return {}
         sigma = np.sqrt(np.diag(self.regions.covariance)[6 : 6 + self.free])
@@ -81,12 +82,13 @@ class FinishedPose:
         return dict(zip(("focal_px", "k1"), scaled.tolist(), strict=False))
 
     def summary(self, given: Camera) -> tuple[str, ...]:
-        """Return what was estimated beside the pose, in sentences."""
+        """Return a sentence for each estimated intrinsic, with its stated value."""
         said = []
         for name, sigma in self.camera_sigmas.items():
             if name == "k1":
                 said.append(
-                    f"The lens's k1 was estimated: {_k1(self.camera):.3f} +- {sigma:.3f} instead of {_k1(given):.3f}."
+                    f"Lens distortion k1 was estimated: {_k1(self.camera):.3f} +- {sigma:.3f} instead of "
+                    f"{_k1(given):.3f}."
                 )
             else:
                 said.append(
@@ -97,32 +99,32 @@ class FinishedPose:
 
 
 def verify_finished(aligner: Aligner, camera: Camera, pose: Rigid, *, free: int = 0) -> FinishedPose:
-    """Judge a finished pose.
+    """Verify a finished pose.
 
     Args:
-        aligner: the pair, with the photo as the camera sees it.
+        aligner: the pair, with the photo undistorted with the camera.
         camera: the photo's camera.
         pose: `camera_from_scanner`.
-        free: how many of (log f, k1) were estimated with it.
+        free: number of (log f, k1) estimated with it.
     """
     verification, _, fine = aligner.verify(pose)
     return FinishedPose(aligner, camera, pose, verification, fine, aligner.regions(pose, free=free), free)
 
 
 def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics: FreeCamera) -> FinishedPose:
-    """Return a finished pose with the intrinsics that the picture asks for.
+    """Return a finished pose with estimated intrinsics, if the image requires them.
 
-    A test of the regions asks first whether the pose would rather have another camera. Its estimate is kept where the
-    regions agree on it, and the picture agrees no less with it.
+    A significance test over the regions decides first whether the stated camera is in doubt. The estimate is kept if it
+    is significant and the image agrees no less with it.
 
     Args:
         fixed: the finished pose with the camera as stated.
         photo: the photograph, with that camera.
-        start: the pose that was climbed to before the finish.
-        intrinsics: what may be free.
+        start: the candidate pose before the finish.
+        intrinsics: the intrinsics that may be estimated.
     """
     if intrinsics == "fixed" or (intrinsics == "auto" and photo.temperature_k is not None):
-        return fixed  # a thermal picture has too few structures to tell
+        return fixed  # a thermal image has too little structure to determine them
     free = _FREE[intrinsics]
     if intrinsics == "auto" and _camera_fits(
         fixed, *fixed.aligner.few_free_camera_steps(fixed.camera_from_scanner, free=free)
@@ -133,7 +135,7 @@ def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics:
     if intrinsics == "auto" and doubt <= _SUSPECT_SIGMA:
         return fixed
     best: FinishedPose | None = None
-    # Near the truth the finish tells the camera; else it must be climbed to again, at the coarser level.
+    # Near the true pose the finish determines the camera; otherwise pose and camera are refined at the coarser level.
     starts = [(start, NO_CHANGE, True)]
     if fixed.verification.accepted:
         starts.insert(0, (pose, change, False))
@@ -151,7 +153,7 @@ def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics:
 
 
 def _refused(fixed: FinishedPose) -> FinishedPose:
-    """Return a pose as not accepted, since its camera is wrong and no right one was found."""
+    """Return the pose as refused, since its camera is wrong and no other was found."""
     verification = fixed.verification
     said = verification.reasons if not verification.accepted else ()
     reasons = (*said, _WRONG_CAMERA)
@@ -159,7 +161,7 @@ def _refused(fixed: FinishedPose) -> FinishedPose:
 
 
 def _inflated(fixed: FinishedPose, other: Rigid) -> FinishedPose:
-    """Return a pose whose camera is in doubt, as uncertain as that doubt makes it."""
+    """Return the pose with its covariance enlarged by the shift to the pose of the free camera."""
     if fixed.regions is None:
         return fixed
     pose = fixed.camera_from_scanner
@@ -169,14 +171,14 @@ def _inflated(fixed: FinishedPose, other: Rigid) -> FinishedPose:
 
 
 def _camera_deviate(fixed: FinishedPose, pose: Rigid, change: CameraChange) -> float:
-    """Return how surely the regions agree on another camera, once it is free, as a normal deviate."""
+    """Return the significance of a change of the camera, as a normal deviate; 0 if it cannot be computed."""
     moved = np.array([change.log_focal, change.k1])[: _FREE["auto"]]
     asked = fixed.aligner.regions(pose, free=len(moved), change=change)
     return 0.0 if asked is None else asked.normal_deviate(moved)
 
 
 def _camera_fits(fixed: FinishedPose, pose: Rigid, change: CameraChange) -> bool:
-    """Return whether a first look at a free camera speaks for the stated one: it neither doubts nor moves it."""
+    """Return whether a preliminary free camera confirms the stated one: its change is small and not significant."""
     shift = _largest_shift(fixed.camera, change.applied_to(fixed.camera))
     return shift <= _FITS_SHIFT and _camera_deviate(fixed, pose, change) <= _FITS_SIGMA
 
@@ -186,9 +188,9 @@ def _rank(found: FinishedPose) -> tuple[bool, float]:
 
 
 def _is_better(found: FinishedPose, stated: FinishedPose, *, calibrated: bool) -> bool:
-    """Return whether regions agree on other intrinsics, and the picture agrees better with them.
+    """Return whether other intrinsics are significant and the image agrees no less with them.
 
-    A little of it may always be the scan's own distortion, so that a calibration is overruled by a large change only.
+    A small change may be due to distortions of the scan, so a calibrated camera is overruled by a large change only.
     """
     if calibrated and _largest_shift(stated.camera, found.camera) < _MIN_SHIFT_CALIBRATED:
         return False
@@ -197,7 +199,7 @@ def _is_better(found: FinishedPose, stated: FinishedPose, *, calibrated: bool) -
     if np.sqrt(found.regions.covariance[6, 6]) > _MAX_LOG_FOCAL_SIGMA:
         return False
     if not stated.verification.accepted and (found.verification.fine_fraction or 0.0) < _MIN_FINE_FRACTION:
-        return False  # with more free there is more that agrees by chance
+        return False  # with more free parameters more regions agree by chance
     before, after = stated.camera, found.camera
     moved = np.array([np.log(after.focal_px / before.focal_px), _k1(after) - _k1(before)])[: found.free]
     if found.regions.normal_deviate(moved) < _KEEP_SIGMA:
@@ -206,7 +208,7 @@ def _is_better(found: FinishedPose, stated: FinishedPose, *, calibrated: bool) -
 
 
 def _largest_shift(before: Camera, after: Camera) -> float:
-    """Return how far pixels move from one camera to the other, over their distance from the middle, at most."""
+    """Return the largest pixel displacement between two cameras, relative to the distance from the principal point."""
     u, v = np.meshgrid(np.linspace(0, before.width - 1, 9), np.linspace(0, before.height - 1, 9))
     uv = np.stack([u, v], axis=-1).reshape(-1, 2)
     away = np.linalg.norm(uv - (before.cx, before.cy), axis=1)
@@ -223,9 +225,10 @@ def _k1(camera: Camera) -> float:
 def _estimate(
     fixed: FinishedPose, photo: Photo, start: Rigid, change: CameraChange, *, free: int, coarsely: bool
 ) -> FinishedPose | None:
-    """Climb with the camera free, the photo undistorted anew with each, until neither moves; None where it gets lost.
+    """Refine pose and camera, undistorting the photo anew in each round, until both settle; None if they diverge.
 
-    A change of the lens is modelled in the undistorted picture, which is exact only as it vanishes: hence the rounds.
+    The change of the lens is modelled in the undistorted image, which is exact only for a vanishing change: hence the
+    rounds.
     """
     aligner, pose, camera = fixed.aligner, start, change.applied_to(photo.camera)
     agreeing = fixed.verification.fraction
@@ -253,7 +256,7 @@ def _estimate(
 
 
 class _NothingToCompareError(Exception):
-    """The scan shows nothing to compare at the camera's focal length."""
+    """The scan has too little to compare at the camera's focal length."""
 
 
 def _is_settled(change: CameraChange) -> bool:
@@ -261,7 +264,7 @@ def _is_settled(change: CameraChange) -> bool:
 
 
 def _aligner_for(aligner: Aligner, photo: Photo, camera: Camera) -> Aligner:
-    """Return the pair with the photo undistorted by another camera, and the view of its focal length."""
+    """Return the aligner of another camera: the photo undistorted with it, the view at its focal length."""
     scan, view = aligner.scan.view.scan, aligner.scan.view
     working = working_camera(scan, camera)
     levels = aligner.scan

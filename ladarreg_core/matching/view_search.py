@@ -1,4 +1,4 @@
-"""One view of the scan after the other beside the photo: what starts there are, and where climbs from them end."""
+"""Search of a view of the scan for the photo: initial poses from corners or from a grid, and their refinement."""
 
 from __future__ import annotations
 
@@ -26,11 +26,20 @@ from ladarreg_core.steps import StepLog
 _COARSEST = LEVELS[-1]
 _COARSE_REFINEMENT = RefineOptions(tau_px=8, iterations=8)
 _MAX_GRID_POSES = 2
-_KEPT_VIEWS = 2  # a scan of one view comes back to it after it was rolled
+_KEPT_VIEWS = 2  # a scan of one view returns to it after the rolled view
 
 
 class ViewSearch:
-    """Looks for the photo in views of a scan; every stage is a step."""
+    """Searches views of a scan for the photo; reports every step.
+
+    Args:
+        pictures: the levels of the pair.
+        steps: receives every step.
+        gate: thresholds of verification.
+        good_fraction: fraction of agreeing regions that ends the search.
+        seed: random seed.
+        channel_set: scan channels to compare.
+    """
 
     def __init__(
         self,
@@ -53,7 +62,7 @@ class ViewSearch:
         self._kept: deque[tuple[Rigid, Aligner]] = deque(maxlen=_KEPT_VIEWS)
 
     def view(self, direction: Rigid, *, name: int | str) -> Aligner | None:
-        """Return the pair in one view, with its channels made; None where the view shows too little."""
+        """Return the aligner of one view, or None if the view has too little to compare."""
         for kept, aligner in self._kept:
             if kept is direction:
                 return aligner if aligner.usable else None
@@ -65,15 +74,15 @@ class ViewSearch:
         return aligner if aligner.usable else None
 
     def is_sufficient(self, candidate: Candidate) -> bool:
-        """Return whether a climb ended where no other start needs to be tried."""
+        """Return whether a candidate is good enough to end the search."""
         return candidate.fraction >= self._good_fraction and candidate.coarse_verdict.accepted
 
     def from_start(self, aligner: Aligner, known: KnownPoses, start: Rigid) -> Candidate | None:
-        """Climb from the given pose alone."""
+        """Refine the given pose only."""
         return self._best(aligner, [("the given pose", start)], known)
 
     def from_corners(self, aligner: Aligner, known: KnownPoses, *, given: Rigid | None = None) -> Candidate | None:
-        """Climb from the given pose and from hypotheses until one convinces; return the best."""
+        """Refine the given pose and hypotheses until one is sufficient; return the best candidate."""
         return self._best(aligner, self._starts(aligner, given), known)
 
     def from_grid(self, aligner: Aligner, known: KnownPoses, *, around: Rigid | None = None) -> Candidate | None:
@@ -90,7 +99,7 @@ class ViewSearch:
         return self._best(aligner, starts, known)
 
     def turn(self, aligner: Aligner) -> Roll | None:
-        """Return the roll of the photo against the view, where its corners speak for one."""
+        """Return the roll of the camera relative to the view, if corners indicate one."""
         with self._steps.step("turn") as note:
             scan, photo = aligner.scan, aligner.photo
             scan_uv, photo_uv = descriptor_corners(scan, photo)
@@ -111,7 +120,7 @@ class ViewSearch:
         return found.turn
 
     def with_full_overlap(self, aligner: Aligner, candidate: Candidate) -> tuple[Aligner, Candidate]:
-        """Return the pair in a view of all that the photo sees, where the present view shows only part of it."""
+        """Return aligner and candidate in a view of the whole overlap, if the current view shows only part of it."""
         pose = candidate.camera_from_scanner
         direction = direction_towards_overlap(self._scan, self._photo.cameras[0], pose, view=aligner.scan.view)
         whole = None if direction is None else self.view(direction, name="what the photo sees")
@@ -165,14 +174,14 @@ class ViewSearch:
 
 
 def _coarse_refinements(aligner: Aligner, places: Sequence[ScoredPose]) -> list[RefineResult]:
-    """Return where short climbs on the coarsest level end: there the right place stands out from all others."""
+    """Return the results of short refinements on the coarsest level, where the correct pose is most distinct."""
     points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
     ends = (refine_pose(points, target, aligner.occluder, p.camera_from_scanner, _COARSE_REFINEMENT) for p in places)
     return [end for end in ends if end is not None]
 
 
 def _with_channels(pictures: PairLevels, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
-    """Return the scan's levels with the channels of both sides made, on two cores where there are two."""
+    """Return the scan's levels with the channels of both images computed, using two threads."""
     photo_side = pictures.photo
     with ThreadPoolExecutor(1) as other_core:
         of_photo = other_core.submit(lambda: (photo_side.channels, photo_side.fine_channels))

@@ -161,7 +161,7 @@ def test_bad_input_is_refused_in_one_line(
 def test_the_sentence_says_which_way_to_turn() -> None:
     words = Roll(angle_rad=np.pi / 2, matches=40, upright_matches=4).summary()
     assert "90 deg clockwise" in words
-    assert "Turn the photo clockwise" in words
+    assert "Rotate the photo clockwise" in words
     assert "counter" not in words
     assert words.replace("clockwise", "counter-clockwise") == Roll(-np.pi / 2, 40, 4).summary()
 

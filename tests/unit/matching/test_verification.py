@@ -128,7 +128,7 @@ def test_few_regions_that_tell_the_pose_roughly_are_refused_in_words(room: Paint
     assert check_precision(verdict, points, camera, pose, fine) is verdict
     refused = check_precision(verdict, points, camera, pose, rough)
     assert not refused.accepted
-    assert "photo pixels only" in refused.reasons[0]
+    assert "px of the photo only" in refused.reasons[0]
     many = replace(verdict, by_few=False)
     assert check_precision(many, points, camera, pose, rough) is many
 
