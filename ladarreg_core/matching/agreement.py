@@ -111,7 +111,7 @@ class Agreement:
         return np.asarray(np.hypot(u, v).reshape(-1)[maps.reshape(len(maps), -1).argmax(axis=1)])
 
     def contrast(self) -> float:
-        """Return zb: peak at near shifts above the mean of far shifts, in their standard deviations; mean over windows."""
+        """Return zb: peak at near shifts above the mean of far ones, in standard deviations; mean over windows."""
         if not len(self.maps):
             return 0.0
         distance = np.hypot(*self._shifts()) / self._scale
@@ -165,10 +165,10 @@ def agreement(
         for j in range(3):
             pooled += dense[grid[:, 0] + i, grid[:, 1] + j]
             neighbours += there[grid[:, 0] + i, grid[:, 1] + j]
-    judged = np.flatnonzero(neighbours >= _MIN_NEIGHBOURS)
+    selected = np.flatnonzero(neighbours >= _MIN_NEIGHBOURS)
     ends = np.append(starts[1:], len(kept))
-    members = tuple(kept[starts[k] : ends[k]] for k in judged)
-    return Agreement(level, radius, pooled[judged], grid[judged], neighbours[judged], members, uv, visible, rho)
+    members = tuple(kept[starts[k] : ends[k]] for k in selected)
+    return Agreement(level, radius, pooled[selected], grid[selected], neighbours[selected], members, uv, visible, rho)
 
 
 def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target: Target, radius: int) -> FloatArray:

@@ -168,9 +168,9 @@ class Aligner:
         """Finish with the first `free` of (log f, k1) free.
 
         Args:
-            start: the pose, climbed to.
+            start: the refined pose.
             free: 0, 1 or 2.
-            change: how the camera differs from the stated one at the start.
+            change: initial change of the camera relative to the stated one.
         """
         pose = start
         rounds = [(self.points[0], self.targets[0], replace(_FINISH, free=free))]
@@ -188,7 +188,7 @@ class Aligner:
                 break
         return pose, change
 
-    def few_free_camera_steps(self, pose: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
+    def preview_free_camera(self, pose: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
         """Make two further steps from a finished pose, with the first `free` of (log f, k1) free."""
         if self._fine_points is None:
             return pose, NO_CHANGE

@@ -91,7 +91,7 @@ def ambiguity_sentence(first: Rigid, second: Rigid) -> str:
     )
 
 
-def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: KnownPoses) -> Rigid | None:
+def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: KnownPoses) -> Rigid | None:
     """Return another pose that the image verifies, or nearly verifies; None if none is found.
 
     A brick wall agrees with the image when shifted by one brick, nearly as well as at its own position. The second pose
@@ -101,7 +101,7 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: Kno
         aligner: the pair that the pose was verified with.
         pose: `camera_from_scanner`, verified.
         own: its verdict.
-        places: decides which poses are different.
+        known: decides which poses are different.
     """
     ends = []
     for start in (pose, *_starts(aligner, pose)):
@@ -113,16 +113,16 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: Kno
     first, *others = ends
     others = [e for e in others if e.correlation >= _MIN_RELATIVE_CORRELATION * first.correlation]
     others.sort(key=lambda e: -e.correlation)
-    elsewhere = [e for e in others if _differ(places, pose, e.camera_from_scanner)]
+    elsewhere = [e for e in others if _differ(known, pose, e.camera_from_scanner)]
     for end in elsewhere[:_MAX_REFINED]:
         candidate = aligner.refine(end.camera_from_scanner)
         if candidate is None or not _competes(candidate.coarse_verdict, own):
             continue
-        if not _differ(places, pose, candidate.camera_from_scanner):
+        if not _differ(known, pose, candidate.camera_from_scanner):
             continue
-        rival = aligner.finish(candidate.camera_from_scanner)
-        if _differ(places, pose, rival) and _competes(aligner.verify(rival)[0], own):
-            return rival
+        second = aligner.finish(candidate.camera_from_scanner)
+        if _differ(known, pose, second) and _competes(aligner.verify(second)[0], own):
+            return second
     return None
 
 
@@ -134,9 +134,9 @@ def _competes(other: Verification, own: Verification) -> bool:
     return other.accepted or nearly
 
 
-def _differ(places: KnownPoses, first: Rigid, second: Rigid) -> bool:
+def _differ(known: KnownPoses, first: Rigid, second: Rigid) -> bool:
     """Return whether two poses differ in the image, or in camera orientation."""
-    return places.differ(first, second) or first.angle_to(second) > _DIFFERENT_ANGLE_RAD
+    return known.differ(first, second) or first.angle_to(second) > _DIFFERENT_ANGLE_RAD
 
 
 def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
@@ -157,22 +157,22 @@ def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
         yield Rigid(turn, np.zeros(3)) @ pose
 
 
-def _peaks(channels: FloatArray, uv: FloatArray, picture: FloatArray) -> list[tuple[int, int]]:
+def _peaks(channels: FloatArray, uv: FloatArray, image: FloatArray) -> list[tuple[int, int]]:
     """Return the far shifts (du, dv), level pixels, at which points agree with the image nearly as well, best first.
 
     Args:
         channels: (N, 8) of the points.
         uv: (N, 2) their pixels in the image.
-        picture: (h, w, 8) channels of the image.
+        image: (h, w, 8) its channels.
     """
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     shape = (2 * height, 2 * width)
     column, row = np.rint(uv).astype(np.intp).T
     mask = np.zeros((height, width), np.float32)
     mask[row, column] = 1
     scan = np.zeros((height, width, ORIENTATIONS), np.float32)
     scan[row, column] = channels - channels.mean(axis=0)
-    centred = picture - picture.mean(axis=(0, 1))
+    centred = image - image.mean(axis=(0, 1))
     seen = np.conj(np.fft.rfft2(mask, shape))
     product = sum(
         np.conj(np.fft.rfft2(scan[..., k], shape)) * np.fft.rfft2(centred[..., k], shape) for k in range(ORIENTATIONS)

@@ -85,7 +85,7 @@ def register_auto(
     *,
     initial: Rigid | None = None,
     options: AutoOptions | None = None,
-    pictures: PairLevels | None = None,
+    pair: PairLevels | None = None,
 ) -> AutoResult:
     """Find the pose of a photo from the images alone.
 
@@ -101,13 +101,13 @@ def register_auto(
         steps: receives every step.
         initial: an initial pose, tried first.
         options: thresholds and seed.
-        pictures: the levels of the pair, if they have been computed already.
+        pair: the levels of the pair, if they have been computed already.
     """
     o = options or AutoOptions()
-    pictures = pictures or PairLevels(scan, photo)
-    working = pictures.working
+    pair = pair or PairLevels(scan, photo)
+    working = pair.working
     with steps.step("photo") as note:
-        photo_side = pictures.photo
+        photo_side = pair.photo
         contrast = max(float(plane.max() - plane.min()) for plane in photo_side.planes[0])
         note.update(width=working.width, height=working.height, focal_px=round(working.fx, 3))
     if contrast < 1:
@@ -124,7 +124,7 @@ def register_auto(
         return AutoResult(initial, None, None, (reason,))
 
     search = ViewSearch(
-        pictures,
+        pair,
         steps,
         gate=o.gate,
         good_fraction=o.good_fraction,
@@ -144,9 +144,9 @@ class CandidateSet:
     """Candidates of all views: the verified poses, and the best of those that were not verified."""
 
     def __init__(
-        self, search: ViewSearch, photo: Photo, places: KnownPoses, steps: StepLog, options: AutoOptions
+        self, search: ViewSearch, photo: Photo, known: KnownPoses, steps: StepLog, options: AutoOptions
     ) -> None:
-        self.places = places
+        self.known = known
         self._search = search
         self._photo = photo
         self._steps = steps
@@ -177,10 +177,10 @@ class CandidateSet:
             if self._refused is None or _fraction(result) > _fraction(self._refused):
                 self._refused = result
             return
-        other = self.places.different_from(pose)
+        other = self.known.different_from(pose)
         if other is not None:
             self._ambiguous_poses = (other, pose)
-        self.places.add(pose)
+        self.known.add(pose)
         if self._accepted is None or _fraction(result) > _fraction(self._accepted):
             self._accepted, self._accepted_by = result, aligner
 
@@ -212,7 +212,7 @@ class CandidateSet:
         pose = accepted.camera_from_scanner
         assert pose is not None, "an accepted result has a pose"
         with self._steps.step("second minimum") as note:
-            other = second_minimum(aligner, pose, accepted.verification, self.places)
+            other = second_minimum(aligner, pose, accepted.verification, self.known)
             note.update(found=other is not None)
             self._steps.pose = pose
         return None if other is None else (pose, other)
@@ -235,9 +235,9 @@ def _search_near(search: ViewSearch, found: CandidateSet, direction: Rigid, init
     aligner = search.view(direction, name="the given pose")
     if aligner is None:
         return
-    found.add_candidate(aligner, search.from_start(aligner, found.places, initial))
-    if not found.places:
-        found.add_candidate(aligner, search.from_grid(aligner, found.places, around=initial))
+    found.add_candidate(aligner, search.from_start(aligner, found.known, initial))
+    if not found.known:
+        found.add_candidate(aligner, search.from_grid(aligner, found.known, around=initial))
 
 
 def _search_everywhere(
@@ -250,29 +250,29 @@ def _search_everywhere(
     """
     upright = directions[0 if initial is None else 1 :]
     several = len(upright) > 1
-    turns: list[tuple[Roll, Rigid]] = []
+    rolls: list[tuple[Roll, Rigid]] = []
     for number, direction in enumerate(directions):
         given = initial if number == 0 else None
         aligner = search.view(direction, name=number)
         if aligner is None:
             continue
-        found.add_candidate(aligner, search.from_corners(aligner, found.places, given=given))
-        if given is not None and not found.places:
-            found.add_candidate(aligner, search.from_grid(aligner, found.places, around=given))
+        found.add_candidate(aligner, search.from_corners(aligner, found.known, given=given))
+        if given is not None and not found.known:
+            found.add_candidate(aligner, search.from_grid(aligner, found.known, around=given))
         # A given pose decides which of several similar places is meant.
-        if found.is_ambiguous or (found.places and (given is not None or not several)):
+        if found.is_ambiguous or (found.known and (given is not None or not several)):
             return
-        turn = None if found.places else search.turn(aligner)
-        if turn is not None:
-            turns.append((turn, direction))
-    if found.places:
+        roll = None if found.known else search.detect_roll(aligner)
+        if roll is not None:
+            rolls.append((roll, direction))
+    if found.known:
         return
 
-    turns.sort(key=lambda item: -item[0].matches)
-    likely = [rolled_view(direction, turn.angle_rad) for turn, direction in turns[:_MAX_ROLLED_VIEWS]]
-    others = [rolled_view(direction, turns[0][0].angle_rad) for direction in upright if several and likely]
+    rolls.sort(key=lambda item: -item[0].matches)
+    likely = [rolled_view(direction, roll.angle_rad) for roll, direction in rolls[:_MAX_ROLLED_VIEWS]]
+    others = [rolled_view(direction, rolls[0][0].angle_rad) for direction in upright if several and likely]
     _search_views(search, found, "rolled", likely, others, search.from_corners)
-    if not found.places:
+    if not found.known:
         likely, others = list(upright[:_MAX_GRID_VIEWS]), list(upright[_MAX_GRID_VIEWS:])
         _search_views(search, found, "again", likely, others, search.from_grid)
 
@@ -287,11 +287,11 @@ def _search_views(
 ) -> None:
     """Search the likely views, and after a verified pose all others for a second one."""
     for number, direction in enumerate([*likely, *others]):
-        if found.is_ambiguous or (number >= len(likely) and not found.places):
+        if found.is_ambiguous or (number >= len(likely) and not found.known):
             return
         aligner = search.view(direction, name=f"{name} {number}")
         if aligner is not None:
-            found.add_candidate(aligner, find(aligner, found.places))
+            found.add_candidate(aligner, find(aligner, found.known))
 
 
 def _refused_as_ambiguous(result: AutoResult, first: Rigid, second: Rigid) -> AutoResult:

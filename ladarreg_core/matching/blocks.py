@@ -218,13 +218,13 @@ def block_matches(seen: BlockComparison, points: ViewPoints, working: Camera, ca
     ranges = np.linalg.norm(at, axis=-1)
     pixel = seen.uv[nearest].astype(np.float64) + offset
     own = camera.project(working.unproject(pixel))
-    alike = (seen.rho >= _MIN_CORRELATION) & np.isfinite(own).all(axis=-1)
-    grid = points.blocks.grid[points.blocks.of_point[seen.index[nearest]]][alike]
+    matched = (seen.rho >= _MIN_CORRELATION) & np.isfinite(own).all(axis=-1)
+    grid = points.blocks.grid[points.blocks.of_point[seen.index[nearest]]][matched]
     names = tuple(f"b{row}.{column}" for row, column in grid.tolist())
-    matches = Matches(at[alike] / ranges[alike, None], ranges[alike], own[alike], names)
+    matches = Matches(at[matched] / ranges[matched, None], ranges[matched], own[matched], names)
     if not len(matches):
         return BlockMatches(matches, np.zeros(0, np.bool_), float("nan"))
-    off = np.abs(offset[alike])
+    off = np.abs(offset[matched])
     scatter = _SD_OF_MEDIAN * float(np.median(off)) + _MIN_SCATTER_PX
     inliers = off.max(axis=-1) <= _OUTLIER_SIGMA * scatter
     return BlockMatches(matches, inliers, scatter * camera.focal_px / working.focal_px)

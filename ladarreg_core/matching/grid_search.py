@@ -60,14 +60,19 @@ def likely_poses(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None =
         return []
     middle = float(np.median(np.linalg.norm(cloud.points, axis=-1)))
     if around is None:
-        base, places, step, most = scan.view.view_from_scanner, _GRID, _STEP_OF_RANGE * middle, _MAX_ROTATION_RAD
+        base, positions, step, max_rotation = (
+            scan.view.view_from_scanner,
+            _GRID,
+            _STEP_OF_RANGE * middle,
+            _MAX_ROTATION_RAD,
+        )
     else:
-        base, places, most = around, _GRID_NEAR, _MAX_ROTATION_NEAR_RAD
+        base, positions, max_rotation = around, _GRID_NEAR, _MAX_ROTATION_NEAR_RAD
         step = max(_NEAR_STEP_M, _STEP_OF_RANGE * middle)
-    slider = _Slider(photo, most)
+    slider = _Slider(photo, max_rotation)
     found = []
-    for place in places:
-        seen_from = Rigid(base.rotation, base.translation - step * np.array(place))
+    for position in positions:
+        seen_from = Rigid(base.rotation, base.translation - step * np.array(position))
         best = slider.best(*cloud.seen_by(slider.camera, seen_from))
         if best is not None:
             turn, score = best
@@ -111,9 +116,9 @@ class _Cloud:
         mask = np.isfinite(nearest)
         first = np.zeros(len(nearest), np.intp)
         first[pixel[shown]] = index[shown]
-        picture = self.channels.take(first, axis=0) * mask[:, None]
+        image = self.channels.take(first, axis=0) * mask[:, None]
         shape = (camera.height, camera.width)
-        return np.ascontiguousarray(picture.T).reshape(ORIENTATIONS, *shape), mask.reshape(shape)
+        return np.ascontiguousarray(image.T).reshape(ORIENTATIONS, *shape), mask.reshape(shape)
 
 
 class _Slider:
@@ -164,8 +169,8 @@ class _Slider:
         )
         return Rigid(turn, np.zeros(3)), float(score[row, column])
 
-    def _transform(self, picture: FloatArray) -> NDArray[np.complex64]:
-        return np.asarray(np.fft.rfft2(picture, self._shape))
+    def _transform(self, image: FloatArray) -> NDArray[np.complex64]:
+        return np.asarray(np.fft.rfft2(image, self._shape))
 
     def _at_shifts(self, product: NDArray[np.complex64]) -> FloatArray:
         """Return the correlation (2 r_v + 1, 2 r_u + 1) at all shifts within reach."""

@@ -82,7 +82,7 @@ def register_by_modality(
         # A few blurred regions determine a pose, but not the lens as well.
         o = replace(o, gate=COARSE_GATE, intrinsics="fixed" if o.intrinsics == "auto" else o.intrinsics)
     found: dict[ChannelSet, AutoResult] = {}
-    pictures = PairLevels(scan, photo)
+    pair = PairLevels(scan, photo)
     start = initial
     for channel_set in get_args(ChannelSet):
         if len(found) == 2 and not any(map(_is_promising, found.values())):
@@ -95,7 +95,7 @@ def register_by_modality(
             steps,
             initial=start,
             options=replace(o, channel_set=channel_set, reach=reach),
-            pictures=pictures,
+            pair=pair,
         )
         if _accepted(found[channel_set]) and not thermal:
             break

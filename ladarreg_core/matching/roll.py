@@ -65,7 +65,7 @@ class Roll:
 class RollMatches:
     """A roll with the matches found at it."""
 
-    turn: Roll
+    roll: Roll
     """The roll."""
     scan_uv: NDArray[np.float64]
     """(K, 2) pixels of the view."""
@@ -107,7 +107,7 @@ def detect_roll(
     (scan, scan_at), (photo, photo_at) = (_channels_and_corners(*side) for side in sides)
     spacing = _SPACING_PX * window_px / _WINDOW_PX
     found = roll_between(scan, scan_at, photo, photo_at, margin=margin, spacing_px=spacing)
-    return None if found is None or abs(found.turn.angle_rad) < _TOLERATED_RAD else found.turn
+    return None if found is None or abs(found.roll.angle_rad) < _TOLERATED_RAD else found.roll
 
 
 def roll_between(
@@ -164,8 +164,8 @@ def roll_between(
     # The photo's descriptors were rotated clockwise onto the scan's: the camera was rolled the other way.
     clockwise = _STEP_RAD * (best + between)
     angle = (np.pi - clockwise) % (2 * np.pi) - np.pi
-    turn = Roll(angle_rad=float(angle), matches=agreeing, upright_matches=counts[0])
-    return RollMatches(turn, *pairs)
+    roll = Roll(angle_rad=float(angle), matches=agreeing, upright_matches=counts[0])
+    return RollMatches(roll, *pairs)
 
 
 def describe_rotated(
@@ -207,11 +207,11 @@ def rotate_pixels(uv: NDArray[np.float64], angle_rad: float) -> NDArray[np.float
 
 
 def _channels_and_corners(gray: ArrayLike, uv: ArrayLike, name: str) -> tuple[FloatArray, NDArray[np.float64]]:
-    picture = read_only(gray, np.float32, (None, None), f"the {name}'s gray image")
+    image = read_only(gray, np.float32, (None, None), f"the {name}'s gray image")
     corners = read_only(uv, np.float64, (None, 2), f"the {name}'s corners")
-    if not picture.size or not (np.isfinite(picture).all() and np.isfinite(corners).all()):
+    if not image.size or not (np.isfinite(image).all() and np.isfinite(corners).all()):
         raise ShapeError(f"the {name}'s gray image or corners are empty or contain NaN or infinity; give finite values")
-    return normalised_channels(raw_channels([picture])), corners
+    return normalised_channels(raw_channels([image])), corners
 
 
 def _apart(uv: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -95,11 +95,11 @@ def draw_points(
         seed: random seed.
         count: maximum number of points; None: the default of the level.
     """
-    camera, wanted = scan.cameras[level], count or _COUNT[level]
+    camera, limit = scan.cameras[level], count or _COUNT[level]
     surface, _ = _at_level(scan, camera, level)
-    pixel = _strongest_in_strata(strength, _STRATUM_PX[level], 2 * wanted)
-    if len(pixel) > wanted:
-        pixel = np.random.default_rng(seed).choice(pixel, wanted, replace=False)
+    pixel = _strongest_in_strata(strength, _STRATUM_PX[level], 2 * limit)
+    if len(pixel) > limit:
+        pixel = np.random.default_rng(seed).choice(pixel, limit, replace=False)
     v, u = np.divmod(pixel, camera.width)
 
     side = BLOCK_PX >> level

@@ -38,7 +38,7 @@ _SETTLED_LOG_FOCAL, _SETTLED_K1 = 0.003, 0.02
 _SAME_VIEW_LOG_FOCAL = 0.04
 _SUFFICIENT_FINE_FRACTION = 0.6
 _MIN_FINE_FRACTION = 0.5
-_MIN_SHIFT_CALIBRATED = 0.025  # of the distance from the picture's middle
+_MIN_SHIFT_CALIBRATED = 0.025  # relative to the distance from the principal point
 _CENTRAL_FRACTION = 0.3
 _PROMISING_FRACTION, _MIN_GAIN = 0.5, 0.05  # of the windows at level 1
 
@@ -83,19 +83,19 @@ class FinishedPose:
 
     def summary(self, given: Camera) -> tuple[str, ...]:
         """Return a sentence for each estimated intrinsic, with its stated value."""
-        said = []
+        sentences = []
         for name, sigma in self.camera_sigmas.items():
             if name == "k1":
-                said.append(
+                sentences.append(
                     f"Lens distortion k1 was estimated: {_k1(self.camera):.3f} +- {sigma:.3f} instead of "
                     f"{_k1(given):.3f}."
                 )
             else:
-                said.append(
+                sentences.append(
                     f"The focal length was estimated: {self.camera.focal_px:.1f} +- {sigma:.1f} px instead of "
                     f"{given.focal_px:.1f} px."
                 )
-        return tuple(said)
+        return tuple(sentences)
 
 
 def verify_finished(aligner: Aligner, camera: Camera, pose: Rigid, *, free: int = 0) -> FinishedPose:
@@ -127,7 +127,7 @@ def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics:
         return fixed  # a thermal image has too little structure to determine them
     free = _FREE[intrinsics]
     if intrinsics == "auto" and _camera_fits(
-        fixed, *fixed.aligner.few_free_camera_steps(fixed.camera_from_scanner, free=free)
+        fixed, *fixed.aligner.preview_free_camera(fixed.camera_from_scanner, free=free)
     ):
         return fixed
     pose, change = fixed.aligner.finish_with_free_camera(fixed.camera_from_scanner, free=free)
@@ -155,8 +155,8 @@ def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics:
 def _refused(fixed: FinishedPose) -> FinishedPose:
     """Return the pose as refused, since its camera is wrong and no other was found."""
     verification = fixed.verification
-    said = verification.reasons if not verification.accepted else ()
-    reasons = (*said, _WRONG_CAMERA)
+    sentences = verification.reasons if not verification.accepted else ()
+    reasons = (*sentences, _WRONG_CAMERA)
     return replace(fixed, verification=replace(verification, accepted=False, reasons=reasons))
 
 
@@ -173,8 +173,8 @@ def _inflated(fixed: FinishedPose, other: Rigid) -> FinishedPose:
 def _camera_deviate(fixed: FinishedPose, pose: Rigid, change: CameraChange) -> float:
     """Return the significance of a change of the camera, as a normal deviate; 0 if it cannot be computed."""
     moved = np.array([change.log_focal, change.k1])[: _FREE["auto"]]
-    asked = fixed.aligner.regions(pose, free=len(moved), change=change)
-    return 0.0 if asked is None else asked.normal_deviate(moved)
+    evidence = fixed.aligner.regions(pose, free=len(moved), change=change)
+    return 0.0 if evidence is None else evidence.normal_deviate(moved)
 
 
 def _camera_fits(fixed: FinishedPose, pose: Rigid, change: CameraChange) -> bool:
@@ -269,8 +269,8 @@ def _aligner_for(aligner: Aligner, photo: Photo, camera: Camera) -> Aligner:
     working = working_camera(scan, camera)
     levels = aligner.scan
     if abs(np.log(working.focal_px / view.camera.focal_px)) > _SAME_VIEW_LOG_FOCAL:
-        turned = perspective_view(scan, working, view_from_scanner=view.view_from_scanner)
-        levels = scan_levels(scan, turned, channel_set=levels.channel_set)
+        rendered = perspective_view(scan, working, view_from_scanner=view.view_from_scanner)
+        levels = scan_levels(scan, rendered, channel_set=levels.channel_set)
     side = photo_levels(replace(photo, camera=camera), working)
     seen = Aligner(levels, side, gate=aligner.gate, seed=aligner.seed)
     if not seen.usable:

@@ -33,7 +33,7 @@ class ViewSearch:
     """Searches views of a scan for the photo; reports every step.
 
     Args:
-        pictures: the levels of the pair.
+        pair: the levels of the pair.
         steps: receives every step.
         gate: thresholds of verification.
         good_fraction: fraction of agreeing regions that ends the search.
@@ -43,7 +43,7 @@ class ViewSearch:
 
     def __init__(
         self,
-        pictures: PairLevels,
+        pair: PairLevels,
         steps: StepLog,
         *,
         gate: GateOptions,
@@ -51,9 +51,9 @@ class ViewSearch:
         seed: int,
         channel_set: ChannelSet = "both",
     ) -> None:
-        self._pictures = pictures
-        self._scan = pictures.scan
-        self._photo = pictures.photo
+        self._pair = pair
+        self._scan = pair.scan
+        self._photo = pair.photo
         self._steps = steps
         self._gate = gate
         self._good_fraction = good_fraction
@@ -67,7 +67,7 @@ class ViewSearch:
             if kept is direction:
                 return aligner if aligner.usable else None
         with self._steps.step("channels") as note:
-            levels = _with_channels(self._pictures, direction, self._channel_set)
+            levels = _with_channels(self._pair, direction, self._channel_set)
             aligner = Aligner(levels, self._photo, gate=self._gate, seed=self._seed)
             note.update(view=name, points={level: len(p) for level, p in aligner.points.items()})
         self._kept.append((direction, aligner))
@@ -86,19 +86,19 @@ class ViewSearch:
         return self._best(aligner, self._starts(aligner, given), known)
 
     def from_grid(self, aligner: Aligner, known: KnownPoses, *, around: Rigid | None = None) -> Candidate | None:
-        """Climb from the likeliest of a grid of places until one convinces; return the best."""
+        """Refine the best poses of a grid of positions until one is sufficient; return the best candidate."""
         with self._steps.step("places") as note:
             found = likely_poses(aligner.scan, aligner.photo, around=around)
             ends = sorted(_coarse_refinements(aligner, found), key=lambda end: -end.correlation)
             note.update(near="the scanner" if around is None else "the given pose")
-            note["scores"] = [round(place.score, 2) for place in found]
+            note["scores"] = [round(item.score, 2) for item in found]
             note["correlations"] = [round(end.correlation, 3) for end in ends]
             if ends:
                 self._steps.pose = ends[0].camera_from_scanner
         starts = ((f"place {k + 1}", end.camera_from_scanner) for k, end in enumerate(ends[:_MAX_GRID_POSES]))
         return self._best(aligner, starts, known)
 
-    def turn(self, aligner: Aligner) -> Roll | None:
+    def detect_roll(self, aligner: Aligner) -> Roll | None:
         """Return the roll of the camera relative to the view, if corners indicate one."""
         with self._steps.step("turn") as note:
             scan, photo = aligner.scan, aligner.photo
@@ -111,13 +111,13 @@ class ViewSearch:
                 inliers=partial(count_inliers, scan, photo, seed=self._seed),
             )
             if found is None:
-                note["none"] = "no roll stands out"
+                note["none"] = "no roll is distinct"
                 return None
-            note.update(degrees=round(float(np.degrees(found.turn.angle_rad)), 1), agreeing=found.turn.matches)
+            note.update(degrees=round(float(np.degrees(found.roll.angle_rad)), 1), agreeing=found.roll.matches)
             points = points_at(scan, found.scan_uv)
             known = np.isfinite(points).all(axis=-1)
             self._steps.matches = _as_matches(points[known], found.photo_uv[known], aligner)
-        return found.turn
+        return found.roll
 
     def with_full_overlap(self, aligner: Aligner, candidate: Candidate) -> tuple[Aligner, Candidate]:
         """Return aligner and candidate in a view of the whole overlap, if the current view shows only part of it."""
@@ -173,19 +173,19 @@ class ViewSearch:
                 yield item.source, item.camera_from_scanner
 
 
-def _coarse_refinements(aligner: Aligner, places: Sequence[ScoredPose]) -> list[RefineResult]:
+def _coarse_refinements(aligner: Aligner, poses: Sequence[ScoredPose]) -> list[RefineResult]:
     """Return the results of short refinements on the coarsest level, where the correct pose is most distinct."""
     points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
-    ends = (refine_pose(points, target, aligner.occluder, p.camera_from_scanner, _COARSE_REFINEMENT) for p in places)
+    ends = (refine_pose(points, target, aligner.occluder, p.camera_from_scanner, _COARSE_REFINEMENT) for p in poses)
     return [end for end in ends if end is not None]
 
 
-def _with_channels(pictures: PairLevels, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
+def _with_channels(pair: PairLevels, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
     """Return the scan's levels with the channels of both images computed, using two threads."""
-    photo_side = pictures.photo
+    photo_side = pair.photo
     with ThreadPoolExecutor(1) as other_core:
         of_photo = other_core.submit(lambda: (photo_side.channels, photo_side.fine_channels))
-        levels = pictures.view(direction, channel_set)
+        levels = pair.view(direction, channel_set)
         of_geometry = other_core.submit(lambda: levels.geometry_channels)
         _ = levels.intensity_channels, levels.fine_channels
         of_photo.result()

@@ -1,4 +1,4 @@
-"""Viewing directions from the scanner (one for a narrow scan, several for a wide one), and sampling density in a photo."""
+"""Viewing directions from the scanner: one for a narrow scan, several for a wide one. Sampling density in a photo."""
 
 from __future__ import annotations
 

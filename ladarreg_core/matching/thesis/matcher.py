@@ -1,4 +1,4 @@
-"""The thesis's correspondences, as in its Figure 2.13: corners, correlation, culling, the second search, lines."""
+"""Corner matching of the thesis (Figure 2.13): corners, correlation, disparity filter, guided matching, lines."""
 
 from __future__ import annotations
 
@@ -36,49 +36,49 @@ _MANY_CORNERS = CornerOptions(count=1500)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThesisMatchOptions:
-    """The thresholds of thesis 2.3.2."""
+    """Thresholds of thesis 2.3.2."""
 
     scan_corners: CornerOptions = _MANY_CORNERS
-    """Of the intensity picture."""
+    """Corners of the intensity image."""
     photo_corners: CornerOptions = _MANY_CORNERS
-    """Of the photo."""
+    """Corners of the photo."""
     window_px: int = 15
-    """Side of the correlated neighbourhoods."""
+    """Side of the correlation window."""
     t1: float = 0.2
-    """C1 - C2 must exceed it."""
+    """T1: C1 - C2 must exceed it."""
     mutual: bool = False
-    """Whether a scan corner must also be the best of its photo corner; the thesis does not ask."""
+    """Whether the match must also be the best one of the photo corner (mutual best match); not so in the thesis."""
     depth_edges: DepthEdges = "left_out"
-    """A corner at a depth edge takes the range of the `foreground`, or is `left_out`."""
+    """Corners at a depth edge take the range of the `foreground`, or are `left_out`."""
     t2_px: float = 20.0
-    """Largest deviation of a disparity from the median."""
+    """T2: largest deviation of a disparity from the median."""
     culling: FilterSide = "two_sided"
-    """`one_sided` is the thesis's Step 5 to the letter."""
+    """Side of the disparity filter; `one_sided` is the thesis's Step 5 literally."""
     search_px: float = 15.0
-    """Half the side of the window of the second search."""
+    """Half the side of the search window of guided matching."""
     first_search_px: float = 80.0
-    """Half the side of a larger window that is searched before: what it finds moves the small windows around it, for
-    a rough pose is wrong by more than they reach. As small as `search_px`: only these, as in the thesis."""
+    """Half the side of a larger window searched first, whose matches recentre the small windows, because an approximate
+    pose is wrong by more than these. Equal to `search_px`: the small windows only, as in the thesis."""
     constrained_t1: float = 0.1
-    """T1 of the second search, where rivals are few."""
+    """T1 of guided matching, where competitors are few."""
     least_score: float = 0.4
-    """C2 counts as at least so much in the second search, also where a corner has no rival."""
+    """Lower limit of C2 in guided matching, also for a corner with a single candidate."""
     second_culling: GuidedFilter = "prediction"
-    """The second search is culled by how far matches lie from their `prediction`, or by `disparity` as the first."""
+    """Filter of guided matches: by displacement from the `prediction`, or by `disparity` as before."""
     second_t2_px: float = 6.0
     """Largest deviation from the median displacement from the prediction."""
     densify: DensifyOptions = field(default_factory=DensifyOptions)
     """Lines between matches."""
 
     def __post_init__(self) -> None:
-        for name, wanted in (
+        for name, expected_type in (
             ("scan_corners", CornerOptions),
             ("photo_corners", CornerOptions),
             ("densify", DensifyOptions),
             ("mutual", bool),
         ):
-            if not isinstance(getattr(self, name), wanted):
-                raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a {wanted.__name__}")
+            if not isinstance(getattr(self, name), expected_type):
+                raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a {expected_type.__name__}")
         check_window(self.window_px)
         check_filter(self.t2_px, self.culling)
         check_filter(self.second_t2_px, self.culling)
@@ -99,7 +99,7 @@ _ALLOWED = {True: "of pixels above 0", False: "from 0 to 2"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundMatches:
-    """K matches of one search, as the interface draws them and as a solver eats them."""
+    """K matches of one search, as pixels of both images and as input of the solvers."""
 
     scan_uv: FloatArray
     """(K, 2) view pixels."""
@@ -110,13 +110,13 @@ class FoundMatches:
     matches: Matches
     """The same in scanner rays and the photo's own pixels."""
     predicted_uv: FloatArray | None = None
-    """(K, 2) working pixels where the second search expected them."""
+    """(K, 2) working pixels predicted by guided matching; None: unconstrained."""
 
     def __len__(self) -> int:
         return len(self.scan_uv)
 
     def subset(self, keep: Any) -> FoundMatches:
-        """Return those of a mask (K,)."""
+        """Return the matches of a mask (K,) or of indices."""
         predicted = None if self.predicted_uv is None else self.predicted_uv[keep]
         return FoundMatches(
             self.scan_uv[keep], self.photo_uv[keep], self.score[keep], self.matches.subset(keep), predicted
@@ -124,7 +124,7 @@ class FoundMatches:
 
 
 class ThesisSearch:
-    """One view of the scan and one photo; corners and correlations are made once for both searches."""
+    """Matches one view of the scan with one photo; corners and correlations are computed once for both searches."""
 
     def __init__(self, scan: ScanLevels, photo: PhotoLevels, options: ThesisMatchOptions) -> None:
         self.scan = scan
@@ -133,7 +133,7 @@ class ThesisSearch:
 
     @cached_property
     def scan_uv(self) -> FloatArray:
-        """(N, 2) view pixels of the intensity picture's corners, those with a range. Source: thesis 2.3.2."""
+        """(N, 2) view pixels of the intensity image's corners that have a range. Source: thesis 2.3.2."""
         usable = np.isfinite(self.scan.ranges)
         if self.options.depth_edges == "left_out":
             usable &= ~self.scan.edge
@@ -158,13 +158,13 @@ class ThesisSearch:
         return self.scan.view.rays_at(self.scan_uv) * self.scan.ranges[pixel[:, 1], pixel[:, 0], None]
 
     def unconstrained(self, *, t1: float | None = None) -> FoundMatches:
-        """Match every scan corner with every photo corner, by the options' T1 or another. Thesis 2.3.2, Step 1."""
+        """Match all scan corners with all photo corners, with the options' T1 or another. Thesis 2.3.2, Step 1."""
         margin = self.options.t1 if t1 is None else t1
         first, second, score = unique_matches(self.correlation, margin=margin, mutual=self.options.mutual)
         return self._found(first, second, score)
 
     def constrained(self, camera_from_scanner: Rigid) -> FoundMatches:
-        """Match every scan corner with the photo corners near where the pose and its range say that it is.
+        """Match every scan corner with the photo corners near its prediction by pose and range (guided matching).
 
         Source: thesis 2.3.2, Step 7.
         """
@@ -186,7 +186,7 @@ class ThesisSearch:
         return self._found(first, second, score, expected[first])
 
     def filtered(self, found: FoundMatches) -> FoundMatches:
-        """Leave out what moved unlike the others: by disparity, or from where the second search expected it.
+        """Return the matches without those of deviating disparity, or of deviating displacement from the prediction.
 
         Source: thesis 2.3.2, disparity culling, Steps 2-5.
         """
@@ -229,7 +229,7 @@ class ThesisSearch:
         )
 
     def detect_roll(self) -> Roll | None:
-        """Return by how much the photo seems rolled against the view; None where upright fits best. Thesis 3.4."""
+        """Return the roll of the camera relative to the view; None if none is detected. Thesis 3.4."""
         return detect_roll(
             self.scan.gray_planes[0],
             self.scan_uv,
@@ -255,5 +255,5 @@ class ThesisSearch:
         return found if own.all() else found.subset(own)
 
     def _own_pixels(self, uv: FloatArray) -> FloatArray:
-        """Return the photo's own pixels of working ones (K, 2)."""
+        """Convert working pixels (K, 2) to the photo's own pixels."""
         return self.photo.source.project(self.photo.cameras[0].unproject(uv))

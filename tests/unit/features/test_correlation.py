@@ -13,7 +13,7 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.features.correlation import (
     correlation_product,
     correlation_rows,
-    edge_picture,
+    edge_image,
     unique_matches,
     windows_at,
 )
@@ -28,7 +28,7 @@ def test_the_product_is_the_mean_of_two_correlation_coefficients() -> None:
     for i, (u, v) in enumerate(uv.astype(int)):
         for j, (x, y) in enumerate(uv.astype(int)):
             expected = 0.0
-            for a, b in ((first, second), (edge_picture(first), edge_picture(second))):
+            for a, b in ((first, second), (edge_image(first), edge_image(second))):
                 one, two = a[v - 7 : v + 8, u - 7 : u + 8], b[y - 7 : y + 8, x - 7 : x + 8]
                 expected += np.corrcoef(one.ravel(), two.ravel())[0, 1] / 2
             assert abs(product[i, j] - expected) < 1e-5
@@ -57,7 +57,7 @@ def test_side_and_responses_are_free(side: int, responses: Any) -> None:
     uv, half = np.array([[25.0, 30.0]]), side // 2
     expected = []
     for response in responses:
-        a, b = (image if response == "gray" else edge_picture(image) for image in (first, second))
+        a, b = (image if response == "gray" else edge_image(image) for image in (first, second))
         one, two = (w[30 - half : 31 + half, 25 - half : 26 + half].ravel() for w in (a, b))
         expected.append(np.corrcoef(one, two)[0, 1])
     product = correlation_product(first, uv, second, uv, side_px=side, responses=responses)
@@ -92,11 +92,11 @@ def test_a_match_is_what_the_rule_says(seed: int, margin: float) -> None:
 
 def test_without_a_rival_the_floor_stands_in() -> None:
     score = np.array([[0.5], [0.25], [-np.inf]])
-    assert unique_matches(score, margin=0.1, mutual=False, rival_floor=0.3)[0].tolist() == [0]
+    assert unique_matches(score, margin=0.1, mutual=False, c2_floor=0.3)[0].tolist() == [0]
     assert not len(unique_matches(score, margin=0.1, mutual=False)[0])
     among = np.array([[0.9, -np.inf, 0.2], [-np.inf, -np.inf, -np.inf]])
-    assert unique_matches(among, margin=0.3, rival_floor=0.5)[0].tolist() == [0]
-    assert not len(unique_matches(among, margin=0.3, rival_floor=0.65)[0])
+    assert unique_matches(among, margin=0.3, c2_floor=0.5)[0].tolist() == [0]
+    assert not len(unique_matches(among, margin=0.3, c2_floor=0.65)[0])
 
 
 @pytest.mark.parametrize("side", [0, 1, 2, 14, -15, 103, 15.0, True, "15"])

@@ -46,12 +46,12 @@ def sides(scan: Scan, photo: Photo) -> tuple[Picture, Picture]:
     return Picture.of(levels.gray_planes[0], np.isfinite(levels.ranges)), Picture.of(seen.gray, seen.usable[0])
 
 
-def turn_of(scan: Picture, photo: Picture) -> Roll | None:
+def roll_of(scan: Picture, photo: Picture) -> Roll | None:
     return detect_roll(scan.gray, scan.corners, photo.gray, photo.corners)
 
 
-def off_deg(turn: Roll, expected_deg: float) -> float:
-    return abs((np.degrees(turn.angle_rad) - expected_deg + 180) % 360 - 180)
+def off_deg(roll: Roll, expected_deg: float) -> float:
+    return abs((np.degrees(roll.angle_rad) - expected_deg + 180) % 360 - 180)
 
 
 def quarter_turned(photo: Photo, quarters: int) -> Photo:
@@ -74,13 +74,13 @@ def room() -> PaintedRoom:
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])
 def test_a_photo_turned_by_quarters_is_recognised(room: PaintedRoom, quarters: int) -> None:
-    turn = turn_of(*sides(room.scan, quarter_turned(room.photo, quarters)))
+    roll = roll_of(*sides(room.scan, quarter_turned(room.photo, quarters)))
     if quarters == 0:
-        assert turn is None
+        assert roll is None
     else:
-        assert turn is not None
-        assert off_deg(turn, 90 * quarters) < 6
-        assert turn.matches > turn.upright_matches
+        assert roll is not None
+        assert off_deg(roll, 90 * quarters) < 6
+        assert roll.matches > roll.upright_matches
 
 
 @settings(max_examples=8)
@@ -89,14 +89,14 @@ def test_any_roll_is_told_with_its_sign(angle_deg: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     patches = cv2.resize(rng.uniform(0, 255, (45, 60)).astype(np.float32), (360, 270), interpolation=cv2.INTER_CUBIC)
     laser = 0.6 * patches + rng.normal(0, 6, patches.shape)
-    turn = turn_of(Picture.of(laser.astype(np.float32)), Picture.of(rolled(patches, angle_deg)))
+    roll = roll_of(Picture.of(laser.astype(np.float32)), Picture.of(rolled(patches, angle_deg)))
     if abs(angle_deg) <= 7:
-        assert turn is None
+        assert roll is None
     elif abs(angle_deg) >= 23:
-        assert turn is not None
-    if turn is not None:
-        assert off_deg(turn, angle_deg) < 5
-        assert ("counter-clockwise" in turn.summary()) == (turn.angle_rad < 0)
+        assert roll is not None
+    if roll is not None:
+        assert off_deg(roll, angle_deg) < 5
+        assert ("counter-clockwise" in roll.summary()) == (roll.angle_rad < 0)
 
 
 def test_a_simulated_camera_that_is_rolled_is_recognised() -> None:
@@ -104,22 +104,22 @@ def test_a_simulated_camera_that_is_rolled_is_recognised() -> None:
     case = simulate_case("people", set_name="rotated", seed=4)
     gamma = np.degrees(ThesisParameters.from_pose(case.camera_from_scanner).gamma)
     scan, photo = sides(case.scan, case.photo)
-    turn = turn_of(scan, photo)
-    assert turn is not None
-    assert off_deg(turn, gamma) < 8
+    roll = roll_of(scan, photo)
+    assert roll is not None
+    assert off_deg(roll, gamma) < 8
     # Turned back in the picture, nothing is left to be said.
-    assert turn_of(scan, Picture.of(rolled(photo.gray, -gamma))) is None
+    assert roll_of(scan, Picture.of(rolled(photo.gray, -gamma))) is None
 
 
 def test_a_mirrored_photo_is_not_said_to_be_turned(room: PaintedRoom) -> None:
     scan, photo = sides(room.scan, room.photo)
     for mirrored in (photo.gray[::-1], photo.gray[:, ::-1]):
-        assert turn_of(scan, Picture.of(np.ascontiguousarray(mirrored))) is None
+        assert roll_of(scan, Picture.of(np.ascontiguousarray(mirrored))) is None
 
 
 def test_the_same_pictures_give_the_same_answer(room: PaintedRoom) -> None:
     scan, photo = sides(room.scan, quarter_turned(room.photo, 1))
-    one, other = turn_of(scan, photo), turn_of(scan, photo)
+    one, other = roll_of(scan, photo), roll_of(scan, photo)
     assert one is not None
     assert one == other
 
@@ -128,8 +128,8 @@ def test_the_same_pictures_give_the_same_answer(room: PaintedRoom) -> None:
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (30, 40)])
 def test_hardly_any_corners_or_picture_tell_nothing(count: int, shape: tuple[int, int]) -> None:
     picture = Picture(np.zeros(shape, np.float32), np.zeros((count, 2)))
-    assert turn_of(picture, picture) is None
-    assert turn_of(picture, Picture(picture.gray, NO_CORNERS)) is None
+    assert roll_of(picture, picture) is None
+    assert roll_of(picture, Picture(picture.gray, NO_CORNERS)) is None
 
 
 GRAY = np.zeros((20, 30), np.float32)
