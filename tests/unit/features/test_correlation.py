@@ -1,4 +1,4 @@
-"""The correlation product and the choice of unique matches."""
+"""Correlation of corners and selection of unique matches."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_flat_windows_correlate_with_nothing() -> None:
     assert not unit_rows(np.ones((2, 9), np.float32)).any()
 
 
-def test_only_clear_and_mutual_winners_are_kept() -> None:
+def test_only_unique_and_mutual_best_matches_are_kept() -> None:
     score = np.array([[0.9, 0.5, 0.1], [0.8, 0.79, 0.0], [0.95, 0.2, 0.1]])
     first, second, value = unique_matches(score, margin=0.1)
     assert (first.tolist(), second.tolist(), value.tolist()) == ([2], [0], [0.95])
@@ -51,7 +51,7 @@ def test_only_clear_and_mutual_winners_are_kept() -> None:
 
 @pytest.mark.parametrize("side", [3, 9, 21])
 @pytest.mark.parametrize("responses", [("gray",), ("edge",), ("gray", "edge")])
-def test_side_and_responses_are_free(side: int, responses: Any) -> None:
+def test_any_side_and_responses_can_be_chosen(side: int, responses: Any) -> None:
     rng = np.random.default_rng(1)
     first, second = rng.uniform(0, 255, (2, 50, 60)).astype(np.float32)
     uv, half = np.array([[25.0, 30.0]]), side // 2
@@ -65,8 +65,8 @@ def test_side_and_responses_are_free(side: int, responses: Any) -> None:
     assert correlation_rows(first, uv, side_px=side, responses=responses).shape == (1, len(responses) * side**2)
 
 
-def test_corners_that_look_the_same_are_never_told_apart() -> None:
-    """Ties go at T1 = 0, too, although equal windows' scores differ in their last digits."""
+def test_equal_corners_are_never_matched() -> None:
+    """Ties are removed at T1 = 0 as well, although scores of equal windows differ in their last digits."""
     rng = np.random.default_rng(2)
     tile = rng.uniform(0, 255, (40, 40)).astype(np.float32)
     photo = np.tile(tile, (2, 3))
@@ -81,7 +81,7 @@ def test_corners_that_look_the_same_are_never_told_apart() -> None:
 
 
 @given(st.integers(0, 10_000), st.floats(0, 0.5))
-def test_a_match_is_what_the_rule_says(seed: int, margin: float) -> None:
+def test_matches_follow_the_rule(seed: int, margin: float) -> None:
     score = np.random.default_rng(seed).uniform(-1, 1, (6, 5))
     first, second, value = unique_matches(score, margin=margin, mutual=False)
     expected = [i for i, row in enumerate(score) if np.subtract(*np.sort(row)[[-1, -2]]) > max(margin, 1e-6)]
@@ -90,7 +90,7 @@ def test_a_match_is_what_the_rule_says(seed: int, margin: float) -> None:
     np.testing.assert_array_equal(value, score[first].max(axis=1))
 
 
-def test_without_a_rival_the_floor_stands_in() -> None:
+def test_the_floor_replaces_a_missing_second_best() -> None:
     score = np.array([[0.5], [0.25], [-np.inf]])
     assert unique_matches(score, margin=0.1, mutual=False, c2_floor=0.3)[0].tolist() == [0]
     assert not len(unique_matches(score, margin=0.1, mutual=False)[0])
@@ -100,12 +100,12 @@ def test_without_a_rival_the_floor_stands_in() -> None:
 
 
 @pytest.mark.parametrize("side", [0, 1, 2, 14, -15, 103, 15.0, True, "15"])
-def test_a_window_without_a_middle_is_refused(side: Any) -> None:
+def test_an_invalid_window_side_is_refused(side: Any) -> None:
     with pytest.raises(OptionError, match="odd number"):
         windows_at(np.zeros((30, 30), np.float32), np.array([[15.0, 15.0]]), side_px=side)
 
 
-def test_other_nonsense_is_refused() -> None:
+def test_other_invalid_arguments_are_refused() -> None:
     picture, uv = np.ones((30, 30), np.float32), np.array([[15.0, 15.0]])
     for responses in ((), ("depth",)):
         with pytest.raises(OptionError, match="gray, edge"):
@@ -118,7 +118,7 @@ def test_other_nonsense_is_refused() -> None:
             unique_matches(np.eye(3), margin=margin)
 
 
-def test_no_corners_make_an_empty_product() -> None:
+def test_no_corners_give_an_empty_product() -> None:
     picture, none = np.ones((30, 30), np.float32), np.zeros((0, 2))
     assert correlation_product(picture, none, picture, np.array([[15.0, 15.0]])).shape == (0, 1)
     assert correlation_product(picture, none, picture, none).shape == (0, 0)

@@ -25,7 +25,7 @@ _PIXELS_A_METRE = 190.0
 
 @dataclass(frozen=True)
 class Wall:
-    """What a scanner and a camera see of a wall."""
+    """A wall as seen by a scanner and a camera."""
 
     scan: lr.Scan
     photo: lr.Photo
@@ -82,7 +82,7 @@ def test_a_wall_that_repeats_is_ambiguous(seed: int, period_m: float, doors: str
     assert [step.detail["found"] for step in result.steps if step.name == "second minimum"] == [True]
 
 
-def test_a_given_pose_tells_which_repetition_is_meant() -> None:
+def test_an_initial_pose_selects_the_repetition() -> None:
     made = wall(1, period_m=0.7)
     truth = made.camera_from_scanner
     result = register(made.scan, made.photo, initial=lr.Rigid(truth.rotation, truth.translation + 0.02))
@@ -110,7 +110,7 @@ def test_a_photo_of_repeating_walls_is_not_accepted(repeating: Panorama) -> None
     assert any("ambiguous" in reason for reason in result.reasons), result.reasons
 
 
-def test_a_rough_pose_tells_which_of_alike_places_is_meant(repeating: Panorama) -> None:
+def test_an_initial_pose_selects_one_of_similar_walls(repeating: Panorama) -> None:
     truth = repeating.camera_from_scanner
     rough = Rigid(rotation_from_rotvec([0.01, 0.03, -0.01]) @ truth.rotation, truth.translation + 0.05)
     result = lr.register(repeating.scan, repeating.photo, initial=rough)
@@ -118,7 +118,7 @@ def test_a_rough_pose_tells_which_of_alike_places_is_meant(repeating: Panorama) 
     assert repeating.error_px(result.camera_from_scanner) < 1
 
 
-def test_walls_that_differ_are_told_apart() -> None:
+def test_different_walls_are_distinguished() -> None:
     made = panorama((3, 4, 5))
     result = lr.register(made.scan, made.photo)
     assert result.accepted, result.reasons
@@ -132,7 +132,7 @@ def room() -> PaintedRoom:
     return painted_room(seed=2)
 
 
-def test_the_same_place_is_kept_once_and_others_are_told(room: PaintedRoom) -> None:
+def test_known_poses_distinguish_equal_and_different_poses(room: PaintedRoom) -> None:
     places, pose = KnownPoses(room.scan, room.photo.camera), room.camera_from_scanner
     assert not places
     assert not places.covers_start(pose)
@@ -149,7 +149,7 @@ def test_the_same_place_is_kept_once_and_others_are_told(room: PaintedRoom) -> N
         assert places.different_from(elsewhere) is pose
 
 
-def test_the_words_say_how_far_apart() -> None:
+def test_the_sentence_states_distance_and_angle() -> None:
     first = Rigid.identity()
     second = Rigid.from_centre(rotation_about("z", np.deg2rad(60)), [0.3, 0.4, 0.0])
     assert "0.50 m and 60.0 deg" in ambiguity_sentence(first, second)

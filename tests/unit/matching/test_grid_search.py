@@ -1,4 +1,4 @@
-"""Starts without a single matched corner: the picture as a whole tells from where it was taken."""
+"""Initial poses without matched corners, from the correlation of the whole image."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def levels_of(seed: int) -> tuple[ScanLevels, PhotoLevels]:
 
 
 @pytest.mark.parametrize("seed", SEEN)
-def test_the_likeliest_place_lies_in_the_basin(seed: int) -> None:
+def test_the_best_pose_lies_in_the_basin(seed: int) -> None:
     room = room_of(seed)
     found = likely_poses(*levels_of(seed))
     assert 1 <= len(found) <= MAX_STARTS
@@ -43,7 +43,7 @@ def test_the_likeliest_place_lies_in_the_basin(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEN)
-def test_near_a_rough_pose(seed: int) -> None:
+def test_search_around_an_initial_pose(seed: int) -> None:
     room = room_of(seed)
     rng = np.random.default_rng(seed)
     turn, shift = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
@@ -66,14 +66,14 @@ def test_starts_lie_in_different_basins() -> None:
             assert np.nanmedian(np.hypot(*(one - other).T)) > 10
 
 
-def test_the_same_pictures_give_the_same_starts() -> None:
+def test_equal_inputs_give_equal_poses() -> None:
     one, other = (likely_poses(*levels_of(23)) for _ in "ab")
     assert [p.camera_from_scanner.matrix.tobytes() for p in one] == [
         p.camera_from_scanner.matrix.tobytes() for p in other
     ]
 
 
-def test_a_scan_without_returns_in_the_view_gives_none() -> None:
+def test_a_view_without_returns_gives_no_pose() -> None:
     scan, photo = levels_of(21)
     empty = replace(scan, ranges=np.full_like(scan.ranges, np.nan))
     assert likely_poses(empty, photo) == []

@@ -1,4 +1,4 @@
-"""Small pictures, coarse scans, turned cameras, and pictures in which there is nothing to find."""
+"""Unusual inputs: small photos, coarse scans, rolled cameras, and images without features."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def resized(photo: lr.Photo, width: int, height: int) -> lr.Photo:
 
 
 @pytest.mark.parametrize(("width", "height"), [(300, 212), (230, 163)])
-def test_a_small_photo_has_enough_regions_to_be_sure(room: PaintedRoom, width: int, height: int) -> None:
+def test_a_small_photo_has_enough_regions(room: PaintedRoom, width: int, height: int) -> None:
     small = resized(room.photo, width, height)
     result = register(room.scan, small)
     assert result.accepted, result.reasons
     assert room.error_px(result.camera_from_scanner) < 0.6
 
 
-def test_a_coarse_scan_is_never_interpolated_into_evidence(room: PaintedRoom) -> None:
+def test_a_coarse_scan_is_not_interpolated(room: PaintedRoom) -> None:
     fine = room.scan
     geometry = AzimuthElevation(150, 210, np.deg2rad(0.22), np.deg2rad(0.22), np.deg2rad(0.055), np.deg2rad(0.055))
     np.testing.assert_allclose(geometry.rays, fine.rays[::2, ::2], atol=1e-12)
@@ -47,7 +47,7 @@ def test_a_coarse_scan_is_never_interpolated_into_evidence(room: PaintedRoom) ->
     assert result.diagnostics["verification"]["by_few"] == result.accepted
 
 
-def test_the_working_camera_follows_the_coarser_side(room: PaintedRoom) -> None:
+def test_the_working_camera_has_the_coarser_resolution(room: PaintedRoom) -> None:
     native = 1 / min(room.scan.geometry.step_rad)
     for width, height, focal in ((480, 340, 400.0), (4000, 3000, 5000.0), (320, 240, 300.0), (768, 512, 3400.0)):
         camera = lr.Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
@@ -61,7 +61,7 @@ def test_the_working_camera_follows_the_coarser_side(room: PaintedRoom) -> None:
 
 
 @pytest.mark.parametrize("turn_deg", [90, 180])
-def test_a_turned_photo_registers_from_a_rough_pose(room: PaintedRoom, turn_deg: int) -> None:
+def test_a_rolled_photo_registers_from_an_initial_pose(room: PaintedRoom, turn_deg: int) -> None:
     quarter_turns = turn_deg // 90
     camera = room.photo.camera
     turned_camera = camera if turn_deg == 180 else lr.Camera(width=340, height=480, fx=520, fy=520, cx=169.5, cy=239.5)
@@ -75,7 +75,7 @@ def test_a_turned_photo_registers_from_a_rough_pose(room: PaintedRoom, turn_deg:
     assert room.error_px(turn.inverse @ result.camera_from_scanner) < 0.5
 
 
-def test_pictures_without_corners_end_in_a_verdict(room: PaintedRoom) -> None:
+def test_photos_without_corners_are_refused_with_reasons(room: PaintedRoom) -> None:
     halves = np.zeros((340, 480, 3), np.uint8)
     halves[:, 240:] = 200
     dot = np.zeros_like(halves)

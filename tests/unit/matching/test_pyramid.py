@@ -19,7 +19,7 @@ def room() -> PaintedRoom:
 
 
 @pytest.mark.parametrize("first", get_args(ChannelSet))
-def test_other_channels_of_a_view_are_those_of_the_view_made_anew(room: PaintedRoom, first: ChannelSet) -> None:
+def test_shared_channels_equal_those_computed_anew(room: PaintedRoom, first: ChannelSet) -> None:
     direction = Rigid(look_along(room.scan.mean_direction), np.zeros(3))
     pair = PairLevels(room.scan, room.photo)
     known = pair.view(direction, first)

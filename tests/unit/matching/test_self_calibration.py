@@ -1,4 +1,4 @@
-"""A wrong focal length and a wrong lens are found with the pose; a right camera is left alone."""
+"""Self-calibration: a wrong focal length or k1 is estimated with the pose; a correct camera is kept."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def room() -> PaintedRoom:
 
 
 def finished_with(room: PaintedRoom, camera: Camera) -> tuple[FinishedPose, Photo]:
-    """Return the room registered from the truth, with the camera as it is stated."""
+    """Return the room registered from the true pose with the stated camera, and its photo."""
     photo = Photo(room.photo.pixels, camera)
     working = working_camera(room.scan, camera)
     levels = scan_levels(room.scan, perspective_view(room.scan, working))
@@ -43,7 +43,7 @@ def finished_with(room: PaintedRoom, camera: Camera) -> tuple[FinishedPose, Phot
     return verify_finished(aligner, camera, aligner.finish(candidate.camera_from_scanner)), photo
 
 
-def test_a_right_camera_is_left_alone(room: PaintedRoom) -> None:
+def test_a_correct_camera_is_kept(room: PaintedRoom) -> None:
     fixed, photo = finished_with(room, room.photo.camera)
     assert estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto") is fixed
     assert not fixed.camera_sigmas
@@ -53,7 +53,7 @@ def test_a_right_camera_is_left_alone(room: PaintedRoom) -> None:
 
 
 @pytest.mark.parametrize(("focal_factor", "lens"), [(1.05, LENS), (0.95, ())])
-def test_a_wrong_camera_is_found_with_the_pose(room: PaintedRoom, focal_factor: float, lens: tuple[float, ...]) -> None:
+def test_a_wrong_camera_is_estimated(room: PaintedRoom, focal_factor: float, lens: tuple[float, ...]) -> None:
     true = room.photo.camera
     stated = replace(true, fx=true.fx * focal_factor, fy=true.fy * focal_factor, distortion=lens)
     fixed, photo = finished_with(room, stated)
@@ -74,7 +74,7 @@ def test_a_wrong_camera_is_found_with_the_pose(room: PaintedRoom, focal_factor: 
     assert len(found.summary(stated)) == 2
 
 
-def test_a_fixed_camera_stays_whatever_the_picture_says(room: PaintedRoom) -> None:
+def test_a_fixed_camera_is_never_changed(room: PaintedRoom) -> None:
     true = room.photo.camera
     fixed, photo = finished_with(room, replace(true, fx=true.fx * 1.05, fy=true.fy * 1.05))
     assert estimate_camera(fixed, photo, fixed.camera_from_scanner, "fixed") is fixed
@@ -84,7 +84,7 @@ def test_a_fixed_camera_stays_whatever_the_picture_says(room: PaintedRoom) -> No
     assert abs(only_focal.camera.fx / true.fx - 1) < 0.01
 
 
-def test_a_focal_length_far_off_is_found_or_refused(room: PaintedRoom) -> None:
+def test_a_very_wrong_focal_length_is_estimated_or_refused(room: PaintedRoom) -> None:
     true = room.photo.camera
     fixed, photo = finished_with(room, replace(true, fx=true.fx * 1.2, fy=true.fy * 1.2))
     found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto")
@@ -124,7 +124,7 @@ def test_the_jacobian_is_the_derivative_of_the_projection(change: CameraChange, 
     np.testing.assert_allclose(np.stack([Ju @ step, Jv @ step], axis=-1), expected, atol=1e-4 * np.abs(expected).max())
 
 
-def test_the_deviate_of_chance_is_normal() -> None:
+def test_the_normal_deviate_is_normal_under_the_null_hypothesis() -> None:
     rng = np.random.default_rng(3)
     regions, deviates = 20, []
     for _ in range(2000):
@@ -138,7 +138,7 @@ def test_the_deviate_of_chance_is_normal() -> None:
 
 
 @given(seed=st.integers(0, 2**31), sigmas=st.floats(0.01, 100))
-def test_a_doubt_widens_what_is_told_until_it_is_covered(seed: int, sigmas: float) -> None:
+def test_the_enlarged_covariance_covers_the_shift(seed: int, sigmas: float) -> None:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(6, 6)) + 3 * np.eye(6)
     covariance, way = root @ root.T, rng.normal(size=6)
@@ -146,13 +146,13 @@ def test_a_doubt_widens_what_is_told_until_it_is_covered(seed: int, sigmas: floa
     wider = RegionEvidence(covariance, 20).inflated_by(moved).covariance
     assert np.linalg.eigvalsh(wider - covariance).min() > 0
     assert moved @ np.linalg.solve(wider, moved) <= 1
-    # An error as long as the move, in any other direction, is no surprise either.
+    # An error of the same length in any other direction is covered as well.
     other = sigmas * root @ np.linalg.qr(np.column_stack([way, rng.normal(size=6)]))[0][:, 1]
     assert other @ np.linalg.solve(wider, other) <= 6
 
 
 @pytest.mark.parametrize("focal_factor", [1.015, 0.985])
-def test_two_steps_tell_of_a_camera_that_is_little_off(room: PaintedRoom, focal_factor: float) -> None:
+def test_a_slightly_wrong_camera_is_detected_by_the_preview(room: PaintedRoom, focal_factor: float) -> None:
     true = room.photo.camera
     fixed, photo = finished_with(room, replace(true, fx=true.fx * focal_factor, fy=true.fy * focal_factor))
     found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto")
@@ -160,6 +160,6 @@ def test_two_steps_tell_of_a_camera_that_is_little_off(room: PaintedRoom, focal_
     assert abs(found.camera.fx / true.fx - 1) < 0.005
 
 
-def test_an_unknown_choice_is_refused() -> None:
+def test_an_unknown_option_is_refused() -> None:
     with pytest.raises(OptionError, match="focal_k1"):
         AutoOptions(intrinsics="everything")  # type: ignore[arg-type]

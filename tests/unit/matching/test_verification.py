@@ -1,4 +1,4 @@
-"""The verdict: what a coarse scan must show, what a wrong pose shows by accident, and what is said of either."""
+"""Verification: thresholds for coarse scans, chance agreement of wrong poses, and reasons."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def maps_with_peaks(shifts: np.ndarray) -> Agreement:
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(5, 50), st.integers(0, 2**32 - 1))
-def test_agreement_is_ever_less_an_accident_the_more_blocks_agree(count: int, seed: int) -> None:
+def test_the_false_alarm_decreases_with_the_number_of_agreeing_blocks(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     far = rng.integers(2, _RADIUS + 1, (count, 2)) * rng.choice([-1, 1], (count, 2))
     order = rng.permutation(count)
@@ -61,13 +61,13 @@ def test_agreement_is_ever_less_an_accident_the_more_blocks_agree(count: int, se
     assert alarms[0] == pytest.approx(1)
     assert alarms[-1] == pytest.approx(0.25**count)
     assert all(0 <= after <= before * (1 + 1e-9) for before, after in pairwise(alarms))
-    # Never less than by the floor of a climb: p of the pair itself can only raise it.
+    # 0.25 is the lower limit of p; the estimate of the pair itself can only raise it.
     for agreeing, alarm in enumerate(alarms):
         tail = sum(comb(count, k) * 0.25**k * 0.75 ** (count - k) for k in range(agreeing, count + 1))
         assert alarm >= tail * (1 - 1e-9)
 
 
-def test_a_pattern_that_agrees_at_another_shift_as_well_counts_as_an_accident() -> None:
+def test_agreement_at_another_shift_raises_the_false_alarm() -> None:
     shifts = np.zeros((40, 2), np.int64)
     shifts[:18] = (5, 0)
     rival = maps_with_peaks(shifts).false_alarm(1.5)
@@ -75,7 +75,7 @@ def test_a_pattern_that_agrees_at_another_shift_as_well_counts_as_an_accident() 
     assert maps_with_peaks(shifts).false_alarm(1.5) < 1e-4 < 0.1 < rival
 
 
-def test_without_blocks_everything_may_be_an_accident() -> None:
+def test_without_blocks_the_false_alarm_is_one() -> None:
     assert maps_with_peaks(np.zeros((0, 2), np.int64)).false_alarm(1.5) == 1
 
 
@@ -88,7 +88,7 @@ def test_a_coarse_scan_is_accepted_by_few_regions(room: PaintedRoom) -> None:
     assert room.error_px(result.camera_from_scanner) < 1
 
 
-def test_climbed_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRoom) -> None:
+def test_refined_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
     mirror = lr.Photo(np.ascontiguousarray(room.photo.pixels[:, ::-1]), room.photo.camera)
     other = aligner_of(thinned(room.scan, 2), mirror)
@@ -109,7 +109,7 @@ def test_climbed_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRo
     assert judged >= 4
 
 
-def test_a_first_look_asks_for_half_the_digits(room: PaintedRoom) -> None:
+def test_the_preliminary_verdict_uses_the_square_root_of_the_bound(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
     _, coarse, fine = aligner.verify(room.camera_from_scanner)
     alarm = coarse.false_alarm(3.0)
@@ -119,7 +119,7 @@ def test_a_first_look_asks_for_half_the_digits(room: PaintedRoom) -> None:
     assert verify(coarse, fine).by_few
 
 
-def test_few_regions_that_tell_the_pose_roughly_are_refused_in_words(room: PaintedRoom) -> None:
+def test_few_regions_with_an_uncertain_pose_are_refused(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
     verdict = aligner.verify(room.camera_from_scanner)[0]
     assert verdict.accepted
@@ -133,7 +133,7 @@ def test_few_regions_that_tell_the_pose_roughly_are_refused_in_words(room: Paint
     assert check_precision(many, points, camera, pose, rough) is many
 
 
-def test_regions_lie_in_the_photo_and_agree_at_the_truth(room: PaintedRoom) -> None:
+def test_region_markers_lie_in_the_photo_and_agree_at_the_true_pose(room: PaintedRoom) -> None:
     aligner = aligner_of(room.scan, room.photo)
     camera = room.photo.camera
     shares = []

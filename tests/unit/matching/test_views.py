@@ -25,18 +25,18 @@ def room() -> PaintedRoom:
     return painted_room(seed=3)
 
 
-def test_cells_that_a_strong_lens_cannot_see_are_no_direction(room: PaintedRoom) -> None:
+def test_cells_without_rays_are_ignored(room: PaintedRoom) -> None:
     lens = lr.Camera(width=50, height=40, fx=50, fy=50, cx=25, cy=20, distortion=(-2.0, 0, 0, 0))
     scan = lr.Scan(PinholeGrid(lens), np.full((40, 50), 3.0), np.ones((40, 50)))
     assert len(viewing_directions(scan, lr.Camera.from_focal(100, 80, 90.0))) >= 1
-    # A view in which the lens shows nothing at all is empty, not undefined.
+    # A view without any cell is empty, not undefined.
     away = lr.Rigid(look_along(np.array([-1.0, 0.0, 0.0])), np.zeros(3))
     view = perspective_view(scan, lr.Camera.from_focal(64, 48, 90.0), view_from_scanner=away)
     assert np.isfinite(view.cells).all()
     assert not view.inside.any()
 
 
-def test_a_view_follows_what_the_photo_sees(room: PaintedRoom) -> None:
+def test_the_view_is_directed_at_the_overlap(room: PaintedRoom) -> None:
     camera = lr.Camera.from_focal(160, 120, 520.0)
     rolled_view = rotation_from_rotvec([0, 0, 1.2]) @ look_along(np.array([1.0, 0.15, 0.0]))
     pose = lr.Rigid.from_centre(rolled_view, np.array([0.0, 0.9, 0.0]))
@@ -52,7 +52,7 @@ def test_a_view_follows_what_the_photo_sees(room: PaintedRoom) -> None:
     again = direction_towards_overlap(room.scan, camera, pose, view=along_axis)
     assert again is not None
     np.testing.assert_allclose(again.rotation, turn.rotation)
-    assert abs(again.rotation[0] @ rolled_view[1]) < 1e-6  # with the photo's roll
+    assert abs(again.rotation[0] @ rolled_view[1]) < 1e-6  # the roll is that of the photo
     away = lr.Rigid(np.diag([-1.0, 1.0, -1.0]) @ rolled_view, np.zeros(3))
     assert direction_towards_overlap(room.scan, camera, away) is None
 
@@ -66,7 +66,7 @@ def test_a_sparse_scan_is_refused_for_that_reason(room: PaintedRoom, start: str)
 
 
 @pytest.mark.parametrize("step", [1, 2, 5])
-def test_density_counts_the_returns_in_the_picture(room: PaintedRoom, step: int) -> None:
+def test_density_counts_the_returns_in_the_image(room: PaintedRoom, step: int) -> None:
     scan, camera = thinned(room.scan, step), room.photo.camera
     behind = lr.Rigid(np.diag([-1.0, 1.0, -1.0]) @ room.camera_from_scanner.rotation, np.zeros(3))
     density = scan_density(scan, camera, [behind, room.camera_from_scanner])
