@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
@@ -26,11 +25,11 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.steps import StepLog
 
-log = logging.getLogger(__name__)
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _SUFFICIENT_FRACTION = 0.6
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
+_ADVICE = "Draw a few matches by hand, or give an initial pose."
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +136,7 @@ def register_auto(
         _search_near(search, found, directions[0], initial)
     else:
         _search_everywhere(search, found, directions, initial)
-    return _explain_if_sparse(found.answer(initial), scan, photo, [*directions, *([initial] if initial else [])])
+    return _explain_if_sparse(found.result(initial), scan, photo, [*directions, *([initial] if initial else [])])
 
 
 class CandidateSet:
@@ -184,17 +183,15 @@ class CandidateSet:
         if self._accepted is None or _fraction(result) > _fraction(self._accepted):
             self._accepted, self._accepted_by = result, aligner
 
-    def answer(self, initial: Rigid | None) -> AutoResult:
-        """Return the result."""
+    def result(self, initial: Rigid | None) -> AutoResult:
+        """Return the accepted result, else the best refused one."""
         if self._accepted is not None:
             # A given pose decides which of several similar places is meant, but only if most regions agree there.
             if self._ambiguous_poses is None and (initial is None or _fraction(self._accepted) < _SUFFICIENT_FRACTION):
                 self._ambiguous_poses = self._second_minimum()
-            return (
-                self._accepted
-                if self._ambiguous_poses is None
-                else _refused_as_ambiguous(self._accepted, *self._ambiguous_poses)
-            )
+            if self._ambiguous_poses is not None:
+                return _refused_as_ambiguous(self._accepted, *self._ambiguous_poses)
+            return self._accepted
         if self._refused is not None:
             return self._refused
         if self._unfinished is None:
@@ -299,9 +296,6 @@ def _refused_as_ambiguous(result: AutoResult, first: Rigid, second: Rigid) -> Au
     assert result.verification is not None, "only verified poses are compared"
     reasons = (ambiguity_sentence(first, second), _ADVICE)
     return replace(result, verification=replace(result.verification, accepted=False, reasons=reasons), reasons=reasons)
-
-
-_ADVICE = "Draw a few matches by hand, or give an initial pose."
 
 
 def _fraction(result: AutoResult) -> float:

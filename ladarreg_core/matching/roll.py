@@ -26,7 +26,7 @@ _MARGIN = 0.02
 _MAX_CORNERS = 500
 _APART_PX = 3
 _SPACING_PX, _WINDOW_PX = 6.0, 15
-_ALIKE_PX = 40.0  # parallax spreads the displacements of one scene
+_SAME_DISPLACEMENT_PX = 40.0  # parallax spreads the displacements of one scene
 _MIN_MATCHES = 10
 _MAX_POSED, _MIN_INLIERS = 3, 8
 _MIN_PEAK_RATIO = 1.5
@@ -230,7 +230,7 @@ def _agreeing(scan_uv: NDArray[np.float64], photo_uv: NDArray[np.float64], angle
         return 0
     displacement = photo_uv - rotate_pixels(scan_uv, angle)
     between = displacement[:, None] - displacement[None]
-    return int((np.hypot(between[..., 0], between[..., 1]) <= _ALIKE_PX).sum(axis=1).max())
+    return int((np.hypot(between[..., 0], between[..., 1]) <= _SAME_DISPLACEMENT_PX).sum(axis=1).max())
 
 
 def _peak(before: int, at: int, after: int) -> float:

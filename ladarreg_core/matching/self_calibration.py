@@ -25,7 +25,7 @@ FreeCamera = Literal["auto", "fixed", "focal", "focal_k1"]
 
 _FREE: Mapping[FreeCamera, int] = {"auto": 2, "fixed": 0, "focal": 1, "focal_k1": 2}
 _SUSPECT_SIGMA = 3.0
-_FITS_SIGMA, _FITS_SHIFT = 2.0, 0.01  # two steps tell of a wrong camera most of what a whole finish does, or move it
+_FITS_SIGMA, _FITS_SHIFT = 2.0, 0.01  # two steps show most of the change that a whole finish makes
 _KEEP_SIGMA = 3.0
 _REFUSE_SIGMA = 5.0
 _WRONG_CAMERA = (
@@ -40,7 +40,7 @@ _SUFFICIENT_FINE_FRACTION = 0.6
 _MIN_FINE_FRACTION = 0.5
 _MIN_SHIFT_CALIBRATED = 0.025  # relative to the distance from the principal point
 _CENTRAL_FRACTION = 0.3
-_PROMISING_FRACTION, _MIN_GAIN = 0.5, 0.05  # of the windows at level 1
+_PROMISING_FRACTION, _MIN_GAIN = 0.5, 0.05  # fractions of the windows at level 1
 
 
 def check_free_camera(value: object) -> None:

@@ -18,7 +18,7 @@ from ladarreg_core.surface.uncertainty import pixel_sigma
 
 NEAR_PX = {1: 3.0, 0: 1.5}
 """Working pixels within which a region's correlation peak counts as agreeing, by level."""
-_MAX_SIGMA_PX = 1.0  # two sigma are the 2 px that an accepted pose stays below
+_MAX_SIGMA_PX = 1.0  # two sigma: accepted poses are correct to 2 px
 _STANDARD_PIXELS = 1_000_000
 _MAX_REGIONS = 250
 _SAMPLE = 500

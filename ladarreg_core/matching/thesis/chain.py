@@ -258,7 +258,7 @@ class _Solver:
         """Return the result of an estimator that needs no initial pose."""
         with self.steps.step(_STEP_NAMES[name]) as note:
             stage = self._solved(name, matches, method)
-            self._note(stage, note)
+            self._record(stage, note)
         return stage
 
     def first_pose(self, linear: Stage, filtered: Matches, search: ThesisSearch) -> Rigid | None:
@@ -289,7 +289,7 @@ class _Solver:
                 note["said"] = "No pose has more inliers than expected by chance."
                 return None
             partners, margin, stage = best
-            self._note(stage, note)
+            self._record(stage, note)
             del note["stage"]  # an auxiliary pose, not a stage of the thesis
             note.update(t1=round(margin, 4), partners=partners)
         assert stage.result is not None
@@ -302,13 +302,13 @@ class _Solver:
         whole = replace(o.pose.simplex, reject_rounds=0)
         with self.steps.step("simplex") as note:
             first = self._solved("simplex", matches, method, start, replace(o.pose, simplex=whole))
-            self._note(first, note)
+            self._record(first, note)
         if first.result is None:
             return first, Stage(name="simplex_outliers_removed", result=None, note=first.note)
         with self.steps.step("outliers removed") as note:
             again = first.result.camera_from_scanner
             second = self._solved("simplex_outliers_removed", matches, method, again, o.pose)
-            self._note(second, note)
+            self._record(second, note)
         return first, second
 
     def _solved(
@@ -327,7 +327,7 @@ class _Solver:
             return Stage(name=name, result=None, note=_sentence(str(error)))
         return Stage(name=name, result=result, note=_sentence(_summary(result)))
 
-    def _note(self, stage: Stage, note: dict[str, Any]) -> None:
+    def _record(self, stage: Stage, note: dict[str, Any]) -> None:
         note.update(stage=stage.name, said=stage.note)
         if stage.result is not None:
             note.update(matches=len(stage.result.matches), inliers=int(stage.result.inliers.sum()))

@@ -92,8 +92,8 @@ class ThesisMatchOptions:
                 raise OptionError(f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(get_args(kind))}")
 
 
-_MAX_CORNERS = 4000  # every one is compared with every other
-_WIDE_T1, _WIDE_SCORE, _WIDE_T2_PX = 0.1, 0.5, 15.0  # of the large window, whose matches only move the small ones
+_MAX_CORNERS = 4000  # all pairs are correlated
+_WIDE_T1, _WIDE_SCORE, _WIDE_T2_PX = 0.1, 0.5, 15.0  # stricter, for the large window that recentres the small ones
 _ALLOWED = {True: "of pixels above 0", False: "from 0 to 2"}
 
 
