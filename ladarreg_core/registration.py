@@ -200,7 +200,7 @@ def _of_thesis(found: ThesisResult, scan: Scan, photo: Photo) -> PoseResult:
             raise _with_losses(found.stages[-1].note, found.losses)
         notes = tuple(dict.fromkeys(stage.note for stage in found.stages))
         return replace(_nowhere(scan, photo), reasons=(*notes, *found.cautions))
-    return replace(result, reasons=(*result.reasons, *found.left_behind, *found.cautions, *found.losses))
+    return replace(result, reasons=(*result.reasons, *found.fallback_note, *found.cautions, *found.losses))
 
 
 def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:

@@ -74,7 +74,7 @@ class MatchingJobs:
         if search is None or search.found is None or search.key != self._key(inputs):
             raise OptionError("there are no corner matches to cull; match corners first")
         with _timed(context, "disparity culling") as note:
-            kept = search.search.culled(search.found)
+            kept = search.search.filtered(search.found)
             pairs = {(*a, *b) for a, b in zip(kept.scan_uv.tolist(), kept.photo_uv.tolist(), strict=True)}
             on = {
                 name: (*a, *b) in pairs
@@ -99,7 +99,7 @@ class MatchingJobs:
             note.update(matches=len(found))
         context.check()
         with _timed(context, "disparity culling") as note:
-            kept = search.search.culled(found)
+            kept = search.search.filtered(found)
             note.update(matches=len(kept), culled=len(found) - len(kept))
         self._keep(inputs, search, kept, f"Search again: {len(kept)} matches", context)
         return f"{len(found)} corners found where the pose expects them, {len(kept)} of them alike."
@@ -148,10 +148,10 @@ class MatchingJobs:
         known = self._searches.get(inputs.entry.id)
         if known is not None and known.key == key:
             return known
-        from ladarreg_core.matching.thesis.chain import search_of
+        from ladarreg_core.matching.thesis.chain import thesis_search
 
         context.job.said = "looking for corners"
-        found = search_of(inputs.scan, inputs.photo, inputs.settings.match_options, report=context.step)
+        found = thesis_search(inputs.scan, inputs.photo, inputs.settings.match_options, report=context.step)
         self._searches[inputs.entry.id] = search = Search(key, found)
         return search
 

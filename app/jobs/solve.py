@@ -67,7 +67,7 @@ class SolvingJobs:
 
     def verify(self, inputs: Inputs, context: JobContext) -> str:
         """Ask the pictures whether they agree under the shown pose."""
-        from ladarreg_core.matching.verify_pose import verify_pose
+        from ladarreg_core.matching.aligner import verify_pose
 
         pose = inputs.entry.pose
         if pose is None:

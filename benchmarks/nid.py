@@ -1,8 +1,7 @@
-"""Normalised information distance: how much less one picture tells once the other is known, whatever the mapping.
+"""Normalised information distance of two images: their dependence under any mapping of gray levels.
 
-An optional score where neither gray levels nor edges are shared. Its optimum is broad and biased by shading, so it is
-a help to get near and never the last word: on accepted cases it doubled the error, and alignment of channels must
-follow it.
+A score for comparison, for images that share neither gray levels nor edges. Its optimum is broad and biased by shading,
+so it can only give an initial pose: on accepted cases it doubled the error.
 """
 
 from __future__ import annotations
@@ -25,21 +24,21 @@ _MOST_EVALUATIONS = 400
 
 
 def rank_bins(values: ArrayLike, *, bins: int = BINS) -> NDArray[np.intp]:
-    """Return the bin (N,) of each value, the bins holding equally many: only the order of the values counts.
+    """Return the bin (N,) of each value, with equally many values in each bin: only the order of the values matters.
 
     Args:
-        values: (N,) finite numbers; equal ones share a bin.
-        bins: how many.
+        values: (N,) finite numbers; equal values share a bin.
+        bins: number of bins.
 
     Raises:
-        ShapeError: if they are no finite vector.
+        ShapeError: if the values are not a finite vector.
         OptionError: if there are fewer than two bins.
     """
     if isinstance(bins, bool) or not isinstance(bins, int) or bins < 2:
         raise OptionError(f"the number of bins is {bins!r}; it must be a whole number of at least 2")
     given = read_only(values, np.float64, (None,), "the values")
     if not np.isfinite(given).all():
-        raise ShapeError("the values hold NaN or infinity; give finite ones")
+        raise ShapeError("the values contain NaN or infinity; give finite values")
     if not len(given):
         return np.zeros(0, np.intp)
     ordered = np.sort(given)
@@ -48,25 +47,25 @@ def rank_bins(values: ArrayLike, *, bins: int = BINS) -> NDArray[np.intp]:
 
 
 def nid(first: ArrayLike, second: ArrayLike, *, bins: int = BINS) -> float:
-    """Return the normalised information distance of paired values: 0 where each tells the other, 1 where neither does.
+    """Return the normalised information distance of paired values: 0 if each determines the other, 1 if independent.
 
     Args:
-        first: (N,) values of one picture.
-        second: (N,) values of the other at the same places.
-        bins: how finely each is told.
+        first: (N,) values of one image.
+        second: (N,) values of the other at the same pixels.
+        bins: number of bins of each.
 
     Returns:
-        (H(A, B) - I(A; B)) / H(A, B) of the rank-equalised values; 1 where one of them is constant.
+        (H(A, B) - I(A; B)) / H(A, B) of the rank-equalised values; 1 if one of them is constant.
 
     Raises:
-        ShapeError: if they are not two finite vectors of one length.
+        ShapeError: if they are not two finite vectors of equal length.
         OptionError: if there are fewer than two bins.
 
     Source: Li et al. 2004; Pascoe et al. 2015 for registration.
     """
     a, b = rank_bins(first, bins=bins), rank_bins(second, bins=bins)
     if len(a) != len(b):
-        raise ShapeError(f"there are {len(a)} values of one picture and {len(b)} of the other; give pairs")
+        raise ShapeError(f"there are {len(a)} values of one image and {len(b)} of the other; give pairs")
     joint = np.bincount(a * bins + b, minlength=bins * bins).reshape(bins, bins) / max(len(a), 1)
     own_a, own_b, both = (_entropy(p) for p in (joint.sum(axis=1), joint.sum(axis=0), joint.ravel()))
     if min(own_a, own_b) <= 0:
@@ -81,12 +80,12 @@ def _entropy(probabilities: NDArray[np.float64]) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NidPair:
-    """Scan points with a value each, and the gray picture that they are compared with."""
+    """Scan points with one value each, and the gray image that they are compared with."""
 
     points: FloatArray
     """(N, 3) m, scanner frame."""
     values: FloatArray
-    """(N,) what the scan measured there."""
+    """(N,) measured values, such as intensities."""
     gray: FloatArray
     """(H, W) the photo."""
     camera: Camera
@@ -96,17 +95,17 @@ class NidPair:
         points = read_only(self.points, np.float64, (None, 3), "the points")
         values = read_only(self.values, np.float64, (len(points),), "the points' values")
         if not (np.isfinite(points).all() and np.isfinite(values).all()):
-            raise ShapeError("the points or their values hold NaN or infinity; leave out what has no return")
-        gray = read_only(self.gray, np.float32, (self.camera.height, self.camera.width), "the gray picture")
+            raise ShapeError("the points or their values contain NaN or infinity; leave out cells without a return")
+        gray = read_only(self.gray, np.float32, (self.camera.height, self.camera.width), "the gray image")
         for name, value in (("points", points), ("values", values), ("gray", gray)):
             object.__setattr__(self, name, value)
 
     def score(self, camera_from_scanner: Rigid, *, visible: BoolArray | None = None) -> float:
-        """Return the distance at a pose over the points inside the picture; 1 where fewer than 200 are.
+        """Return the distance at a pose over the points inside the image; 1 if there are fewer than 200.
 
         Args:
             camera_from_scanner: the pose.
-            visible: (N,) bool, points that nothing hides; None: all.
+            visible: (N,) bool, points that are not occluded; None: all.
         """
         uv = self.camera.project(camera_from_scanner @ self.points)
         inside = self.camera.contains(uv, border=1)
@@ -120,13 +119,13 @@ class NidPair:
     def refine(
         self, start: Rigid, *, visible: BoolArray | None = None, step_rad: float = 0.01, step_m: float = 0.04
     ) -> tuple[Rigid, float]:
-        """Return the pose of least distance found by a simplex from a start, and the distance: never more than there.
+        """Return the pose of least distance found by a simplex, and its distance, which is at most that of the start.
 
         Args:
-            start: `camera_from_scanner`.
-            visible: as in `score`, kept as it is.
-            step_rad: size of the first simplex, turns.
-            step_m: likewise, shifts of the camera.
+            start: initial `camera_from_scanner`.
+            visible: as in `score`; not updated.
+            step_rad: size of the initial simplex in rotation.
+            step_m: size of the initial simplex in camera position.
 
         Raises:
             OptionError: if a step is not positive.
