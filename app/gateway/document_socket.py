@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Coroutine
+import threading
+from collections import defaultdict, deque
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -14,12 +16,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from ladarreg_core.errors import LadarregError
 
 from ..process_resources import return_memory_soon
-from .encoding import Encoded
-from .json_text import NotJson, decode_object, encode
-from .outbox import Outbox
-from .protocol import Client, Workbench
-from .told import Told
-from .visitors import Visitors
+from .encoding import Encoded, NotJson, decode_object, encode
+from .protocol import Client, Message, Workbench
 
 log = logging.getLogger(__name__)
 LONGEST_MESSAGE = 1_000_000
@@ -134,3 +132,118 @@ async def _until_one_ends(*works: Coroutine[Any, Any, None]) -> None:
         await asyncio.gather(*tasks, return_exceptions=True)
     for task in done:
         task.result()
+
+
+class Told:
+    """The slices as a page has them; its messages are numbered, so that it would notice if it missed one.
+
+    Args:
+        client: the page.
+        encoded: shared by all pages.
+    """
+
+    def __init__(self, client: Client, encoded: Encoded) -> None:
+        self._client, self._encoded = client, encoded
+        self._slices: dict[str, Any] = {}
+        self._version = 0
+
+    def text(self, message: Message) -> str:
+        """Return a message as this page is to be sent it, and take it for sent."""
+        return self._news(message["slices"]) if "slices" in message else encode(message)
+
+    def _news(self, slices: dict[str, Any]) -> str:
+        self._version += 1
+        whole: dict[str, Any] = {}
+        changes: dict[str, Any] = {}
+        for name, value in slices.items():
+            if name == "people" and value:  # everybody is somebody else in it
+                whole[name] = value | {"you": self._client.name}
+                continue
+            before = self._slices.get(name)
+            change = None if before is None or value is None else self._encoded.change(before, value)
+            if change is None:
+                whole[name] = self._encoded.slice(value)
+            else:
+                changes[name] = change
+        self._slices = {name: value for name, value in (self._slices | slices).items() if value is not None}
+        parts = {"slices": whole, "changes": changes} if changes else {"slices": whole}
+        return encode({**parts, "version": self._version})
+
+
+_MOST_EVENTS = 200
+_NEWEST_WINS = frozenset({"simplex", "hover"})
+"""Events of which only the last one says anything."""
+
+
+class Outbox:
+    """Messages to one page; filled from any thread, emptied by one task.
+
+    Args:
+        wake: called, from the thread that fills, when there is something after there was nothing.
+    """
+
+    def __init__(self, wake: Callable[[], None]) -> None:
+        self._wake = wake
+        self._lock = threading.Lock()
+        self._slices: dict[str, Any] = {}
+        self._rest_of_slices: dict[str, Any] = {}
+        self._newest: dict[str, Message] = {}
+        self._events: deque[Message] = deque(maxlen=_MOST_EVENTS)
+        self._reply: str | None = None
+
+    def put(self, message: Message) -> None:
+        """Add slices, which replace those of the same name, or an event."""
+        with self._lock:
+            idle = self._is_empty()
+            if "slices" in message:
+                self._slices.update(message["slices"])
+                self._rest_of_slices = {name: value for name, value in message.items() if name != "slices"}
+            elif message.get("event") in _NEWEST_WINS:
+                self._newest[message["event"]] = message
+            else:
+                self._events.append(message)
+        if idle:
+            self._wake()
+
+    def reply(self, text: str) -> None:
+        """Add the answer to the page's question; it goes out after what changed before it."""
+        with self._lock:
+            idle = self._is_empty()
+            self._reply = text
+        if idle:
+            self._wake()
+
+    def take(self) -> tuple[list[Message], str | None]:
+        """Return all that waits, messages and the answer, and forget it."""
+        with self._lock:
+            messages = [{"slices": self._slices} | self._rest_of_slices] if self._slices else []
+            messages += [*self._newest.values(), *self._events]
+            reply, self._reply = self._reply, None
+            self._slices, self._newest = {}, {}
+            self._events.clear()
+        return messages, reply
+
+    def _is_empty(self) -> bool:
+        return not (self._slices or self._newest or self._events or self._reply)
+
+
+class Visitors:
+    """The pages that are open now; used by the event loop only."""
+
+    def __init__(self) -> None:
+        self._pages: defaultdict[str, list[Client]] = defaultdict(list)
+
+    def enter(self, browser: str, client: Client) -> None:
+        """Note that a browser opened a page."""
+        self._pages[browser].append(client)
+
+    def leave(self, browser: str, client: Client) -> None:
+        """Note that a browser closed a page."""
+        self._pages[browser] = [other for other in self._pages[browser] if other is not client]
+        if not self._pages[browser]:
+            del self._pages[browser]
+
+    def newest(self, browser: str) -> Client | None:
+        """Return the page that a browser opened last and has open still."""
+        pages = self._pages.get(browser)
+        return pages[-1] if pages else None

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
+
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
+
+from ladarreg_core.errors import LadarregError, OptionError
 
 from .protocol import Workbench
 
@@ -28,3 +32,39 @@ class Exports:
         return FileResponse(
             path, filename=name, media_type="application/zip", headers={"cache-control": "private, no-cache"}
         )
+
+
+_AT_A_TIME = 2
+_HOUR_S = 3600
+_GONE = 499
+
+
+class Pictures:
+    """Serves `/picture/...`.
+
+    Args:
+        workbench: draws them.
+    """
+
+    def __init__(self, workbench: Workbench) -> None:
+        self._workbench = workbench
+        self._turn = asyncio.Semaphore(_AT_A_TIME)
+
+    async def serve(self, request: Request) -> Response:
+        """Return a picture."""
+        query = dict(request.query_params)
+        async with self._turn:
+            if await request.is_disconnected():  # a dragged slider has asked for the next one already
+                return Response(status_code=_GONE)
+            try:
+                picture = await run_in_threadpool(self._workbench.picture, request.path_params["path"], query)
+            except OptionError as error:
+                return PlainTextResponse(f"{error}\n", status_code=400)
+            except LadarregError as error:
+                return PlainTextResponse(f"{error}\n", status_code=404)
+        etag = '"' + "".join(c for c in picture.etag if (c.isascii() and c.isalnum()) or c in "-_.") + '"'
+        kept = f"private, max-age={_HOUR_S}" if query.get("rev") else "private, no-cache"
+        headers = {"etag": etag, "cache-control": kept}
+        if etag in (tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")):
+            return Response(status_code=304, headers=headers)
+        return Response(picture.data, media_type=picture.media_type, headers=headers)

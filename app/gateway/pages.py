@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mimetypes
 import os
+from functools import cache
 from pathlib import Path
 
 from starlette.exceptions import HTTPException
@@ -59,3 +60,25 @@ def front_page(folder: Path, request: Request) -> Response:
     response = Pages(folder).file_response(path, path.stat(), request.scope)
     response.headers["content-type"] = "text/html; charset=utf-8"
     return response
+
+
+_ANCHOR = "tokens.css"
+
+
+@cache
+def static_folder() -> Path:
+    """Return the folder of the page's files.
+
+    Raises:
+        FileNotFoundError: if the installation is broken.
+    """
+    here = Path(__file__).resolve().parents[1]
+    for folder in (here / "static", here.parent / "static"):
+        if (folder / _ANCHOR).is_file():
+            return folder
+    raise FileNotFoundError(f"the page's files are missing beside {here}; install ladarreg again")
+
+
+def static_text(name: str) -> str:
+    """Return the text of one of the page's files."""
+    return (static_folder() / name).read_text(encoding="utf-8")

@@ -12,19 +12,16 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.types import ASGIApp
 
 from ..process_resources import raised_descriptor_limit
-from ..static_files import static_folder
-from .document_socket import DocumentSocket
-from .downloads import Exports
+from .document_socket import DocumentSocket, Visitors
+from .downloads import Exports, Pictures
 from .login import Door
 from .options import GatewayOptions
-from .pages import Pages, front_page
-from .pictures import Pictures
+from .pages import Pages, front_page, static_folder
 from .protocol import Workbench
 from .security import Guard
 from .uploads import Uploads
-from .viser_lock import ViserAddress
+from .viser_backend import ViserAddress
 from .viser_proxy import ViserProxy
-from .visitors import Visitors
 
 
 def site(

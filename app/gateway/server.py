@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import errno
+import os
+import signal
 import socket
 import ssl
 import sys
 import threading
 import time
+import webbrowser
 from collections.abc import Callable
+from urllib.parse import quote
 
 import uvicorn
 from starlette.types import ASGIApp
@@ -16,8 +20,12 @@ from starlette.types import ASGIApp
 from ladarreg_core.errors import OptionError
 
 from ..process_resources import raised_descriptor_limit
+from ..stop_signals import StopSignals, say
 from .connections import PROTOCOLS, LimitedServer, WatchedApp
 from .options import GatewayOptions
+from .protocol import Workbench
+from .routes import site
+from .viser_backend import ViserAddress
 
 _PORTS_TRIED = 100
 _START_S = 20.0
@@ -161,3 +169,74 @@ def _bound_socket(options: GatewayOptions) -> socket.socket:
             continue
         return bound
     raise OptionError(f"no free port from {options.port} on; give another with --port")
+
+
+_GIVE_WAY_S = 0.0005
+"""A thread that computes gives way after so long to those that answer pages, who wait for that several times each."""
+
+
+def serve_until_interrupted(
+    workbench: Workbench,
+    viser: Callable[[], ViserAddress],
+    *,
+    token: str,
+    options: GatewayOptions,
+    browser: bool,
+    stop: StopSignals,
+    then: Callable[[], None] = lambda: None,
+) -> None:
+    """Serve, say where, and return when a signal asks to stop.
+
+    Args:
+        workbench: what is behind the page.
+        viser: tells where the locked viser server listens; may wait for it.
+        token: what opens the page.
+        options: where to listen.
+        browser: whether to open a browser, too.
+        stop: receives the signals.
+        then: called once pages can come.
+
+    Raises:
+        OptionError: if there is no such address, no free port, or no such certificate.
+    """
+    sys.setswitchinterval(_GIVE_WAY_S)
+    gateway = Gateway(lambda port: site(workbench, token=token, viser=viser, options=options, port=port), options)
+    try:
+        gateway.start()
+        if options.port not in (0, gateway.port):
+            print(f"ladarreg: port {options.port} is busy, using {gateway.port}", file=sys.stderr)
+        if not options.on_loopback:
+            print(f"ladarreg: {warning(options)}", file=sys.stderr)
+        address = f"{gateway.address}?token={quote(token, safe='')}"
+        print(f"Open {address}  (Ctrl-C ends)", flush=True)
+        if browser:
+            open_browser(address)
+        then()
+        gateway.wait(stop.wait)
+        if stop.first == signal.SIGINT:
+            say("")  # behind the terminal's ^C
+    finally:
+        gateway.close()
+
+
+def warning(options: GatewayOptions) -> str:
+    """Return what to know before others can connect."""
+    if options.tls:
+        return f"others can reach {options.host}: whoever has the token may see, change and upload everything here"
+    return (
+        f"others can reach {options.host}, and without TLS the token and all data can be read on the way: use"
+        " --certfile and --keyfile, a proxy, or an SSH tunnel (docs/remote.md)"
+    )
+
+
+def open_browser(address: str) -> bool:
+    """Open an address where there is a screen: without one, a text browser would take over the terminal.
+
+    Args:
+        address: what to open.
+
+    Returns:
+        Whether a browser was found.
+    """
+    screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return bool(sys.platform in ("win32", "darwin") or screen) and webbrowser.open(address)

@@ -9,11 +9,13 @@ import re
 import secrets
 import shutil
 import time
+import unicodedata
 from collections import Counter
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+from urllib.parse import unquote
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
@@ -22,9 +24,8 @@ from starlette.types import Receive, Scope, Send
 
 from ladarreg_core.errors import LadarregError, OptionError
 
+from .document_socket import Visitors
 from .protocol import Workbench
-from .upload_name import safe_suffix, upload_name
-from .visitors import Visitors
 
 log = logging.getLogger(__name__)
 KINDS = ("scan", "photo", "camera", "matches")
@@ -203,3 +204,36 @@ def _check_size(size: int, most: int, room: Path | None) -> None:
         raise UploadError(f"the file is larger than {most / 2**20:.3g} MB, the most that is taken here", status=413)
     if room is not None and shutil.disk_usage(room).free < size + _LEFT_FREE:
         raise UploadError("the disk of the workbench is nearly full; make room there", status=507)
+
+
+_LONGEST = 255
+_SUFFIX = re.compile(r"\.[a-z0-9]{1,8}")
+
+
+def upload_name(header: str | None) -> str:
+    """Return the name that a file is shown by.
+
+    Args:
+        header: X-File-Name, percent-encoded UTF-8.
+
+    Raises:
+        OptionError: if it is missing, too long, or no name of a file.
+    """
+    name = unicodedata.normalize("NFC", unquote(header or "", errors="replace"))
+    # Invisible signs that join or turn letters: some scripts' names need them, on a page they only mislead.
+    name = "".join(letter for letter in name if unicodedata.category(letter) != "Cf").strip()
+    if not name:
+        raise OptionError("the file has no name; the header X-File-Name is needed")
+    if len(name) > _LONGEST:
+        raise OptionError(f"the file's name has {len(name)} characters; shorten it to {_LONGEST}")
+    if set(name) & set("/\\") or name.strip(".") == "":
+        raise OptionError("the file's name is a path; send the name alone")
+    if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
+        raise OptionError("the file's name holds control characters; rename it")
+    return name
+
+
+def safe_suffix(name: str) -> str:
+    """Return a name's suffix, lower case, or nothing if it is no ordinary one."""
+    suffix = "." + name.rpartition(".")[2].lower() if "." in name else ""
+    return suffix if _SUFFIX.fullmatch(suffix) else ""

@@ -18,7 +18,7 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.typing import Subprotocol
 
 from ..process_resources import return_memory_soon
-from .viser_lock import HEADER, ViserAddress
+from .viser_backend import HEADER, ViserAddress
 
 log = logging.getLogger(__name__)
 _PASSED_ON = ("content-type", "content-length", "content-encoding")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.inspection.model_textures import texture_choices
 
-from ..static_files import static_text
+from ..gateway.pages import static_text
 from .colours import ACCENT
 from .legend import legend_html
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import viser
 
     from ..gateway.options import GatewayOptions
-    from ..gateway.viser_lock import ViserAddress
+    from ..gateway.viser_backend import ViserAddress
     from .workbench import Workbench
 
 _LAST = "last.json"
@@ -122,7 +122,7 @@ def serve_and_close(
         DependencyError: if this version of viser cannot be locked.
         UnsavedError: if there are edits that the project's disk did not take.
     """
-    from ..gateway.serving import serve_until_interrupted
+    from ..gateway.server import serve_until_interrupted
 
     for sentence in workbench.session.folder.said:
         print(f"ladarreg: {sentence}", file=sys.stderr)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ladarreg.gateway.json_text import NotJson, decode_object, encode
+from ladarreg.gateway.encoding import NotJson, decode_object, encode
 from ladarreg.workbench.commands import COMMANDS
 
 from ladarreg_core.formats import read_scan

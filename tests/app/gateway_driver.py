@@ -17,7 +17,7 @@ from ladarreg.gateway.options import GatewayOptions
 from ladarreg.gateway.protocol import Message, Picture
 from ladarreg.gateway.routes import site
 from ladarreg.gateway.server import Gateway
-from ladarreg.gateway.viser_lock import ViserAddress
+from ladarreg.gateway.viser_backend import ViserAddress
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 

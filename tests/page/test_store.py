@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from ladarreg.gateway.document_socket import Told
 from ladarreg.gateway.encoding import Encoded
-from ladarreg.gateway.told import Told
 
 from tests.app.slice_edits import random_states
 

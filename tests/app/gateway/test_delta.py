@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ladarreg.gateway import encoding as encoded
 from ladarreg.gateway.delta import change_between, changed
+from ladarreg.gateway.document_socket import Outbox, Told
 from ladarreg.gateway.encoding import Encoded
-from ladarreg.gateway.outbox import Outbox
-from ladarreg.gateway.told import Told
 from ladarreg.session.cache import EachOnce
 
 from tests.app.slice_edits import random_states

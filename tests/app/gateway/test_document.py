@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.json_text import NotJson, decode_object, encode
-from ladarreg.gateway.outbox import Outbox
+from ladarreg.gateway.document_socket import Outbox
+from ladarreg.gateway.encoding import NotJson, decode_object, encode
 from websockets.exceptions import ConnectionClosed
 
 from tests.app.gateway_driver import Running, hear, running, soon

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.upload_name import safe_suffix, upload_name
+from ladarreg.gateway.uploads import safe_suffix, upload_name
 
 from ladarreg_core.errors import OptionError
 from tests.app.gateway_driver import PNG, Running, hear, running, soon

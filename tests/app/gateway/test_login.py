@@ -12,11 +12,10 @@ from urllib.parse import urlencode
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.attempts import _PACE_S, Attempts
-from ladarreg.gateway.forwarded import asked_of
-from ladarreg.gateway.headers import PAGE_POLICY, VISER_POLICY
-from ladarreg.gateway.login import Door, checked_token, new_token
+from ladarreg.gateway.login import _PACE_S, Attempts, Door, checked_token, new_token
 from ladarreg.gateway.options import GatewayOptions, is_loopback
+from ladarreg.gateway.request_source import asked_of
+from ladarreg.gateway.security import PAGE_POLICY, VISER_POLICY
 from websockets.exceptions import InvalidStatus
 
 from ladarreg_core.errors import OptionError
@@ -79,14 +78,14 @@ def test_the_form_takes_the_token_too(run: Running) -> None:
 def test_many_wrong_tokens_slow_an_address_down_and_shut_nobody_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ladarreg.gateway.entrance._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 0.4)
+    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 0.4)
     with running(tmp_path) as run:
         assert [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(11)] == [401] * 11
         begun = time.monotonic()
         assert run.ask("GET", f"/?token={TOKEN}", known=False)[0] == 200, "the right one opens all the same"
         assert 0.1 < time.monotonic() - begun < 5
-        monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 100.0)
+        monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
         run.ask("GET", "/?token=wrong", known=False)
         status, headers, body = run.ask("GET", "/?token=wrong", known=False)
         assert (status, headers["retry-after"]) == (429, "30")
@@ -100,8 +99,8 @@ def test_many_wrong_tokens_slow_an_address_down_and_shut_nobody_out(
 def test_a_token_that_nobody_can_guess_opens_whatever_was_tried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ladarreg.gateway.entrance._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 100.0)
+    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
     monkeypatch.setattr("tests.app.gateway_driver.TOKEN", token := new_token())
     with running(tmp_path) as run:
         seen = [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(13)]
@@ -119,8 +118,8 @@ def test_what_a_page_embeds_neither_shows_a_token_nor_counts_as_a_try(run: Runni
 
 
 def test_links_of_other_sites_use_up_no_turns_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg.gateway.entrance._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 100.0)
+    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
     with running(tmp_path) as run:
         for site in ("cross-site", "same-site"):
             for n in range(12):

@@ -17,8 +17,7 @@ import pytest
 from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 from ladarreg.gateway.options import GatewayOptions
-from ladarreg.gateway.server import Gateway
-from ladarreg.gateway.serving import warning
+from ladarreg.gateway.server import Gateway, warning
 from ladarreg.gateway.viser_backend import close_server, open_locked_server
 
 from ladarreg_core.errors import OptionError

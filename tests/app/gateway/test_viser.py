@@ -13,8 +13,7 @@ import pytest
 import viser
 import websockets.asyncio.server
 import zstandard
-from ladarreg.gateway.viser_backend import HOST, close_server, open_locked_server
-from ladarreg.gateway.viser_lock import HEADER, ViserAddress, locked
+from ladarreg.gateway.viser_backend import HEADER, HOST, ViserAddress, close_server, locked, open_locked_server
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 import viser
+from ladarreg.gateway.pages import static_text
 from ladarreg.gateway.viser_backend import close_server
 from ladarreg.scene import SimplexFrame, Stage3D
 from ladarreg.scene.colours import ACCENT, BACKGROUND, MATCH_COLOURS, as_css
 from ladarreg.scene.draw_queue import Wishes
 from ladarreg.scene.legend import legend_html
 from ladarreg.scene.picks_layer import Picks
-from ladarreg.static_files import static_text
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
