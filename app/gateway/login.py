@@ -1,4 +1,4 @@
-"""The token, and the cookie that stands for it."""
+"""Login: the token, the cookie that replaces it, the form, and the limit on failed attempts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import base64
 import hashlib
 import hmac
 import html
-import ipaddress
 import secrets
 import time
 from collections import OrderedDict, deque
@@ -19,152 +18,19 @@ from starlette.responses import HTMLResponse, PlainTextResponse, Response
 
 from ladarreg_core.errors import OptionError
 
-from .request_source import Asked
+from .request_source import RequestSource, network_of
 
-SHORTEST = 12
-"""Characters that a token needs at least."""
-_UNGUESSABLE = 22
+MIN_TOKEN_LENGTH = 12
+"""Characters that a token must have at least."""
+_UNGUESSABLE_LENGTH = 22
 """Characters of base64 that hold 128 random bits."""
 _ID_BYTES = 16
-
-
-def new_token() -> str:
-    """Return a token that nobody can guess."""
-    return secrets.token_urlsafe(24)
-
-
-def checked_token(token: str) -> str:
-    """Return a token that somebody chose.
-
-    Raises:
-        OptionError: if it is short, or cannot stand in an address.
-    """
-    if len(token) < SHORTEST:
-        raise OptionError(
-            f"the token has {len(token)} characters; it needs {SHORTEST} at least, or leave it out for a random one"
-        )
-    if not (token.isascii() and token.isprintable()) or " " in token:
-        raise OptionError("the token holds a space or a letter that is not ASCII; use letters, digits and - . _ ~")
-    return token
-
-
-class Door:
-    """Who is let in: whoever shows the token, and the browsers that have shown it.
-
-    A cookie is a browser's random number and a code of it that only the token makes: no cookie gives the token away,
-    browsers can be told apart, and with a token of one's own a browser stays known when the program starts anew.
-
-    Args:
-        token: what opens the door.
-        port: where the gateway listens: browsers share cookies between the ports of a host.
-    """
-
-    def __init__(self, token: str, *, port: int) -> None:
-        self.cookie_name = f"ladarreg-{port}"
-        self.unguessable = len(token) >= _UNGUESSABLE
-        """Whether the token is so long that trying does not help."""
-        self._token = hashlib.sha256(token.encode()).digest()
-        self._key = hmac.digest(token.encode(), b"ladarreg cookie", "sha256")
-
-    def knows(self, token: str) -> bool:
-        """Tell whether this is the token, in the same time for every wrong one."""
-        return hmac.compare_digest(hashlib.sha256(token.encode(errors="replace")).digest(), self._token)
-
-    def new_cookie(self) -> str:
-        """Return the cookie of a browser that has shown the token."""
-        browser = secrets.token_hex(_ID_BYTES)
-        return f"{browser}.{self._code(browser)}"
-
-    def browser(self, cookies: str) -> str | None:
-        """Return whose cookie is among these, None if there is none that we made.
-
-        Args:
-            cookies: the header Cookie.
-        """
-        for part in cookies.split(";"):
-            name, _, value = part.strip().partition("=")
-            browser, _, code = value.strip().strip('"').partition(".")
-            if name == self.cookie_name and hmac.compare_digest(
-                code.encode(errors="replace"), self._code(browser).encode()
-            ):
-                return browser
-        return None
-
-    def _code(self, browser: str) -> str:
-        return hmac.new(self._key, browser.encode(errors="replace"), "sha256").hexdigest()
-
-
-_MOST_ADDRESSES = 4096
+_MAX_ADDRESSES = 4096
 _PACE_S = 3.0
-_LONGEST_WAIT_S = 30.0
-
-
-class Attempts:
-    """Counts wrong tokens by address, forgets them after a while, and spaces further tries of an address out.
-
-    Args:
-        most: wrong tokens that an address may show within `window_s` before it has to wait.
-        window_s: how long a wrong token counts, s.
-        clock: monotonic time, s.
-    """
-
-    def __init__(self, *, most: int = 10, window_s: float = 60.0, clock: Callable[[], float] = time.monotonic) -> None:
-        self._most, self._window_s, self._clock = most, window_s, clock
-        self._wrong: OrderedDict[str, deque[float]] = OrderedDict()
-        self._next: dict[str, float] = {}
-
-    def turn_s(self, address: str, kind: str = "") -> float | None:
-        """Give an address its turn to have a token compared.
-
-        Args:
-            address: of the browser.
-            kind: of the way the token came by; each is counted by itself.
-
-        Returns:
-            How long to wait before, s: 0 while few were wrong; None where so many wait that this one is turned away.
-        """
-        household = _household(address, kind)
-        now = self._clock()
-        if len(self._recent(household)) < self._most:
-            return 0.0
-        turn = max(now, self._next.get(household, now))
-        if turn - now > _LONGEST_WAIT_S:
-            return None
-        self._next[household] = turn + _PACE_S
-        return turn - now
-
-    def wrong(self, address: str, kind: str = "") -> None:
-        """Note that an address showed a wrong token."""
-        household = _household(address, kind)
-        times = self._recent(household)
-        times.append(self._clock())
-        self._wrong[household] = times
-        self._wrong.move_to_end(household)
-        while len(self._wrong) > _MOST_ADDRESSES:
-            self._next.pop(self._wrong.popitem(last=False)[0], None)
-
-    def _recent(self, household: str) -> deque[float]:
-        times = self._wrong.get(household, deque(maxlen=self._most))
-        while times and times[0] <= self._clock() - self._window_s:
-            times.popleft()
-        return times
-
-
-def _household(address: str, kind: str) -> str:
-    """Return what one person may have many of, the network of an IPv6 address, with the kind of try."""
-    try:
-        parsed = ipaddress.ip_address(address.partition("%")[0])
-    except ValueError:
-        return f"{kind} {address}"
-    if parsed.version == 6:
-        mapped = parsed.ipv4_mapped
-        return f"{kind} {mapped or ipaddress.ip_network((parsed, 64), strict=False)}"
-    return f"{kind} {address}"
-
-
-_LONGEST_FORM = 4096
+_MAX_DELAY_S = 30.0
+_MAX_FORM_BYTES = 4096
 _WRONG_DELAY_S = 0.3
-_LATER_S = 30
+_RETRY_AFTER_S = 30
 _KINDS = {"none": "typed", "same-origin": "typed", "same-site": "linked", "cross-site": "linked"}
 _STYLE = (
     ":root{color-scheme:dark light;--back:#0f1115;--panel:#161a21;--line:#2a313d;--ink:#e8ecf2;--dim:#8f9bad;"
@@ -182,9 +48,133 @@ _STYLE = (
     "button{background:transparent;border:1px solid var(--accent);color:var(--accent);cursor:pointer}"
     "input:focus-visible,button:focus-visible{outline:2px solid var(--accent);outline-offset:2px}"
 )
-# An address that holds a token, even a wrong one, does not stay where the browser's Back button leads.
-_GO_ON = 'location.replace("./")'
-_FORGET = 'history.replaceState(null, "", "./")'
+# A URL that contains a token, even a wrong one, must not remain in the history that the Back button walks.
+_CONTINUE_SCRIPT = 'location.replace("./")'
+_FORGET_SCRIPT = 'history.replaceState(null, "", "./")'
+
+
+def new_token() -> str:
+    """Return a random token."""
+    return secrets.token_urlsafe(24)
+
+
+def checked_token(token: str) -> str:
+    """Return a token chosen by the operator, if it is acceptable.
+
+    Raises:
+        OptionError: if it is too short, or cannot be part of a URL.
+    """
+    if len(token) < MIN_TOKEN_LENGTH:
+        raise OptionError(
+            f"the token has {len(token)} characters; use at least {MIN_TOKEN_LENGTH}, or omit it for a random one"
+        )
+    if not (token.isascii() and token.isprintable()) or " " in token:
+        raise OptionError(
+            "the token contains a space or a character that is not printable ASCII; use letters, digits and - . _ ~"
+        )
+    return token
+
+
+class Credentials:
+    """The token, and the cookies of the browsers that have shown it.
+
+    A cookie is a random browser id signed with a key derived from the token. A cookie therefore does not reveal the
+    token, browsers can be told apart, and with a token of the operator's own they stay logged in across restarts.
+
+    Args:
+        token: the token that grants access.
+        port: of the gateway; part of the cookie's name, because browsers share cookies between the ports of a host.
+    """
+
+    def __init__(self, token: str, *, port: int) -> None:
+        self.cookie_name = f"ladarreg-{port}"
+        self.unguessable = len(token) >= _UNGUESSABLE_LENGTH
+        """Whether the token is too long to be found by trying."""
+        self._token = hashlib.sha256(token.encode()).digest()
+        self._key = hmac.digest(token.encode(), b"ladarreg cookie", "sha256")
+
+    def is_token(self, token: str) -> bool:
+        """Return whether this is the token; takes the same time for every wrong one."""
+        return hmac.compare_digest(hashlib.sha256(token.encode(errors="replace")).digest(), self._token)
+
+    def new_cookie(self) -> str:
+        """Return a cookie for a browser that has shown the token."""
+        browser = secrets.token_hex(_ID_BYTES)
+        return f"{browser}.{self._signature(browser)}"
+
+    def browser_of(self, cookies: str) -> str | None:
+        """Return the browser id of a valid cookie; None if there is none.
+
+        Args:
+            cookies: the header Cookie.
+        """
+        for part in cookies.split(";"):
+            name, _, value = part.strip().partition("=")
+            browser, _, signature = value.strip().strip('"').partition(".")
+            if name == self.cookie_name and hmac.compare_digest(
+                signature.encode(errors="replace"), self._signature(browser).encode()
+            ):
+                return browser
+        return None
+
+    def _signature(self, browser: str) -> str:
+        return hmac.new(self._key, browser.encode(errors="replace"), "sha256").hexdigest()
+
+
+class AttemptLimiter:
+    """Counts failed attempts per address within a sliding window, and delays further attempts beyond a limit.
+
+    Args:
+        most: failed attempts of an address within `window_s` before its next ones are delayed.
+        window_s: how long a failed attempt counts, s.
+        clock: monotonic time, s.
+    """
+
+    def __init__(self, *, most: int = 10, window_s: float = 60.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._most, self._window_s, self._clock = most, window_s, clock
+        self._failures: OrderedDict[str, deque[float]] = OrderedDict()
+        self._next_at: dict[str, float] = {}
+
+    def delay_s(self, address: str, kind: str = "") -> float | None:
+        """Reserve the next attempt of an address.
+
+        Args:
+            address: of the browser.
+            kind: how the token was submitted; each kind is counted separately.
+
+        Returns:
+            Time to wait before the token is compared, s: 0 after few failures; None if the queue is full and the
+            attempt must be refused.
+        """
+        key = _limit_key(address, kind)
+        now = self._clock()
+        if len(self._recent(key)) < self._most:
+            return 0.0
+        due = max(now, self._next_at.get(key, now))
+        if due - now > _MAX_DELAY_S:
+            return None
+        self._next_at[key] = due + _PACE_S
+        return due - now
+
+    def record_failure(self, address: str, kind: str = "") -> None:
+        """Record a failed attempt of an address."""
+        key = _limit_key(address, kind)
+        times = self._recent(key)
+        times.append(self._clock())
+        self._failures[key] = times
+        self._failures.move_to_end(key)
+        while len(self._failures) > _MAX_ADDRESSES:
+            self._next_at.pop(self._failures.popitem(last=False)[0], None)
+
+    def _recent(self, key: str) -> deque[float]:
+        times = self._failures.get(key, deque(maxlen=self._most))
+        while times and times[0] <= self._clock() - self._window_s:
+            times.popleft()
+        return times
+
+
+def _limit_key(address: str, kind: str) -> str:
+    return f"{kind} {network_of(address)}"
 
 
 def _headers(script: str, *, referrer: str) -> dict[str, str]:
@@ -200,92 +190,96 @@ def _digest(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-_GO_ON_HEADERS = _headers(_GO_ON, referrer="no-referrer")
+_CONTINUE_HEADERS = _headers(_CONTINUE_SCRIPT, referrer="no-referrer")
 # With `no-referrer` the form's own Origin would be `null`.
-_FORM_HEADERS = _headers(_FORGET, referrer="strict-origin")
+_FORM_HEADERS = _headers(_FORGET_SCRIPT, referrer="strict-origin")
 
 
-class Entrance:
-    """Answers those who show a token, and those who show nothing.
+class LoginPages:
+    """Responses to browsers without a valid cookie: the form, and the outcome of submitting a token.
 
     Args:
-        door: knows the token.
+        credentials: the token and its cookies.
     """
 
-    def __init__(self, door: Door) -> None:
-        self._door, self._attempts = door, Attempts()
+    def __init__(self, credentials: Credentials) -> None:
+        self._credentials, self._attempts = credentials, AttemptLimiter()
 
-    async def show(self, asked: Asked, token: str, *, by_form: bool = False) -> Response:
-        """Answer somebody who shows a token.
+    async def submit_token(self, source: RequestSource, token: str, *, by_form: bool = False) -> Response:
+        """Return the response to a submitted token.
 
-        A page of another site can have a browser show wrong ones. It must not shut out those who use that browser, or
-        its address: what such a page causes is counted apart from what a person types, the form (which no other site
-        can send, its Origin being checked) apart from both, and a token that cannot be guessed opens whatever else was
-        tried.
+        A page of another site can make a browser submit wrong tokens. This must not lock out the people who use that
+        browser, or its address. Attempts caused by such a page are therefore counted apart from typed ones, and those
+        of the form (which no other site can send, because its Origin is checked) apart from both; a token that cannot
+        be guessed is accepted whatever was tried before.
         """
-        if asked.shown_as not in ("", "document"):
-            return PlainTextResponse("A token is shown by opening a page with it.\n", status_code=403)
-        right, kind = self._door.knows(token), "form" if by_form else _KINDS.get(asked.from_site, "unsaid")
-        if not (right and self._door.unguessable):
-            turn_s = self._attempts.turn_s(asked.address, kind)
-            if turn_s is None:
-                text = "Too many wrong tokens came from this address. Enter the right one here, or try again later."
-                return _form(text, status=429, headers={"retry-after": str(_LATER_S)})
-            if turn_s > 0:
-                await asyncio.sleep(turn_s)
-        if right:
-            return self._welcome(asked)
-        self._attempts.wrong(asked.address, kind)
+        if source.fetch_dest not in ("", "document"):
+            return PlainTextResponse("Submit the token by opening a page with it.\n", status_code=403)
+        correct = self._credentials.is_token(token)
+        kind = "form" if by_form else _KINDS.get(source.fetch_site, "unknown")
+        if not (correct and self._credentials.unguessable):
+            delay_s = self._attempts.delay_s(source.address, kind)
+            if delay_s is None:
+                text = "Too many wrong tokens from this address. Enter the correct one here, or try again later."
+                return _form(text, status=429, headers={"retry-after": str(_RETRY_AFTER_S)})
+            if delay_s > 0:
+                await asyncio.sleep(delay_s)
+        if correct:
+            return self._logged_in(source)
+        self._attempts.record_failure(source.address, kind)
         await asyncio.sleep(_WRONG_DELAY_S)
         return _form("This is not the token of the running workbench.", status=401)
 
-    async def take_form(self, request: Request, asked: Asked) -> Response:
-        """Answer the form."""
+    async def submit_form(self, request: Request, source: RequestSource) -> Response:
+        """Return the response to the submitted form."""
         body = bytearray()
         try:
             async for chunk in request.stream():
                 body += chunk
-                if len(body) > _LONGEST_FORM:
-                    return PlainTextResponse("This is longer than any token.\n", status_code=413)
+                if len(body) > _MAX_FORM_BYTES:
+                    return PlainTextResponse("The form is longer than any token.\n", status_code=413)
         except ClientDisconnect:
             return Response(status_code=400)
-        words = parse_qs(body.decode(errors="replace"))
-        return await self.show(asked, words.get("token", [""])[-1].strip(), by_form=True)
+        fields = parse_qs(body.decode(errors="replace"))
+        return await self.submit_token(source, fields.get("token", [""])[-1].strip(), by_form=True)
 
-    def ask(self) -> Response:
-        """Answer somebody who shows nothing."""
+    def form(self) -> Response:
+        """Return the empty form."""
         return _form("", status=401)
 
-    def _welcome(self, asked: Asked) -> Response:
-        response = go_on()
+    def _logged_in(self, source: RequestSource) -> Response:
+        response = continue_page()
         response.set_cookie(
-            self._door.cookie_name,
-            self._door.new_cookie(),
-            path=asked.prefix,
-            secure=asked.secure,
+            self._credentials.cookie_name,
+            self._credentials.new_cookie(),
+            path=source.prefix,
+            secure=source.secure,
             httponly=True,
             samesite="strict",
         )
         return response
 
 
-def go_on() -> Response:
-    """Return a page that moves on to the workbench: a strict cookie set by a redirect is lost after a foreign link."""
-    body = '<h1>ladarreg</h1><p>Opening. <a href="./">Continue</a></p>'
-    head = f'<script>{_GO_ON}</script><noscript><meta http-equiv="refresh" content="0; url=./"></noscript>'
-    return HTMLResponse(_page(body, head=head), headers=_GO_ON_HEADERS)
+def continue_page() -> Response:
+    """Return a page that moves on to the workbench.
+
+    It is not a redirect: after a link from another site, browsers drop a strict cookie that a redirect sets.
+    """
+    body = '<h1>ladarreg</h1><p>Opening the workbench. <a href="./">Continue</a></p>'
+    head = f'<script>{_CONTINUE_SCRIPT}</script><noscript><meta http-equiv="refresh" content="0; url=./"></noscript>'
+    return HTMLResponse(_page(body, head=head), headers=_CONTINUE_HEADERS)
 
 
-def _form(said: str, *, status: int, headers: dict[str, str] | None = None) -> Response:
-    bad = f'<p class="bad" role="alert">{html.escape(said)}</p>' if said else ""
+def _form(error: str, *, status: int, headers: dict[str, str] | None = None) -> Response:
+    alert = f'<p class="bad" role="alert">{html.escape(error)}</p>' if error else ""
     page = _page(
-        f"<h1>ladarreg</h1>{bad}"
-        "<p>The workbench is open to those who have its token. It is in the address that was printed where it was"
+        f"<h1>ladarreg</h1>{alert}"
+        "<p>Enter the token of this workbench. It is part of the address that was printed when the workbench was"
         " started.</p>"
         '<form method="post" action="./enter"><label for="token">Token</label>'
         '<input id="token" name="token" type="password" autocomplete="current-password" required autofocus>'
         "<button>Enter</button></form>",
-        head=f"<script>{_FORGET}</script>",
+        head=f"<script>{_FORGET_SCRIPT}</script>",
     )
     return HTMLResponse(page, status_code=status, headers=_FORM_HEADERS | (headers or {}))
 

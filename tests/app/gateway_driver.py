@@ -15,7 +15,7 @@ from typing import Any
 
 from ladarreg.gateway.options import GatewayOptions
 from ladarreg.gateway.protocol import Message, Picture
-from ladarreg.gateway.routes import site
+from ladarreg.gateway.routes import build_site
 from ladarreg.gateway.server import Gateway
 from ladarreg.gateway.viser_backend import ViserAddress
 from websockets.exceptions import ConnectionClosed
@@ -180,7 +180,7 @@ def running(
     bench = CountingBench(room)
     where = viser or ViserAddress("127.0.0.1", 9, "nobody is there")
     gateway = Gateway(
-        lambda port: site(
+        lambda port: build_site(
             bench, token=TOKEN, viser=where if callable(where) else lambda: where, options=settings, port=port
         ),
         settings,

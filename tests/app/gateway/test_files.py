@@ -139,7 +139,7 @@ def test_what_a_killed_program_left_is_cleared_away(tmp_path: Path) -> None:
 
 
 def test_a_browser_that_falls_silent_is_taken_for_gone(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg.gateway.uploads._SILENT_S", 0.3)
+    monkeypatch.setattr("ladarreg.gateway.uploads._IDLE_TIMEOUT_S", 0.3)
     with begin(run, b"Content-Length: 200000\r\n\r\nabc") as line:
         assert b" 408 " in line.recv(100)
         assert not left(run)
