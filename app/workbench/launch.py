@@ -17,17 +17,17 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import LadarregError, OptionError
 
 from ..exit_codes import ExitCode
-from ..process_resources import keep_what_is_loaded
+from ..process_resources import freeze_loaded_objects
 from ..session.isolated_readers import READERS
 from ..session.loader import Workroom
 from ..session.session import Session, now
-from ..stop_signals import StopSignals, exit_now, say
+from ..stop_signals import StopSignals, exit_now, print_error
 
 if TYPE_CHECKING:
     import viser
 
     from ..gateway.options import GatewayOptions
-    from ..gateway.viser_lock import ViserAddress
+    from ..gateway.viser_backend import ViserAddress
     from .workbench import Workbench
 
 _LAST = "last.json"
@@ -122,13 +122,13 @@ def serve_and_close(
         DependencyError: if this version of viser cannot be locked.
         UnsavedError: if there are edits that the project's disk did not take.
     """
-    from ..gateway.serving import serve_until_interrupted
+    from ..gateway.server import serve_until_interrupted
 
     for sentence in workbench.session.folder.said:
         print(f"ladarreg: {sentence}", file=sys.stderr)
     where: Future[ViserAddress] = Future()
     opened: list[viser.ViserServer] = []
-    stop.end_at_once_by(lambda: _save_and_exit(workbench.session))
+    stop.on_second_request(lambda: _save_and_exit(workbench.session))
 
     def open_viser() -> None:
         from ..gateway.viser_backend import open_locked_server
@@ -137,7 +137,7 @@ def serve_and_close(
         opened.append(server)
         _attach(workbench, server)
         where.set_result(address)
-        keep_what_is_loaded()
+        freeze_loaded_objects()
 
     try:
         serve_until_interrupted(
@@ -171,9 +171,9 @@ def _save_and_exit(session: Session) -> None:
     saving.join(_SAVED_WITHIN_S)
     if not lost or lost[0]:
         reason = lost[0] if lost else f"the last changes are not saved: no disk answered within {_SAVED_WITHIN_S:g} s"
-        say(f"ladarreg: ended at once; {reason}")
+        print_error(f"ladarreg: ended at once; {reason}")
         exit_now(ExitCode.FAILED)
-    say("ladarreg: ended at once; everything is saved")
+    print_error("ladarreg: ended at once; everything is saved")
     exit_now(ExitCode.INTERRUPTED)
 
 
@@ -195,7 +195,7 @@ def _add(workbench: Workbench, files: Sequence[Path], camera: Path | None, check
 
 
 def _attach(workbench: Workbench, server: viser.ViserServer) -> None:
-    from ..scene import Stage3D
+    from ..scene import Scene3D
 
     class Actions:
         """What the 3-D scene's controls do."""
@@ -213,7 +213,7 @@ def _attach(workbench: Workbench, server: viser.ViserServer) -> None:
             shown = workbench.shown
             workbench.tell_event({"event": "hover", "photo": shown.id if shown else None, "pick": pick_id})
 
-    workbench.attach_stage(Stage3D(server, Actions()))
+    workbench.attach_stage(Scene3D(server, Actions()))
 
 
 def data_folder() -> Path:

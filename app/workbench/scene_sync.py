@@ -14,7 +14,7 @@ from ..session.debounce import Quiet
 if TYPE_CHECKING:
     from ..jobs.runner import Job
     from ..jobs.simplex import Frame
-    from ..scene import Stage3D
+    from ..scene import Scene3D
     from ..scene.model_view import ModelChoice
     from .workbench import Workbench
 
@@ -26,7 +26,7 @@ class StageLink:
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
-        self._stage: Stage3D | None = None
+        self._stage: Scene3D | None = None
         self._quiet = Quiet()
         self._drawn: Any = None
         self._walks = False
@@ -35,7 +35,7 @@ class StageLink:
         self._thread = threading.Thread(target=self._work, name="stage link", daemon=True)
         self._thread.start()
 
-    def attach(self, stage: Stage3D) -> None:
+    def attach(self, stage: Scene3D) -> None:
         """Draw into this stage from now on."""
         self._stage = stage
         self.set_model(self._workbench.model)

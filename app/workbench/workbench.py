@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from ladarreg_core.results import PoseResult
 
     from ..gateway.protocol import Picture
-    from ..scene import Stage3D
+    from ..scene import Scene3D
 
 log = logging.getLogger(__name__)
 Message = dict[str, Any]
@@ -290,7 +290,7 @@ class Workbench:
         """Begin to export into a folder."""
         return self.jobs.run_export(folder, photo, person.name, force=force)
 
-    def attach_stage(self, stage: Stage3D) -> None:
+    def attach_stage(self, stage: Scene3D) -> None:
         """Draw into a 3-D stage from now on."""
         self.stage.attach(stage)
 

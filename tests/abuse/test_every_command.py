@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ladarreg.gateway.json_text import NotJson, decode_object, encode
+from ladarreg.gateway.encoding import InvalidMessageError, decode_object, encode
 from ladarreg.workbench.commands import COMMANDS
 
 from ladarreg_core.formats import read_scan
@@ -128,7 +128,7 @@ class Page:
         """Send a text as the websocket takes it; return the reply, or None where it is no JSON."""
         try:
             message = decode_object(text)
-        except NotJson:
+        except InvalidMessageError:
             return None
         reply = self.bench.workbench.answer(self.bench.person, message)
         self.bench.workbench.runner.wait(60)
