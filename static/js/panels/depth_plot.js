@@ -198,11 +198,9 @@ export const mountDepthPlot = () => {
         element(
           "label",
           { class: "inline" },
-          element("span", { class: "wide" }, "disable"),
-          " above ",
+          "above",
           field,
           unitLabel,
-          element("span", { class: "wide" }, "→"),
         ),
         apply,
         status,

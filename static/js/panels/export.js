@@ -132,9 +132,8 @@ export const mountExport = () => {
     const text = !stage
       ? "There is no pose yet: solve first, or register automatically."
       : accepted
-        ? `${stage.label} is accepted: all files are written.`
-        : `${stage.label} is not accepted, so no coloured output is written: only the data files, with ` +
-          `the reasons.`;
+        ? `${stage.label}: accepted. All files are written.`
+        : `${stage.label}: not accepted. Only the data files are written, with the reasons; no coloured output.`;
     setChildren(
       verdict,
       element(

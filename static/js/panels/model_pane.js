@@ -3,6 +3,7 @@
 import { connectionState, onConnection } from "../net/connection.js";
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
+import { button } from "../ui/controls.js";
 import { element, setChildren } from "../ui/dom.js";
 import { mountSoftwareHint } from "./software_drawing.js";
 
@@ -28,8 +29,13 @@ const controls = () => {
     },
   );
   const switches = SWITCHES.map(([name, label, title]) => {
-    const toggle = element("button", { type: "button", class: "button small toggle", title }, label);
-    toggle.addEventListener("click", () => request("set_model", { [name]: toggle.getAttribute("aria-pressed") !== "true" }));
+    const toggle = button({
+      label,
+      title,
+      kind: "small toggle",
+      act: () => request("set_model", { [name]: toggle.getAttribute("aria-pressed") !== "true" }),
+    });
+    toggle.firstElementChild.classList.add("clip");
     return [name, toggle];
   });
   let drawn = "";

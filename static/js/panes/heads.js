@@ -115,7 +115,7 @@ export const mountPhotoHead = (head, controller) => {
     kind: "pane-button",
     act: () => set({ brightness: 1, contrast: 1 }),
   });
-  const { opener, sheet } = foldOut("Brightness", "Brightness and contrast of the photograph", rows.brightness.row, rows.contrast.row, reset);
+  const { opener, sheet } = foldOut("Contrast", "Brightness and contrast of the photograph", rows.brightness.row, rows.contrast.row, reset);
   const linked = button({
     label: "Linked",
     icon: "link",
