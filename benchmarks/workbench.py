@@ -39,7 +39,7 @@ new PerformanceObserver((list) => {
 _EDIT_IN_PAGE = """
 async ([photo, times]) => {
   const module = (name) => import(new URL(`js/${name}.js`, location.href).href);
-  const [{ ask }, { store }] = await Promise.all([module('connection'), module('store')]);
+  const [{ ask }, { store }] = await Promise.all([module('net/connection'), module('net/store')]);
   const spent = [];
   for (let k = 0; k < times; k += 1) {
     const picks = store.picksOf(photo);
