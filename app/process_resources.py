@@ -1,7 +1,7 @@
-"""What the system gives this process: more file descriptors than it starts with, and memory that goes back when unused.
+"""Process resources: raises the limit of file descriptors, and returns freed memory to the system.
 
-glibc keeps what was freed: each of its arenas, one for every few threads, stays as large as it ever was. Two arenas are
-enough where one interpreter lock lets one thread allocate at a time, and trimming returns what lies free in them.
+glibc keeps freed memory: each of its arenas, one for every few threads, stays at its largest size. Two arenas suffice
+under the interpreter lock, which lets one thread allocate at a time, and trimming returns their free memory.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from typing import Any
 
 _WANTED_DESCRIPTORS = 4096
 _M_ARENA_MAX = -8
-"""Of `mallopt`, from glibc's malloc.h."""
+"""Parameter of `mallopt`, from glibc's malloc.h."""
 _ARENAS = 2
 _RETURN_AFTER_S = 1.0
-_WORTH_WHILE = 32 << 20
-"""Bytes of growth from which on it is done again: everybody waits while it is."""
+_LEAST_GROWTH = 32 << 20
+"""Growth, bytes, below which memory is not trimmed again: trimming blocks all threads."""
 _pending = threading.Lock()
 _resident_before = 0
 
 
 def raised_descriptor_limit() -> int | None:
-    """Raise the soft limit of file descriptors and return it; None where sockets do not count towards one."""
+    """Raise the soft limit of file descriptors and return it; None if there is no such limit for sockets."""
     if sys.platform == "win32":
         return None
     import resource
@@ -38,34 +38,34 @@ def raised_descriptor_limit() -> int | None:
         return None if soft == resource.RLIM_INFINITY else soft
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
-    except (OSError, ValueError):  # macOS has a limit of its own, too
+    except (OSError, ValueError):  # macOS has a second, lower limit
         return soft
     return wanted
 
 
 def limit_arenas() -> None:
-    """Have glibc make few arenas; to be called before there are threads, elsewhere it does nothing."""
+    """Limit the number of glibc's arenas; call it before threads start. No effect without glibc."""
     if (libc := _glibc()) is not None:
         libc.mallopt(_M_ARENA_MAX, _ARENAS)
 
 
-def keep_what_is_loaded() -> None:
-    """Take what is in memory now for what stays: the garbage collector need not look at it again."""
+def freeze_loaded_objects() -> None:
+    """Exclude all present objects from garbage collection."""
     gc.collect()
     gc.freeze()
 
 
-def return_memory_soon(*, surely: bool = False) -> None:
-    """Give freed memory back to the system in a moment; many calls at once are one.
+def return_memory_soon(*, even_if_small: bool = False) -> None:
+    """Return freed memory to the system after a short delay; calls in quick succession are combined.
 
     Args:
-        surely: even if the process has not grown since that was last done.
+        even_if_small: do it even if the process has not grown since the last time.
     """
     global _resident_before
     if _glibc() is None:
         return
     resident = _resident()
-    if not surely and resident < _resident_before + _WORTH_WHILE:
+    if not even_if_small and resident < _resident_before + _LEAST_GROWTH:
         _resident_before = min(_resident_before, resident)
     elif _pending.acquire(blocking=False):
         timer = threading.Timer(_RETURN_AFTER_S, _return_memory)
@@ -76,7 +76,7 @@ def return_memory_soon(*, surely: bool = False) -> None:
 def _return_memory() -> None:
     global _resident_before
     _pending.release()
-    gc.collect()  # closed connections hold their last message in circles of references
+    gc.collect()  # closed connections keep their last message in reference cycles
     libc = _glibc()
     assert libc is not None
     libc.malloc_trim(0)

@@ -1,4 +1,4 @@
-"""Where the page's files are: beside the source tree's rooms, or inside an installed wheel."""
+"""The page's files: in the source tree's `static/`, or inside an installed wheel."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def static_folder() -> Path:
     for folder in (here / "static", here.parent / "static"):
         if (folder / _ANCHOR).is_file():
             return folder
-    raise FileNotFoundError(f"the page's files are missing beside {here}; install ladarreg again")
+    raise FileNotFoundError(f"the page's files are missing beside {here}; reinstall ladarreg")
 
 
 def static_text(name: str) -> str:

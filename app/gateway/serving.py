@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from urllib.parse import quote
 
-from ..stop_signals import StopSignals, say
+from ..stop_signals import StopSignals, print_error
 from .browser import open_browser
 from .options import GatewayOptions
 from .protocol import Workbench
@@ -58,7 +58,7 @@ def serve_until_interrupted(
         then()
         gateway.wait(stop.wait)
         if stop.first == signal.SIGINT:
-            say("")  # behind the terminal's ^C
+            print_error("")  # behind the terminal's ^C
     finally:
         gateway.close()
 

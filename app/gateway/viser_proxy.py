@@ -73,7 +73,7 @@ class ViserProxy:
             await self._serve(websocket)
         finally:
             self._views -= 1
-            return_memory_soon(surely=True)
+            return_memory_soon(even_if_small=True)
 
     def _full(self) -> Response:
         return PlainTextResponse(_FULL.format(most=self._most) + "\n", status_code=503)

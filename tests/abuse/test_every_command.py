@@ -130,7 +130,7 @@ class Page:
             message = decode_object(text)
         except NotJson:
             return None
-        reply = self.bench.workbench.answer(self.bench.person, message)
+        reply = self.bench.workbench.answer(self.bench.client, message)
         self.bench.workbench.runner.wait(60)
         return json.loads(encode(reply), parse_constant=pytest.fail)  # type: ignore[no-any-return]
 
@@ -145,7 +145,7 @@ class Page:
             assert sentence.endswith((".", "!", "?")), sentence
             assert len(sentence) < 700
             assert sentence.isprintable()
-            assert "fault of the program" not in sentence, (text[:200], sentence)
+            assert "Internal error" not in sentence, (text[:200], sentence)
         if not done:
             assert history is before, text[:200]
         elif history is not before:
@@ -182,7 +182,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     for name in ("second.png", "third.png"):
         path = bench.workbench.upload_room() / name
         shutil.copy(sample / "photo.png", path)
-        bench.workbench.take_upload(path, name, "photo", None, bench.person)
+        bench.workbench.take_upload(path, name, "photo", None, bench.client)
     pose, camera, scan = (
         read_pose(sample / "truth.json"), read_camera(sample / "camera.json"), read_scan(sample / "scan.npz"),
     )  # fmt: skip
@@ -194,7 +194,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         point, at = points[k].tolist(), uv[k].tolist()
         bench.do("add_pick", photo="p1", kind="point", scan=[point], photo_uv=[at])
     job = bench.job("linear")
-    assert job.state == "done", job.said
+    assert job.state == "done", job.message
     yield Page(bench, home / "aside")
     bench.workbench.close()
 

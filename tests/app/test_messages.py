@@ -1,4 +1,4 @@
-"""What a person reads: the verdict in words, the panel's HTML, the bar on a terminal."""
+"""Texts of the command line: verdicts, findings, parser errors, progress."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.arguments import condensed
+from ladarreg.arguments import condense
 from ladarreg.exit_codes import ExitCode
-from ladarreg.messages import assessed, one_line
-from ladarreg.progress_bar import step_bar
+from ladarreg.messages import assessment_lines, one_line
+from ladarreg.progress_bar import progress_bar
 
 from ladarreg_core.progress import Progress, Step
 from ladarreg_core.quality.assessment import Assessment
@@ -29,7 +29,7 @@ def test_whatever_a_message_holds_it_is_one_printable_line(text: str) -> None:
 @given(st.lists(st.text(st.characters(codec="ascii", exclude_categories=("C",)), min_size=1, max_size=60), max_size=4))
 def test_any_box_becomes_one_line(lines: list[str]) -> None:
     box = "\n".join(["╭─ Error ───╮", *(f"│ {line} │" for line in lines), "╰───────────╯"])
-    assert len(condensed(box).splitlines()) == 1
+    assert len(condense(box).splitlines()) == 1
 
 
 def test_exit_codes_are_those_of_the_contract() -> None:
@@ -50,7 +50,7 @@ def test_the_worst_comes_first_and_never_more_than_a_few_lines(levels: list[str]
         for name, level in zip(NAMES, levels, strict=True)
     )
     result = replace(sample_registration(accepted=accepted), method=method)
-    lines = assessed(Assessment(found, None, None, None), result)
+    lines = assessment_lines(Assessment(found, None, None, None), result)
     assert len(lines) <= 5
     assert all(len(line.splitlines()) == 1 for line in lines)
     heads = [line.split()[0] for line in lines]
@@ -66,13 +66,13 @@ def test_the_worst_comes_first_and_never_more_than_a_few_lines(levels: list[str]
 
 
 def test_what_was_not_assessed_is_not_told() -> None:
-    assert assessed(Assessment(None, None, None, None), sample_registration()) == []
+    assert assessment_lines(Assessment(None, None, None, None), sample_registration()) == []
 
 
 @pytest.mark.parametrize("quiet", [True, False])
 def test_progress_off_a_terminal_is_plain_lines_or_nothing(quiet: bool) -> None:
     stream = io.StringIO()
-    with step_bar(quiet=quiet, stream=stream) as bar:
+    with progress_bar(quiet=quiet, stream=stream) as bar:
         bar.step(Step("climb", 0.25, detail={"windows": 240, "map": [1, 2]}))
         bar.progress(Progress(0, 2, "writing model.glb"))
         bar.progress(Progress(1, 2, "writing model.glb"))
@@ -90,7 +90,7 @@ def test_the_bar_on_a_terminal_goes_away() -> None:
         def isatty(self) -> bool:
             return True
 
-    with step_bar(quiet=False, stream=Terminal()) as bar:
+    with progress_bar(quiet=False, stream=Terminal()) as bar:
         for name in ("read scan", "something new [bold]", "verify"):
             bar.step(Step(name, 0.1))
         bar.progress(Progress(3, 5, "writing"))

@@ -57,7 +57,7 @@ def sample(*more: str) -> list[str]:
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (("--t1", ".1"), "--t1 means something to --method thesis only"),
+        (("--t1", ".1"), "--t1 can only be used with --method thesis"),
         (("--method", "thesis", "--t1", "3"), "from 0 to 2"),
         (("--method", "thesis", "--t2-px", "-4"), "positive number of pixels"),
         (("--method", "thesis", "--reject-depth-m", "nan"), "reject_depth_m"),
@@ -377,10 +377,10 @@ def test_drawn_matches_get_a_few_lines_of_advice(
     code = main(sample("--matches", str(matches), "-o", str(tmp_path / "out"), "--smooth"))
     lines = capsys.readouterr().out.splitlines()
     heads = [line[:9].strip() for line in lines]
-    block = [head for head in heads if head in ("Picture", "Poor", "Fair", "Check", "Next", "Smooth")]
+    block = [head for head in heads if head in ("Image", "Poor", "Fair", "Check", "Next", "Smooth")]
     assert len(block) <= 8
     assert heads.count("Next") == heads.count("Smooth") == 1
-    assert (code == ExitCode.ACCEPTED) == ("Picture" in block) == (count >= 12)
+    assert (code == ExitCode.ACCEPTED) == ("Image" in block) == (count >= 12)
     document = json.loads((tmp_path / "out" / "registration.json").read_text())
     worse = [finding for finding in document["findings"] if finding["level"] != "good"]
     if spread < 1:

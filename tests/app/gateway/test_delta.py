@@ -15,7 +15,7 @@ from ladarreg.gateway.delta import change_between, changed
 from ladarreg.gateway.encoding import Encoded
 from ladarreg.gateway.outbox import Outbox
 from ladarreg.gateway.told import Told
-from ladarreg.session.cache import EachOnce
+from ladarreg.session.cache import ListCache
 
 from tests.app.slice_edits import random_states
 
@@ -155,11 +155,11 @@ def test_all_pages_are_sent_the_same_text_made_once(monkeypatch: pytest.MonkeyPa
 
 def test_things_that_stay_are_made_once() -> None:
     made: list[str] = []
-    each: EachOnce[str, str] = EachOnce(lambda thing: made.append(thing) or thing.upper())
+    each: ListCache[str, str] = ListCache(lambda thing: made.append(thing) or thing.upper())
     things = ["one", "two"]
-    assert each.of("a", things) is each.of("a", things)
-    assert each.of("a", ["zero", *things]) == ["ZERO", "ONE", "TWO"]
-    assert each.of("b", things) == ["ONE", "TWO"]
+    assert each.get("a", things) is each.of("a", things)
+    assert each.get("a", ["zero", *things]) == ["ZERO", "ONE", "TWO"]
+    assert each.get("b", things) == ["ONE", "TWO"]
     assert made == ["one", "two", "zero", "one", "two"]
 
 
@@ -167,11 +167,11 @@ def test_things_that_stay_are_made_once() -> None:
 def test_whatever_becomes_of_a_list_only_new_things_are_made(lists: list[list[int]]) -> None:
     things = [object() for _ in range(7)]
     made: list[object] = []
-    each: EachOnce[object, tuple[object]] = EachOnce(lambda thing: made.append(thing) or (thing,))
+    each: ListCache[object, tuple[object]] = ListCache(lambda thing: made.append(thing) or (thing,))
     before: list[object] = []
     for chosen in lists:
         now = [things[k] for k in chosen]
         made.clear()
-        assert each.of("a", now) == [(thing,) for thing in now]
+        assert each.get("a", now) == [(thing,) for thing in now]
         assert not [thing for thing in made if thing in before]
         before = now

@@ -46,10 +46,10 @@ def test_a_file_whose_reader_crashes_is_refused(bench: Bench, what: str) -> None
     labels = [entry["label"] for entry in bench.slice("history")["entries"]]
     path = arrived(bench, "x1.png", b"crash")
     with pytest.raises(FormatError, match=r"x1\.png: its reader crashed \(Seg"):
-        bench.workbench.take_upload(path, "mine.png", what, None, bench.person)
+        bench.workbench.take_upload(path, "mine.png", what, None, bench.client)
     assert not path.exists()
     assert [entry["label"] for entry in bench.slice("history")["entries"]] == labels
-    assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.person) == "p2"
+    assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.client) == "p2"
 
 
 def test_while_a_reader_hangs_others_edit_and_open_files(bench: Bench) -> None:
@@ -57,7 +57,7 @@ def test_while_a_reader_hangs_others_edit_and_open_files(bench: Bench) -> None:
 
     def upload() -> None:
         try:
-            bench.workbench.take_upload(arrived(bench, "x1.png", b"hang"), "bad.png", "photo", None, bench.person)
+            bench.workbench.take_upload(arrived(bench, "x1.png", b"hang"), "bad.png", "photo", None, bench.client)
         except FormatError as error:
             refusals.append(str(error))
 
@@ -69,8 +69,8 @@ def test_while_a_reader_hangs_others_edit_and_open_files(bench: Bench) -> None:
         begun = time.perf_counter()
         bench.do("add_pick", photo="p1", **LINE)
         seconds.append(time.perf_counter() - begun)
-    assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.person) == "p2"
-    assert len(bench.workbench.slices(bench.person)["photos"]) == 2
+    assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.client) == "p2"
+    assert len(bench.workbench.slices(bench.client)["photos"]) == 2
     assert thread.is_alive(), "the reader was to hang meanwhile"
     assert statistics.median(seconds) < 0.05
     READERS.close()
@@ -81,7 +81,7 @@ def test_while_a_reader_hangs_others_edit_and_open_files(bench: Bench) -> None:
 
 def test_a_project_opens_without_the_photograph_whose_reader_crashes(bench: Bench) -> None:
     path = arrived(bench, "x1.png")
-    photo = bench.workbench.take_upload(path, "good.png", "photo", None, bench.person)
+    photo = bench.workbench.take_upload(path, "good.png", "photo", None, bench.client)
     home = bench.workbench.session.folder.path
     bench.workbench.close()
     path.write_bytes(path.read_bytes() + b"crash")
