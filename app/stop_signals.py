@@ -1,4 +1,4 @@
-"""Stop signals: Ctrl-C, SIGTERM, a closed terminal."""
+"""Signals that ask the program to stop: Ctrl-C, SIGTERM, a closed terminal."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ STOP_SIGNALS: tuple[signal.Signals, ...] = tuple(
 )
 """SIGHUP exists on POSIX only, SIGBREAK (Ctrl-Break, a closed console) on Windows only."""
 ONE_REQUEST_S = 1.0
-"""Signals within this time of the first one count as the same request: `make` repeats a Ctrl-C that the terminal has
-sent to all processes, and a login session that ends sends both SIGHUP and SIGTERM."""
+"""Signals within this time of the first one count as the same request: `make` repeats the Ctrl-C that the terminal has
+sent to all its processes, and a session that ends sends both SIGHUP and SIGTERM."""
 
 
 class StopSignals:
-    """Stop signals of a server, received by a thread of their own.
+    """Receiver of the stop signals of a server, in a thread of its own.
 
-    The handlers raise no exception, which would surface at whatever line happens to run, possibly inside a lock.
-    Instead the interpreter writes each signal's number to a socket, and the thread reads it.
+    The handlers raise nothing: an exception raised by a handler surfaces in whatever line is running, possibly while a
+    lock is held. The interpreter writes each signal's number into a socket, and the thread reads it.
     """
 
     def __init__(self) -> None:
         self.first: int | None = None
         """The first signal received."""
-        self._asked = threading.Event()
+        self._requested = threading.Event()
         self._on_second: Callable[[], object] = _report_interruption
         self._sockets: tuple[socket.socket, socket.socket] | None = None
         self._first_at = 0.0
 
     def listen(self) -> None:
-        """Handle stop signals until the process ends; no effect outside the main thread."""
+        """Handle the stop signals until the process ends; does nothing outside the main thread."""
         import socket
 
         if threading.current_thread() is not threading.main_thread():
@@ -54,43 +54,43 @@ class StopSignals:
         threading.Thread(target=self._receive, args=(reader,), name="stop signals", daemon=True).start()
 
     @property
-    def asked(self) -> bool:
-        """Whether a stop was requested."""
-        return self._asked.is_set()
+    def requested(self) -> bool:
+        """Whether the program has been asked to stop."""
+        return self._requested.is_set()
 
     def wait(self, seconds: float) -> bool:
-        """Wait for a stop request; return whether one came within this time, s."""
-        return self._asked.wait(seconds)
+        """Wait at most so many seconds, and return whether the program has been asked to stop."""
+        return self._requested.wait(seconds)
 
     def check(self) -> None:
-        """Raise if a stop was requested.
+        """Raise if the program has been asked to stop.
 
         Raises:
-            Cancelled: if so.
+            Cancelled: if it has.
         """
-        if self.asked:
+        if self.requested:
             from ladarreg_core.errors import Cancelled
 
             raise Cancelled
 
-    def on_second_signal(self, end: Callable[[], object]) -> None:
-        """Set the handler of a second stop signal, later than `ONE_REQUEST_S` after the first.
+    def on_second_request(self, callback: Callable[[], object]) -> None:
+        """Set the callback for a signal later than `ONE_REQUEST_S` after the first, which ends the process at once.
 
         Args:
-            end: called once, outside the main thread; the process ends when it returns.
+            callback: called once, in a thread other than the main one; the process ends when it returns.
         """
-        self._on_second = end
+        self._on_second = callback
 
     def _receive(self, reader: socket.socket) -> None:
         while numbers := reader.recv(64):
             for number in numbers:
                 if number in STOP_SIGNALS:
-                    self._came(number)
+                    self._record(number)
 
-    def _came(self, number: int) -> None:
+    def _record(self, number: int) -> None:
         if self.first is None:
             self.first, self._first_at = number, time.monotonic()
-            self._asked.set()
+            self._requested.set()
         elif time.monotonic() - self._first_at > ONE_REQUEST_S:
             try:
                 self._on_second()
@@ -99,7 +99,7 @@ class StopSignals:
 
 
 def interrupt_on_stop_signals() -> None:
-    """Make stop signals raise KeyboardInterrupt, once for all signals within `ONE_REQUEST_S`."""
+    """Make stop signals raise KeyboardInterrupt, once for all within `ONE_REQUEST_S`."""
     last = -ONE_REQUEST_S
 
     def interrupt(number: int, frame: object) -> None:
@@ -113,7 +113,7 @@ def interrupt_on_stop_signals() -> None:
 
 
 def exit_now(code: int) -> None:
-    """Exit without waiting for other threads."""
+    """End the process without waiting for its threads."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
@@ -121,23 +121,23 @@ def exit_now(code: int) -> None:
 
 
 def print_error(text: str) -> None:
-    """Print a line on stderr, if it is still open."""
+    """Print a line on stderr, if that can still be written: the terminal may have been closed."""
     with contextlib.suppress(OSError, ValueError):
         print(text, file=sys.stderr, flush=True)
 
 
 def _handle(handler: Callable[[int, Any], object]) -> None:
-    """Handle the stop signals until the interpreter has exited."""
+    """Install a handler for the stop signals until the interpreter has ended."""
     handled = [each for each in STOP_SIGNALS if not _is_ignored(each)]
     for each in handled:
         signal.signal(each, handler)
-    # The interpreter removes handlers before it exits, and a late signal would change the exit code.
+    # The interpreter drops its handlers before it ends, and a late signal would change the exit code.
     atexit.unregister(_ignore)
     atexit.register(_ignore, handled)
 
 
 def _is_ignored(number: signal.Signals) -> bool:
-    """Return whether a signal is to be ignored, as `nohup` and `&` of a shell demand."""
+    """Return whether a signal was set to be ignored at the start, as `nohup` and a shell's `&` do."""
     return number is not signal.SIGTERM and signal.getsignal(number) is signal.SIG_IGN
 
 

@@ -52,7 +52,7 @@ class JobRegistry:
         self._watch = watch
         self._matching = MatchingJobs(workspace)
         solve = SolveJobs(workspace)
-        simplex = SimplexJobs(workspace, solve, self._show_frame)
+        simplex = SimplexJobs(solve, self._show_frame)
         self._registration = RegistrationJobs(workspace, solve)
         self._exports = ExportJobs(workspace)
         self._kinds = {

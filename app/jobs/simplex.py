@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.project.results import pose_of
 
-from .inputs import Inputs, Workspace
+from .inputs import Inputs
 from .runner import FULL_SPEED, JobContext
 from .solve import SolveJobs
 
@@ -43,13 +43,11 @@ class SimplexJobs:
     """The simplex with and without outlier removal.
 
     Args:
-        workspace: provides inputs.
         solve: commits the results.
         watch: called with the iterations to display.
     """
 
-    def __init__(self, workspace: Workspace, solve: SolveJobs, watch: Watch) -> None:
-        self._workspace = workspace
+    def __init__(self, solve: SolveJobs, watch: Watch) -> None:
         self._solve = solve
         self._watch = watch
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import viser
 
     from ..gateway.options import GatewayOptions
-    from ..gateway.viser_lock import ViserAddress
+    from ..gateway.viser_backend import ViserAddress
     from .workbench import Workbench
 
 _LAST_PROJECT = "last.json"
@@ -122,13 +122,13 @@ def serve_and_close(
         DependencyError: if this version of viser cannot be locked.
         UnsavedError: if there are edits that the project's disk did not take.
     """
-    from ..gateway.serving import serve_until_interrupted
+    from ..gateway.server import serve_until_interrupted
 
     for sentence in workbench.session.folder.said:
         print(f"ladarreg: {sentence}", file=sys.stderr)
     viser_address: Future[ViserAddress] = Future()
     viser_servers: list[viser.ViserServer] = []
-    stop.on_second_signal(lambda: _save_and_exit(workbench.session))
+    stop.on_second_request(lambda: _save_and_exit(workbench.session))
 
     def open_viser() -> None:
         from ..gateway.viser_backend import open_locked_server
@@ -199,7 +199,7 @@ def _add_files(workbench: Workbench, files: Sequence[Path], camera: Path | None,
 
 
 def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
-    from ..scene import Stage3D
+    from ..scene import Scene3D
 
     class Actions:
         """Actions of the controls in the 3-D scene."""
@@ -217,7 +217,7 @@ def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
             shown = workbench.selection.photo
             workbench.publish_event({"event": "hover", "photo": shown.id if shown else None, "pick": pick_id})
 
-    workbench.attach_scene(Stage3D(server, Actions()))
+    workbench.attach_scene(Scene3D(server, Actions()))
 
 
 def data_folder() -> Path:

@@ -19,7 +19,7 @@ from .selection import Selection
 if TYPE_CHECKING:
     from ..jobs.runner import Job
     from ..jobs.simplex import Frame
-    from ..scene import Stage3D
+    from ..scene import Scene3D
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ class SceneSync:
         self._session = session
         self._loader = loader
         self._selection = selection
-        self._scene: Stage3D | None = None
+        self._scene: Scene3D | None = None
         self.model = ModelChoice()
         """The display of the model, which all clients share."""
         self._model_lock = threading.Lock()
@@ -49,7 +49,7 @@ class SceneSync:
         self._thread = threading.Thread(target=self._work, name="scene sync", daemon=True)
         self._thread.start()
 
-    def attach(self, scene: Stage3D) -> None:
+    def attach(self, scene: Scene3D) -> None:
         """Update this scene from now on."""
         self._scene = scene
         scene.set_model(**asdict(self.model))

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from ladarreg_core.results import PoseResult
 
     from ..gateway.protocol import Picture
-    from ..scene import Stage3D
+    from ..scene import Scene3D
 
 log = logging.getLogger(__name__)
 Message = dict[str, Any]
@@ -127,7 +127,7 @@ class Workbench:
         """
         return self.images.picture(path, query)
 
-    def upload_room(self) -> Path:
+    def upload_folder(self) -> Path:
         """Return the folder for uploads."""
         return self.session.folder.inputs
 
@@ -179,7 +179,7 @@ class Workbench:
         """Remove all matches and poses of a photograph; this can be undone."""
         self.session.commit("Start over", lambda d: edits.edited_photo(d, photo_id, edits.without_work), author="")
 
-    def attach_scene(self, scene: Stage3D) -> None:
+    def attach_scene(self, scene: Scene3D) -> None:
         """Update a 3-D scene from now on."""
         self.scene_sync.attach(scene)
 

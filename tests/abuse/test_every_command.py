@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ladarreg.gateway.json_text import NotJson, decode_object, encode
+from ladarreg.gateway.encoding import InvalidMessageError, decode_object, encode
 from ladarreg.workbench.commands import COMMANDS
 
 from ladarreg_core.formats import read_scan
@@ -128,7 +128,7 @@ class Page:
         """Send a text as the websocket takes it; return the reply, or None where it is no JSON."""
         try:
             message = decode_object(text)
-        except NotJson:
+        except InvalidMessageError:
             return None
         reply = self.bench.workbench.answer(self.bench.client, message)
         self.bench.workbench.runner.wait(60)
@@ -180,7 +180,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     (served / "matches.csv").write_text("x,y,z,u,v\n1,0.01,0,310,200\n")
     bench = sample_bench(home / "project", folder=served)
     for name in ("second.png", "third.png"):
-        path = bench.workbench.upload_room() / name
+        path = bench.workbench.upload_folder() / name
         shutil.copy(sample / "photo.png", path)
         bench.workbench.take_upload(path, name, "photo", None, bench.client)
     pose, camera, scan = (

@@ -29,7 +29,7 @@ from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.simulate.sample import sample_folder
 from tests.abuse.drawing import begin, draw, work_until_killed
 from tests.abuse.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
-from tests.processes import hear_ctrl_c
+from tests.processes import restore_ctrl_c
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="no limit of file sizes and no kill -9 on Windows")
 ROUNDS = 20
@@ -255,7 +255,7 @@ def test_a_server_that_cannot_save_says_so_and_ends_with_1(tmp_path: Path) -> No
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", "serve", str(sample / "scan.npz"), str(next(sample.glob("photo.*"))),
          "--project", str(tmp_path / "p"), "--port", "0", "--no-browser", "--token", TOKEN],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=surroundings, preexec_fn=hear_ctrl_c,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=surroundings, preexec_fn=restore_ctrl_c,
     )  # fmt: skip
     try:
         assert process.stdout is not None

@@ -15,9 +15,9 @@ from typing import Any
 
 from ladarreg.gateway.options import GatewayOptions
 from ladarreg.gateway.protocol import Message, Picture
-from ladarreg.gateway.routes import site
+from ladarreg.gateway.routes import build_site
 from ladarreg.gateway.server import Gateway
-from ladarreg.gateway.viser_lock import ViserAddress
+from ladarreg.gateway.viser_backend import ViserAddress
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
@@ -97,7 +97,7 @@ class CountingBench:
             raise OptionError("it can show intensity; choose that")
         return Picture(PNG, "image/png", f'"{query.get("rev", "none")}"\r\n')
 
-    def upload_room(self) -> Path:
+    def upload_folder(self) -> Path:
         return self.room
 
     def take_upload(self, path: Path, name: str, what: str, photo: str | None, client: Page | None) -> str:
@@ -180,7 +180,7 @@ def running(
     bench = CountingBench(room)
     where = viser or ViserAddress("127.0.0.1", 9, "nobody is there")
     gateway = Gateway(
-        lambda port: site(
+        lambda port: build_site(
             bench, token=TOKEN, viser=where if callable(where) else lambda: where, options=settings, port=port
         ),
         settings,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ladarreg.cli import _set_up_log
 from ladarreg.gateway.options import GatewayOptions
-from ladarreg.gateway.serving import serve_until_interrupted
+from ladarreg.gateway.server import serve_until_interrupted
 from ladarreg.gateway.viser_backend import close_server, open_locked_server
 from ladarreg.stop_signals import StopSignals
 

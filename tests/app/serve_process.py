@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from websockets.sync.client import ClientConnection
 
 from tests.app.gateway_driver import TOKEN, Running, hear
-from tests.processes import hear_ctrl_c
+from tests.processes import restore_ctrl_c
 
 CHECKOUT = Path(__file__).parents[2]
 
@@ -54,7 +54,7 @@ def start(project: Path, *words: str, **surroundings: str) -> subprocess.Popen[s
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=hear_ctrl_c if os.name == "posix" else None,
+        preexec_fn=restore_ctrl_c if os.name == "posix" else None,
     )
 
 

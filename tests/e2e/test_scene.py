@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from ladarreg.gateway.viser_backend import close_server
-from ladarreg.scene import SimplexFrame, Stage3D
+from ladarreg.scene import Scene3D, SimplexFrame
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
@@ -56,10 +56,10 @@ def session() -> Session:
 
 
 @pytest.fixture
-def shown(page: Page, session: Session) -> Iterator[Stage3D]:
+def shown(page: Page, session: Session) -> Iterator[Scene3D]:
     """A stage in a page of its own."""
     server = open_server(label="stage")
-    stage = Stage3D(server, session)  # type: ignore[arg-type]
+    stage = Scene3D(server, session)  # type: ignore[arg-type]
     page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
     page.goto(address(server) + "/?fixedDpr=0.5")
     page.get_by_text("Look from").wait_for(timeout=60_000)
@@ -101,7 +101,7 @@ def at(points: np.ndarray) -> np.ndarray:
 
 
 def test_the_model_has_the_photographs_colours_and_its_matches_can_be_touched(
-    page: Page, shown: Stage3D, session: Session
+    page: Page, shown: Scene3D, session: Session
 ) -> None:
     shown.set_model(cameras=False)
     shown.show_registration(WALL, photo_of_quarters(), quarters())
@@ -129,7 +129,7 @@ def test_the_model_has_the_photographs_colours_and_its_matches_can_be_touched(
     assert session.hovered == ["p7"]
 
 
-def test_the_curves_reach_the_last_step(page: Page, shown: Stage3D) -> None:
+def test_the_curves_reach_the_last_step(page: Page, shown: Scene3D) -> None:
     shown.show_registration(WALL, photo_of_quarters(), None)
     shown.simplex_started()
     assert shown.settle()

@@ -20,7 +20,7 @@ from PIL import Image
 
 from ladarreg_core.errors import Cancelled
 from ladarreg_core.simulate.sample import sample_folder
-from tests.processes import hear_ctrl_c
+from tests.processes import restore_ctrl_c
 
 REGISTER_OPTIONS = (
     "--method", "--matches", "--initial", "--camera", "--focal-px", "--focal-mm", "--sensor-mm", "--scan-index",
@@ -311,7 +311,7 @@ def test_every_end_has_its_code(
 def test_an_interruption_leaves_nothing(after: str, signum: int, tmp_path: Path, checkout: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", *sample("-o", str(tmp_path / "new"))],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=hear_ctrl_c,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=restore_ctrl_c,
     )  # fmt: skip
     assert process.stderr is not None
     for line in process.stderr:

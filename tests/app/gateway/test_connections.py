@@ -19,7 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from tests.app.gateway_driver import Running, hear, running, soon
 
-QUICK = ConnectionLimits(header_s=0.5, stall_s=0.5, strangers=8, members=4, views=2)
+QUICK = ConnectionLimits(header_s=0.5, stall_s=0.5, anonymous=8, authenticated=4, views=2)
 PROTOCOL = "viser-v1.1.1"
 
 
@@ -133,7 +133,7 @@ def test_an_answer_that_nobody_takes_is_given_up(run: Running, tmp_path: Path) -
 
 
 def test_a_newcomer_gets_through_a_crowd_that_says_nothing(tmp_path: Path) -> None:
-    limits = ConnectionLimits(strangers=8)
+    limits = ConnectionLimits(anonymous=8)
     with running(tmp_path, limits=limits) as run, contextlib.ExitStack() as crowd:
         idle = [crowd.enter_context(line_to(run)) for _ in range(60)]
         begun = time.monotonic()
@@ -142,14 +142,14 @@ def test_a_newcomer_gets_through_a_crowd_that_says_nothing(tmp_path: Path) -> No
         with run.socket() as page:
             assert "slices" in hear(page)
         assert time.monotonic() - begun < 2
-        assert soon(lambda: sum(map(is_closed, idle)) >= 60 - limits.strangers)
+        assert soon(lambda: sum(map(is_closed, idle)) >= 60 - limits.anonymous)
 
 
 def test_the_peer_that_has_the_most_makes_room() -> None:
-    connections = Connections(ConnectionLimits(strangers=5))
+    connections = Connections(ConnectionLimits(anonymous=5))
     alone = connections.add("192.0.2.7")
     greedy = [connections.add(f"2001:db8::{k}") for k in range(40)]
-    own = connections._strangers
+    own = connections._anonymous
     assert list(own.pop("192.0.2.7")) == [alone]
     assert [list(lines) for lines in own.values()] == [greedy[-4:]], "its oldest went, its addresses are one peer"
 
@@ -158,7 +158,7 @@ def test_members_have_a_limit_of_their_own_and_are_told(run: Running) -> None:
     with contextlib.ExitStack() as pages:
         idle = pages.enter_context(line_to(run, header(run, "HEAD", "/")))
         assert idle.recv(1 << 20).startswith(b"HTTP/1.1 200")
-        for _ in range(QUICK.members):  # the last takes the place of the one that is idle
+        for _ in range(QUICK.authenticated):  # the last takes the place of the one that is idle
             hear(pages.enter_context(run.socket()))
         assert soon(lambda: is_closed(idle))
         status, _, said = run.ask("GET", "/")
@@ -204,9 +204,9 @@ def test_limits_leave_descriptors_to_files() -> None:
     assert asked.within(None) == asked
     for descriptors in (64, 256, 1024, 4096):
         found = asked.within(descriptors)
-        most = found.strangers + 2 * found.members + 2 * found.views
+        most = found.anonymous + 2 * found.authenticated + 2 * found.views
         assert descriptors - most >= min(128, descriptors // 4)
-        assert min(found.strangers, found.members, found.views) >= 8
+        assert min(found.anonymous, found.authenticated, found.views) >= 8
     assert asked.within(4096) == asked
 
 
@@ -217,7 +217,7 @@ def test_limits_leave_descriptors_to_files() -> None:
 def test_the_limit_of_descriptors_is_raised() -> None:
     code = (
         "import resource as r; h = r.getrlimit(r.RLIMIT_NOFILE)[1]; r.setrlimit(r.RLIMIT_NOFILE, (64, h));"
-        "from ladarreg.process_resources import raised_descriptor_limit as f;"
+        "from ladarreg.process_resources import raise_descriptor_limit as f;"
         "print(f(), r.getrlimit(r.RLIMIT_NOFILE)[0], h)"
     )
     found, soft, hard = map(int, subprocess.check_output([sys.executable, "-c", code], text=True).split())
@@ -229,9 +229,9 @@ def test_the_limit_of_descriptors_is_raised() -> None:
 def test_memory_goes_back() -> None:
     code = """
 import gc, time
-from ladarreg.process_resources import _resident, limit_arenas, return_memory_soon
+from ladarreg.process_resources import _resident_bytes, limit_arenas, return_memory_soon
 limit_arenas()
-before = _resident()
+before = _resident_bytes()
 class Circle: pass
 circles, between = [], []
 for k in range(2000):
@@ -241,9 +241,9 @@ for k in range(2000):
 gc.collect()
 del circles
 return_memory_soon()
-grown = _resident() - before
+grown = _resident_bytes() - before
 time.sleep(1.5)
-print(grown, _resident() - before)
+print(grown, _resident_bytes() - before)
 """
     words = subprocess.check_output([sys.executable, "-c", code], text=True).split()
     grown, left = (int(word) / 2**20 for word in words)

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.json_text import NotJson, decode_object, encode
-from ladarreg.gateway.outbox import Outbox
+from ladarreg.gateway.document_socket import Outbox
+from ladarreg.gateway.encoding import InvalidMessageError, decode_object, encode
 from websockets.exceptions import ConnectionClosed
 
 from tests.app.gateway_driver import Running, hear, running, soon
@@ -203,7 +203,7 @@ def test_whenever_the_outbox_is_emptied_the_state_told_is_the_newest(messages: l
             assert outbox.take() == ([], None)
             continue
         calls = len(woken)
-        waits = bool(outbox._slices or outbox._events or outbox._newest)
+        waits = bool(outbox._slices or outbox._events or outbox._latest)
         outbox.put(message)
         truth.update(message.get("slices", {}))
         assert waits or len(woken) == calls + 1
@@ -237,7 +237,7 @@ def test_what_is_encoded_is_read_back(message: dict[str, Any]) -> None:
 
 @given(st.text() | JSON.filter(lambda value: not isinstance(value, dict)).map(json.dumps))
 def test_any_other_text_is_refused(text: str) -> None:
-    with pytest.raises(NotJson):
+    with pytest.raises(InvalidMessageError):
         decode_object(text)
 
 

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.upload_name import safe_suffix, upload_name
+from ladarreg.gateway.uploads import safe_suffix, upload_name
 
 from ladarreg_core.errors import OptionError
 from tests.app.gateway_driver import PNG, Running, hear, running, soon
@@ -139,7 +139,7 @@ def test_what_a_killed_program_left_is_cleared_away(tmp_path: Path) -> None:
 
 
 def test_a_browser_that_falls_silent_is_taken_for_gone(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg.gateway.uploads._SILENT_S", 0.3)
+    monkeypatch.setattr("ladarreg.gateway.uploads._IDLE_TIMEOUT_S", 0.3)
     with begin(run, b"Content-Length: 200000\r\n\r\nabc") as line:
         assert b" 408 " in line.recv(100)
         assert not left(run)

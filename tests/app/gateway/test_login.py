@@ -12,11 +12,10 @@ from urllib.parse import urlencode
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.attempts import _PACE_S, Attempts
-from ladarreg.gateway.forwarded import asked_of
-from ladarreg.gateway.headers import PAGE_POLICY, VISER_POLICY
-from ladarreg.gateway.login import Door, checked_token, new_token
-from ladarreg.gateway.options import GatewayOptions, is_loopback
+from ladarreg.gateway.login import _PACE_S, AttemptLimiter, Credentials, checked_token, new_token
+from ladarreg.gateway.options import GatewayOptions
+from ladarreg.gateway.request_source import is_loopback, request_source
+from ladarreg.gateway.security import PAGE_POLICY, VISER_POLICY
 from websockets.exceptions import InvalidStatus
 
 from ladarreg_core.errors import OptionError
@@ -79,14 +78,14 @@ def test_the_form_takes_the_token_too(run: Running) -> None:
 def test_many_wrong_tokens_slow_an_address_down_and_shut_nobody_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ladarreg.gateway.entrance._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 0.4)
+    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 0.4)
     with running(tmp_path) as run:
         assert [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(11)] == [401] * 11
         begun = time.monotonic()
         assert run.ask("GET", f"/?token={TOKEN}", known=False)[0] == 200, "the right one opens all the same"
         assert 0.1 < time.monotonic() - begun < 5
-        monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 100.0)
+        monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
         run.ask("GET", "/?token=wrong", known=False)
         status, headers, body = run.ask("GET", "/?token=wrong", known=False)
         assert (status, headers["retry-after"]) == (429, "30")
@@ -100,8 +99,8 @@ def test_many_wrong_tokens_slow_an_address_down_and_shut_nobody_out(
 def test_a_token_that_nobody_can_guess_opens_whatever_was_tried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ladarreg.gateway.entrance._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 100.0)
+    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
     monkeypatch.setattr("tests.app.gateway_driver.TOKEN", token := new_token())
     with running(tmp_path) as run:
         seen = [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(13)]
@@ -119,8 +118,8 @@ def test_what_a_page_embeds_neither_shows_a_token_nor_counts_as_a_try(run: Runni
 
 
 def test_links_of_other_sites_use_up_no_turns_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg.gateway.entrance._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 100.0)
+    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
     with running(tmp_path) as run:
         for site in ("cross-site", "same-site"):
             for n in range(12):
@@ -135,16 +134,16 @@ def test_links_of_other_sites_use_up_no_turns_of_others(tmp_path: Path, monkeypa
 @given(times=st.lists(st.floats(0, 300), max_size=60), most=st.integers(1, 12))
 def test_an_address_never_has_more_tries_in_a_minute_than_it_may(times: list[float], most: int) -> None:
     now = [0.0]
-    attempts = Attempts(most=most, window_s=60, clock=lambda: now[0])
+    attempts = AttemptLimiter(most=most, window_s=60, clock=lambda: now[0])
     tried: list[float] = []
     for moment in sorted(times):
         now[0] = moment
-        assert attempts.turn_s("10.0.0.2") == 0
-        turn_s = attempts.turn_s("10.0.0.1")
+        assert attempts.delay_s("10.0.0.2") == 0
+        turn_s = attempts.delay_s("10.0.0.1")
         assert turn_s is None or 0 <= turn_s <= 30
         if turn_s is not None:
             now[0] = moment + turn_s
-            attempts.wrong("10.0.0.1")
+            attempts.record_failure("10.0.0.1")
             now[0] = moment
             tried.append(moment + turn_s)
     for k, begun in enumerate(sorted(tried)):
@@ -152,42 +151,44 @@ def test_an_address_never_has_more_tries_in_a_minute_than_it_may(times: list[flo
         assert len(within) <= most + 60 / _PACE_S + 1
 
 
-def test_a_network_of_ipv6_addresses_is_one_visitor_and_memory_is_bounded() -> None:
-    attempts = Attempts(most=2)
-    attempts.wrong("2001:db8::1")
-    attempts.wrong("2001:db8::2%eth0")
-    assert attempts.turn_s("2001:db8::fffe") == 0
-    assert attempts.turn_s("2001:db8::ffff") == pytest.approx(_PACE_S, abs=0.5)
-    assert attempts.turn_s("2001:db8::ffff", "form") == 0
-    assert attempts.turn_s("2001:db8:0:1::1") == 0
+def test_a_network_of_ipv6_addresses_is_one_peer_and_memory_is_bounded() -> None:
+    attempts = AttemptLimiter(most=2)
+    attempts.record_failure("2001:db8::1")
+    attempts.record_failure("2001:db8::2%eth0")
+    assert attempts.delay_s("2001:db8::fffe") == 0
+    assert attempts.delay_s("2001:db8::ffff") == pytest.approx(_PACE_S, abs=0.5)
+    assert attempts.delay_s("2001:db8::ffff", "form") == 0
+    assert attempts.delay_s("2001:db8:0:1::1") == 0
     for n in range(5000):
-        attempts.wrong(f"10.{n >> 8}.{n & 255}.1")
-        assert attempts.turn_s(f"net{n}") == 0
-    assert len(attempts._wrong) <= 4096
+        attempts.record_failure(f"10.{n >> 8}.{n & 255}.1")
+        assert attempts.delay_s(f"net{n}") == 0
+    assert len(attempts._failures) <= 4096
 
 
 @given(st.text(st.characters(exclude_characters=";"), max_size=80), st.integers(1, 65535))
 def test_only_our_own_cookies_open(value: str, port: int) -> None:
-    door = Door(TOKEN, port=port)
-    good = door.new_cookie()
-    assert door.browser(f"a=b; {door.cookie_name}={good}") == good.partition(".")[0]
-    assert Door(TOKEN, port=port).browser(f"{door.cookie_name}={good}") is not None, "known after a new start"
-    assert Door(new_token(), port=port).browser(f"{door.cookie_name}={good}") is None
+    credentials = Credentials(TOKEN, port=port)
+    good = credentials.new_cookie()
+    assert credentials.browser_of(f"a=b; {credentials.cookie_name}={good}") == good.partition(".")[0]
+    assert Credentials(TOKEN, port=port).browser_of(f"{credentials.cookie_name}={good}") is not None, (
+        "known after a new start"
+    )
+    assert Credentials(new_token(), port=port).browser_of(f"{credentials.cookie_name}={good}") is None
     for cookies in (
         value,
-        f"{door.cookie_name}={value}",
-        f"{door.cookie_name}={good}{value}0",
-        f"x{door.cookie_name}={good}",
+        f"{credentials.cookie_name}={value}",
+        f"{credentials.cookie_name}={good}{value}0",
+        f"x{credentials.cookie_name}={good}",
     ):
-        assert door.browser(cookies) is None
+        assert credentials.browser_of(cookies) is None
     assert TOKEN not in good
 
 
 @given(st.text(string.ascii_letters + string.digits + "-_.~", min_size=12, max_size=60), st.text(max_size=80))
 def test_a_door_knows_its_token_and_no_other_word(token: str, word: str) -> None:
     assert checked_token(token) == token
-    assert Door(token, port=1).knows(token)
-    assert Door(token, port=1).knows(word) == (word == token)
+    assert Credentials(token, port=1).is_token(token)
+    assert Credentials(token, port=1).is_token(word) == (word == token)
 
 
 @pytest.mark.parametrize("token", ["", "elevenchars", "twelve chars", "zwölf-zeichen", "twelve\nchars"])
@@ -284,11 +285,11 @@ def test_what_a_proxy_says_is_believed_only_where_there_is_one(tmp_path: Path) -
     "x-forwarded-prefix"]), st.binary(max_size=40)), st.booleans())  # fmt: skip
 def test_no_header_is_too_strange(headers: dict[str, bytes], behind_proxy: bool) -> None:
     scope = {"headers": [(k.encode(), v) for k, v in headers.items()], "scheme": "http", "client": None}
-    asked = asked_of(scope, behind_proxy=behind_proxy)
+    asked = request_source(scope, behind_proxy=behind_proxy)
     assert asked.prefix.startswith("/")
     assert asked.prefix.endswith("/")
     assert not set(asked.prefix + asked.host) & set(";, \r\n")
-    assert isinstance(asked.same, bool)
+    assert isinstance(asked.is_same_origin, bool)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "[::1]", "127.8.8.8"])

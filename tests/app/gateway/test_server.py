@@ -17,14 +17,13 @@ import pytest
 from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 from ladarreg.gateway.options import GatewayOptions
-from ladarreg.gateway.server import Gateway
-from ladarreg.gateway.serving import warning
+from ladarreg.gateway.server import Gateway, exposure_warning
 from ladarreg.gateway.viser_backend import close_server, open_locked_server
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate import sample_folder
 from tests.app.gateway_driver import TOKEN, Running, closing_code, hear, running, soon
-from tests.processes import hear_ctrl_c
+from tests.processes import restore_ctrl_c
 
 
 @pytest.fixture(scope="session")
@@ -49,7 +48,7 @@ def started(folder: Path, *words: str) -> tuple[subprocess.Popen[str], str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=hear_ctrl_c,
+        preexec_fn=restore_ctrl_c,
     )
     assert process.stdout is not None
     return process, process.stdout.readline().split()[1]
@@ -97,8 +96,8 @@ def test_it_can_listen_on_ipv6(tmp_path: Path) -> None:
 
 
 def test_opening_it_to_others_is_warned_of() -> None:
-    assert "TLS" in warning(GatewayOptions(host="0.0.0.0"))
-    assert "token" in warning(GatewayOptions(host="0.0.0.0", certfile="x"))
+    assert "TLS" in exposure_warning(GatewayOptions(host="0.0.0.0"))
+    assert "token" in exposure_warning(GatewayOptions(host="0.0.0.0", certfile="x"))
 
 
 # --- TLS -------------------------------------------------------------------------------------------------------------
@@ -211,7 +210,7 @@ def test_the_command_serves_a_scan_and_a_photograph(tmp_path: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=hear_ctrl_c,
+        preexec_fn=restore_ctrl_c,
     )
     try:
         assert process.stdout is not None

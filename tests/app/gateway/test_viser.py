@@ -13,8 +13,7 @@ import pytest
 import viser
 import websockets.asyncio.server
 import zstandard
-from ladarreg.gateway.viser_backend import HOST, close_server, open_locked_server
-from ladarreg.gateway.viser_lock import HEADER, ViserAddress, locked
+from ladarreg.gateway.viser_backend import HOST, SECRET_HEADER, ViserAddress, close_server, locked, open_locked_server
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -79,7 +78,7 @@ def test_its_own_port_is_closed(
     viewer: tuple[viser.ViserServer, ViserAddress], secret: list[str], origin: str | None
 ) -> None:
     address = viewer[1]
-    headers = [(HEADER, word.format(secret=address.secret)) for word in secret]
+    headers = [(SECRET_HEADER, word.format(secret=address.secret)) for word in secret]
     headers += [("Origin", origin.format(port=address.port))] if origin else []
     line = http.client.HTTPConnection(address.host, address.port, timeout=10)
     line.putrequest("GET", "/")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import socket
 
+from ladarreg.gateway.pages import static_folder, static_text
 from ladarreg.gateway.viser_backend import HOST, close_server, open_locked_server
 from ladarreg.scene.colours import MATCH_COLOURS
-from ladarreg.static_files import static_folder, static_text
 
 
 def test_it_listens_on_loopback_only() -> None:

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 import viser
+from ladarreg.gateway.pages import static_text
 from ladarreg.gateway.viser_backend import close_server
-from ladarreg.scene import SimplexFrame, Stage3D
+from ladarreg.scene import Scene3D, SimplexFrame
 from ladarreg.scene.colours import ACCENT, BACKGROUND, MATCH_COLOURS, as_css
-from ladarreg.scene.draw_queue import Wishes
+from ladarreg.scene.draw_queue import DrawQueue
 from ladarreg.scene.legend import legend_html
 from ladarreg.scene.picks_layer import Picks
-from ladarreg.static_files import static_text
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
@@ -70,7 +70,7 @@ class Session:
 
     def __init__(self) -> None:
         self.asked: list[Any] = []
-        self.stage: Stage3D | None = None
+        self.stage: Scene3D | None = None
 
     def set_model(self, **wanted: Any) -> None:
         self.asked.append(wanted)
@@ -109,13 +109,13 @@ def session() -> Session:
 
 
 @pytest.fixture
-def stage(server: viser.ViserServer, session: Session, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage3D]:
+def stage(server: viser.ViserServer, session: Session, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene3D]:
     monkeypatch.setattr("ladarreg.scene.model_layer.REPLACED_AFTER_S", 0.1)
-    monkeypatch.setattr("ladarreg.scene.model_layer.REPLACED_BY_COARSE_AFTER_S", 0.1)
-    monkeypatch.setattr("ladarreg.scene.scene.FINE_AGAIN_S", 0.1)
+    monkeypatch.setattr("ladarreg.scene.model_layer.REPLACED_BY_DRAFT_AFTER_S", 0.1)
+    monkeypatch.setattr("ladarreg.scene.scene.FINE_AFTER_SIMPLEX_S", 0.1)
     server.scene.reset()
     server.gui.reset()
-    session.stage = Stage3D(server, session)  # type: ignore[arg-type]
+    session.stage = Scene3D(server, session)  # type: ignore[arg-type]
     yield session.stage
     session.stage.close()
 
@@ -159,7 +159,7 @@ def click(server: viser.ViserServer, place: list[float]) -> None:
         entry.callback(viser.SceneClickEvent(None, 1, (-1.0, 0, 0), direction, (0.5, 0.5), None))  # type: ignore[arg-type]
 
 
-def test_what_stands_there_has_its_name(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_what_stands_there_has_its_name(server: viser.ViserServer, stage: Scene3D) -> None:
     assert stage.settle()
     assert not models(server)
     stage.show_scan(SCAN)
@@ -180,7 +180,7 @@ def test_what_stands_there_has_its_name(server: viser.ViserServer, stage: Stage3
     assert not {"/scanner", "/camera", "/matches/points"} & set(nodes(server))
 
 
-def test_nothing_is_coloured_before_it_is_accepted(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_nothing_is_coloured_before_it_is_accepted(server: viser.ViserServer, stage: Scene3D) -> None:
     stage.show_scan(SCAN)
     assert stage.settle()
     gray, count = glb(server), len(models(server))
@@ -198,7 +198,7 @@ def test_nothing_is_coloured_before_it_is_accepted(server: viser.ViserServer, st
     assert "/camera_name" not in nodes(server)
 
 
-def test_the_model_is_exchanged_and_its_predecessor_goes(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_the_model_is_exchanged_and_its_predecessor_goes(server: viser.ViserServer, stage: Scene3D) -> None:
     stage.show_registration(SCAN, PHOTO, pose())
     assert stage.settle()
     seen = {glb(server)}
@@ -212,7 +212,7 @@ def test_the_model_is_exchanged_and_its_predecessor_goes(server: viser.ViserServ
         stage.set_model(texture="glitter")
 
 
-def test_of_many_wishes_few_are_drawn_and_always_the_last(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_of_many_wishes_few_are_drawn_and_always_the_last(server: viser.ViserServer, stage: Scene3D) -> None:
     stage.show_registration(SCAN, PHOTO, pose())
     assert stage.settle()
     first = stage._model._count
@@ -224,7 +224,7 @@ def test_of_many_wishes_few_are_drawn_and_always_the_last(server: viser.ViserSer
     assert stage._model.legend == model_texture(SCAN, "intensity").legend
 
 
-def test_another_scan_takes_everything_of_the_last_one_away(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_another_scan_takes_everything_of_the_last_one_away(server: viser.ViserServer, stage: Scene3D) -> None:
     stage.show_registration(SCAN, PHOTO, pose())
     stage.show_picks([[3, 0, 0]], [[1, 2, 3]], [True], ["p"])
     assert stage.settle()
@@ -236,7 +236,7 @@ def test_another_scan_takes_everything_of_the_last_one_away(server: viser.ViserS
     assert np.linalg.norm(server.initial_camera.position - where) > 0.5
 
 
-def test_a_scan_without_surface_is_shown_as_points(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_a_scan_without_surface_is_shown_as_points(server: viser.ViserServer, stage: Scene3D) -> None:
     ranges = np.full((40, 60), np.nan)
     ranges[::4, ::4] = 3.0
     stage.show_scan(Scan(GEOMETRY, ranges, np.ones((40, 60))))
@@ -246,7 +246,7 @@ def test_a_scan_without_surface_is_shown_as_points(server: viser.ViserServer, st
     assert len(cloud.points) == np.isfinite(ranges).sum()
 
 
-def test_switches_hide_and_show(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_switches_hide_and_show(server: viser.ViserServer, stage: Scene3D) -> None:
     stage.show_registration(SCAN, PHOTO, pose())
     stage.set_model(cameras=False, matches=False)
     assert stage.settle()
@@ -259,7 +259,7 @@ def test_switches_hide_and_show(server: viser.ViserServer, stage: Stage3D) -> No
 
 
 def test_picks_have_their_colours_and_answer_clicks(
-    server: viser.ViserServer, stage: Stage3D, session: Session
+    server: viser.ViserServer, stage: Scene3D, session: Session
 ) -> None:
     stage.show_registration(SCAN, PHOTO, None)
     points = np.array([[3, 0, 0], [np.nan, 0, 0], [3, 0.5, 0], [3, -0.5, 0]])
@@ -283,7 +283,7 @@ def test_picks_have_their_colours_and_answer_clicks(
         assert "/highlight/point" not in nodes(server)
 
 
-def test_a_highlight_outlives_a_change_of_the_picks(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_a_highlight_outlives_a_change_of_the_picks(server: viser.ViserServer, stage: Scene3D) -> None:
     stage.show_scan(SCAN)
     stage.show_picks([[3, 0, 0]], [[9, 9, 9]], [True], ["a"])
     stage.highlight("a")
@@ -294,7 +294,7 @@ def test_a_highlight_outlives_a_change_of_the_picks(server: viser.ViserServer, s
 
 
 def test_controls_ask_the_session_and_follow_it_without_a_loop(
-    server: viser.ViserServer, stage: Stage3D, session: Session
+    server: viser.ViserServer, stage: Scene3D, session: Session
 ) -> None:
     stage.show_registration(SCAN, PHOTO, pose())
     assert stage.settle()
@@ -307,9 +307,9 @@ def test_controls_ask_the_session_and_follow_it_without_a_loop(
     assert stage.settle()
     assert gui(server, "Texture").value == "Range"
     assert gui(server, "Cameras").value is True
-    assert gui(server, "Z-buffer").value is False
+    assert gui(server, "Hide occluded").value is False
     assert len(session.asked) == 2, "what the session says is not said back to it"
-    press(gui(server, "Light model"), True, client)
+    press(gui(server, "Coarse mesh"), True, client)
     assert client.told == ["no light here"]
 
 
@@ -318,7 +318,7 @@ def frames(count: int) -> list[SimplexFrame]:
     return [SimplexFrame(k + 1, p, (p,) * 6, 10.0 * 0.9**k, "4 of 4 matches") for k, p in enumerate(there)]
 
 
-def test_a_walk_is_throttled_and_its_last_step_kept(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_a_walk_is_throttled_and_its_last_step_kept(server: viser.ViserServer, stage: Scene3D) -> None:
     stage.show_registration(SCAN, PHOTO, None)
     assert stage.settle()
     assert not stage._folder._folder.visible
@@ -353,7 +353,7 @@ def test_a_walk_is_throttled_and_its_last_step_kept(server: viser.ViserServer, s
     assert "/simplex/best" not in nodes(server), "the pose that is shown says it better"
 
 
-def test_a_walk_that_came_to_nothing_leaves_nothing(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_a_walk_that_came_to_nothing_leaves_nothing(server: viser.ViserServer, stage: Scene3D) -> None:
     stage.show_registration(SCAN, PHOTO, None)
     stage.simplex_started()
     stage.simplex_step(frames(1)[0])
@@ -362,10 +362,10 @@ def test_a_walk_that_came_to_nothing_leaves_nothing(server: viser.ViserServer, s
     assert not {n for n in nodes(server) if n.startswith("/simplex/")}
     stage.simplex_paused(paused=True)
     assert stage.settle()
-    assert not gui(server, "Walk").visible, "what has ended cannot be paused"
+    assert not gui(server, "Simplex run").visible, "what has ended cannot be paused"
 
 
-def test_the_model_is_coarse_while_something_moves(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_the_model_is_coarse_while_something_moves(server: viser.ViserServer, stage: Scene3D) -> None:
     geometry = AzimuthElevation(150, 200, 0.004, 0.004)
     stage.show_registration(Scan(geometry, 3 / geometry.rays[..., 0], np.ones((150, 200))), PHOTO, None)
     assert stage.settle()
@@ -378,10 +378,10 @@ def test_the_model_is_coarse_while_something_moves(server: viser.ViserServer, st
     assert len(glb(server)) == fine
 
 
-def test_the_walks_controls_reach_the_job(server: viser.ViserServer, stage: Stage3D, session: Session) -> None:
+def test_the_walks_controls_reach_the_job(server: viser.ViserServer, stage: Scene3D, session: Session) -> None:
     stage.simplex_started()
     assert stage.settle()
-    client, buttons = Client(), gui(server, "Walk")
+    client, buttons = Client(), gui(server, "Simplex run")
     for name in ("Pause", "Step", "Keep best"):
         press(buttons, name, client)
     stage.simplex_paused(paused=True)
@@ -389,8 +389,8 @@ def test_the_walks_controls_reach_the_job(server: viser.ViserServer, stage: Stag
     assert buttons.options == ("Resume", "Step", "Keep best")
     press(buttons, "Resume", client)
     stage.simplex_paused(paused=False)
-    press(gui(server, "Steps a second"), 30, client)
-    press(gui(server, "Steps a second"), 200, client)
+    press(gui(server, "Steps per second"), 30, client)
+    press(gui(server, "Steps per second"), 200, client)
     assert session.asked == [
         ("pause", None), ("step", None), ("stop", None), ("resume", None), ("speed", 30.0), ("speed", 0.0),
     ]  # fmt: skip
@@ -412,15 +412,15 @@ def test_frames_are_those_of_the_descent() -> None:
         assert frame.best.angle_to(step.camera_from_scanner) < 1e-12
         assert frame.best.distance_to(step.camera_from_scanner) < 1e-12
         assert frame.cost == step.simplex.cost
-        assert f"of {len(step.inliers)} matches" in frame.said
+        assert f"of {len(step.inliers)} matches" in frame.note
 
 
 def test_closing_leaves_no_thread(server: viser.ViserServer) -> None:
     before = set(threading.enumerate())
     server.gui.reset()
-    other = Stage3D(server, Session())  # type: ignore[arg-type]
+    other = Scene3D(server, Session())  # type: ignore[arg-type]
     other.show_registration(SCAN, PHOTO, pose())
-    mine = [thread for thread in threading.enumerate() if thread.name == "stage3d" and thread not in before]
+    mine = [thread for thread in threading.enumerate() if thread.name == "scene" and thread not in before]
     assert len(mine) == 1
     other.close()
     assert not mine[0].is_alive()
@@ -429,28 +429,28 @@ def test_closing_leaves_no_thread(server: viser.ViserServer) -> None:
 
 
 def test_one_failed_drawing_does_not_end_the_others(caplog: pytest.LogCaptureFixture) -> None:
-    wishes, done = Wishes("test wishes"), threading.Event()
+    queue, done = DrawQueue("test queue"), threading.Event()
 
     def fail() -> None:
         raise ValueError("no luck")
 
-    wishes.wish("a", fail)
-    wishes.wish("b", done.set)
-    assert wishes.settle(10)
-    wishes.close()
+    queue.request("a", fail)
+    queue.request("b", done.set)
+    assert queue.settle(10)
+    queue.close()
     assert done.is_set()
     assert "no luck" in caplog.text
 
 
 def test_wishes_wait_for_their_time_and_the_newest_wins() -> None:
-    wishes, drawn = Wishes("test wishes"), []
+    queue, drawn = DrawQueue("test queue"), []
     begun = time.monotonic()
     for k in range(50):
-        wishes.wish("late", lambda k=k: drawn.append((k, time.monotonic() - begun)), after_s=0.15)  # type: ignore[misc]
-    wishes.wish("never", lambda: drawn.append((-1, 0.0)), after_s=0.05)
-    wishes.forget("never")
-    assert wishes.settle(10)
-    wishes.close()
+        queue.request("late", lambda k=k: drawn.append((k, time.monotonic() - begun)), after_s=0.15)  # type: ignore[misc]
+    queue.request("never", lambda: drawn.append((-1, 0.0)), after_s=0.05)
+    queue.cancel("never")
+    assert queue.settle(10)
+    queue.close()
     assert [k for k, _ in drawn] == [49]
     assert drawn[0][1] >= 0.15
 
@@ -464,13 +464,13 @@ class Tags(html.parser.HTMLParser):
         self.seen.append(tag)
 
 
-def test_words_cannot_inject_html(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_words_cannot_inject_html(server: viser.ViserServer, stage: Scene3D) -> None:
     attack = "<img src=x onerror=alert(1)>\"'&"
     tags = Tags()
     tags.feed(legend_html(Legend(attack, (((1, 2, 3), attack),), ((0, 0, 0),), attack, attack), attack))
     assert "img" not in tags.seen
     stage.simplex_started()
-    stage.simplex_step(dataclasses.replace(frames(1)[0], said=attack))
+    stage.simplex_step(dataclasses.replace(frames(1)[0], note=attack))
     assert stage.settle()
     status = Tags()
     status.feed(stage._folder._status.content)
@@ -491,7 +491,7 @@ def test_the_colours_are_the_tokens() -> None:
     assert f"--lr-background: {as_css(BACKGROUND)};" in tokens
 
 
-def test_a_pose_far_away_is_no_obstacle(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_a_pose_far_away_is_no_obstacle(server: viser.ViserServer, stage: Scene3D) -> None:
     far = dataclasses.replace(pose(), camera_from_scanner=Rigid(np.eye(3), [0.0, 0.0, 1e6]))
     stage.show_registration(SCAN, PHOTO, far)
     assert stage.settle()

@@ -35,7 +35,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 
 def arrived(bench: Bench, name: str, ending: bytes = b"") -> Path:
     """A photograph that was uploaded under a name of its own."""
-    path = bench.workbench.upload_room() / name
+    path = bench.workbench.upload_folder() / name
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes() + ending)
     return path
 
@@ -76,7 +76,7 @@ def test_while_a_reader_hangs_others_edit_and_open_files(bench: Bench) -> None:
     READERS.close()
     thread.join(30)
     assert "x1.png: its reader was killed" in refusals[0]
-    assert not (bench.workbench.upload_room() / "x1.png").exists()
+    assert not (bench.workbench.upload_folder() / "x1.png").exists()
 
 
 def test_a_project_opens_without_the_photograph_whose_reader_crashes(bench: Bench) -> None:

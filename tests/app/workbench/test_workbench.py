@@ -384,7 +384,7 @@ def test_pictures_that_are_not_there_are_told(registered: Bench, path: str, quer
 
 
 def test_files_are_looked_at_before_they_are_taken(bench: Bench, tmp_path: Path) -> None:
-    room = bench.workbench.upload_room()
+    room = bench.workbench.upload_folder()
     before = bench.workbench.session.document
 
     def upload(data: bytes, name: str, what: str) -> str:
@@ -425,7 +425,7 @@ def unviewable_scan(path: Path) -> Path:
 
 def test_a_scan_that_cannot_be_viewed_is_refused_and_stops_nobody(bench: Bench) -> None:
     before = bench.workbench.session.document
-    path = unviewable_scan(bench.workbench.upload_room() / "sliver.npz")
+    path = unviewable_scan(bench.workbench.upload_folder() / "sliver.npz")
     with pytest.raises(LadarregError, match="no picture shows") as caught:
         bench.workbench.take_upload(path, "sliver.npz", "scan", None, bench.client)
     assert "\n" not in str(caught.value)
@@ -443,7 +443,7 @@ def test_a_project_whose_scan_cannot_be_viewed_opens_and_says_so(tmp_path: Path)
     draw_matches(bench, np.array(truth["camera_from_scanner"]))
     job = bench.job("linear")
     assert job.state == "done", job.message
-    path = unviewable_scan(bench.workbench.upload_room() / "sliver.npz")
+    path = unviewable_scan(bench.workbench.upload_folder() / "sliver.npz")
     source = msgspec.structs.replace(bench.workbench.session.document.scan, path="inputs/sliver.npz", name="sliver")
     bench.workbench.session.commit("Open it", lambda d: msgspec.structs.replace(d, scan=source), author="older program")
     assert path.exists()
@@ -495,7 +495,7 @@ def test_what_fails_after_a_commit_stops_neither_it_nor_the_others(bench: Bench)
 
     bench.workbench.session._listeners.insert(0, fails)
     bench.workbench.publisher._listeners.insert(0, fails)
-    path = bench.workbench.upload_room() / "second.png"
+    path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
     bench.received.clear()
     assert bench.workbench.take_upload(path, "second.png", "photo", None, bench.client) == "p2"
@@ -506,7 +506,7 @@ def test_what_fails_after_a_commit_stops_neither_it_nor_the_others(bench: Bench)
 
 
 def test_a_file_of_the_project_is_never_removed(bench: Bench) -> None:
-    path = bench.workbench.upload_room() / "second.png"
+    path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
     bench.workbench.take_upload(path, "second.png", "photo", None, bench.client)
     bench.do("undo")
@@ -537,7 +537,7 @@ def test_a_name_that_is_no_text_keeps_nobody_out(tmp_path: Path) -> None:
 def test_a_photo_without_focal_length_is_shown_and_asked_about(bench: Bench, tmp_path: Path) -> None:
     buffer = io.BytesIO()
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (90, 120, 3), np.uint8)).save(buffer, "PNG")
-    path = bench.workbench.upload_room() / "plain.png"
+    path = bench.workbench.upload_folder() / "plain.png"
     path.write_bytes(buffer.getvalue())
     photo = bench.workbench.take_upload(path, "plain.png", "photo", None, bench.client)
     told = bench.slice("photos")[-1]
@@ -653,7 +653,7 @@ def test_a_crash_loses_nothing_not_even_undo(tmp_path: Path, checkout: Path) -> 
 
 def test_opened_again_it_shows_the_photograph_that_was_worked_on(tmp_path: Path) -> None:
     bench = sample_bench(tmp_path / "p")
-    path = bench.workbench.upload_room() / "second.png"
+    path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
     second = bench.workbench.take_upload(path, "second.png", "photo", None, bench.client)
     worked_on = {}
