@@ -20,7 +20,7 @@ from tests.unit.export.samples import sample_registration
 
 
 @given(st.text())
-def test_whatever_a_message_holds_it_is_one_printable_line(text: str) -> None:
+def test_any_text_becomes_one_printable_line(text: str) -> None:
     line = one_line(text)
     assert len(line.splitlines()) <= 1
     assert line.isprintable() or not line
@@ -32,7 +32,7 @@ def test_any_box_becomes_one_line(lines: list[str]) -> None:
     assert len(condense(box).splitlines()) == 1
 
 
-def test_exit_codes_are_those_of_the_contract() -> None:
+def test_exit_codes_are_fixed() -> None:
     assert (ExitCode.ACCEPTED, ExitCode.BAD_INPUT, ExitCode.NOT_ACCEPTED, ExitCode.INTERRUPTED) == (0, 2, 3, 130)
 
 
@@ -44,7 +44,7 @@ NAMES = ("matches", "inliers", "residuals", "spread", "depth", "relief", "condit
     method=st.sampled_from(["manual", "auto", "thesis"]),
     accepted=st.booleans(),
 )
-def test_the_worst_comes_first_and_never_more_than_a_few_lines(levels: list[str], method: str, accepted: bool) -> None:
+def test_findings_are_few_and_the_worst_come_first(levels: list[str], method: str, accepted: bool) -> None:
     found = tuple(
         Finding(name, level, f"{name}\nis so.", "" if level == "good" else "Do it.")  # type: ignore[arg-type]
         for name, level in zip(NAMES, levels, strict=True)
@@ -56,21 +56,21 @@ def test_the_worst_comes_first_and_never_more_than_a_few_lines(levels: list[str]
     heads = [line.split()[0] for line in lines]
     assert "Good" not in heads
     assert heads == sorted(heads, key=["Poor", "Fair", "and"].index)
-    told = {line.split()[1] for line in lines if line.split()[0] != "and"}
+    shown = {line.split()[1] for line in lines if line.split()[0] != "and"}
     if method != "manual":
         assert not lines or accepted
         assert "Fair" not in heads
     elif accepted and levels[-1] == "poor" and levels.count("poor") < 5:
-        assert "lens" in told
-    assert not ("conditioning" in told and told & {"spread", "depth", "relief"})
+        assert "lens" in shown
+    assert not ("conditioning" in shown and shown & {"spread", "depth", "relief"})
 
 
-def test_what_was_not_assessed_is_not_told() -> None:
+def test_without_assessment_there_are_no_lines() -> None:
     assert assessment_lines(Assessment(None, None, None, None), sample_registration()) == []
 
 
 @pytest.mark.parametrize("quiet", [True, False])
-def test_progress_off_a_terminal_is_plain_lines_or_nothing(quiet: bool) -> None:
+def test_progress_without_a_terminal_is_plain_lines_or_nothing(quiet: bool) -> None:
     stream = io.StringIO()
     with progress_bar(quiet=quiet, stream=stream) as bar:
         bar.step(Step("climb", 0.25, detail={"windows": 240, "map": [1, 2]}))
@@ -85,7 +85,7 @@ def test_progress_off_a_terminal_is_plain_lines_or_nothing(quiet: bool) -> None:
         assert "\x1b" not in stream.getvalue()
 
 
-def test_the_bar_on_a_terminal_goes_away() -> None:
+def test_the_bar_on_a_terminal_is_removed() -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True

@@ -1,4 +1,4 @@
-"""Caches that are bounded by number and by bytes."""
+"""Caches bounded by number and by bytes."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ def _photo(height: int, width: int) -> Photo:
     return Photo(np.zeros((height, width, 3), np.uint8), Camera.from_focal(width, height, width))
 
 
-def test_what_was_used_longest_ago_goes_first() -> None:
+def test_the_least_recently_used_value_is_dropped_first() -> None:
     cache: BoundedCache[bytes] = BoundedCache(3, 100, len)
     for name in "abc":
         cache.put(name, name.encode() * 30)
     assert cache.get("a") == b"a" * 30
     cache.put("d", b"d" * 30)
     assert ["b" in cache, "a" in cache, len(cache), cache.bytes] == [False, True, 3, 90]
-    cache.put("e", b"e" * 60)  # in place of two
+    cache.put("e", b"e" * 60)  # replaces two
     assert [name for name in "abcde" if name in cache] == ["d", "e"]
-    cache.put("f", b"f" * 1000)  # too large for itself, and yet the newest
+    cache.put("f", b"f" * 1000)  # exceeds the limit alone, but is the newest
     assert [name for name in "abcdef" if name in cache] == ["f"]
 
 
-def test_what_grows_is_measured_again() -> None:
+def test_growing_values_are_measured_again() -> None:
     cache: BoundedCache[bytearray] = BoundedCache(10, 100, len, values_grow=True)
     first = bytearray(10)
     cache.put("first", first)
@@ -60,7 +60,7 @@ def test_a_rough_size_grows_with_a_slice() -> None:
     assert 300 * one < many < 2000 * one
 
 
-def test_large_photographs_do_not_pile_up(tmp_path: Path) -> None:
+def test_large_photographs_stay_within_the_memory_limit(tmp_path: Path) -> None:
     loader = Loader(ProjectFolder(tmp_path / "project"))
     for k in range(8):
         loader.cached("photo", k, lambda: _photo(6000, 8000))  # 144 MB each
@@ -69,7 +69,7 @@ def test_large_photographs_do_not_pile_up(tmp_path: Path) -> None:
     assert len(shelf) == 4
 
 
-def test_a_new_scan_drops_what_was_computed_on_the_last(tmp_path: Path) -> None:
+def test_a_new_scan_drops_values_derived_from_the_previous_one(tmp_path: Path) -> None:
     loader = Loader(ProjectFolder(tmp_path / "project"))
     loader.cached("scan", 1, lambda: "a scan")
     loader.cached("measured", 1, lambda: "of the first scan")
@@ -79,7 +79,7 @@ def test_a_new_scan_drops_what_was_computed_on_the_last(tmp_path: Path) -> None:
     assert loader.cached("photo", 1, lambda: "read again") == "a photograph"
 
 
-def test_lists_of_gone_photographs_are_forgotten() -> None:
+def test_the_number_of_cached_lists_is_bounded() -> None:
     made: list[int] = []
     each: ListCache[int, int] = ListCache(lambda thing: made.append(thing) or thing)  # type: ignore[func-returns-value]
     things = (1, 2, 3)

@@ -1,4 +1,4 @@
-"""The workbench reads files in other processes: one whose reader crashes or hangs costs itself only."""
+"""Reader processes of the workbench: a file whose reader crashes or hangs affects nothing else."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.2
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    """A workbench in which the end of a file says how its reader behaves, in a real process."""
+    """A workbench whose readers, real processes, behave as the end of each file demands."""
     found = sample_bench(tmp_path / "project")
     monkeypatch.setattr(formats, "read_photo", misbehaving.read_photo)
     monkeypatch.setattr(formats, "read_scan", misbehaving.read_scan_or_misbehave)
@@ -34,13 +34,13 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 
 
 def arrived(bench: Bench, name: str, ending: bytes = b"") -> Path:
-    """A photograph that was uploaded under a name of its own."""
+    """Create an uploaded photograph."""
     path = bench.workbench.upload_folder() / name
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes() + ending)
     return path
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a crash is described in other words there")
+@pytest.mark.skipif(sys.platform == "win32", reason="a crash is described differently there")
 @pytest.mark.parametrize("what", ["photo", "scan"])
 def test_a_file_whose_reader_crashes_is_refused(bench: Bench, what: str) -> None:
     labels = [entry["label"] for entry in bench.slice("history")["entries"]]
@@ -52,7 +52,7 @@ def test_a_file_whose_reader_crashes_is_refused(bench: Bench, what: str) -> None
     assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.client) == "p2"
 
 
-def test_while_a_reader_hangs_others_edit_and_open_files(bench: Bench) -> None:
+def test_edits_and_other_files_do_not_wait_for_a_reader_that_hangs(bench: Bench) -> None:
     refusals: list[str] = []
 
     def upload() -> None:
@@ -71,7 +71,7 @@ def test_while_a_reader_hangs_others_edit_and_open_files(bench: Bench) -> None:
         seconds.append(time.perf_counter() - begun)
     assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.client) == "p2"
     assert len(bench.workbench.slices(bench.client)["photos"]) == 2
-    assert thread.is_alive(), "the reader was to hang meanwhile"
+    assert thread.is_alive(), "the reader was supposed to hang"
     assert statistics.median(seconds) < 0.05
     READERS.close()
     thread.join(30)
@@ -79,7 +79,7 @@ def test_while_a_reader_hangs_others_edit_and_open_files(bench: Bench) -> None:
     assert not (bench.workbench.upload_folder() / "x1.png").exists()
 
 
-def test_a_project_opens_without_the_photograph_whose_reader_crashes(bench: Bench) -> None:
+def test_a_project_opens_without_a_photograph_whose_reader_crashes(bench: Bench) -> None:
     path = arrived(bench, "x1.png")
     photo = bench.workbench.take_upload(path, "good.png", "photo", None, bench.client)
     home = bench.workbench.session.folder.path

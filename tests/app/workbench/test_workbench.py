@@ -1,4 +1,4 @@
-"""The workbench behind the page: edits, history, jobs, and what every page is told."""
+"""The workbench behind the page: edits, history, jobs, files, clients, and the published state."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 @pytest.fixture(scope="module")
 def registered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    """A workbench whose photograph has been registered automatically; tests undo what they do."""
+    """A workbench whose photograph was registered automatically; tests undo their edits."""
     found = sample_bench(tmp_path_factory.mktemp("registered") / "project")
     job = found.job("auto")
     assert job.state == "done", job.message
@@ -45,8 +45,8 @@ def registered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     found.workbench.close()
 
 
-def kept_picks(bench: Bench) -> list[dict[str, Any]]:
-    """What project.json holds."""
+def saved_picks(bench: Bench) -> list[dict[str, Any]]:
+    """Return the picks in project.json."""
     kept = json.loads((bench.workbench.session.folder.path / "project.json").read_bytes())
     return [pick for photo in kept["photos"] for pick in photo["picks"]]
 
@@ -55,7 +55,7 @@ def labels(bench: Bench) -> list[str]:
     return [entry["label"] for entry in bench.slice("history")["entries"]]
 
 
-def test_a_page_that_comes_is_told_everything(bench: Bench) -> None:
+def test_a_new_client_receives_all_slices(bench: Bench) -> None:
     slices = bench.workbench.slices(bench.client)
     assert {"project", "scan", "photos", "shown", "picks:p1", "history", "settings", "job", "people", "limits"} <= set(
         slices
@@ -70,7 +70,7 @@ def test_a_page_that_comes_is_told_everything(bench: Bench) -> None:
         assert setting["kind"] in ("number", "choice", "switch")
 
 
-def test_edits_are_told_saved_named_and_undone(bench: Bench) -> None:
+def test_edits_are_published_saved_labelled_and_undone(bench: Bench) -> None:
     before = len(labels(bench))
     pick = bench.do("add_pick", photo="p1", **LINE)["pick"]
     (told,) = bench.slice("picks:p1")
@@ -80,7 +80,7 @@ def test_edits_are_told_saved_named_and_undone(bench: Bench) -> None:
     bench.do("set_pick", photo="p1", pick=pick, on=False)
     bench.do("set_pick", photo="p1", pick=pick, weight=2.5)
     assert labels(bench)[before:] == ["Draw line 1", "Disable match 1", "Weight match 1"]
-    bench.eventually(lambda: [pick["weight"] for pick in kept_picks(bench)] == [2.5])
+    bench.eventually(lambda: [pick["weight"] for pick in saved_picks(bench)] == [2.5])
     assert bench.slice("project")["undo"] == "Weight match 1"
     bench.do("undo")
     bench.do("undo")
@@ -92,7 +92,7 @@ def test_edits_are_told_saved_named_and_undone(bench: Bench) -> None:
     assert not bench.workbench.session.document.photos
 
 
-def test_moves_of_one_end_are_one_step(bench: Bench) -> None:
+def test_moves_of_one_end_are_merged_into_one_step(bench: Bench) -> None:
     pick = bench.do("add_pick", photo="p1", **LINE)["pick"]
     before = len(labels(bench))
     for k in range(5):
@@ -102,7 +102,7 @@ def test_moves_of_one_end_are_one_step(bench: Bench) -> None:
     assert bench.slice("picks:p1")[0]["photo"] == LINE["photo_uv"]
 
 
-def test_only_what_changed_is_told_again(bench: Bench) -> None:
+def test_only_changed_slices_are_published(bench: Bench) -> None:
     bench.workbench.slices(bench.client)
     bench.eventually(lambda: "judged:p1" in bench.workbench.slices(bench.client))
     bench.received.clear()
@@ -156,7 +156,7 @@ def test_only_what_changed_is_told_again(bench: Bench) -> None:
         ("sample_line", {"scan": [[1, 0, 0]]}, "two ends"),
     ],
 )
-def test_what_cannot_be_done_is_said_in_a_sentence(
+def test_a_refused_command_returns_a_sentence_and_changes_nothing(
     bench: Bench, do: str, fields: dict[str, Any], says: str | None
 ) -> None:
     before = bench.workbench.session.document
@@ -171,7 +171,7 @@ def test_what_cannot_be_done_is_said_in_a_sentence(
     assert bench.workbench.session.document is before
 
 
-def test_junk_never_is_a_fault_of_the_program(bench: Bench) -> None:
+def test_invalid_fields_are_never_an_internal_error(bench: Bench) -> None:
     for do in sorted(COMMANDS):
         for junk in ({}, {"photo": 7, "pick": [], "picks": 3, "scan": {}, "at": None, "n": "x"}, {"photo": "p1"}):
             reply = bench.ask(do, **junk)
@@ -181,7 +181,7 @@ def test_junk_never_is_a_fault_of_the_program(bench: Bench) -> None:
 # jobs
 
 
-def test_registering_gives_matches_a_pose_and_a_verdict(registered: Bench) -> None:
+def test_a_registration_yields_matches_a_pose_and_a_verdict(registered: Bench) -> None:
     picks = registered.slice("picks:p1")
     assert len(picks) > 30
     assert {pick["origin"] for pick in picks} == {"auto"}
@@ -198,7 +198,7 @@ def test_registering_gives_matches_a_pose_and_a_verdict(registered: Bench) -> No
     assert [step["name"] for step in job["steps"]][:1] == ["photo"]
 
 
-def test_a_pose_predicts_both_ways(registered: Bench) -> None:
+def test_a_pose_predicts_matches_in_both_directions(registered: Bench) -> None:
     pick = registered.slice("picks:p1")[3]
     there = registered.do("predict", photo="p1", side="scan", scan=pick["scan"])["photo_uv"][0]
     assert there == pytest.approx(pick["photo"][0], abs=4)
@@ -207,7 +207,7 @@ def test_a_pose_predicts_both_ways(registered: Bench) -> None:
     assert registered.do("where", photo="p1", scan=[-1, 0, 0])["photo_uv"] is None
 
 
-def test_rejecting_switches_off_above_and_on_below(registered: Bench) -> None:
+def test_a_threshold_disables_matches_above_and_enables_those_below(registered: Bench) -> None:
     registered.eventually(lambda: (registered.slice("judged:p1") or {}).get("by_pick"))
     judged = registered.slice("judged:p1")["by_pick"]
     px = sorted(said["px"] for said in judged.values())
@@ -244,13 +244,13 @@ def test_the_simplex_can_be_watched_paused_and_stopped(registered: Bench) -> Non
     assert last["last"]
     assert len(last["parameters"]) == 6
     costs = [event["cost"] for event in events()]
-    assert costs == sorted(costs, reverse=True), "the best vertex never gets worse within one descent"
+    assert costs == sorted(costs, reverse=True), "the cost of the best vertex never rises within one descent"
     assert registered.slice("photos")[0]["state"] in ("solved", "accepted", "refused")
     assert "simplex" in [stage.stage for stage in registered.workbench.session.document.photos[0].poses]
     registered.do("undo")
 
 
-def test_the_simplex_ends_where_the_estimator_does(registered: Bench) -> None:
+def test_the_simplex_job_equals_the_estimator(registered: Bench) -> None:
     from dataclasses import replace
 
     from ladarreg_core.pose.estimate import solve_pose
@@ -267,7 +267,7 @@ def test_the_simplex_ends_where_the_estimator_does(registered: Bench) -> None:
     registered.do("undo")
 
 
-def test_a_result_whose_inputs_have_changed_is_left_out(registered: Bench) -> None:
+def test_a_result_is_discarded_if_its_inputs_have_changed(registered: Bench) -> None:
     registered.do("run", photo="p1", job="simplex")
     pick = registered.do("add_pick", photo="p1", **LINE)["pick"]
     registered.do("job_control", action="speed", value=0)
@@ -280,7 +280,7 @@ def test_a_result_whose_inputs_have_changed_is_left_out(registered: Bench) -> No
     assert pick not in [entry["id"] for entry in registered.slice("picks:p1")]
 
 
-def test_a_solver_says_why_its_matches_are_none(bench: Bench) -> None:
+def test_a_solver_explains_missing_matches(bench: Bench) -> None:
     assert "draw some" in bench.job("robust").message
     pick = bench.do("add_pick", photo="p1", kind="point", scan=[[0, 0, 1]], photo_uv=[[3, 4]])["pick"]
     job = bench.job("linear")
@@ -289,7 +289,7 @@ def test_a_solver_says_why_its_matches_are_none(bench: Bench) -> None:
     assert bench.job("robust").message == "The only match is disabled; enable it in the match table."
 
 
-def test_a_zip_holds_what_the_command_line_writes(registered: Bench) -> None:
+def test_a_zip_holds_the_files_of_the_command_line(registered: Bench) -> None:
     registered.received.clear()
     job = registered.job("export")
     assert job.state == "done", job.message
@@ -308,7 +308,7 @@ def test_a_zip_holds_what_the_command_line_writes(registered: Bench) -> None:
     assert {entry["name"] for entry in told["inputs"]} >= {"scan.npz"}
 
 
-def test_results_go_into_a_folder_and_never_over_one(registered: Bench, tmp_path: Path) -> None:
+def test_an_export_replaces_a_folder_of_results_only_by_force(registered: Bench, tmp_path: Path) -> None:
     folder = tmp_path / "results"
     registered.do("export_folder", photo="p1", folder=str(folder))
     registered.workbench.runner.wait(120)
@@ -355,7 +355,7 @@ def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(regis
         ("registered/p1", {"z_buffer": "0"}),
     ],
 )
-def test_pictures_can_be_asked_for(registered: Bench, path: str, query: dict[str, str]) -> None:
+def test_images_are_rendered_in_the_right_size(registered: Bench, path: str, query: dict[str, str]) -> None:
     found = registered.workbench.picture(path, query)
     image = Image.open(io.BytesIO(found.data))
     scan, photo = registered.slice("scan")["views"][0], registered.slice("photos")[0]
@@ -364,10 +364,10 @@ def test_pictures_can_be_asked_for(registered: Bench, path: str, query: dict[str
     assert registered.workbench.picture(path, query).etag == found.etag
 
 
-def test_the_first_picture_of_the_scan_is_drawn_once(registered: Bench) -> None:
+def test_the_first_image_of_the_scan_is_rendered_once(registered: Bench) -> None:
     asked = {"show": "intensity", "low": "1", "high": "99.5", "equalise": "0", "gamma": "0.6", "view": "0", "rev": "7"}
     first = registered.workbench.picture("scan", {})
-    assert registered.workbench.picture("scan", asked) is first, "the page says what is meant anyway"
+    assert registered.workbench.picture("scan", asked) is first, "explicit default values are the same request"
     assert registered.workbench.picture("scan", {**asked, "gamma": "1"}) is not first
 
 
@@ -375,7 +375,7 @@ def test_the_first_picture_of_the_scan_is_drawn_once(registered: Bench) -> None:
     ("path", "query"),
     [("scan", {"view": "9"}), ("scan", {"low": "x"}), ("photo/p7", {}), ("sound", {}), ("scan/..", {})],
 )
-def test_pictures_that_are_not_there_are_told(registered: Bench, path: str, query: dict[str, str]) -> None:
+def test_missing_images_are_errors(registered: Bench, path: str, query: dict[str, str]) -> None:
     with pytest.raises(LadarregError):
         registered.workbench.picture(path, query)
 
@@ -383,7 +383,7 @@ def test_pictures_that_are_not_there_are_told(registered: Bench, path: str, quer
 # files
 
 
-def test_files_are_looked_at_before_they_are_taken(bench: Bench, tmp_path: Path) -> None:
+def test_invalid_uploads_are_refused_and_deleted(bench: Bench, tmp_path: Path) -> None:
     room = bench.workbench.upload_folder()
     before = bench.workbench.session.document
 
@@ -407,7 +407,7 @@ def test_files_are_looked_at_before_they_are_taken(bench: Bench, tmp_path: Path)
             upload(data, name, what)
         assert str(bench.workbench.session.folder.path) not in str(caught.value)
     assert bench.workbench.session.document is before
-    assert not [path for path in room.iterdir() if path.name.startswith("upload-")], "refused files are gone"
+    assert not [path for path in room.iterdir() if path.name.startswith("upload-")], "refused files are deleted"
 
     second = upload(picture, "second.png", "photo")
     assert second == "p2"
@@ -416,14 +416,14 @@ def test_files_are_looked_at_before_they_are_taken(bench: Bench, tmp_path: Path)
 
 
 def unviewable_scan(path: Path) -> Path:
-    """Write a sound scan of 24 x 36 cells whose rows lie within a hundredth of a degree."""
+    """Write a valid scan of 24 x 36 cells whose rows span a hundredth of a degree."""
     counts = np.random.default_rng(0).integers(100, 200, (24, 36)).astype(np.uint16)
     steps = {"d_azimuth_rad": 0.01, "d_elevation_rad": 1e-5}
     np.savez(path, intensity=np.ones((24, 36), np.float32), counts=counts, r0_m=0.5, dr_m=0.01, **steps)
     return path
 
 
-def test_a_scan_that_cannot_be_viewed_is_refused_and_stops_nobody(bench: Bench) -> None:
+def test_a_scan_without_views_is_refused_and_clients_can_still_join(bench: Bench) -> None:
     before = bench.workbench.session.document
     path = unviewable_scan(bench.workbench.upload_folder() / "sliver.npz")
     with pytest.raises(LadarregError, match="no picture shows") as caught:
@@ -435,7 +435,7 @@ def test_a_scan_that_cannot_be_viewed_is_refused_and_stops_nobody(bench: Bench) 
     assert bench.slice("scan")["views"]
 
 
-def test_a_project_whose_scan_cannot_be_viewed_opens_and_says_so(tmp_path: Path) -> None:
+def test_a_project_whose_scan_has_no_views_opens_with_a_message(tmp_path: Path) -> None:
     import msgspec
 
     bench = sample_bench(tmp_path / "p")
@@ -470,14 +470,14 @@ def test_a_project_whose_scan_cannot_be_viewed_opens_and_says_so(tmp_path: Path)
             assert len(json.loads(file.read("matches.json"))["matches"]) == matches + 1
         bench.do("undo")
         bench.do("undo")
-        assert bench.slice("scan")["views"], "the scan before it is back"
+        assert bench.slice("scan")["views"], "the previous scan is back"
         assert "cannot be shown" not in bench.slice("project")["opened"]
     finally:
         bench.workbench.close()
 
 
 def draw_matches(bench: Bench, pose: np.ndarray) -> None:
-    """Draw two dozen exact points."""
+    """Add two dozen exact points."""
     scan = bench.workbench.loader.scan(bench.workbench.session.document)
     camera = bench.workbench.loader.photo(bench.workbench.session.document.photos[0]).camera
     assert scan is not None
@@ -489,9 +489,9 @@ def draw_matches(bench: Bench, pose: np.ndarray) -> None:
         bench.do("add_pick", photo="p1", kind="point", scan=[points[k].tolist()], photo_uv=[uv[k].tolist()])
 
 
-def test_what_fails_after_a_commit_stops_neither_it_nor_the_others(bench: Bench) -> None:
+def test_a_failing_listener_affects_neither_commits_nor_other_listeners(bench: Bench) -> None:
     def fails(*_: object) -> None:
-        raise RuntimeError("a listener of nobody's")
+        raise RuntimeError("a faulty listener")
 
     bench.workbench.session._listeners.insert(0, fails)
     bench.workbench.publisher._listeners.insert(0, fails)
@@ -500,12 +500,12 @@ def test_what_fails_after_a_commit_stops_neither_it_nor_the_others(bench: Bench)
     bench.received.clear()
     assert bench.workbench.take_upload(path, "second.png", "photo", None, bench.client) == "p2"
     assert path.exists()
-    assert any("photos" in message.get("slices", {}) for message in bench.received), "the others are told"
+    assert any("photos" in message.get("slices", {}) for message in bench.received), "other listeners are notified"
     bench.do("add_pick", photo="p2", **LINE)
     bench.workbench.leave(bench.workbench.join("somebody else"))
 
 
-def test_a_file_of_the_project_is_never_removed(bench: Bench) -> None:
+def test_a_file_of_the_project_is_never_deleted(bench: Bench) -> None:
     path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
     bench.workbench.take_upload(path, "second.png", "photo", None, bench.client)
@@ -518,7 +518,7 @@ def test_a_file_of_the_project_is_never_removed(bench: Bench) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text here")
-def test_a_name_that_is_no_text_keeps_nobody_out(tmp_path: Path) -> None:
+def test_a_file_name_that_is_not_unicode_is_not_listed(tmp_path: Path) -> None:
     served = tmp_path / "served"
     served.mkdir()
     name = os.fsdecode(b"b\xfcro.npz")
@@ -534,7 +534,7 @@ def test_a_name_that_is_no_text_keeps_nobody_out(tmp_path: Path) -> None:
         bench.workbench.close()
 
 
-def test_a_photo_without_focal_length_is_shown_and_asked_about(bench: Bench, tmp_path: Path) -> None:
+def test_a_photo_without_focal_length_is_shown_and_a_camera_requested(bench: Bench, tmp_path: Path) -> None:
     buffer = io.BytesIO()
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (90, 120, 3), np.uint8)).save(buffer, "PNG")
     path = bench.workbench.upload_folder() / "plain.png"
@@ -552,7 +552,7 @@ def test_a_photo_without_focal_length_is_shown_and_asked_about(bench: Bench, tmp
     assert bench.slice("photos")[-1]["camera"]["fx"] == pytest.approx(26 * math.hypot(120, 90) / math.hypot(36, 24))
 
 
-def test_a_served_folder_gives_its_files_and_nothing_else(tmp_path: Path) -> None:
+def test_a_served_folder_offers_only_files_below_it(tmp_path: Path) -> None:
     served = tmp_path / "served"
     (served / "deep").mkdir(parents=True)
     for path in sample_folder().iterdir():
@@ -572,7 +572,7 @@ def test_a_served_folder_gives_its_files_and_nothing_else(tmp_path: Path) -> Non
         bench.workbench.close()
 
 
-def test_what_is_hidden_in_a_served_folder_is_neither_listed_nor_opened(tmp_path: Path) -> None:
+def test_hidden_files_of_a_served_folder_are_neither_listed_nor_opened(tmp_path: Path) -> None:
     served = tmp_path / "served"
     scan = (sample_folder() / "scan.npz").read_bytes()
     camera = (sample_folder() / "camera.json").read_bytes()
@@ -605,10 +605,10 @@ def test_what_is_hidden_in_a_served_folder_is_neither_listed_nor_opened(tmp_path
         bench.workbench.close()
 
 
-# people, crashes, starts
+# clients, crashes, starts
 
 
-def test_people_have_names_of_their_own(bench: Bench) -> None:
+def test_client_names_are_unique(bench: Bench) -> None:
     other = bench.workbench.join("elsewhere")
     assert other.name != bench.client.name
     bench.do("call_me", name="Ann")
@@ -636,22 +636,22 @@ os.kill(os.getpid(), 9)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no kill -9 to send")
-def test_a_crash_loses_nothing_not_even_undo(tmp_path: Path, checkout: Path) -> None:
+def test_a_crash_loses_neither_edits_nor_undo(tmp_path: Path, checkout: Path) -> None:
     died = subprocess.run([sys.executable, "-c", _DIES, str(tmp_path / "p")], cwd=checkout, capture_output=True)
     assert died.returncode == -9, died.stderr.decode()
     bench = open_bench(tmp_path / "p")
     try:
-        assert len(bench.slice("picks:p1")) == len(kept_picks(bench)) == 2
+        assert len(bench.slice("picks:p1")) == len(saved_picks(bench)) == 2
         assert bench.slice("project")["opened"].startswith("Reopened scan, last edited at 2")
         names = [bench.slice("scan")["id"], bench.slice("photos")[0]["rev"]]
-        assert names == died.stdout.decode().split(), "a page keeps what it holds of a picture that is still the same"
+        assert names == died.stdout.decode().split(), "a page keeps its images"
         bench.do("redo")
         assert [pick["photo"] for pick in bench.slice("picks:p1")] == [[[100 + k, 50]] for k in range(3)]
     finally:
         bench.workbench.close()
 
 
-def test_opened_again_it_shows_the_photograph_that_was_worked_on(tmp_path: Path) -> None:
+def test_a_reopened_project_shows_the_photograph_edited_last(tmp_path: Path) -> None:
     bench = sample_bench(tmp_path / "p")
     path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
@@ -667,7 +667,7 @@ def test_opened_again_it_shows_the_photograph_that_was_worked_on(tmp_path: Path)
     assert worked_on == {"p1": "p1", second: second}
 
 
-def test_a_disk_that_is_full_does_not_stop_the_work(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_edits_continue_on_a_full_disk_and_are_saved_later(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     from ladarreg_core.errors import ExportError
     from ladarreg_core.export.atomic_write import AppendedFile
     from ladarreg_core.project.folder import ProjectFolder
@@ -685,17 +685,17 @@ def test_a_disk_that_is_full_does_not_stop_the_work(bench: Bench, monkeypatch: p
             bench.do("add_pick", photo="p1", **LINE)
             bench.eventually(lambda: bench.slice("project")["unsaved"])
             assert bench.do("add_pick", photo="p1", **LINE)["saved"] is False
-            assert bench.do("set_model", light=count == 1)["saved"] is False, "every answer says so"
+            assert bench.do("set_model", light=count == 1)["saved"] is False, "every reply says so"
             assert ["no space" in text for text in notices()] == [True], "and a notice once"
         bench.eventually(lambda: not bench.slice("project")["unsaved"])
-        assert notices()[1:] == ["Everything is saved again."], "although nobody did anything"
+        assert notices()[1:] == ["Everything is saved again."], "without another edit"
         bench.received.clear()
         assert "saved" not in bench.do("add_pick", photo="p1", **LINE)
         bench.workbench.session.folder.settle()
-        assert len(kept_picks(bench)) == 3 * count, "what could not be saved is saved whole"
+        assert len(saved_picks(bench)) == 3 * count, "all edits are saved"
 
 
-def test_a_project_whose_matches_are_missing_shows_everything_else(tmp_path: Path) -> None:
+def test_a_project_with_missing_arrays_shows_everything_else(tmp_path: Path) -> None:
     bench = sample_bench(tmp_path / "p")
     bench.do("add_pick", photo="p1", **LINE)
     bench.job("auto")
@@ -712,14 +712,14 @@ def test_a_project_whose_matches_are_missing_shows_everything_else(tmp_path: Pat
         (stage,) = bench.slice("poses:p1")["stages"]
         assert "solve again" in stage["verdict"]
         judged = bench.eventually(lambda: bench.slice("judged:p1"))
-        assert list(judged["lines"]) == ["1"], "what the scan measures under a line does not need the answer"
+        assert list(judged["lines"]) == ["1"], "samples of a line need no pose"
         assert bench.job("auto").state == "done"
         assert bench.slice("poses:p1")["stages"][0]["accepted"] is True
     finally:
         bench.workbench.close()
 
 
-def test_what_is_given_at_the_start_is_checked(tmp_path: Path) -> None:
+def test_invalid_inputs_at_the_start_are_refused(tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="no such file"):
         open_workbench([tmp_path / "nothing.npz"], project=tmp_path / "p")
     (tmp_path / "empty").mkdir()
@@ -728,10 +728,10 @@ def test_what_is_given_at_the_start_is_checked(tmp_path: Path) -> None:
     (tmp_path / "bad.npz").write_bytes(b"bad")
     with pytest.raises(LadarregError):
         open_workbench([tmp_path / "bad.npz"], project=tmp_path / "p")
-    open_workbench([], project=tmp_path / "p").close()  # the failed start let the folder go
+    open_workbench([], project=tmp_path / "p").close()  # the failed start has released the folder
 
 
-def test_the_same_scan_is_found_again_and_the_last_project_offered(
+def test_the_project_of_a_scan_and_the_last_project_are_reopened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LADARREG_HOME", str(tmp_path / "home"))
