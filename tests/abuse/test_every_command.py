@@ -24,7 +24,7 @@ from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import Bench, sample_bench
+from tests.app.workbench_driver import WorkbenchDriver, sample_bench
 
 DEEP = "[" * 900 + "]" * 900
 NUMBERS = (
@@ -120,7 +120,7 @@ SOUND: dict[str, list[dict[str, Any]]] = {
 class Page:
     """A page that sends any text, and a second reader that opens the project after whatever changed it."""
 
-    def __init__(self, bench: Bench, aside: Path) -> None:
+    def __init__(self, bench: WorkbenchDriver, aside: Path) -> None:
         self.bench, self._aside = bench, aside
         self._read: History | None = None
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from ladarreg.arguments import condense
 from ladarreg.exit_codes import ExitCode
-from ladarreg.messages import assessment_lines, one_line
+from ladarreg.messages import ACCEPTED, assessment_lines, one_line
 from ladarreg.progress_bar import progress_bar
 
 from ladarreg_core.progress import Progress, Step
 from ladarreg_core.quality.assessment import Assessment
 from ladarreg_core.quality.findings import LEVELS, Finding
+from ladarreg_core.results import STAGE_LABELS, Evidence, StageId, StageName
 from tests.unit.export.samples import sample_registration
 
 
@@ -30,6 +32,11 @@ def test_any_text_becomes_one_printable_line(text: str) -> None:
 def test_any_box_becomes_one_line(lines: list[str]) -> None:
     box = "\n".join(["╭─ Error ───╮", *(f"│ {line} │" for line in lines), "╰───────────╯"])
     assert len(condense(box).splitlines()) == 1
+
+
+def test_every_stage_has_a_label_and_every_evidence_a_verdict() -> None:
+    assert set(STAGE_LABELS) == {*get_args(StageId), *get_args(StageName)}
+    assert set(ACCEPTED) >= set(get_args(Evidence))
 
 
 def test_exit_codes_are_fixed() -> None:

@@ -18,7 +18,7 @@ from ladarreg_core.simulate.sample import sample_folder
 
 
 @dataclass
-class Bench:
+class WorkbenchDriver:
     """A workbench, one client, and all messages that it received."""
 
     workbench: Workbench
@@ -69,15 +69,15 @@ class Bench:
         raise AssertionError("the condition never became true")
 
 
-def open_bench(home: Path, *inputs: Path, camera: Path | None = None, **options: Any) -> Bench:
+def open_bench(home: Path, *inputs: Path, camera: Path | None = None, **options: Any) -> WorkbenchDriver:
     """Open a workbench whose project lies in `home`."""
     workbench = open_workbench(inputs, project=home, camera=camera, **options)
-    bench = Bench(workbench, workbench.join("test"))
+    bench = WorkbenchDriver(workbench, workbench.join("test"))
     workbench.subscribe(bench.received.append)
     return bench
 
 
-def sample_bench(home: Path, **options: Any) -> Bench:
+def sample_bench(home: Path, **options: Any) -> WorkbenchDriver:
     """Open a workbench on the embedded sample."""
     folder = sample_folder()
     return open_bench(home, folder / "scan.npz", next(folder.glob("photo.*")), camera=folder / "camera.json", **options)

@@ -236,7 +236,9 @@ def test_a_bad_camera_is_one_line(
     assert not (tmp_path / "new").exists()
 
 
-def test_a_photo_without_focal_length_names_the_missing_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_photo_without_focal_length_names_the_missing_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = [*sample()[:-2], "-o", str(tmp_path / "new")]
     assert main(words) == ExitCode.BAD_INPUT
     line = complaint(capsys)
@@ -277,9 +279,7 @@ def fails_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.commands.info.run", run)
 
 
-def test_an_internal_error_is_one_line_too(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_internal_error_is_one_line_too(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     fails_with(ZeroDivisionError("a\nb"), monkeypatch)
     assert main(["info", "x"]) == ExitCode.FAILED
     assert "--debug" in complaint(capsys)

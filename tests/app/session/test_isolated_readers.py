@@ -16,14 +16,14 @@ from ladarreg_core import formats
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.isolated import ReaderLimits
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import Bench, open_bench, sample_bench
+from tests.app.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 from tests.formats import misbehaving
 
 LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[WorkbenchDriver]:
     """A workbench whose readers, real processes, behave as the end of each file demands."""
     found = sample_bench(tmp_path / "project")
     monkeypatch.setattr(formats, "read_photo", misbehaving.read_photo)
@@ -33,7 +33,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     found.workbench.close()
 
 
-def arrived(bench: Bench, name: str, ending: bytes = b"") -> Path:
+def arrived(bench: WorkbenchDriver, name: str, ending: bytes = b"") -> Path:
     """Create an uploaded photograph."""
     path = bench.workbench.upload_folder() / name
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes() + ending)
@@ -42,7 +42,7 @@ def arrived(bench: Bench, name: str, ending: bytes = b"") -> Path:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a crash is described differently there")
 @pytest.mark.parametrize("what", ["photo", "scan"])
-def test_a_file_whose_reader_crashes_is_refused(bench: Bench, what: str) -> None:
+def test_a_file_whose_reader_crashes_is_refused(bench: WorkbenchDriver, what: str) -> None:
     labels = [entry["label"] for entry in bench.slice("history")["entries"]]
     path = arrived(bench, "x1.png", b"crash")
     with pytest.raises(FormatError, match=r"x1\.png: its reader crashed \(Seg"):
@@ -52,7 +52,7 @@ def test_a_file_whose_reader_crashes_is_refused(bench: Bench, what: str) -> None
     assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.client) == "p2"
 
 
-def test_edits_and_other_files_do_not_wait_for_a_reader_that_hangs(bench: Bench) -> None:
+def test_edits_and_other_files_do_not_wait_for_a_reader_that_hangs(bench: WorkbenchDriver) -> None:
     refusals: list[str] = []
 
     def upload() -> None:
@@ -79,7 +79,7 @@ def test_edits_and_other_files_do_not_wait_for_a_reader_that_hangs(bench: Bench)
     assert not (bench.workbench.upload_folder() / "x1.png").exists()
 
 
-def test_a_project_opens_without_a_photograph_whose_reader_crashes(bench: Bench) -> None:
+def test_a_project_opens_without_a_photograph_whose_reader_crashes(bench: WorkbenchDriver) -> None:
     path = arrived(bench, "x1.png")
     photo = bench.workbench.take_upload(path, "good.png", "photo", None, bench.client)
     home = bench.workbench.session.folder.path

@@ -23,20 +23,20 @@ from PIL import Image
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import Bench, open_bench, sample_bench
+from tests.app.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 
 LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
+def bench(tmp_path: Path) -> Iterator[WorkbenchDriver]:
     found = sample_bench(tmp_path / "project")
     yield found
     found.workbench.close()
 
 
 @pytest.fixture(scope="module")
-def registered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+def registered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
     """A workbench whose photograph was registered automatically; tests undo their edits."""
     found = sample_bench(tmp_path_factory.mktemp("registered") / "project")
     job = found.job("auto")
@@ -45,17 +45,17 @@ def registered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     found.workbench.close()
 
 
-def saved_picks(bench: Bench) -> list[dict[str, Any]]:
+def saved_picks(bench: WorkbenchDriver) -> list[dict[str, Any]]:
     """Return the picks in project.json."""
     kept = json.loads((bench.workbench.session.folder.path / "project.json").read_bytes())
     return [pick for photo in kept["photos"] for pick in photo["picks"]]
 
 
-def labels(bench: Bench) -> list[str]:
+def labels(bench: WorkbenchDriver) -> list[str]:
     return [entry["label"] for entry in bench.slice("history")["entries"]]
 
 
-def test_a_new_client_receives_all_slices(bench: Bench) -> None:
+def test_a_new_client_receives_all_slices(bench: WorkbenchDriver) -> None:
     slices = bench.workbench.slices(bench.client)
     assert {"project", "scan", "photos", "shown", "picks:p1", "history", "settings", "job", "people", "limits"} <= set(
         slices
@@ -70,7 +70,7 @@ def test_a_new_client_receives_all_slices(bench: Bench) -> None:
         assert setting["kind"] in ("number", "choice", "switch")
 
 
-def test_edits_are_published_saved_labelled_and_undone(bench: Bench) -> None:
+def test_edits_are_published_saved_labelled_and_undone(bench: WorkbenchDriver) -> None:
     before = len(labels(bench))
     pick = bench.do("add_pick", photo="p1", **LINE)["pick"]
     (told,) = bench.slice("picks:p1")
@@ -92,7 +92,7 @@ def test_edits_are_published_saved_labelled_and_undone(bench: Bench) -> None:
     assert not bench.workbench.session.document.photos
 
 
-def test_moves_of_one_end_are_merged_into_one_step(bench: Bench) -> None:
+def test_moves_of_one_end_are_merged_into_one_step(bench: WorkbenchDriver) -> None:
     pick = bench.do("add_pick", photo="p1", **LINE)["pick"]
     before = len(labels(bench))
     for k in range(5):
@@ -102,7 +102,7 @@ def test_moves_of_one_end_are_merged_into_one_step(bench: Bench) -> None:
     assert bench.slice("picks:p1")[0]["photo"] == LINE["photo_uv"]
 
 
-def test_only_changed_slices_are_published(bench: Bench) -> None:
+def test_only_changed_slices_are_published(bench: WorkbenchDriver) -> None:
     bench.workbench.slices(bench.client)
     bench.eventually(lambda: "judged:p1" in bench.workbench.slices(bench.client))
     bench.received.clear()
@@ -157,7 +157,7 @@ def test_only_changed_slices_are_published(bench: Bench) -> None:
     ],
 )
 def test_a_refused_command_returns_a_sentence_and_changes_nothing(
-    bench: Bench, do: str, fields: dict[str, Any], says: str | None
+    bench: WorkbenchDriver, do: str, fields: dict[str, Any], says: str | None
 ) -> None:
     before = bench.workbench.session.document
     if says is None:
@@ -171,7 +171,7 @@ def test_a_refused_command_returns_a_sentence_and_changes_nothing(
     assert bench.workbench.session.document is before
 
 
-def test_invalid_fields_are_never_an_internal_error(bench: Bench) -> None:
+def test_invalid_fields_are_never_an_internal_error(bench: WorkbenchDriver) -> None:
     for do in sorted(COMMANDS):
         for junk in ({}, {"photo": 7, "pick": [], "picks": 3, "scan": {}, "at": None, "n": "x"}, {"photo": "p1"}):
             reply = bench.ask(do, **junk)
@@ -181,7 +181,7 @@ def test_invalid_fields_are_never_an_internal_error(bench: Bench) -> None:
 # jobs
 
 
-def test_a_registration_yields_matches_a_pose_and_a_verdict(registered: Bench) -> None:
+def test_a_registration_yields_matches_a_pose_and_a_verdict(registered: WorkbenchDriver) -> None:
     picks = registered.slice("picks:p1")
     assert len(picks) > 30
     assert {pick["origin"] for pick in picks} == {"auto"}
@@ -198,7 +198,7 @@ def test_a_registration_yields_matches_a_pose_and_a_verdict(registered: Bench) -
     assert [step["name"] for step in job["steps"]][:1] == ["photo"]
 
 
-def test_a_pose_predicts_matches_in_both_directions(registered: Bench) -> None:
+def test_a_pose_predicts_matches_in_both_directions(registered: WorkbenchDriver) -> None:
     pick = registered.slice("picks:p1")[3]
     there = registered.do("predict", photo="p1", side="scan", scan=pick["scan"])["photo_uv"][0]
     assert there == pytest.approx(pick["photo"][0], abs=4)
@@ -207,7 +207,7 @@ def test_a_pose_predicts_matches_in_both_directions(registered: Bench) -> None:
     assert registered.do("where", photo="p1", scan=[-1, 0, 0])["photo_uv"] is None
 
 
-def test_a_threshold_disables_matches_above_and_enables_those_below(registered: Bench) -> None:
+def test_a_threshold_disables_matches_above_and_enables_those_below(registered: WorkbenchDriver) -> None:
     registered.eventually(lambda: (registered.slice("judged:p1") or {}).get("by_pick"))
     judged = registered.slice("judged:p1")["by_pick"]
     px = sorted(said["px"] for said in judged.values())
@@ -220,7 +220,7 @@ def test_a_threshold_disables_matches_above_and_enables_those_below(registered: 
     registered.do("undo")
 
 
-def test_the_simplex_can_be_watched_paused_and_stopped(registered: Bench) -> None:
+def test_the_simplex_can_be_watched_paused_and_stopped(registered: WorkbenchDriver) -> None:
     registered.received.clear()
     registered.do("run", photo="p1", job="simplex")
     events = lambda: [m for m in registered.received if m.get("event") == "simplex"]  # noqa: E731
@@ -250,7 +250,7 @@ def test_the_simplex_can_be_watched_paused_and_stopped(registered: Bench) -> Non
     registered.do("undo")
 
 
-def test_the_simplex_job_equals_the_estimator(registered: Bench) -> None:
+def test_the_simplex_job_equals_the_estimator(registered: WorkbenchDriver) -> None:
     from dataclasses import replace
 
     from ladarreg_core.pose.estimate import solve_pose
@@ -267,7 +267,7 @@ def test_the_simplex_job_equals_the_estimator(registered: Bench) -> None:
     registered.do("undo")
 
 
-def test_a_result_is_discarded_if_its_inputs_have_changed(registered: Bench) -> None:
+def test_a_result_is_discarded_if_its_inputs_have_changed(registered: WorkbenchDriver) -> None:
     registered.do("run", photo="p1", job="simplex")
     pick = registered.do("add_pick", photo="p1", **LINE)["pick"]
     registered.do("job_control", action="speed", value=0)
@@ -280,7 +280,7 @@ def test_a_result_is_discarded_if_its_inputs_have_changed(registered: Bench) -> 
     assert pick not in [entry["id"] for entry in registered.slice("picks:p1")]
 
 
-def test_a_solver_explains_missing_matches(bench: Bench) -> None:
+def test_a_solver_explains_missing_matches(bench: WorkbenchDriver) -> None:
     assert "draw some" in bench.job("robust").message
     pick = bench.do("add_pick", photo="p1", kind="point", scan=[[0, 0, 1]], photo_uv=[[3, 4]])["pick"]
     job = bench.job("linear")
@@ -289,7 +289,7 @@ def test_a_solver_explains_missing_matches(bench: Bench) -> None:
     assert bench.job("robust").message == "The only match is disabled; enable it in the match table."
 
 
-def test_a_zip_holds_the_files_of_the_command_line(registered: Bench) -> None:
+def test_a_zip_holds_the_files_of_the_command_line(registered: WorkbenchDriver) -> None:
     registered.received.clear()
     job = registered.job("export")
     assert job.state == "done", job.message
@@ -308,7 +308,7 @@ def test_a_zip_holds_the_files_of_the_command_line(registered: Bench) -> None:
     assert {entry["name"] for entry in told["inputs"]} >= {"scan.npz"}
 
 
-def test_an_export_replaces_a_folder_of_results_only_by_force(registered: Bench, tmp_path: Path) -> None:
+def test_an_export_replaces_a_folder_of_results_only_by_force(registered: WorkbenchDriver, tmp_path: Path) -> None:
     folder = tmp_path / "results"
     registered.do("export_folder", photo="p1", folder=str(folder))
     registered.workbench.runner.wait(120)
@@ -321,7 +321,9 @@ def test_an_export_replaces_a_folder_of_results_only_by_force(registered: Bench,
     assert [path.name for path in tmp_path.iterdir()] == ["results"]
 
 
-def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(registered: Bench, tmp_path: Path) -> None:
+def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(
+    registered: WorkbenchDriver, tmp_path: Path
+) -> None:
     project = registered.workbench.session.folder.path
     photographs = tmp_path / "photographs"
     photographs.mkdir()
@@ -355,7 +357,7 @@ def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(regis
         ("registered/p1", {"z_buffer": "0"}),
     ],
 )
-def test_images_are_rendered_in_the_right_size(registered: Bench, path: str, query: dict[str, str]) -> None:
+def test_images_are_rendered_in_the_right_size(registered: WorkbenchDriver, path: str, query: dict[str, str]) -> None:
     found = registered.workbench.picture(path, query)
     image = Image.open(io.BytesIO(found.data))
     scan, photo = registered.slice("scan")["views"][0], registered.slice("photos")[0]
@@ -364,7 +366,7 @@ def test_images_are_rendered_in_the_right_size(registered: Bench, path: str, que
     assert registered.workbench.picture(path, query).etag == found.etag
 
 
-def test_the_first_image_of_the_scan_is_rendered_once(registered: Bench) -> None:
+def test_the_first_image_of_the_scan_is_rendered_once(registered: WorkbenchDriver) -> None:
     asked = {"show": "intensity", "low": "1", "high": "99.5", "equalise": "0", "gamma": "0.6", "view": "0", "rev": "7"}
     first = registered.workbench.picture("scan", {})
     assert registered.workbench.picture("scan", asked) is first, "explicit default values are the same request"
@@ -375,7 +377,7 @@ def test_the_first_image_of_the_scan_is_rendered_once(registered: Bench) -> None
     ("path", "query"),
     [("scan", {"view": "9"}), ("scan", {"low": "x"}), ("photo/p7", {}), ("sound", {}), ("scan/..", {})],
 )
-def test_missing_images_are_errors(registered: Bench, path: str, query: dict[str, str]) -> None:
+def test_missing_images_are_errors(registered: WorkbenchDriver, path: str, query: dict[str, str]) -> None:
     with pytest.raises(LadarregError):
         registered.workbench.picture(path, query)
 
@@ -383,7 +385,7 @@ def test_missing_images_are_errors(registered: Bench, path: str, query: dict[str
 # files
 
 
-def test_invalid_uploads_are_refused_and_deleted(bench: Bench, tmp_path: Path) -> None:
+def test_invalid_uploads_are_refused_and_deleted(bench: WorkbenchDriver, tmp_path: Path) -> None:
     room = bench.workbench.upload_folder()
     before = bench.workbench.session.document
 
@@ -423,7 +425,7 @@ def unviewable_scan(path: Path) -> Path:
     return path
 
 
-def test_a_scan_without_views_is_refused_and_clients_can_still_join(bench: Bench) -> None:
+def test_a_scan_without_views_is_refused_and_clients_can_still_join(bench: WorkbenchDriver) -> None:
     before = bench.workbench.session.document
     path = unviewable_scan(bench.workbench.upload_folder() / "sliver.npz")
     with pytest.raises(LadarregError, match="no picture shows") as caught:
@@ -476,7 +478,7 @@ def test_a_project_whose_scan_has_no_views_opens_with_a_message(tmp_path: Path) 
         bench.workbench.close()
 
 
-def draw_matches(bench: Bench, pose: np.ndarray) -> None:
+def draw_matches(bench: WorkbenchDriver, pose: np.ndarray) -> None:
     """Add two dozen exact points."""
     scan = bench.workbench.loader.scan(bench.workbench.session.document)
     camera = bench.workbench.loader.photo(bench.workbench.session.document.photos[0]).camera
@@ -489,7 +491,7 @@ def draw_matches(bench: Bench, pose: np.ndarray) -> None:
         bench.do("add_pick", photo="p1", kind="point", scan=[points[k].tolist()], photo_uv=[uv[k].tolist()])
 
 
-def test_a_failing_listener_affects_neither_commits_nor_other_listeners(bench: Bench) -> None:
+def test_a_failing_listener_affects_neither_commits_nor_other_listeners(bench: WorkbenchDriver) -> None:
     def fails(*_: object) -> None:
         raise RuntimeError("a faulty listener")
 
@@ -505,7 +507,7 @@ def test_a_failing_listener_affects_neither_commits_nor_other_listeners(bench: B
     bench.workbench.leave(bench.workbench.join("somebody else"))
 
 
-def test_a_file_of_the_project_is_never_deleted(bench: Bench) -> None:
+def test_a_file_of_the_project_is_never_deleted(bench: WorkbenchDriver) -> None:
     path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
     bench.workbench.take_upload(path, "second.png", "photo", None, bench.client)
@@ -534,7 +536,7 @@ def test_a_file_name_that_is_not_unicode_is_not_listed(tmp_path: Path) -> None:
         bench.workbench.close()
 
 
-def test_a_photo_without_focal_length_is_shown_and_a_camera_requested(bench: Bench, tmp_path: Path) -> None:
+def test_a_photo_without_focal_length_is_shown_and_a_camera_requested(bench: WorkbenchDriver, tmp_path: Path) -> None:
     buffer = io.BytesIO()
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (90, 120, 3), np.uint8)).save(buffer, "PNG")
     path = bench.workbench.upload_folder() / "plain.png"
@@ -608,7 +610,7 @@ def test_hidden_files_of_a_served_folder_are_neither_listed_nor_opened(tmp_path:
 # clients, crashes, starts
 
 
-def test_client_names_are_unique(bench: Bench) -> None:
+def test_client_names_are_unique(bench: WorkbenchDriver) -> None:
     other = bench.workbench.join("elsewhere")
     assert other.name != bench.client.name
     bench.do("call_me", name="Ann")
@@ -667,7 +669,9 @@ def test_a_reopened_project_shows_the_photograph_edited_last(tmp_path: Path) -> 
     assert worked_on == {"p1": "p1", second: second}
 
 
-def test_edits_continue_on_a_full_disk_and_are_saved_later(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_edits_continue_on_a_full_disk_and_are_saved_later(
+    bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from ladarreg_core.errors import ExportError
     from ladarreg_core.export.atomic_write import AppendedFile
     from ladarreg_core.project.folder import ProjectFolder
