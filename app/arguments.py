@@ -109,7 +109,7 @@ class RegisterArguments(InputArguments):
     culling: Literal["two-sided", "one-sided"] | None = None
     """Thesis: filter disparities on both sides, or on one as in its Step 5."""
     first_pose: Literal["linear", "robust", "linear-only"] | None = None
-    """Thesis: the pose that guides the second matching."""
+    """Thesis: the pose that predicts positions for guided matching."""
     residual: Literal["epipolar", "stereo"] | None = None
     """Thesis: the residual that the simplex minimises; stereo is Eq 2.21."""
     reject_depth_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None

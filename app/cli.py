@@ -18,7 +18,7 @@ COMMANDS = {
     "register": "Register a scan with a photo: pose, registered image, textured model.",
     "compare": "Compare the thesis's stages with the default method: table and contact sheet.",
     "info": "Describe a scan, photo, camera, pose or matches file.",
-    "selftest": "Estimate how well a scan and a camera will register, on photos rendered from the scan.",
+    "selftest": "Estimate, before fieldwork, how well a scan and a camera will register.",
     "simulate": "Write a synthetic scan and photo with their true pose.",
     "serve": "Open the workbench in the browser: on a project, a scan and photos, or the last project.",
     "demo": "Open the workbench on the embedded sample.",
