@@ -55,7 +55,7 @@ class StopSignals:
 
     @property
     def requested(self) -> bool:
-        """Whether the program has been asked to stop."""
+        """True if the program has been asked to stop."""
         return self._requested.is_set()
 
     def wait(self, seconds: float) -> bool:

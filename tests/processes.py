@@ -1,4 +1,4 @@
-"""Programs started by tests."""
+"""Helpers for processes started by tests."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import signal
 
 
 def restore_ctrl_c() -> None:
-    """Undo, in a new process, what a shell does to its background jobs and they to their children: Ctrl-C ignored."""
+    """Restore Ctrl-C in a new process: a shell makes its background jobs, and they their children, ignore it."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -57,12 +57,12 @@ class Connection:
 
     @property
     def is_established(self) -> bool:
-        """Whether a protocol reads it; with TLS, whether the handshake is complete."""
+        """True if a protocol reads it; with TLS, once the handshake is complete."""
         return self._transport is not None
 
     @property
     def is_served(self) -> bool:
-        """Whether a complete request is being answered."""
+        """True if a complete request is being answered."""
         return self.is_busy and not self.awaits_body
 
     def establish(self, transport: asyncio.Transport) -> None:
@@ -123,7 +123,7 @@ class Connections:
 
     @property
     def is_crowded(self) -> bool:
-        """Whether the limit of anonymous connections is reached."""
+        """True if the limit of anonymous connections is reached."""
         return sum(map(len, self._anonymous.values())) >= self.limits.anonymous
 
     def add(self, address: str) -> Connection:

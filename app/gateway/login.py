@@ -89,7 +89,7 @@ class Credentials:
     def __init__(self, token: str, *, port: int) -> None:
         self.cookie_name = f"ladarreg-{port}"
         self.unguessable = len(token) >= _UNGUESSABLE_LENGTH
-        """Whether the token is too long to be found by trying."""
+        """True if the token is too long to be found by trying."""
         self._token = hashlib.sha256(token.encode()).digest()
         self._key = hmac.digest(token.encode(), b"ladarreg cookie", "sha256")
 

@@ -16,7 +16,7 @@ _RESERVED = 128
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionLimits:
-    """How many connections the gateway keeps open, and how long it waits for them."""
+    """Limits on the number of open connections, and on the time that the gateway waits for them."""
 
     header_s: float = 10.0
     """For a complete request header, TLS handshake included, from the connection or the previous response on; and for
@@ -46,7 +46,7 @@ class ConnectionLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GatewayOptions:
-    """Where the gateway listens and what stands in front of it."""
+    """Address, TLS and proxy settings of the gateway."""
 
     host: str = "127.0.0.1"
     """Address or name to listen on."""
@@ -57,7 +57,7 @@ class GatewayOptions:
     keyfile: str | None = None
     """Private key of the certificate, PEM; None: contained in `certfile`."""
     behind_proxy: bool = False
-    """Whether a reverse proxy stands in front, whose X-Forwarded headers are trusted."""
+    """True if a reverse proxy stands in front, whose X-Forwarded headers are trusted."""
     allowed_hosts: tuple[str, ...] = ()
     """Host names, besides those of loopback, under which browsers may request the page."""
     limits: ConnectionLimits = field(default_factory=ConnectionLimits)
@@ -74,10 +74,10 @@ class GatewayOptions:
 
     @property
     def tls(self) -> bool:
-        """Whether the gateway itself speaks TLS."""
+        """True if the gateway itself speaks TLS."""
         return self.certfile is not None
 
     @property
     def on_loopback(self) -> bool:
-        """Whether only this machine can connect."""
+        """True if only this machine can connect."""
         return is_loopback(self.host)

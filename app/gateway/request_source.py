@@ -18,14 +18,14 @@ _IPV6_NETWORK_BITS = 64
 
 @dataclass(frozen=True, slots=True)
 class RequestSource:
-    """Where a request comes from, and the host that it names."""
+    """The peer and page that a request comes from, and the host that it names."""
 
     address: str
     """Address of the browser."""
     host: str
     """Host and port that the browser requested; empty if there is none or it is malformed."""
     secure: bool
-    """Whether the browser's connection is TLS."""
+    """True if the browser's connection is TLS."""
     prefix: str
     """URL prefix under which the page is served, at least `/`."""
     origin: str
@@ -42,7 +42,7 @@ class RequestSource:
 
     @property
     def is_same_origin(self) -> bool:
-        """Whether the header Origin names the requested host."""
+        """True if the header Origin names the requested host."""
         if not self.host:
             return False
         try:

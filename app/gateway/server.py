@@ -154,7 +154,7 @@ def serve_until_interrupted(
         if not options.on_loopback:
             print(f"ladarreg: {exposure_warning(options)}", file=sys.stderr)
         address = f"{gateway.address}?token={quote(token, safe='')}"
-        print(f"Open {address}  (Ctrl-C ends)", flush=True)
+        _print_address(address)
         if browser:
             _open_browser(address)
         then()
@@ -163,6 +163,14 @@ def serve_until_interrupted(
             print_error("")  # ends the terminal's line with ^C
     finally:
         gateway.close()
+
+
+def _print_address(address: str) -> None:
+    try:
+        print(f"Open {address}  (Ctrl-C ends)", flush=True)
+    except OSError as error:
+        if error.errno != errno.EIO:  # the terminal has just been closed; the SIGHUP that follows ends the program
+            raise
 
 
 def exposure_warning(options: GatewayOptions) -> str:

@@ -1,4 +1,4 @@
-"""How the 3-D scene shows the model; shared by all clients."""
+"""Display settings of the model in the 3-D scene; shared by all clients."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ModelChoice:
-    """Settings of how the model is shown."""
+    """Display settings of the model."""
 
     texture: str = "colour"
     """Requested texture; `intensity` is shown if it is not available."""
     z_buffer: bool = True
-    """Whether surfaces hidden from the camera stay uncoloured."""
+    """True if surfaces hidden from the camera stay uncoloured."""
     light: bool = False
-    """Whether a coarse mesh is sent, for slow browsers."""
+    """True if a coarse mesh is sent, for slow browsers."""
     cameras: bool = True
-    """Whether the scanner and the camera are shown."""
+    """True if the scanner and the camera are shown."""
     matches: bool = True
-    """Whether the matches are shown."""
+    """True if the matches are shown."""
 
     def changed(self, wanted: Mapping[str, Any]) -> ModelChoice:
         """Return a copy with other settings.

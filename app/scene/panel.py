@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .subject import RenderChoice
 
 OVERVIEW, SCANNER, CAMERA = "Overview", "Scanner", "Camera"
-VIEWS_LABEL, TEXTURE_LABEL, MODEL_TITLE = "Look from", "Texture", "Model"
+VIEWS_LABEL, TEXTURE_LABEL, MODEL_TITLE = "Viewpoint", "Texture", "Model"
 SWITCHES = {
     "z_buffer": (
         "Hide occluded",

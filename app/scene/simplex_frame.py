@@ -42,6 +42,6 @@ class SimplexFrame:
         """
         best, *others = (pose_of(vertex, step.frame_from_scanner) for vertex in step.simplex.vertices)
         inliers, round_ = int(step.inliers.sum()), step.round
-        note = f"{inliers} of {len(step.inliers)} matches" + (f", rejection {round_}" if round_ else "")
+        note = f"{inliers} of {len(step.inliers)} inliers" + (f", rejection {round_}" if round_ else "")
         number = step.simplex.iteration if iteration is None else iteration
         return SimplexFrame(number, best, tuple(others), step.simplex.cost, note)

@@ -33,10 +33,10 @@ _FRUSTUM_DEPTH = 0.17  # per root of the range: nearer scenes need relatively lo
 
 @dataclass(frozen=True, slots=True)
 class RenderChoice(ModelChoice):
-    """How the model is drawn at this moment: the shared settings and the level of detail."""
+    """Settings that the model is drawn with at this moment, including the level of detail."""
 
     draft: bool = False
-    """Whether a draft is drawn for now: as a first impression, or while something moves in the scene. Every movement
+    """True if a draft is drawn for now: as a first impression, or while something moves in the scene. Every movement
     redraws the model, which a browser without a graphics card can do 15 times a second only for a draft."""
 
     @property
@@ -52,7 +52,7 @@ class RenderChoice(ModelChoice):
 
 @dataclass(frozen=True, eq=False)
 class ScanShown:
-    """What depends on the scan alone: computed once, and kept while the scan is shown."""
+    """Data that depend on the scan alone: computed once, and kept while the scan is shown."""
 
     scan: Scan
     """The scan."""

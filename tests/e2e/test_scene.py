@@ -1,4 +1,4 @@
-"""The 3-D stage as a browser shows it: colours, clicks on matches, and the walking simplex."""
+"""The 3-D scene as a browser shows it: colours, clicks on matches, and the moving simplex."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ COLOURS = np.array([(180, 140, 100), (64, 128, 64), (120, 60, 140), (128, 128, 1
 
 
 class Session:
-    """Keeps what was asked."""
+    """Records the actions."""
 
     def __init__(self) -> None:
         self.hovered: list[str | None] = []
@@ -57,14 +57,14 @@ def session() -> Session:
 
 @pytest.fixture
 def shown(page: Page, session: Session) -> Iterator[Scene3D]:
-    """A stage in a page of its own."""
-    server = open_server(label="stage")
-    stage = Scene3D(server, session)  # type: ignore[arg-type]
+    """A scene in a page of its own."""
+    server = open_server(label="scene")
+    scene = Scene3D(server, session)  # type: ignore[arg-type]
     page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
     page.goto(address(server) + "/?fixedDpr=0.5")
-    page.get_by_text("Look from").wait_for(timeout=60_000)
-    yield stage
-    stage.close()
+    page.get_by_text("Viewpoint").wait_for(timeout=60_000)
+    yield scene
+    scene.close()
     close_server(server)
 
 

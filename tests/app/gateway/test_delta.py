@@ -25,7 +25,7 @@ class Someone:
 
 
 class Reader:
-    """A page, in Python."""
+    """A client in Python."""
 
     def __init__(self, name: str, shared: SharedEncoder) -> None:
         self.state = ClientState(Someone(name), shared)
@@ -33,7 +33,7 @@ class Reader:
         self.version = 0
 
     def read(self, slices: dict[str, Any]) -> str:
-        """Be told slices that are new; return the text."""
+        """Receive changed slices; return the text that was sent."""
         text = self.state.encode({"slices": slices})
         message = json.loads(text)
         self.version += 1
@@ -58,8 +58,8 @@ def many(count: int, **others: Any) -> list[dict[str, Any]]:
 
 
 @given(st.integers(0, 2**32), st.lists(st.booleans(), min_size=40, max_size=40))
-def test_whoever_follows_has_what_the_server_has(seed: int, looks: list[bool]) -> None:
-    """One page hears everything, another only now and then, by way of an outbox; a third comes in the middle."""
+def test_every_client_ends_with_the_servers_state(seed: int, looks: list[bool]) -> None:
+    """One client receives everything, another only now and then through an outbox; a third connects in the middle."""
     shared, outbox = SharedEncoder(), Outbox(lambda: None)
     quick, slow, late = Reader("a", shared), Reader("b", shared), Reader("c", shared)
     states = random_states(seed, len(looks))
@@ -81,7 +81,7 @@ def test_whoever_follows_has_what_the_server_has(seed: int, looks: list[bool]) -
 
 
 @given(st.integers(0, 2**32))
-def test_a_change_makes_one_value_of_the_other_and_touches_neither(seed: int) -> None:
+def test_a_change_turns_one_value_into_the_other_and_modifies_neither(seed: int) -> None:
     for before, after in pairwise(random_states(seed, 30)):
         for name in after:
             was, kept = before.get(name), json.dumps(before.get(name))
@@ -92,7 +92,7 @@ def test_a_change_makes_one_value_of_the_other_and_touches_neither(seed: int) ->
             assert json.dumps(was) == kept
 
 
-def test_one_pick_of_many_is_told_alone() -> None:
+def test_a_change_of_one_pick_contains_only_that_pick() -> None:
     picks = many(500)
     moved = [*picks[:7], {**picks[7], "photo": [[9, 9]]}, *picks[8:]]
     assert change_between(picks, moved) == {"set": [moved[7]]}
@@ -126,18 +126,18 @@ def test_one_pick_of_many_is_told_alone() -> None:
         ({"count": 1}, {"count": 2}),
     ],
 )
-def test_what_is_new_for_the_most_part_is_told_whole(before: Any, after: Any) -> None:
+def test_a_mostly_new_value_is_sent_whole(before: Any, after: Any) -> None:
     assert change_between(before, after) is None
 
 
-def test_a_change_of_something_else_is_refused() -> None:
+def test_a_change_of_another_value_is_refused() -> None:
     with pytest.raises(KeyError):
         apply_change(many(3), {"order": ["9"]})
     with pytest.raises(KeyError):
         apply_change({}, {"in": {"by_pick": {}}})
 
 
-def test_all_pages_are_sent_the_same_text_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_clients_share_one_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
     plain = encoding.encode_part
     monkeypatch.setattr(encoding, "encode_part", lambda value: made.append(value) or plain(value))
@@ -152,7 +152,7 @@ def test_all_pages_are_sent_the_same_text_made_once(monkeypatch: pytest.MonkeyPa
     assert [json.loads(text)["slices"]["people"]["you"] for text in texts] == list("abc")
 
 
-def test_things_that_stay_are_made_once() -> None:
+def test_unchanged_items_are_made_once() -> None:
     made: list[str] = []
     each: ListCache[str, str] = ListCache(lambda thing: made.append(thing) or thing.upper())
     things = ["one", "two"]
@@ -163,7 +163,7 @@ def test_things_that_stay_are_made_once() -> None:
 
 
 @given(st.lists(st.lists(st.integers(0, 6), unique=True), max_size=6))
-def test_whatever_becomes_of_a_list_only_new_things_are_made(lists: list[list[int]]) -> None:
+def test_only_new_items_of_a_list_are_made(lists: list[list[int]]) -> None:
     things = [object() for _ in range(7)]
     made: list[object] = []
     each: ListCache[object, tuple[object]] = ListCache(lambda thing: made.append(thing) or (thing,))

@@ -1,4 +1,4 @@
-"""Who is let in: the token, the cookie, the name and the page that ask."""
+"""Login and security checks: token, cookie, host name and origin."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 def refused(run: Running, path: str, **headers: str) -> int:
-    """Return the status by which a websocket is refused."""
+    """Return the status that a websocket is refused with."""
     with pytest.raises(InvalidStatus) as caught, run.socket(path, headers):
         pass
     return caught.value.response.status_code
@@ -44,7 +44,7 @@ def refused(run: Running, path: str, **headers: str) -> int:
 # --- the token -------------------------------------------------------------------------------------------------------
 
 
-def test_the_token_becomes_a_cookie_and_leaves_the_address(run: Running) -> None:
+def test_the_token_is_replaced_by_a_cookie(run: Running) -> None:
     status, headers, body = run.ask("GET", f"/?token={TOKEN}", known=False)
     assert status == 200  # no redirect: browsers drop a strict cookie there after a foreign link
     assert b'http-equiv="refresh" content="0; url=./"' in body
@@ -56,7 +56,7 @@ def test_the_token_becomes_a_cookie_and_leaves_the_address(run: Running) -> None
     assert run.ask("GET", "/", {"Cookie": cookie})[0] == 200
 
 
-def test_a_wrong_token_is_refused_and_asked_for_again(tmp_path: Path) -> None:
+def test_a_wrong_token_gets_the_form(tmp_path: Path) -> None:
     with running(tmp_path) as run:
         for token in ("", f"{TOKEN}x", TOKEN[:-1], "%00"):
             status, headers, body = run.ask("GET", f"/?token={token}", known=False)
@@ -65,7 +65,7 @@ def test_a_wrong_token_is_refused_and_asked_for_again(tmp_path: Path) -> None:
             assert b"<form" in body
 
 
-def test_the_form_takes_the_token_too(run: Running) -> None:
+def test_the_form_accepts_the_token(run: Running) -> None:
     form = {"Content-Type": "application/x-www-form-urlencoded"}
     status, headers, _ = run.ask("POST", "/enter", form, urlencode({"token": f" {TOKEN} "}), known=False)
     assert status == 200
@@ -75,7 +75,7 @@ def test_the_form_takes_the_token_too(run: Running) -> None:
     assert run.ask("POST", "/enter", form, b"\xff\xfe&&&&===%%%", known=False)[0] == 401
 
 
-def test_many_wrong_tokens_slow_an_address_down_and_shut_nobody_out(
+def test_many_wrong_tokens_delay_an_address_but_lock_nobody_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
@@ -83,7 +83,7 @@ def test_many_wrong_tokens_slow_an_address_down_and_shut_nobody_out(
     with running(tmp_path) as run:
         assert [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(11)] == [401] * 11
         begun = time.monotonic()
-        assert run.ask("GET", f"/?token={TOKEN}", known=False)[0] == 200, "the right one opens all the same"
+        assert run.ask("GET", f"/?token={TOKEN}", known=False)[0] == 200, "the correct one is still accepted"
         assert 0.1 < time.monotonic() - begun < 5
         monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
         run.ask("GET", "/?token=wrong", known=False)
@@ -91,14 +91,12 @@ def test_many_wrong_tokens_slow_an_address_down_and_shut_nobody_out(
         assert (status, headers["retry-after"]) == (429, "30")
         assert b"<form" in body
         assert run.ask("POST", "/enter", {}, urlencode({"token": TOKEN}), known=False)[0] == 200, (
-            "it has turns of its own"
+            "the form is counted separately"
         )
-        assert run.ask("GET", "/")[0] == 200, "who is in stays in"
+        assert run.ask("GET", "/")[0] == 200, "a valid cookie stays valid"
 
 
-def test_a_token_that_nobody_can_guess_opens_whatever_was_tried(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unguessable_token_is_accepted_whatever_was_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
     monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
     monkeypatch.setattr("tests.app.gateway_driver.TOKEN", token := new_token())
@@ -109,7 +107,7 @@ def test_a_token_that_nobody_can_guess_opens_whatever_was_tried(
 
 
 @pytest.mark.parametrize("shown_as", ["image", "script", "iframe", "empty"])
-def test_what_a_page_embeds_neither_shows_a_token_nor_counts_as_a_try(run: Running, shown_as: str) -> None:
+def test_embedded_requests_neither_log_in_nor_count_as_attempts(run: Running, shown_as: str) -> None:
     from_elsewhere = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": shown_as, "Origin": ""}
     for token in [*map(str, range(12)), TOKEN]:
         status, headers, _ = run.ask("GET", f"/?token={token}", from_elsewhere, known=False)
@@ -117,7 +115,7 @@ def test_what_a_page_embeds_neither_shows_a_token_nor_counts_as_a_try(run: Runni
         assert "set-cookie" not in headers
 
 
-def test_links_of_other_sites_use_up_no_turns_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_links_of_other_sites_are_counted_separately(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
     monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
     with running(tmp_path) as run:
@@ -132,7 +130,7 @@ def test_links_of_other_sites_use_up_no_turns_of_others(tmp_path: Path, monkeypa
 
 
 @given(times=st.lists(st.floats(0, 300), max_size=60), most=st.integers(1, 12))
-def test_an_address_never_has_more_tries_in_a_minute_than_it_may(times: list[float], most: int) -> None:
+def test_attempts_of_an_address_are_limited_per_minute(times: list[float], most: int) -> None:
     now = [0.0]
     attempts = AttemptLimiter(most=most, window_s=60, clock=lambda: now[0])
     tried: list[float] = []
@@ -166,7 +164,7 @@ def test_a_network_of_ipv6_addresses_is_one_peer_and_memory_is_bounded() -> None
 
 
 @given(st.text(st.characters(exclude_characters=";"), max_size=80), st.integers(1, 65535))
-def test_only_our_own_cookies_open(value: str, port: int) -> None:
+def test_only_our_own_cookies_are_valid(value: str, port: int) -> None:
     credentials = Credentials(TOKEN, port=port)
     good = credentials.new_cookie()
     assert credentials.browser_of(f"a=b; {credentials.cookie_name}={good}") == good.partition(".")[0]
@@ -185,14 +183,14 @@ def test_only_our_own_cookies_open(value: str, port: int) -> None:
 
 
 @given(st.text(string.ascii_letters + string.digits + "-_.~", min_size=12, max_size=60), st.text(max_size=80))
-def test_a_door_knows_its_token_and_no_other_word(token: str, word: str) -> None:
+def test_only_the_token_itself_is_accepted(token: str, word: str) -> None:
     assert checked_token(token) == token
     assert Credentials(token, port=1).is_token(token)
     assert Credentials(token, port=1).is_token(word) == (word == token)
 
 
 @pytest.mark.parametrize("token", ["", "elevenchars", "twelve chars", "zwölf-zeichen", "twelve\nchars"])
-def test_a_token_that_is_weak_or_does_not_fit_an_address_is_refused(token: str) -> None:
+def test_a_weak_or_unencodable_token_is_refused(token: str) -> None:
     with pytest.raises(OptionError, match="token"):
         checked_token(token)
 
@@ -202,7 +200,7 @@ def test_a_token_that_is_weak_or_does_not_fit_an_address_is_refused(token: str) 
 
 @pytest.mark.parametrize("cookie", ["", "ladarreg-{port}=", "ladarreg-{port}=a.b", "ladarreg-1={good}"])
 @pytest.mark.parametrize("path", PATHS)
-def test_without_a_cookie_there_is_nothing(run: Running, path: str, cookie: str) -> None:
+def test_without_a_cookie_nothing_is_served(run: Running, path: str, cookie: str) -> None:
     sent = {"Cookie": cookie.format(port=run.port, good=run.cookie.partition("=")[2])}
     for method in ("GET", "HEAD"):
         status, headers, body = run.ask(method, path, sent)
@@ -233,7 +231,7 @@ FOREIGN = (
 
 
 @pytest.mark.parametrize("origin", FOREIGN)
-def test_a_page_from_elsewhere_can_neither_send_nor_listen(run: Running, origin: str) -> None:
+def test_a_page_of_another_site_can_neither_send_nor_listen(run: Running, origin: str) -> None:
     origin = origin.format(port=run.port)
     assert refused(run, "/document", Origin=origin) == 403
     assert refused(run, "/viser", Origin=origin) == 403
@@ -250,18 +248,18 @@ def test_a_page_from_elsewhere_can_neither_send_nor_listen(run: Running, origin:
         ("a b", 400), ("a,b", 400), ("[::1", 400),
     ],
 )  # fmt: skip
-def test_on_loopback_only_our_own_names_are_answered(run: Running, host: str, status: int) -> None:
+def test_on_loopback_only_our_own_host_names_are_answered(run: Running, host: str, status: int) -> None:
     assert run.ask("GET", "/", {"Host": host.format(port=run.port)})[0] == status
 
 
-def test_other_names_can_be_allowed(tmp_path: Path) -> None:
+def test_other_host_names_can_be_allowed(tmp_path: Path) -> None:
     with running(tmp_path, allowed_hosts=("Scans.example",)) as run:
         assert run.ask("GET", "/", {"Host": "scans.EXAMPLE:1"})[0] == 200
         assert run.ask("GET", "/", {"Host": "other.example"})[0] == 403
         assert run.ask("GET", "/", {"Host": "localhost"})[0] == 200
 
 
-def test_what_a_proxy_says_is_believed_only_where_there_is_one(tmp_path: Path) -> None:
+def test_forwarded_headers_are_trusted_only_behind_a_proxy(tmp_path: Path) -> None:
     said = {
         "X-Forwarded-Host": "evil.example, scans.example",
         "X-Forwarded-Proto": "https",
@@ -283,7 +281,7 @@ def test_what_a_proxy_says_is_believed_only_where_there_is_one(tmp_path: Path) -
 
 @given(st.dictionaries(st.sampled_from(["host", "origin", "x-forwarded-host", "x-forwarded-for", "x-forwarded-proto",
     "x-forwarded-prefix"]), st.binary(max_size=40)), st.booleans())  # fmt: skip
-def test_no_header_is_too_strange(headers: dict[str, bytes], behind_proxy: bool) -> None:
+def test_malformed_headers_are_tolerated(headers: dict[str, bytes], behind_proxy: bool) -> None:
     scope = {"headers": [(k.encode(), v) for k, v in headers.items()], "scheme": "http", "client": None}
     asked = request_source(scope, behind_proxy=behind_proxy)
     assert asked.prefix.startswith("/")
@@ -293,7 +291,7 @@ def test_no_header_is_too_strange(headers: dict[str, bytes], behind_proxy: bool)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "[::1]", "127.8.8.8"])
-def test_loopback_is_known(host: str) -> None:
+def test_loopback_is_recognised(host: str) -> None:
     assert is_loopback(host)
     assert GatewayOptions(host=host).on_loopback
 
@@ -308,7 +306,7 @@ def test_everything_else_is_not_loopback(host: str) -> None:
 
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("known", [True, False])
-def test_every_answer_carries_the_headers(run: Running, path: str, known: bool) -> None:
+def test_every_response_has_the_security_headers(run: Running, path: str, known: bool) -> None:
     _, headers, _ = run.ask("GET", path, known=known)
     policy = headers["content-security-policy"]
     if path.startswith("/viser"):

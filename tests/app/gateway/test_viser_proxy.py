@@ -1,4 +1,4 @@
-"""viser: closed to everybody on its own port, open through the gateway."""
+"""viser: locked on its own port, reachable through the gateway."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def run(viewer: tuple[viser.ViserServer, ViserAddress], tmp_path_factory: pytest
 
 
 def node_names(frame: bytes) -> set[str]:
-    """Return the scene nodes that a frame of viser's creates."""
+    """Return the names of the scene nodes that a frame of viser creates."""
     size, packed = (int.from_bytes(frame[at : at + 8], "little") for at in (0, 8))
     inner = zstandard.ZstdDecompressor().decompress(frame[16 : 16 + packed], max_output_size=size)
     return {str(message.get("name")) for message in msgspec.msgpack.decode(inner)["messages"]}
 
 
-def test_who_comes_before_viser_waits_for_it(viewer: tuple[viser.ViserServer, ViserAddress], tmp_path: Path) -> None:
+def test_early_requests_wait_for_viser(viewer: tuple[viser.ViserServer, ViserAddress], tmp_path: Path) -> None:
     where: Future[ViserAddress] = Future()
     with running(tmp_path, where.result) as run, ThreadPoolExecutor(2) as people:
         page = people.submit(run.ask, "GET", "/viser/")
@@ -60,7 +60,7 @@ def test_who_comes_before_viser_waits_for_it(viewer: tuple[viser.ViserServer, Vi
             assert line.recv(timeout=10)
 
 
-def test_where_viser_never_opens_that_is_said(tmp_path: Path) -> None:
+def test_a_viser_that_never_opens_gives_502(tmp_path: Path) -> None:
     where: Future[ViserAddress] = Future()
     where.set_exception(ConnectionError("closed"))
     with running(tmp_path, where.result) as run:
@@ -74,7 +74,7 @@ def test_where_viser_never_opens_that_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("secret", [[], ["wrong"], [""], ["{secret}x"], ["{secret}", "{secret}"]])
 @pytest.mark.parametrize("origin", [None, "https://elsewhere.example", "http://127.0.0.1:{port}"])
-def test_its_own_port_is_closed(
+def test_its_own_port_requires_the_secret(
     viewer: tuple[viser.ViserServer, ViserAddress], secret: list[str], origin: str | None
 ) -> None:
     address = viewer[1]
@@ -108,7 +108,7 @@ def test_it_is_on_loopback_and_cannot_be_shared(viewer: tuple[viser.ViserServer,
     assert len(address.secret) >= 40
 
 
-def test_the_lock_is_gone_afterwards_and_a_server_it_cannot_lock_is_an_error() -> None:
+def test_the_lock_is_removed_and_requires_a_server() -> None:
     plain = websockets.asyncio.server.serve
     with pytest.raises(DependencyError), locked("secret"):
         assert websockets.asyncio.server.serve is not plain
@@ -122,7 +122,7 @@ def test_the_lock_is_gone_afterwards_and_a_server_it_cannot_lock_is_an_error() -
 
 
 @pytest.mark.parametrize("path", ["/viser/", "/viser/?fixedDpr=0.5", "/viser/index.html"])
-def test_its_page_comes_through(run: Running, path: str) -> None:
+def test_its_page_is_forwarded(run: Running, path: str) -> None:
     status, headers, body = run.ask("GET", path)
     assert status == 200
     assert headers["content-type"].startswith("text/html")
@@ -136,12 +136,12 @@ def test_its_page_comes_through(run: Running, path: str) -> None:
 
 
 @pytest.mark.parametrize("path", ["%00", "a%20b", "%0d%0aHost:x", "%7f", "%3Fx", "%C3%A9", "%", "a%", "..%2f", "%5c"])
-def test_a_path_that_viser_cannot_be_asked_for_is_not_there(run: Running, path: str) -> None:
+def test_a_path_that_viser_cannot_serve_gives_404(run: Running, path: str) -> None:
     assert run.ask("GET", f"/viser/{path}")[0] == 404
 
 
 @pytest.mark.parametrize("path", ["/viser", "/viser/"])
-def test_its_websocket_comes_through_and_ends_with_the_page(
+def test_its_websocket_is_forwarded_and_ends_with_the_page(
     run: Running, viewer: tuple[viser.ViserServer, ViserAddress], path: str
 ) -> None:
     server, _ = viewer
@@ -163,7 +163,7 @@ def test_its_websocket_comes_through_and_ends_with_the_page(
     assert soon(lambda: not server.get_clients())
 
 
-def test_what_the_page_sends_arrives(run: Running, viewer: tuple[viser.ViserServer, ViserAddress]) -> None:
+def test_messages_of_the_page_arrive(run: Running, viewer: tuple[viser.ViserServer, ViserAddress]) -> None:
     server, _ = viewer
     box = server.gui.add_text("name", "before")
     with run.socket("/viser", subprotocols=[PROTOCOL]) as page:
@@ -176,12 +176,12 @@ def test_what_the_page_sends_arrives(run: Running, viewer: tuple[viser.ViserServ
     box.remove()
 
 
-def test_another_version_of_its_page_is_told_so_by_viser(run: Running) -> None:
+def test_a_page_of_another_viser_version_is_closed_by_viser(run: Running) -> None:
     with run.socket("/viser", subprotocols=["viser-v0.0.1"]) as page:
         assert closing_code(page) not in (1000, 1006)
 
 
-def test_a_slow_page_gets_everything_all_the_same(run: Running, viewer: tuple[viser.ViserServer, ViserAddress]) -> None:
+def test_a_slow_page_still_receives_everything(run: Running, viewer: tuple[viser.ViserServer, ViserAddress]) -> None:
     server, _ = viewer
     with run.socket("/viser", subprotocols=[PROTOCOL], max_queue=1) as page:
         for n in range(12):
@@ -194,7 +194,7 @@ def test_a_slow_page_gets_everything_all_the_same(run: Running, viewer: tuple[vi
     server.scene.reset()
 
 
-def test_when_viser_goes_the_page_is_told(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_when_viser_ends_the_page_is_closed(tmp_path_factory: pytest.TempPathFactory) -> None:
     server, address = open_locked_server(label="short")
     with running(tmp_path_factory.mktemp("room"), address) as run:
         with run.socket("/viser", subprotocols=[PROTOCOL]) as page:

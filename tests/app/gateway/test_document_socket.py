@@ -1,4 +1,4 @@
-"""The websocket of the document: everything first, the newest always, nobody waits for a slow page."""
+"""The document's websocket: complete first, always up to date, and no client waits for a slow one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 def narrow_line(run: Running) -> socket.socket:
-    """Connect by a socket that holds little of what is not read."""
+    """Connect with a small receive buffer."""
     line = socket.socket()
     line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 15)
     line.connect(("127.0.0.1", run.port))
@@ -36,13 +36,13 @@ def narrow_line(run: Running) -> socket.socket:
 
 
 def reply(page: Any) -> dict[str, Any]:
-    """Return the next answer, past all news."""
+    """Return the next reply, skipping changes."""
     while "reply" not in (message := hear(page)):
         pass
     return message
 
 
-def test_a_page_is_told_everything_first_and_then_what_changes(run: Running) -> None:
+def test_a_client_receives_everything_first_and_then_the_changes(run: Running) -> None:
     with run.socket() as first, run.socket() as second:
         everything = hear(first)
         told = everything["slices"]
@@ -53,9 +53,9 @@ def test_a_page_is_told_everything_first_and_then_what_changes(run: Running) -> 
         first.send(json.dumps({"id": 7, "do": "set", "number": number}))
         news, answer = hear(first), hear(first)
         assert news["slices"]["number"] == number
-        assert (everything["version"], news["version"]) == (1, 2), "a page that missed a message would notice"
-        assert answer["reply"] == 7, "the answer comes after what it changed"
-        assert answer["nan"] is None, "not-a-number is no JSON"
+        assert (everything["version"], news["version"]) == (1, 2), "a client that missed a message would notice"
+        assert answer["reply"] == 7, "the reply follows the changes that it caused"
+        assert answer["nan"] is None, "JSON has no NaN"
         same = hear(second)["slices"]
         assert same["number"] == number
         assert same["people"]["you"] == other["people"]["you"]
@@ -71,7 +71,7 @@ HOSTILE = (
 )  # fmt: skip
 
 
-def test_nonsense_is_answered_and_the_connection_stays(run: Running) -> None:
+def test_malformed_messages_are_answered_and_the_connection_stays(run: Running) -> None:
     with run.socket() as page:
         hear(page)
         for text in HOSTILE:
@@ -83,7 +83,7 @@ def test_nonsense_is_answered_and_the_connection_stays(run: Running) -> None:
         assert reply(page)["ok"] is True
 
 
-def test_a_fault_is_said_without_its_secrets(run: Running) -> None:
+def test_an_internal_error_is_reported_without_details(run: Running) -> None:
     with run.socket() as page:
         hear(page)
         page.send('{"id": 3, "do": "fail"}')
@@ -95,7 +95,7 @@ def test_a_fault_is_said_without_its_secrets(run: Running) -> None:
         assert reply(page)["reply"] is None
 
 
-def test_a_message_that_is_too_long_ends_the_connection_and_nothing_else(run: Running) -> None:
+def test_a_message_that_is_too_long_closes_only_its_connection(run: Running) -> None:
     with run.socket() as page, run.socket() as other:
         hear(page)
         hear(other)
@@ -110,7 +110,7 @@ def test_a_message_that_is_too_long_ends_the_connection_and_nothing_else(run: Ru
         assert reply(other)["ok"] is True
 
 
-def test_answers_keep_the_order_of_the_questions(run: Running) -> None:
+def test_replies_keep_the_order_of_the_commands(run: Running) -> None:
     with run.socket() as page:
         hear(page)
         for number in range(200):
@@ -118,7 +118,7 @@ def test_answers_keep_the_order_of_the_questions(run: Running) -> None:
         assert [reply(page)["reply"] for _ in range(200)] == list(range(200))
 
 
-def test_ten_pages_see_one_state(run: Running) -> None:
+def test_ten_clients_see_one_state(run: Running) -> None:
     pages = [run.socket() for _ in range(10)]
     try:
         for page in pages:
@@ -137,8 +137,8 @@ def test_ten_pages_see_one_state(run: Running) -> None:
     assert soon(lambda: not run.bench.pages)
 
 
-def test_a_page_that_does_not_listen_stops_nobody_and_gets_the_newest_state(run: Running) -> None:
-    """Its socket takes a few kilobytes; what is told meanwhile is thirty megabytes."""
+def test_a_slow_client_delays_no_other_and_gets_the_latest_state(run: Running) -> None:
+    """Its socket buffers a few kilobytes, and thirty megabytes are published meanwhile."""
     narrow = narrow_line(run)
     with run.socket(sock=narrow, max_queue=1) as slow, run.socket() as quick:
         hear(quick)
@@ -155,20 +155,20 @@ def test_a_page_that_does_not_listen_stops_nobody_and_gets_the_newest_state(run:
         assert [m["slices"]["big"][0] for m in heard if "big" in m.get("slices", {})][-1] == 299
 
 
-def test_a_page_that_only_asks_is_not_read_from_without_end(run: Running) -> None:
+def test_a_client_that_reads_no_replies_is_not_read_further(run: Running) -> None:
     line, before = narrow_line(run), run.bench.version
     with run.socket(sock=line, max_queue=1) as page:
-        question = json.dumps({"id": "x" * 200_000, "do": "set", "number": 0})
+        command = json.dumps({"id": "x" * 200_000, "do": "set", "number": 0})
 
         def flood() -> None:
             with contextlib.suppress(OSError, ConnectionClosed):
                 for _ in range(400):
-                    page.send(question)
+                    page.send(command)
 
         flooding = threading.Thread(target=flood, daemon=True)
         flooding.start()
         flooding.join(timeout=2.0)
-        assert flooding.is_alive(), "80 MB of questions are waiting, unread"
+        assert flooding.is_alive(), "80 MB of commands are waiting, unread"
         assert 0 < run.bench.version - before < 200
         line.shutdown(socket.SHUT_RDWR)
         flooding.join(timeout=5.0)
@@ -183,7 +183,7 @@ MESSAGES = st.lists(st.one_of(SLICES, EVENTS, st.none()), max_size=60)
 
 
 @given(MESSAGES)
-def test_whenever_the_outbox_is_emptied_the_state_told_is_the_newest(messages: list[dict[str, Any] | None]) -> None:
+def test_emptying_the_outbox_yields_the_latest_state(messages: list[dict[str, Any] | None]) -> None:
     woken, told, truth = [], {}, {}
     outbox = Outbox(lambda: woken.append(1))
     notices, last = [], {}
@@ -215,7 +215,7 @@ def test_whenever_the_outbox_is_emptied_the_state_told_is_the_newest(messages: l
         assert last.get(name) == (of_name[-1] if of_name else None)
 
 
-def test_the_outbox_keeps_no_more_than_the_last_events() -> None:
+def test_the_outbox_keeps_only_the_last_events() -> None:
     outbox = Outbox(lambda: None)
     for n in range(10_000):
         outbox.put({"event": "notice", "n": n})
@@ -231,17 +231,17 @@ JSON = st.recursive(
 
 
 @given(st.dictionaries(st.text(), JSON))
-def test_what_is_encoded_is_read_back(message: dict[str, Any]) -> None:
+def test_encoding_and_decoding_agree(message: dict[str, Any]) -> None:
     assert decode_object(encode(message)) == json.loads(encode(message)) == message
 
 
 @given(st.text() | JSON.filter(lambda value: not isinstance(value, dict)).map(json.dumps))
-def test_any_other_text_is_refused(text: str) -> None:
+def test_text_that_is_not_an_object_is_refused(text: str) -> None:
     with pytest.raises(InvalidMessageError):
         decode_object(text)
 
 
-def test_arrays_are_lists_and_not_a_number_is_null() -> None:
+def test_arrays_become_lists_and_non_finite_numbers_null() -> None:
     class Array:
         def tolist(self) -> list[float]:
             return [1.0, math.nan]
@@ -251,7 +251,7 @@ def test_arrays_are_lists_and_not_a_number_is_null() -> None:
         encode({"a": object()})
 
 
-def test_the_address_of_a_page_is_the_browsers(tmp_path: Path) -> None:
+def test_behind_a_proxy_the_address_is_the_browsers(tmp_path: Path) -> None:
     with (
         running(tmp_path, behind_proxy=True) as run,
         run.socket(headers={"X-Forwarded-For": "9.9.9.9, 1.2.3.4"}) as page,
