@@ -15,8 +15,24 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
 
 Evidence = Literal["image", "statistics", "none"]
-StageName = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed", "default"]
-"""The columns of thesis Tables 3.2-3.5, and the default method beside them."""
+ThesisStage = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
+"""The columns of thesis Tables 3.2-3.5."""
+StageName = Literal[ThesisStage, "default"]
+"""The columns of a comparison: those of the thesis, and the default method beside them."""
+StageId = Literal[ThesisStage, "robust", "auto", "thesis", "carried"]
+"""The poses that a project keeps of a photograph."""
+STAGE_LABELS: dict[StageId | StageName, str] = {
+    "linear": "Linear",
+    "constrained_linear": "Constrained linear",
+    "simplex": "Simplex",
+    "simplex_outliers_removed": "Simplex, outliers removed",
+    "robust": "Robust",
+    "auto": "Automatic",
+    "thesis": "Thesis chain",
+    "carried": "Carried over",
+    "default": "Default",
+}
+"""Labels of all stages, in the order in which they are listed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

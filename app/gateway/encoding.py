@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from ..session.bounded_cache import BoundedCache, rough_bytes
+from ..session.cache import BoundedCache, rough_bytes
 from .delta import change_between
 
 _MAX_CACHED = 64

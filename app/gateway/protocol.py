@@ -64,7 +64,7 @@ class Workbench(Protocol):
     def picture(self, path: str, query: Mapping[str, str]) -> Picture:
         """Draw a picture; raises `LadarregError`."""
 
-    def upload_room(self) -> Path:
+    def upload_folder(self) -> Path:
         """Return the folder that uploads are written to before they are checked."""
 
     def take_upload(self, path: Path, name: str, what: str, photo: str | None, client: Any) -> str:

@@ -64,7 +64,7 @@ class Uploads:
         self._workbench, self._clients = workbench, clients
         self._under_way: Counter[str] = Counter()
         # Left by a killed program: only this one has the project open, and it has accepted no upload yet.
-        for part in workbench.upload_room().glob("*.part"):
+        for part in workbench.upload_folder().glob("*.part"):
             if _PART.fullmatch(part.name):
                 part.unlink(missing_ok=True)
 
@@ -83,7 +83,7 @@ class Uploads:
             return _Refusal({"ok": False, "error": str(error)}, status_code=400)
         except OSError as error:
             log.warning("an upload failed: %s", error)
-            refusal = await run_in_threadpool(_disk_error, error, self._workbench.upload_room())
+            refusal = await run_in_threadpool(_disk_error, error, self._workbench.upload_folder())
             return _Refusal({"ok": False, "error": str(refusal)}, status_code=refusal.status)
 
     async def _receive(self, request: Request, browser: str) -> Response:
@@ -91,7 +91,7 @@ class Uploads:
         if what not in KINDS:
             raise OptionError(f"unknown type of file; give one of {', '.join(KINDS)} as ?what=")
         name = upload_name(request.headers.get("x-file-name"))
-        folder, most = self._workbench.upload_room(), self._workbench.limits.upload_bytes
+        folder, most = self._workbench.upload_folder(), self._workbench.limits.upload_bytes
         await run_in_threadpool(folder.mkdir, exist_ok=True)  # its parent is the project's folder, which must exist
         _check_size(_declared_size(request), most, folder)
         part = folder / f"{secrets.token_hex(16)}.part"

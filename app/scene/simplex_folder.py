@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.inspection.simplex_curves import CURVE_NAMES, DrawnCurves, SimplexCurves
 
+from ..jobs.runner import FULL_SPEED, WATCHED_SPEED
 from .colours import MATCH_COLOURS, REFUSED, as_css
 
 if TYPE_CHECKING:
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 TITLE = "Simplex"
 BUTTONS_LABEL = "Simplex run"
 PAUSE, RESUME, STEP, KEEP = "Pause", "Resume", "Step", "Keep best"
-FULL_SPEED, FIRST_SPEED = 200, 60
+_SLIDER_FULL_SPEED = 200
+"""Position of the speed slider that means full speed."""
 SPEED_LABEL = "Steps per second"
 ORDER = 2.0
 """Position of the folder in the panel: below the views, above the legend."""
@@ -65,10 +67,10 @@ class SimplexFolder:
             self._speed = server.gui.add_slider(
                 SPEED_LABEL,
                 min=1,
-                max=FULL_SPEED,
+                max=_SLIDER_FULL_SPEED,
                 step=1,
-                initial_value=FIRST_SPEED,
-                hint=f"{FULL_SPEED}: unlimited",
+                initial_value=int(WATCHED_SPEED),
+                hint=f"{_SLIDER_FULL_SPEED}: full speed",
             )
 
         @self._buttons.on_click
@@ -84,7 +86,7 @@ class SimplexFolder:
         def _(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
                 steps = int(self._speed.value)
-                value = 0.0 if steps >= FULL_SPEED else float(steps)
+                value = FULL_SPEED if steps >= _SLIDER_FULL_SPEED else float(steps)
                 call_or_notify(event.client, lambda: actions.job_control("speed", value))
 
     def start(self, names: Sequence[str], curves: DrawnCurves) -> None:

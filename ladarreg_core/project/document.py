@@ -5,22 +5,18 @@ Everything in it is plain and small, but for the arrays of a pose's matches, whi
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 
 from ladarreg_core.matches import Pick
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.project.stored_arrays import StoredArrays
+from ladarreg_core.results import StageId
 
 VERSION = 1
-StageId = Literal[
-    "linear", "constrained_linear", "simplex", "simplex_outliers_removed", "robust", "auto", "thesis", "carried"
-]
-STAGES: tuple[StageId, ...] = (
-    "linear", "constrained_linear", "simplex", "simplex_outliers_removed", "robust", "auto", "thesis", "carried",
-)  # fmt: skip
-"""In the order in which they are told."""
+STAGES: tuple[StageId, ...] = get_args(StageId)
+"""In the order in which they are listed."""
 Numbers = tuple[float, ...]
 Rows = tuple[Numbers, ...]
 

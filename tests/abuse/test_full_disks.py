@@ -186,7 +186,7 @@ def test_at_the_end_the_project_is_written_where_there_is_room(tmp_path: Path) -
     (tmp_path / "p").rename(tmp_path / "moved")
     (tmp_path / "p").write_bytes(b"in its place")
     assert not draw(session, 1)
-    with pytest.raises(UnsavedError, match="the whole project, that included, is in") as caught:
+    with pytest.raises(UnsavedError, match="the whole project including them is in") as caught:
         session.close()
     (place,) = (tmp_path / "elsewhere").iterdir()
     assert str(place) in str(caught.value)

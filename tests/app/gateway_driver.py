@@ -97,7 +97,7 @@ class CountingWorkbench:
             raise OptionError("it can show intensity; choose that")
         return Picture(PNG, "image/png", f'"{query.get("rev", "none")}"\r\n')
 
-    def upload_room(self) -> Path:
+    def upload_folder(self) -> Path:
         return self.room
 
     def take_upload(self, path: Path, name: str, what: str, photo: str | None, client: Page | None) -> str:

@@ -14,7 +14,7 @@ from ladarreg.gateway import encoding
 from ladarreg.gateway.delta import apply_change, change_between
 from ladarreg.gateway.document_socket import ClientState, Outbox
 from ladarreg.gateway.encoding import SharedEncoder
-from ladarreg.session.cache import EachOnce
+from ladarreg.session.cache import ListCache
 
 from tests.app.slice_edits import random_states
 
@@ -154,11 +154,11 @@ def test_all_clients_share_one_encoding(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_unchanged_items_are_made_once() -> None:
     made: list[str] = []
-    each: EachOnce[str, str] = EachOnce(lambda thing: made.append(thing) or thing.upper())
+    each: ListCache[str, str] = ListCache(lambda thing: made.append(thing) or thing.upper())
     things = ["one", "two"]
-    assert each.of("a", things) is each.of("a", things)
-    assert each.of("a", ["zero", *things]) == ["ZERO", "ONE", "TWO"]
-    assert each.of("b", things) == ["ONE", "TWO"]
+    assert each.get("a", things) is each.get("a", things)
+    assert each.get("a", ["zero", *things]) == ["ZERO", "ONE", "TWO"]
+    assert each.get("b", things) == ["ONE", "TWO"]
     assert made == ["one", "two", "zero", "one", "two"]
 
 
@@ -166,11 +166,11 @@ def test_unchanged_items_are_made_once() -> None:
 def test_only_new_items_of_a_list_are_made(lists: list[list[int]]) -> None:
     things = [object() for _ in range(7)]
     made: list[object] = []
-    each: EachOnce[object, tuple[object]] = EachOnce(lambda thing: made.append(thing) or (thing,))
+    each: ListCache[object, tuple[object]] = ListCache(lambda thing: made.append(thing) or (thing,))
     before: list[object] = []
     for chosen in lists:
         now = [things[k] for k in chosen]
         made.clear()
-        assert each.of("a", now) == [(thing,) for thing in now]
+        assert each.get("a", now) == [(thing,) for thing in now]
         assert not [thing for thing in made if thing in before]
         before = now

@@ -1,4 +1,4 @@
-"""Caches that are bounded by number and by bytes."""
+"""Caches bounded by number and by bytes."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 from ladarreg.gateway.protocol import Picture
-from ladarreg.session.bounded_cache import BoundedCache, array_bytes, rough_bytes
-from ladarreg.session.cache import EachOnce
-from ladarreg.session.loader import Workroom
+from ladarreg.session.cache import BoundedCache, ListCache, array_bytes, rough_bytes
+from ladarreg.session.loader import Loader
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.photo import Photo
@@ -22,21 +21,21 @@ def _photo(height: int, width: int) -> Photo:
     return Photo(np.zeros((height, width, 3), np.uint8), Camera.from_focal(width, height, width))
 
 
-def test_what_was_used_longest_ago_goes_first() -> None:
+def test_the_least_recently_used_value_is_dropped_first() -> None:
     cache: BoundedCache[bytes] = BoundedCache(3, 100, len)
     for name in "abc":
         cache.put(name, name.encode() * 30)
     assert cache.get("a") == b"a" * 30
     cache.put("d", b"d" * 30)
     assert ["b" in cache, "a" in cache, len(cache), cache.bytes] == [False, True, 3, 90]
-    cache.put("e", b"e" * 60)  # in place of two
+    cache.put("e", b"e" * 60)  # replaces two
     assert [name for name in "abcde" if name in cache] == ["d", "e"]
-    cache.put("f", b"f" * 1000)  # too large for itself, and yet the newest
+    cache.put("f", b"f" * 1000)  # exceeds the limit alone, but is the newest
     assert [name for name in "abcdef" if name in cache] == ["f"]
 
 
-def test_what_grows_is_measured_again() -> None:
-    cache: BoundedCache[bytearray] = BoundedCache(10, 100, len, they_grow=True)
+def test_growing_values_are_measured_again() -> None:
+    cache: BoundedCache[bytearray] = BoundedCache(10, 100, len, values_grow=True)
     first = bytearray(10)
     cache.put("first", first)
     first.extend(bytes(200))
@@ -61,32 +60,32 @@ def test_a_rough_size_grows_with_a_slice() -> None:
     assert 300 * one < many < 2000 * one
 
 
-def test_large_photographs_do_not_pile_up(tmp_path: Path) -> None:
-    room = Workroom(ProjectFolder(tmp_path / "project"))
+def test_large_photographs_stay_within_the_memory_limit(tmp_path: Path) -> None:
+    loader = Loader(ProjectFolder(tmp_path / "project"))
     for k in range(8):
-        room.kept("photo", k, lambda: _photo(6000, 8000))  # 144 MB each
-        shelf: Any = room._kept["photo"]
+        loader.cached("photo", k, lambda: _photo(6000, 8000))  # 144 MB each
+        shelf: Any = loader._cache["photo"]
         assert shelf.bytes <= 600_000_000
     assert len(shelf) == 4
 
 
-def test_a_new_scan_drops_what_was_computed_on_the_last(tmp_path: Path) -> None:
-    room = Workroom(ProjectFolder(tmp_path / "project"))
-    room.kept("scan", 1, lambda: "a scan")
-    room.kept("measured", 1, lambda: "of the first scan")
-    room.kept("photo", 1, lambda: "a photograph")
-    room.kept("scan", 2, lambda: "another scan")
-    assert room.kept("measured", 1, lambda: "of the second scan") == "of the second scan"
-    assert room.kept("photo", 1, lambda: "read again") == "a photograph"
+def test_a_new_scan_drops_values_derived_from_the_previous_one(tmp_path: Path) -> None:
+    loader = Loader(ProjectFolder(tmp_path / "project"))
+    loader.cached("scan", 1, lambda: "a scan")
+    loader.cached("measured", 1, lambda: "of the first scan")
+    loader.cached("photo", 1, lambda: "a photograph")
+    loader.cached("scan", 2, lambda: "another scan")
+    assert loader.cached("measured", 1, lambda: "of the second scan") == "of the second scan"
+    assert loader.cached("photo", 1, lambda: "read again") == "a photograph"
 
 
-def test_lists_of_gone_photographs_are_forgotten() -> None:
+def test_the_number_of_cached_lists_is_bounded() -> None:
     made: list[int] = []
-    each: EachOnce[int, int] = EachOnce(lambda thing: made.append(thing) or thing)  # type: ignore[func-returns-value]
+    each: ListCache[int, int] = ListCache(lambda thing: made.append(thing) or thing)  # type: ignore[func-returns-value]
     things = (1, 2, 3)
     for photo in range(1000):
-        each.of(photo, things)
+        each.get(photo, things)
     assert len(each._lists) <= 256
     made.clear()
-    assert each.of(999, things) == [1, 2, 3]
+    assert each.get(999, things) == [1, 2, 3]
     assert made == []
