@@ -9,12 +9,11 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.matches import Matches
-from ladarreg_core.mount import Offset
 from ladarreg_core.photo import Photo
 from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M
 from ladarreg_core.progress import Step
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results import Offset, PoseResult, Registration
 
 
 def carry_over(registration: Registration, offset: Offset | Rigid, photo_b: Photo) -> Registration:

@@ -11,11 +11,10 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.matching.thesis.chain import thesis_stages
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import StepReport
+from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.results import Stage
 from ladarreg_core.scan import Scan
-from ladarreg_core.steps import StepLog
 from ladarreg_core.surface.texture import RegisteredTexture, texture_scan
 
 

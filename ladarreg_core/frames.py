@@ -153,6 +153,11 @@ def rotvec_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(axis / np.linalg.norm(axis) * angle, dtype=np.float64)
 
 
+def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return angles, rad, of any shape, as the equal ones in [-pi, pi)."""
+    return np.asarray((np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi)
+
+
 def look_along(direction: ArrayLike) -> NDArray[np.float64]:
     """Return the rotation (3, 3), view from scanner, of a camera that looks along `direction` (3,) without roll."""
     forward = np.asarray(direction, dtype=np.float64)

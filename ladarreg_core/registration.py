@@ -20,10 +20,9 @@ from ladarreg_core.picks.measure import SAMPLES_PER_LINE, LineUse, check_line_us
 from ladarreg_core.pose.confirm import confirm
 from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
-from ladarreg_core.progress import StepReport
+from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.steps import StepLog
 
 _TOLD_LOSSES = 3
 _KAPPA_ROUNDS = 2  # where samples lie along a line in the photo depends on the pose, and settles at once

@@ -27,8 +27,8 @@ from ladarreg_core.matching.verify_finished import judged_by_precision, regions_
 from ladarreg_core.matching.view_search import ViewSearch
 from ladarreg_core.matching.views import rolled, viewing_directions
 from ladarreg_core.photo import Photo
+from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
-from ladarreg_core.steps import StepLog
 
 log = logging.getLogger(__name__)
 Reach = Literal["everywhere", "near_start"]

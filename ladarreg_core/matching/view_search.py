@@ -22,7 +22,7 @@ from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, ScanLevels
 from ladarreg_core.matching.roll import Turn, turn_between
 from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.matching.views import towards_seen
-from ladarreg_core.steps import StepLog
+from ladarreg_core.progress import StepLog
 
 _COARSEST = LEVELS[-1]
 _COARSE_CLIMB = ClimbOptions(tau_px=8, iterations=8)

@@ -15,11 +15,9 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
-from ladarreg_core.picks.lines import along_line, line_on_scan
-from ladarreg_core.picks.perspective_line import fraction_in_photo, kappa_of
+from ladarreg_core.picks.lines import along_line, fraction_in_photo, kappa_of, line_on_scan
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.range_quality import range_quality
-from ladarreg_core.surface.ranges import measured_ranges
+from ladarreg_core.surface.ranges import measured_ranges, range_quality
 
 LineUse = Literal["ends", "equal", "kappa"]
 """`ends`: the two ends with the ranges of the whole line; `equal`: samples at constant intervals in both pictures, as

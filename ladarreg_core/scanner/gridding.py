@@ -7,15 +7,14 @@ equal steps of latitude and longitude that are measured on the cloud itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, rotation_from_rotvec
-from ladarreg_core.scanner.grids import ScanGeometry, SphericalGrid, TabulatedGrid
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, rotation_from_rotvec, wrap_angle
+from ladarreg_core.scanner.grids import RingGrid, ScanGeometry, SphericalGrid, TabulatedGrid, TurnedGrid
 
 LEAST_POINTS = 12
 """Fewer directions do not make a grid."""
@@ -33,105 +32,6 @@ _LEAST_RINGS = 4
 _LEAST_ON_A_RING = 8
 _MOST_OVERLAP = 0.25
 _CLEAN_OVERLAP = 0.02
-
-
-@dataclass(frozen=True, eq=False)
-class RingGrid:
-    """Rows are the rings of a spinning scanner at their own latitudes, columns are equal steps of longitude.
-
-    latitude = `latitudes_rad[row]`, linear between rings; longitude = centre - (column - (W - 1)/2 +
-    `phases[row]`) d_longitude, positive to the left.
-    """
-
-    latitudes_rad: FloatArray
-    """(H,) falling from the top."""
-    phases: FloatArray
-    """(H,) by how many columns each ring is fired late."""
-    columns: int
-    d_longitude_rad: float
-    centre_longitude_rad: float
-
-    def __post_init__(self) -> None:
-        latitudes = read_only(self.latitudes_rad, np.float64, (None,), "the rings' latitudes")
-        if len(latitudes) < 2 or not (np.diff(latitudes) < 0).all():
-            raise ShapeError(f"there are {len(latitudes)} rings; a grid needs at least 2, falling from the top")
-        object.__setattr__(self, "latitudes_rad", latitudes)
-        object.__setattr__(self, "phases", read_only(self.phases, np.float64, latitudes.shape, "the rings' phases"))
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(H, W), cells."""
-        return len(self.latitudes_rad), self.columns
-
-    @property
-    def step_rad(self) -> tuple[float, float]:
-        """(median latitude step, longitude step), rad."""
-        return float(np.median(-np.diff(self.latitudes_rad))), self.d_longitude_rad
-
-    @cached_property
-    def rays(self) -> NDArray[np.float64]:
-        """(H, W, 3) unit rays, read-only."""
-        row, column = np.mgrid[: self.shape[0], : self.columns]
-        rays = self.ray_at(np.stack([row, column], axis=-1))
-        rays.flags.writeable = False
-        return rays
-
-    def cell_of(self, directions: ArrayLike) -> FloatArray:
-        """Return the fractional cells (..., 2) of directions (..., 3)."""
-        d = np.asarray(directions)
-        row = self._row_of(np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1])))
-        turn = _wrapped(np.arctan2(d[..., 1], d[..., 0]) - self.centre_longitude_rad)
-        phase = np.interp(row, np.arange(self.shape[0]), self.phases)
-        return np.stack([row, (self.columns - 1) / 2 - turn / self.d_longitude_rad - phase], axis=-1)
-
-    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
-        """Return the unit rays (..., 3) of fractional cells (..., 2)."""
-        c = np.asarray(cells, dtype=np.float64)
-        latitude = _extended_interp(c[..., 0], np.arange(float(self.shape[0])), self.latitudes_rad)
-        phase = np.interp(c[..., 0], np.arange(self.shape[0]), self.phases)
-        turn = (c[..., 1] - (self.columns - 1) / 2 + phase) * self.d_longitude_rad
-        longitude = self.centre_longitude_rad - turn
-        return np.stack(
-            [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
-        )
-
-    def _row_of(self, latitude: FloatArray) -> NDArray[np.float64]:
-        return _extended_interp(latitude, self.latitudes_rad[::-1], np.arange(float(self.shape[0]))[::-1])
-
-
-@dataclass(frozen=True, eq=False)
-class TurnedGrid:
-    """A geometry of another frame: a spherical grid has a pole, which must not lie where the cloud is."""
-
-    grid: ScanGeometry
-    """The geometry, in its own frame."""
-    grid_from_scanner: FloatArray
-    """(3, 3) rotation."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(H, W), cells."""
-        return self.grid.shape
-
-    @property
-    def step_rad(self) -> tuple[float, float]:
-        """The typical angle between neighbouring (rows, columns), rad."""
-        return self.grid.step_rad
-
-    @cached_property
-    def rays(self) -> NDArray[np.float64]:
-        """(H, W, 3) unit rays, read-only."""
-        rays = np.asarray(self.grid.rays @ self.grid_from_scanner)
-        rays.flags.writeable = False
-        return rays
-
-    def cell_of(self, directions: ArrayLike) -> FloatArray:
-        """Return the fractional cells (..., 2) of directions (..., 3)."""
-        return self.grid.cell_of(np.asarray(directions) @ self.grid_from_scanner.T)
-
-    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
-        """Return the unit rays (..., 3) of fractional cells (..., 2)."""
-        return np.asarray(self.grid.ray_at(cells) @ self.grid_from_scanner)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +140,7 @@ def _laid_out(rays: FloatArray, beam: IntArray | None, most_cells: int) -> tuple
     latitude = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
     longitude = np.arctan2(rays[:, 1], rays[:, 0])
     centre, span = _centre_of(longitude)
-    turn = _wrapped(longitude - centre)
+    turn = wrap_angle(longitude - centre)
     labels = _rings_of(latitude, beam)
     if labels is not None:
         step = _step_along_rings(turn, labels)
@@ -272,7 +172,7 @@ def _centre_of(longitude: FloatArray) -> tuple[float, float]:
         return 0.0, 2 * np.pi
     start = values[(widest + 1) % len(values)]
     span = 2 * np.pi - float(gaps[widest])
-    return float(_wrapped(start + span / 2)), span
+    return float(wrap_angle(start + span / 2)), span
 
 
 def _rings_of(latitude: FloatArray, beam: IntArray | None) -> IntArray | None:
@@ -407,7 +307,7 @@ def _on_rings(
     column = _spread_collisions(labels, column, index - np.rint(index), columns)
     # The law's centre is the longitude of column (W - 1)/2 at phase 0.
     law_centre = centre - ((columns - 1) / 2 - offset + common) * step
-    law = RingGrid(middle, phases, columns, step, float(_wrapped(law_centre)))
+    law = RingGrid(middle, phases, columns, step, float(wrap_angle(law_centre)))
     return law, np.stack([labels, column], axis=-1)
 
 
@@ -489,15 +389,3 @@ def _bounded(
     cells = (height_rad / d_latitude + 1) * (width_rad / d_longitude + 1)
     factor = float(np.sqrt(max(1.0, cells / most_cells)))
     return min(d_latitude * factor, 0.49), min(d_longitude * factor, 0.49)
-
-
-def _extended_interp(x: FloatArray, xp: FloatArray, fp: FloatArray) -> NDArray[np.float64]:
-    """Interpolate linearly, and go on straight beyond both ends."""
-    inside = np.interp(x, xp, fp)
-    below = (x - xp[0]) * (fp[1] - fp[0]) / (xp[1] - xp[0])
-    above = (x - xp[-1]) * (fp[-1] - fp[-2]) / (xp[-1] - xp[-2])
-    return np.asarray(np.where(x < xp[0], fp[0] + below, np.where(x > xp[-1], fp[-1] + above, inside)))
-
-
-def _wrapped(angle: FloatArray) -> FloatArray:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

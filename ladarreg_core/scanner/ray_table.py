@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.frames import wrap_angle
 
 _LEAST_RAYS = 12
 _RESIDUAL_REACH_CELLS = 8.0
@@ -57,13 +56,13 @@ def _fit_angle(angle: NDArray[np.float64], known: BoolArray) -> NDArray[np.float
     row, column = np.mgrid[:height, :width].astype(np.float64)
     steps = []
     for axis in (0, 1):
-        difference = _wrapped(np.diff(angle, axis=axis))
+        difference = wrap_angle(np.diff(angle, axis=axis))
         both = np.take(known, range(1, known.shape[axis]), axis) & np.take(known, range(known.shape[axis] - 1), axis)
         steps.append(float(np.median(difference[both])) if both.any() else 0.0)
     trend = steps[0] * row + steps[1] * column
     rest = angle - trend
     offset = np.angle(np.exp(1j * rest[known]).mean())
-    rest = _wrapped(rest - offset)
+    rest = wrap_angle(rest - offset)
 
     r, c = row / max(height - 1, 1) * 2 - 1, column / max(width - 1, 1) * 2 - 1
     sample = np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _FIT_CELLS)]
@@ -82,10 +81,6 @@ def _fit_angle(angle: NDArray[np.float64], known: BoolArray) -> NDArray[np.float
 
 def _quadratic(r: FloatArray, c: FloatArray) -> NDArray[np.float64]:
     return np.stack([np.ones_like(r), r, c, r * c, r * r, c * c], axis=-1)
-
-
-def _wrapped(angle: Any) -> NDArray[np.float64]:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def interpolate_rays(rays: FloatArray, cells: FloatArray, *, beyond: float = 0.5) -> NDArray[np.float64]:

@@ -15,12 +15,12 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
 
 WIDEST_VIEW_RAD = np.deg2rad(120.0)
 """Beyond this no perspective picture is useful."""
 _NODE_PX = 8
-_DEPTH_EDGE = 0.04
 _OUTSIDE = -1e4
 _LONGEST_SIDE = 32_000
 _MOST_PIXELS = 100_000_000
@@ -67,7 +67,7 @@ class View:
         corners = filled[:-1, :-1], filled[:-1, 1:], filled[1:, :-1], filled[1:, 1:]
         low, high = reduce(np.minimum, corners), reduce(np.maximum, corners)
         smooth = np.zeros(filled.shape, np.uint8)
-        smooth[:-1, :-1] = (low > 0) & (high - low < _DEPTH_EDGE * low)
+        smooth[:-1, :-1] = (low > 0) & (high - low < EDGE_FRACTION * low)
         linear, nearest = self.resample(filled), _values_at(filled, self.cells, cv2.INTER_NEAREST)
         # The quad that a pixel falls into is named by its upper left cell: floor, not round.
         quad = _values_at(smooth, np.floor(self.cells), cv2.INTER_NEAREST)

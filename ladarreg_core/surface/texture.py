@@ -26,6 +26,9 @@ _LARGEST_POSE_SIGMA_PX = 2.0
 _NET_NODES = 65
 _UNSEEN_BRIGHTNESS = 0.45
 _OUTSIDE = np.float32(-10)
+_DARKEST, _BRIGHTEST = 18.0, 245.0
+_PERCENTILES = (1.0, 99.0)
+_GAMMA = 0.6  # raw intensity falls with the square of the range: most of it lies near the dark end
 
 
 class Label(IntEnum):
@@ -130,6 +133,40 @@ def model_picture(scan: Scan, texture: RegisteredTexture) -> ByteArray:
     bright = np.clip((scan.intensity - np.float32(low)) / np.float32(span), 0, 1) * 0.85 + 0.15
     gray = np.rint(bright * (255 * _UNSEEN_BRIGHTNESS)).astype(np.uint8)
     return np.asarray(np.where(texture.coloured[..., None], texture.image, gray[..., None]))
+
+
+def intensity_picture(scan: Scan) -> ByteArray:
+    """Return the scan's intensity, contrast stretched over its returns, as gray RGB, (H, W, 3) uint8."""
+    low, high = np.percentile(scan.intensity[scan.valid], _PERCENTILES)
+    share = np.clip((scan.intensity - np.float32(low)) / np.float32(max(high - low, 1e-12)), 0, 1)
+    share = share**_GAMMA
+    gray = np.rint(_DARKEST + share * (_BRIGHTEST - _DARKEST)).astype(np.uint8)
+    gray[~scan.valid] = 0
+    return np.repeat(gray[..., None], 3, axis=-1)
+
+
+def blended_picture(scan: Scan, texture: RegisteredTexture, *, share: float) -> ByteArray:
+    """Return the model's picture between the laser's intensity (`share` 0) and the photograph's colour (1).
+
+    Args:
+        scan: the scan.
+        texture: the photograph on its grid.
+        share: of the colour, 0 to 1.
+
+    Returns:
+        (H, W, 3) uint8 RGB; at 1 it is `model_picture`.
+
+    Raises:
+        OptionError: if the share is not between 0 and 1.
+        ShapeError: if the texture is not on the scan's grid.
+    """
+    if not 0 <= share <= 1:
+        raise OptionError(f"the share of colour is {share}; it must be between 0 and 1")
+    colour = model_picture(scan, texture)
+    if share == 1:
+        return colour
+    mixed = (1 - share) * intensity_picture(scan).astype(np.float32) + share * colour.astype(np.float32)
+    return np.rint(mixed).astype(np.uint8)
 
 
 def _labels(

@@ -30,8 +30,14 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import gridding, grids
-from ladarreg_core.scanner.gridding import RingGrid, TurnedGrid
-from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
+from ladarreg_core.scanner.grids import (
+    AzimuthElevation,
+    PinholeGrid,
+    RingGrid,
+    SphericalGrid,
+    TabulatedGrid,
+    TurnedGrid,
+)
 from ladarreg_core.simulate.sample import sample_folder
 from tests.formats import misbehaving
 

@@ -166,8 +166,14 @@ def _records() -> dict[str, type[Any]]:
 
 
 def _geometries() -> tuple[type[Any], ...]:
-    from ladarreg_core.scanner.gridding import RingGrid, TurnedGrid
-    from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
+    from ladarreg_core.scanner.grids import (
+        AzimuthElevation,
+        PinholeGrid,
+        RingGrid,
+        SphericalGrid,
+        TabulatedGrid,
+        TurnedGrid,
+    )
 
     return AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid, RingGrid, TurnedGrid
 
