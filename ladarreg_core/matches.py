@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.validation import require_choice, require_positive
 
 PickKind = Literal["point", "line"]
 
@@ -39,15 +40,13 @@ class Pick:
     """Who put it down: `manual`, `file`, or the name of a detector."""
 
     def __post_init__(self) -> None:
-        if self.kind not in ("point", "line"):
-            raise ShapeError(f"match {self.id!r} is a {self.kind!r}; it must be a 'point' or a 'line'")
+        require_choice(self.kind, get_args(PickKind), f"the kind of match {self.id!r}", error=ShapeError)
         ends = 1 if self.kind == "point" else 2
         scan = read_only(self.scan, np.float64, (ends, 3), f"the scan side of match {self.id!r}")
         photo = read_only(self.photo, np.float64, (ends, 2), f"the photo side of match {self.id!r}")
         if not (np.isfinite(scan).all() and np.isfinite(photo).all() and scan.any(axis=-1).all()):
             raise ShapeError(f"match {self.id!r} has a coordinate that is not finite, or a ray of no length")
-        if not (np.isfinite(self.weight) and self.weight > 0):
-            raise ShapeError(f"match {self.id!r} has the weight {self.weight}; it must be positive")
+        require_positive(self.weight, f"the weight of match {self.id!r}", error=ShapeError)
         object.__setattr__(self, "scan", read_only(unit_rays(scan), np.float64, (ends, 3), "rays"))
         object.__setattr__(self, "photo", photo)
 

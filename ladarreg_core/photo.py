@@ -9,6 +9,7 @@ import numpy as np
 from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, ShapeError
+from ladarreg_core.validation import require_type
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +36,7 @@ class Photo:
     """(H, W) float32, of a thermal picture: apparent temperature, K; `pixels` are then gray levels to look at."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.camera, Camera):
-            raise CameraError(f"the photo's camera is a {type(self.camera).__name__}; give a Camera")
+        require_type(self.camera, Camera, "the photo's camera", error=CameraError)
         pixels = read_only(self.pixels, np.uint8, (None, None, 3), "the photo")
         height, width = pixels.shape[:2]
         if (width, height) != self.camera.size:

@@ -23,6 +23,7 @@ from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, P
 from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
+from ladarreg_core.validation import LARGEST_INT, require_choice, require_int, require_type
 
 _TOLD_LOSSES = 3
 _KAPPA_ROUNDS = 2  # where samples lie along a line in the photo depends on the pose, and settles at once
@@ -53,8 +54,7 @@ class RegisterOptions:
         return replace(self.thesis, pose=replace(self.thesis.pose, seed=self.seed))
 
     def __post_init__(self) -> None:
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**31:
-            raise OptionError(f"the seed is {self.seed!r}; it must be a whole number of at least 0")
+        require_int(self.seed, "the seed", least=0, most=LARGEST_INT)
         check_samples(self.samples_per_line)
         check_line_use(self.lines)
 
@@ -92,8 +92,7 @@ def register(
     """
     o = RegisterOptions() if options is None else options
     _check_types(scan, photo, picks, initial, o)
-    if method not in get_args(RegistrationMethod):
-        raise OptionError(f"the method is {method!r}; it must be one of {', '.join(get_args(RegistrationMethod))}")
+    require_choice(method, get_args(RegistrationMethod), "the method")
     if method == "manual" and not picks:
         raise OptionError("the method 'manual' has no matches; give points or lines, or take the method 'auto'")
     steps = StepLog(report)
@@ -104,19 +103,16 @@ def register(
 
 def _check_types(scan: object, photo: object, picks: object, initial: object, options: object) -> None:
     """Refuse a path where its content is wanted, a matrix where a pose is, and the like, before any work."""
-    wanted: list[tuple[str, object, type]] = [
-        ("scan", scan, Scan),
-        ("photo", photo, Photo),
-        ("options", options, RegisterOptions),
-        *([("initial", initial, Rigid)] if initial is not None else []),
-    ]
+    require_type(scan, Scan, "'scan'")
+    require_type(photo, Photo, "'photo'")
+    require_type(options, RegisterOptions, "'options'")
+    if initial is not None:
+        require_type(initial, Rigid, "'initial'")
     if picks is not None:
         if not isinstance(picks, Sequence) or isinstance(picks, str):
-            raise OptionError(f"the picks are a {type(picks).__name__}; give a list of Pick")
-        wanted += [("picks", pick, Pick) for pick in picks]
-    for name, value, kind in wanted:
-        if not isinstance(value, kind):
-            raise OptionError(f"'{name}' holds a {type(value).__name__}; it must be a {kind.__name__}")
+            raise OptionError(f"'picks' is a {type(picks).__name__}; give a list of Pick")
+        for pick in picks:
+            require_type(pick, Pick, "an element of 'picks'")
 
 
 def _register(

@@ -10,10 +10,10 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
+from ladarreg_core.validation import require_number
 
 Evidence = Literal["image", "statistics", "none"]
 StageName = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed", "default"]
@@ -131,9 +131,7 @@ class Offset:
 
     def __post_init__(self) -> None:
         for name in ("sigma_angle_rad", "sigma_position_m"):
-            value = getattr(self, name)
-            if not np.isfinite(value) or value < 0:
-                raise OptionError(f"the offset's {name} is {value:g}; it must be a finite number that is not negative")
+            require_number(getattr(self, name), f"the offset's {name}", least=0)
 
 
 def _moved(pose: Rigid, change: FloatArray) -> Rigid:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
-from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grids import ScanGeometry
+from ladarreg_core.validation import require_choice
 
 IntensityKind = Literal["raw", "range_normalised"]
 _SMALLEST_SIDE = 2
@@ -49,8 +50,7 @@ class Scan:
         shape = self.geometry.shape
         if min(shape) < _SMALLEST_SIDE:
             raise ShapeError(f"the scan grid is {shape[0]} x {shape[1]} cells; it must be at least 2 x 2")
-        if self.intensity_is not in ("raw", "range_normalised"):
-            raise OptionError(f"intensity_is is {self.intensity_is!r}; it must be 'raw' or 'range_normalised'")
+        require_choice(self.intensity_is, get_args(IntensityKind), "intensity_is")
         ranges = np.array(read_only(self.ranges, np.float32, shape, "the scan's range"))
         with np.errstate(invalid="ignore"):
             ranges[~(np.isfinite(ranges) & (ranges > 0))] = np.nan

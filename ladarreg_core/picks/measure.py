@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.lines import along_line, fraction_in_photo, kappa_of, line_on_scan
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import measured_ranges, range_quality
+from ladarreg_core.validation import require_choice, require_int
 
 LineUse = Literal["ends", "equal", "kappa"]
 """`ends`: the two ends with the ranges of the whole line; `equal`: samples at constant intervals in both pictures, as
@@ -29,15 +29,12 @@ _MOST_SAMPLES = 1000
 
 def check_samples(samples_per_line: object) -> None:
     """Raise an OptionError if a line cannot be sampled by so many points."""
-    whole = isinstance(samples_per_line, int) and not isinstance(samples_per_line, bool)
-    if not whole or not 2 <= samples_per_line <= _MOST_SAMPLES:  # type: ignore[operator]
-        raise OptionError(f"samples_per_line is {samples_per_line!r}; it must be a whole number from 2 to 1000")
+    require_int(samples_per_line, "samples_per_line", least=2, most=_MOST_SAMPLES)
 
 
 def check_line_use(lines: object) -> None:
     """Raise an OptionError if lines cannot be used so."""
-    if lines not in get_args(LineUse):
-        raise OptionError(f"the use of lines is {lines!r}; it must be one of {', '.join(get_args(LineUse))}")
+    require_choice(lines, get_args(LineUse), "the use of lines")
 
 
 def matches_from_picks(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import OptionError
 from ladarreg_core.scan import Scan
+from ladarreg_core.validation import require_int
 
 _ALWAYS_SURFACE = 1.0  # tan 45 deg: an isolated step that no surface of one slope makes is an edge beyond it
 _SURFACE_IF_SUPPORTED = 3.7  # tan 75 deg: steeper than this a surface must show itself over three steps in a row
@@ -102,10 +103,12 @@ def scan_mesh(scan: Scan, *, step: int | tuple[int, int] = 1, max_vertices: int 
         OptionError: if a step is below 1 or `max_vertices` below 4.
     """
     steps = step if isinstance(step, tuple) else (step, step)
-    if len(steps) != 2 or any(isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1 for n in steps):
-        raise OptionError(f"the mesh's step is {step}; it must be a whole number of cells, at least 1")
-    if max_vertices is not None and max_vertices < 4:
-        raise OptionError(f"max_vertices is {max_vertices}; a mesh needs at least 4")
+    if len(steps) != 2:
+        raise OptionError(f"the mesh's step has {len(steps)} numbers; give one, or two for rows and columns")
+    for size in steps:
+        require_int(size, "the mesh's step", least=1, unit="cells")
+    if max_vertices is not None:
+        require_int(max_vertices, "max_vertices", least=4)
     rows, columns = _decimate(scan, (int(steps[0]), int(steps[1])), max_vertices)
     if len(rows) == scan.shape[0] and len(columns) == scan.shape[1]:
         edges = grid_edges(scan)

@@ -17,6 +17,7 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
+from ladarreg_core.validation import require_type
 
 WIDEST_VIEW_RAD = np.deg2rad(120.0)
 """Beyond this no perspective picture is useful."""
@@ -120,9 +121,9 @@ def perspective_view(
 
     Source: thesis 2.2.2, Eq 2.2-2.5.
     """
-    if not isinstance(scan, Scan) or not isinstance(camera, Camera | None):
-        kinds = f"{type(scan).__name__} and {type(camera).__name__}"
-        raise OptionError(f"a view is made of a Scan and a Camera; {kinds} were given")
+    require_type(scan, Scan, "'scan'")
+    if camera is not None:
+        require_type(camera, Camera, "'camera'")
     if view_from_scanner is not None and np.abs(view_from_scanner.translation).max() > 1e-9:
         raise OptionError("the view is not taken from the scanner's centre; its transform must be a rotation only")
     turn = view_from_scanner or Rigid(look_along(scan.mean_direction), np.zeros(3))

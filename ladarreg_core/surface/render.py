@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import scan_mesh
 from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_values
+from ladarreg_core.validation import require_int
 
 _MAP_BLOCK_PX = 4
 _LARGEST_SUPERSAMPLE = 8
@@ -51,8 +52,7 @@ def render_scan_colors(
     if own is None:
         raise ShapeError("the scan has no colour of its own; give a picture on its grid, or a scan with colour")
     texture = read_only(own, np.uint8, (*scan.shape, 3), "the scan's picture")
-    if isinstance(supersample, bool) or supersample not in range(1, _LARGEST_SUPERSAMPLE + 1):
-        raise OptionError(f"supersample is {supersample}; it must be a whole number from 1 to {_LARGEST_SUPERSAMPLE}")
+    require_int(supersample, "supersample", least=1, most=_LARGEST_SUPERSAMPLE)
     mesh = scan_mesh(scan)
     values = texture[mesh.cells[:, 0], mesh.cells[:, 1]].astype(np.float32) / 255
     ideal = covering_pinhole(camera, scale=supersample)

@@ -19,6 +19,7 @@ from ladarreg_core.surface.mesh import grid_edges
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.uncertainty import pixel_sigma
 from ladarreg_core.surface.visibility import ScanProjection, project_scan
+from ladarreg_core.validation import require_number
 
 BACKGROUND = (48, 48, 48)
 """The uniform colour of cells that the camera does not see."""
@@ -160,8 +161,7 @@ def blended_picture(scan: Scan, texture: RegisteredTexture, *, share: float) -> 
         OptionError: if the share is not between 0 and 1.
         ShapeError: if the texture is not on the scan's grid.
     """
-    if not 0 <= share <= 1:
-        raise OptionError(f"the share of colour is {share}; it must be between 0 and 1")
+    require_number(share, "the share of colour", least=0, most=1)
     colour = model_picture(scan, texture)
     if share == 1:
         return colour

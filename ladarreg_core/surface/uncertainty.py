@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError, OptionError, ShapeError
+from ladarreg_core.errors import CameraError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.remap import look_up
+from ladarreg_core.validation import require_choice, require_number, require_type
 
 Measure = Literal["longer_axis", "total"]
 """`longer_axis`: root of the larger eigenvalue of the pixel's covariance; `total`: root of its trace."""
@@ -63,13 +64,9 @@ def picture_sigma(
         CameraError: if `camera` is none.
     """
     factor = covariance_factor(covariance)
-    number = isinstance(sigma_range_m, int | float | np.floating | np.integer) and not isinstance(sigma_range_m, bool)
-    if not number or not 0 <= sigma_range_m <= _MOST_SIGMA_RANGE_M:
-        raise OptionError(f"sigma_range_m is {sigma_range_m!r}; it must be a number of metres of at least 0")
-    if measure not in get_args(Measure):
-        raise OptionError(f"the measure is {measure!r}; it must be one of {', '.join(get_args(Measure))}")
-    if not isinstance(camera, Camera):
-        raise CameraError(f"the camera is a {type(camera).__name__}; give a Camera")
+    require_number(sigma_range_m, "sigma_range_m", least=0, most=_MOST_SIGMA_RANGE_M, unit="metres")
+    require_choice(measure, get_args(Measure), "the measure")
+    require_type(camera, Camera, "the camera", error=CameraError)
     points = scan.points.reshape(-1, 3)
     result = np.empty(len(points), dtype=np.float32)
     kind = _kind_for(factor, camera, float(sigma_range_m))
