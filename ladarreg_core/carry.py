@@ -35,7 +35,7 @@ def carry_over(registration: Registration, offset: Offset | Rigid, photo_b: Phot
     pose = between @ registration.camera_from_scanner
     described = describe_pose(
         pose,
-        Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))),
+        Matches.none(),
         np.zeros(0, np.bool_),
         photo_b.camera,
         sigma_px=STATED_SIGMA_PX,

@@ -51,13 +51,9 @@ class Pick:
         object.__setattr__(self, "photo", photo)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, init=False)
 class Matches:
-    """M correspondences between the scan and the photo.
-
-    Raises:
-        ShapeError: if the arrays disagree.
-    """
+    """M correspondences between the scan and the photo; read-only."""
 
     rays: FloatArray
     """(M, 3) unit, scanner frame."""
@@ -65,38 +61,77 @@ class Matches:
     """(M,) m along the ray."""
     uv: FloatArray
     """(M, 2) photo pixels."""
-    pick_ids: tuple[str, ...] = ()
-    """The pick that each came from; one per match, or none at all."""
-    fractions: FloatArray | None = None
-    """(M,) where along its pick's line each lies, 0 to 1; 0 for points. None: all points."""
-    weights: FloatArray | None = None
-    """(M,) relative weights of the whole match. None: all 1."""
-    range_weights: FloatArray | None = None
-    """(M,) relative weights of the ranges alone, beside `weights`: weak returns less, means of many more. None: 1."""
-    directions: FloatArray | None = None
-    """(M, 2) unit vector along the drawn line, photo pixels; 0 for points. None: all points."""
-    across: BoolArray | None = None
-    """(M,) bool: known across its line only, as where the ends were not drawn at the same places. None: none."""
+    pick_ids: tuple[str, ...]
+    """The pick that each match was made from."""
+    fractions: FloatArray
+    """(M,) position of each match along the line of its pick, 0 to 1; 0 for points."""
+    weights: FloatArray
+    """(M,) relative weights of the whole match."""
+    range_weights: FloatArray
+    """(M,) relative weights of the ranges alone, on top of `weights`: below 1 for weak returns, above for means of
+    many."""
+    directions: FloatArray
+    """(M, 2) unit vector along the drawn line, photo pixels; 0 for points."""
+    across: BoolArray
+    """(M,) bool: only the position across the line is known, e.g. where the two ends were not drawn at corresponding
+    points."""
 
-    def __post_init__(self) -> None:
-        rays = read_only(self.rays, np.float64, (None, 3), "the matches' rays")
-        count = len(rays)
-        object.__setattr__(self, "rays", rays)
-        object.__setattr__(self, "ranges", read_only(self.ranges, np.float64, (count,), "the matches' ranges"))
-        object.__setattr__(self, "uv", read_only(self.uv, np.float64, (count, 2), "the matches' pixels"))
-        for name, empty in (("fractions", 0.0), ("weights", 1.0), ("range_weights", 1.0)):
-            value: ArrayLike | None = getattr(self, name)
-            filled = np.full(count, empty) if value is None else value
-            words = f"the matches' {name.replace('_', ' ')}"
-            object.__setattr__(self, name, read_only(filled, np.float64, (count,), words))
-        directions = np.zeros((count, 2)) if self.directions is None else self.directions
-        across = np.zeros(count, np.bool_) if self.across is None else self.across
-        object.__setattr__(self, "directions", read_only(directions, np.float64, (count, 2), "the lines' directions"))
-        object.__setattr__(self, "across", read_only(across, np.bool_, (count,), "the matches' 'across'"))
-        ids = tuple(map(str, self.pick_ids)) or tuple(str(k + 1) for k in range(count))
+    def __init__(
+        self,
+        rays: ArrayLike,
+        ranges: ArrayLike,
+        uv: ArrayLike,
+        pick_ids: Sequence[str] = (),
+        fractions: ArrayLike | None = None,
+        weights: ArrayLike | None = None,
+        range_weights: ArrayLike | None = None,
+        directions: ArrayLike | None = None,
+        across: ArrayLike | None = None,
+    ) -> None:
+        """Check the arrays and fill in those left out.
+
+        Args:
+            rays: (M, 3) unit, scanner frame.
+            ranges: (M,) m.
+            uv: (M, 2) photo pixels.
+            pick_ids: one per match; empty: '1', '2', ...
+            fractions: (M,); None: 0, all are points.
+            weights: (M,); None: 1.
+            range_weights: (M,); None: 1.
+            directions: (M, 2); None: 0, all are points.
+            across: (M,) bool; None: False, both coordinates are known.
+
+        Raises:
+            ShapeError: if the arrays disagree.
+        """
+        checked_rays = read_only(rays, np.float64, (None, 3), "the matches' rays")
+        count = len(checked_rays)
+        ids = tuple(map(str, pick_ids)) or tuple(str(k + 1) for k in range(count))
         if len(ids) != count:
             raise ShapeError(f"there are {len(ids)} pick ids for {count} matches; give one each, or none")
-        object.__setattr__(self, "pick_ids", ids)
+        columns = {
+            "rays": checked_rays,
+            "ranges": read_only(ranges, np.float64, (count,), "the matches' ranges"),
+            "uv": read_only(uv, np.float64, (count, 2), "the matches' pixels"),
+            "pick_ids": ids,
+            "fractions": _column(fractions, 0.0, count, "the matches' fractions"),
+            "weights": _column(weights, 1.0, count, "the matches' weights"),
+            "range_weights": _column(range_weights, 1.0, count, "the matches' range weights"),
+            "directions": read_only(
+                np.zeros((count, 2)) if directions is None else directions, np.float64, (count, 2),
+                "the lines' directions",
+            ),
+            "across": read_only(
+                np.zeros(count, np.bool_) if across is None else across, np.bool_, (count,), "the matches' 'across'"
+            ),
+        }  # fmt: skip
+        for name, value in columns.items():
+            object.__setattr__(self, name, value)
+
+    @staticmethod
+    def none() -> Matches:
+        """Return no matches."""
+        return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
 
     def __len__(self) -> int:
         return len(self.rays)
@@ -110,14 +145,9 @@ class Matches:
         """Return the matches of a mask (M,) or of indices, in that order."""
         chosen = np.asarray(keep)
         index = np.arange(len(self))[chosen if chosen.size else chosen.astype(np.intp)]
-        assert self.fractions is not None
-        assert self.weights is not None
-        assert self.range_weights is not None
-        assert self.directions is not None
-        assert self.across is not None
         ids = tuple(self.pick_ids[k] for k in index)
         if not ids:
-            return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+            return Matches.none()
         return Matches(
             self.rays[index],
             self.ranges[index],
@@ -134,7 +164,7 @@ class Matches:
     def joined(parts: Sequence[Matches]) -> Matches:
         """Return the matches of all parts in one, as drawn lines and points beside corners found by machine."""
         if not parts:
-            return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+            return Matches.none()
         ids = tuple(name for part in parts for name in part.pick_ids)
         columns = (
             np.concatenate([getattr(part, name) for part in parts])
@@ -148,8 +178,11 @@ class Matches:
     @property
     def dimensions(self) -> IntArray:
         """(M,) how many coordinates each is known in: 2, or 1 across a line."""
-        assert self.across is not None
         return np.where(self.across, 1, 2)
+
+
+def _column(values: ArrayLike | None, filler: float, count: int, name: str) -> FloatArray:
+    return read_only(np.full(count, filler) if values is None else values, np.float64, (count,), name)
 
 
 def unit_rays(vectors: FloatArray) -> NDArray[np.float64]:
@@ -164,8 +197,6 @@ def unit_rays(vectors: FloatArray) -> NDArray[np.float64]:
 
 def across_lines(matches: Matches, vectors: FloatArray) -> FloatArray:
     """Return vectors (M, 2), photo pixels, without the part along its line of what is known across it only."""
-    assert matches.across is not None
-    assert matches.directions is not None
     if not matches.across.any():
         return vectors
     along = (vectors * matches.directions).sum(axis=1, keepdims=True) * matches.directions

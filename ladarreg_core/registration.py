@@ -228,7 +228,7 @@ def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
     )
 
 
-_NO_MATCHES = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+_NO_MATCHES = Matches.none()
 _UNKNOWN = np.diag([np.pi**2] * 3 + [100.0**2] * 3)
 
 

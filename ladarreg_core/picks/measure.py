@@ -146,9 +146,7 @@ class _Drawn:
     def matches(self, camera: Camera | None) -> tuple[Matches, tuple[str, ...]]:
         """Return what was measured and lies in the photo, and a sentence for every pick that lost points."""
         if not self.ids:
-            return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))), (
-                tuple(self.notes) or ("No match is switched on.",)
-            )
+            return Matches.none(), (tuple(self.notes) or ("No match is switched on.",))
         uv, ranges, edge = np.concatenate(self.uv), np.concatenate(self.ranges), np.concatenate(self.edges)
         outside = np.zeros(len(uv), np.bool_) if camera is None else ~camera.contains(uv, border=-0.5)
         found = np.isfinite(ranges) & ~outside

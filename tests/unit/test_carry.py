@@ -32,7 +32,7 @@ def registered(pose: Rigid, *, accepted: bool = True, covariance: np.ndarray = C
     return Registration(
         camera_from_scanner=pose,
         camera=CAMERA,
-        matches=Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))),
+        matches=Matches.none(),
         inliers=np.zeros(0, np.bool_),
         residuals_px=np.zeros((0, 2)),
         residuals_m=np.zeros(0),
