@@ -106,8 +106,7 @@ class StageLink:
         if stage is None:
             return
         from ladarreg_core.inspection.picks import picks_in_space
-
-        from ..scene.colours import MATCH_COLOURS
+        from ladarreg_core.palette import MATCHES
 
         room, document = workbench.room, workbench.session.document
         scan, entry = room.scan(document), workbench.shown
@@ -131,5 +130,5 @@ class StageLink:
             return
         points, ids, on = picks_in_space(scan, room.picks(entry))
         numbers = {pick.id: pick.number for pick in entry.picks}
-        colours = [MATCH_COLOURS[(numbers[name] - 1) % len(MATCH_COLOURS)] for name in ids]
+        colours = [MATCHES[(numbers[name] - 1) % len(MATCHES)] for name in ids]
         stage.show_picks(points, colours, on, ids)

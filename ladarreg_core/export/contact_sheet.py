@@ -34,19 +34,6 @@ from ladarreg_core.export.detail import (
 )
 from ladarreg_core.export.images import write_png
 from ladarreg_core.export.layout import (
-    ACCENT,
-    BACKGROUND,
-    BAD,
-    BAD_GROUND,
-    DIM,
-    INK,
-    LINE,
-    OK,
-    OK_GROUND,
-    PANEL,
-    WARN,
-    WARN_GROUND,
-    Colour,
     beside,
     boxed,
     chip,
@@ -63,6 +50,21 @@ from ladarreg_core.export.layout import (
     wrapped,
 )
 from ladarreg_core.export.match_panels import best_enlargement, match_panel
+from ladarreg_core.palette import (
+    ACCENT,
+    BACKGROUND,
+    BAD,
+    BAD_GROUND,
+    DIM,
+    INK,
+    LINE,
+    OK,
+    OK_GROUND,
+    PANEL,
+    WARN,
+    WARN_GROUND,
+    Colour,
+)
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan

@@ -13,6 +13,7 @@ from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
+from ladarreg_core.palette import UNSEEN
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import grid_edges
@@ -21,8 +22,6 @@ from ladarreg_core.surface.uncertainty import pixel_sigma
 from ladarreg_core.surface.visibility import ScanProjection, project_scan
 from ladarreg_core.validation import require_number
 
-BACKGROUND = (48, 48, 48)
-"""The uniform colour of cells that the camera does not see."""
 _LARGEST_POSE_SIGMA_PX = 2.0
 _NET_NODES = 65
 _UNSEEN_BRIGHTNESS = 0.45
@@ -82,7 +81,7 @@ def texture_scan(
     *,
     camera: Camera | None = None,
     covariance: FloatArray | None = None,
-    background: tuple[int, int, int] = BACKGROUND,
+    background: tuple[int, int, int] = UNSEEN,
 ) -> RegisteredTexture:
     """Give every cell of a scan the colour that the photograph has for it, where the camera sees it.
 
