@@ -1,4 +1,4 @@
-"""Picks are what was put down; matches are what a solver eats."""
+"""Picks, as a person or a detector put them down, and matches, the input of the solvers."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ PickKind = Literal["point", "line"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pick:
-    """One pair of features, put down by a person or a detector.
+    """A pair of corresponding points or lines, put down by a person or a detector.
 
     Raises:
-        ShapeError: if a point has not one coordinate on each side or a line not two, or a coordinate is not finite.
+        ShapeError: if a point does not have one coordinate on each side, or a line two, or a coordinate is not finite.
     """
 
     id: str
@@ -37,7 +37,7 @@ class Pick:
     weight: float = 1.0
     """Relative weight, > 0."""
     origin: str = "manual"
-    """Who put it down: `manual`, `file`, or the name of a detector."""
+    """Source: `manual`, `file`, or the name of a detector."""
 
     def __post_init__(self) -> None:
         require_choice(self.kind, get_args(PickKind), f"the kind of match {self.id!r}", error=ShapeError)
@@ -45,7 +45,7 @@ class Pick:
         scan = read_only(self.scan, np.float64, (ends, 3), f"the scan side of match {self.id!r}")
         photo = read_only(self.photo, np.float64, (ends, 2), f"the photo side of match {self.id!r}")
         if not (np.isfinite(scan).all() and np.isfinite(photo).all() and scan.any(axis=-1).all()):
-            raise ShapeError(f"match {self.id!r} has a coordinate that is not finite, or a ray of no length")
+            raise ShapeError(f"match {self.id!r} has a coordinate that is not finite, or a ray of length zero")
         require_positive(self.weight, f"the weight of match {self.id!r}", error=ShapeError)
         object.__setattr__(self, "scan", read_only(unit_rays(scan), np.float64, (ends, 3), "rays"))
         object.__setattr__(self, "photo", photo)
@@ -162,7 +162,7 @@ class Matches:
 
     @staticmethod
     def joined(parts: Sequence[Matches]) -> Matches:
-        """Return the matches of all parts in one, as drawn lines and points beside corners found by machine."""
+        """Return the matches of all parts together, e.g. of drawn lines and detected corners."""
         if not parts:
             return Matches.none()
         ids = tuple(name for part in parts for name in part.pick_ids)
@@ -177,7 +177,7 @@ class Matches:
 
     @property
     def dimensions(self) -> IntArray:
-        """(M,) how many coordinates each is known in: 2, or 1 across a line."""
+        """(M,) number of image coordinates known: 2, or 1 across a line."""
         return np.where(self.across, 1, 2)
 
 
@@ -186,9 +186,9 @@ def _column(values: ArrayLike | None, filler: float, count: int, name: str) -> F
 
 
 def unit_rays(vectors: FloatArray) -> NDArray[np.float64]:
-    """Return the directions (..., 3) of vectors (..., 3), float64, finite and not zero, whatever their length.
+    """Return the unit vectors (..., 3) of finite vectors (..., 3) other than zero, of any length.
 
-    The vectors are scaled by a power of two first, which is exact: squares of 1e308 overflow, those of 1e-308 vanish.
+    Vectors are first scaled by a power of two, which is exact: squares of 1e308 overflow, those of 1e-308 vanish.
     """
     _, exponent = np.frexp(np.abs(vectors).max(axis=-1, keepdims=True))
     scaled = np.ldexp(vectors, -exponent)
@@ -196,7 +196,7 @@ def unit_rays(vectors: FloatArray) -> NDArray[np.float64]:
 
 
 def across_lines(matches: Matches, vectors: FloatArray) -> FloatArray:
-    """Return vectors (M, 2), photo pixels, without the part along its line of what is known across it only."""
+    """Return vectors (M, 2), photo pixels; where only `across` is known, without their component along the line."""
     if not matches.across.any():
         return vectors
     along = (vectors * matches.directions).sum(axis=1, keepdims=True) * matches.directions

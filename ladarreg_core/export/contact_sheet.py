@@ -312,8 +312,8 @@ def _lines(column: Column, apart: Difference | None) -> list[tuple[str, Colour]]
         return []
     lines = [
         (_matches_in_words(result), INK),
-        (result.thesis_parameters.in_words(), INK),
-        (result.thesis_parameters.turn_in_words().replace(" deg", "°"), INK),
+        (result.thesis_parameters.describe_position(), INK),
+        (result.thesis_parameters.describe_orientation().replace(" deg", "°"), INK),
     ]
     if apart is not None and column.stage.name != "default":
         lines.append((f"{_distance(apart)} from the default", DIM))
