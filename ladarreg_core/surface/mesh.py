@@ -241,7 +241,7 @@ def _beside(step: FloatArray, at: tuple[IntArray, ...], axis: int, offset: int) 
 
 
 def _is_supported(here: FloatArray, before: FloatArray, after: FloatArray) -> BoolArray:
-    """Return whether a neighbouring step has the same sign and at least a third of the size, or there is no neighbour."""
+    """Return whether a neighbouring step has the same sign and a third of the size, or there is no neighbour."""
     with np.errstate(invalid="ignore"):
         least = _SUPPORT * np.abs(here)
         by_before, by_after = before * np.sign(here) >= least, after * np.sign(here) >= least

@@ -170,12 +170,12 @@ def _geometries() -> tuple[type[Any], ...]:
         AzimuthElevation,
         PinholeGrid,
         RingGrid,
+        RotatedGrid,
         SphericalGrid,
         TabulatedGrid,
-        TurnedGrid,
     )
 
-    return AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid, RingGrid, TurnedGrid
+    return AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid, RingGrid, RotatedGrid
 
 
 def _rebuilt(record: type[Any], values: dict[str, Any]) -> Any:
