@@ -96,10 +96,10 @@ def grid_points(
         raise ShapeError(f"the cloud has {len(returns)} returns; a scan needs at least {LEAST_POINTS}")
     p, distance = p[returns], distance[returns]
     rays = p / distance[:, None]
-    turn = rotation_from_pole(rays)
+    rotation = rotation_from_pole(rays)
     most_cells = min(most_cells, LARGEST_GRID)
     law, cells, rings = _arranged(
-        rays if turn is None else rays @ turn.T, None if beam is None else beam[returns], most_cells
+        rays if rotation is None else rays @ rotation.T, None if beam is None else beam[returns], most_cells
     )
 
     height, width = law.shape
@@ -110,7 +110,7 @@ def grid_points(
     _, first = np.unique(flat, return_index=True)
     kept = order[first]
     row, column = cells[kept, 0], cells[kept, 1]
-    table = np.array((law if turn is None else RotatedGrid(law, turn)).rays)
+    table = np.array((law if rotation is None else RotatedGrid(law, rotation)).rays)
     table[row, column] = rays[kept]
     ranges = np.full((height, width), np.nan, np.float32)
     ranges[row, column] = distance[kept]
@@ -120,7 +120,7 @@ def grid_points(
     if paint is not None:
         rgb = np.zeros((height, width, 3), np.uint8)
         rgb[row, column] = paint[returns[kept]]
-    geometry = TabulatedGrid(table, law=law if turn is None else RotatedGrid(law, turn))
+    geometry = TabulatedGrid(table, law=law if rotation is None else RotatedGrid(law, rotation))
     return GriddedCloud(geometry, ranges, out, rgb, len(returns), len(kept), rings)
 
 
@@ -142,14 +142,14 @@ def _arranged(rays: FloatArray, beam: IntArray | None, most_cells: int) -> tuple
     latitude = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
     longitude = np.arctan2(rays[:, 1], rays[:, 0])
     centre, span = _centre_of(longitude)
-    turn = wrap_angle(longitude - centre)
+    longitude = wrap_angle(longitude - centre)
     labels = _rings_of(latitude, beam)
     if labels is not None:
-        step = _step_along_rings(turn, labels)
+        step = _step_along_rings(longitude, labels)
         if step is not None:
-            law, cells = _on_rings(latitude, turn, labels, step, centre, most_cells)
+            law, cells = _on_rings(latitude, longitude, labels, step, centre, most_cells)
             return law, cells, law.shape[0]
-    d_latitude, d_longitude = _steps(turn, latitude)
+    d_latitude, d_longitude = _steps(longitude, latitude)
     top, low = float(latitude.max()), float(latitude.min())
     largest = min(most_cells, max(4096, _CELLS_PER_POINT * len(rays)))
     d_latitude, d_longitude = _bounded(top - low, span, d_latitude, d_longitude, largest)
@@ -259,10 +259,10 @@ def _ordered_labels(latitude: FloatArray, group: IntArray) -> tuple[IntArray, fl
     return labels, overlap
 
 
-def _step_along_rings(turn: FloatArray, labels: IntArray) -> float | None:
+def _step_along_rings(longitude: FloatArray, labels: IntArray) -> float | None:
     """Return the longitude step of the beams, rad; None if the rings are not sequences of equal steps."""
-    order = np.lexsort((turn, labels))
-    gaps = np.diff(turn[order])[np.diff(labels[order]) == 0]
+    order = np.lexsort((longitude, labels))
+    gaps = np.diff(longitude[order])[np.diff(labels[order]) == 0]
     gaps = gaps[gaps > 1e-7]
     if len(gaps) < LEAST_POINTS:
         return None
@@ -277,25 +277,25 @@ def _step_along_rings(turn: FloatArray, labels: IntArray) -> float | None:
 
 
 def _on_rings(
-    latitude: FloatArray, turn: FloatArray, labels: IntArray, step: float, centre: float, most_cells: int
+    latitude: FloatArray, longitude: FloatArray, labels: IntArray, step: float, centre: float, most_cells: int
 ) -> tuple[RingGrid, IntArray]:
     rows = int(labels.max()) + 1
     sizes = np.bincount(labels, minlength=rows)
     order = np.lexsort((latitude, labels))
     starts = np.append(0, np.cumsum(sizes)[:-1])
     middle = latitude[order][starts + sizes // 2]
-    full = float(np.ptp(turn)) > 2 * np.pi - 4 * step
+    full = float(np.ptp(longitude)) > 2 * np.pi - 4 * step
     if full:  # a full turn has a whole number of columns
         step = 2 * np.pi / max(2, round(2 * np.pi / step))
-    step = max(step, 2 * np.pi / _MOST_COLUMNS, float(np.ptp(turn)) * rows / most_cells)
+    step = max(step, 2 * np.pi / _MOST_COLUMNS, float(np.ptp(longitude)) * rows / most_cells)
 
-    place = -turn / step
-    spin = np.exp(2j * np.pi * place)
+    position = -longitude / step
+    spin = np.exp(2j * np.pi * position)
     common = np.angle(spin.sum()) / (2 * np.pi)
     per_ring = np.bincount(labels, spin.real, rows) + 1j * np.bincount(labels, spin.imag, rows)
     phases = np.angle(per_ring * np.exp(-2j * np.pi * common)) / (2 * np.pi)
     phases[np.abs(per_ring) < 0.3 * sizes] = 0.0  # no phase: the ring's points are not at equal steps
-    index = place - common - phases[labels]
+    index = position - common - phases[labels]
     column = np.rint(index).astype(np.intp)
     if full:
         columns = max(2, round(2 * np.pi / step))
@@ -332,7 +332,7 @@ def _spread_collisions(rows: IntArray, column: IntArray, rest: FloatArray, colum
     return result
 
 
-def _steps(turn: FloatArray, latitude: FloatArray) -> tuple[float, float]:
+def _steps(longitude: FloatArray, latitude: FloatArray) -> tuple[float, float]:
     """Return (latitude step, longitude step), rad, from the spacing of the points.
 
     The density gives the product of the steps; a regular distance to the next point directly above, or beside, gives
@@ -340,10 +340,10 @@ def _steps(turn: FloatArray, latitude: FloatArray) -> tuple[float, float]:
     """
     from scipy.spatial import cKDTree
 
-    plane = _distinct(np.stack([turn, latitude], axis=-1))
+    plane = _distinct(np.stack([longitude, latitude], axis=-1))
     count = len(plane)
     if count < LEAST_POINTS:  # too few for spacings: use the spread
-        spans = [max(float(np.ptp(angle)), 1e-9) for angle in (turn, latitude)]
+        spans = [max(float(np.ptp(angle)), 1e-9) for angle in (longitude, latitude)]
         return (float(np.sqrt(spans[0] * spans[1] / count)),) * 2
     generator = np.random.default_rng(_SEED)
     sample = plane if count <= _SAMPLES else plane[generator.choice(count, _SAMPLES, replace=False)]
@@ -353,7 +353,7 @@ def _steps(turn: FloatArray, latitude: FloatArray) -> tuple[float, float]:
     area = np.pi * distance[:, few] ** 2 / few
     typical = float(np.sqrt(np.median(area)))
     if not typical > 0:  # most points very nearly coincide
-        spans = [max(float(np.ptp(angle)), 1e-9) for angle in (turn, latitude)]
+        spans = [max(float(np.ptp(angle)), 1e-9) for angle in (longitude, latitude)]
         typical = float(np.sqrt(spans[0] * spans[1] / count))
     offsets = plane[index] - sample[:, None, :]
     up, up_regular = _next_along(offsets[..., 1], offsets[..., 0], typical)

@@ -221,9 +221,9 @@ class SphericalGrid:
         """Return the fractional cells (..., 2) of directions (..., 3)."""
         d = np.asarray(directions)
         latitude = np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1]))
-        turn = wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - self.centre_longitude_rad)
+        from_centre = wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - self.centre_longitude_rad)
         row = (self.top_latitude_rad - latitude) / self.d_latitude_rad
-        return np.stack([row, (self.columns - 1) / 2 - turn / self.d_longitude_rad], axis=-1)
+        return np.stack([row, (self.columns - 1) / 2 - from_centre / self.d_longitude_rad], axis=-1)
 
     def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the unit rays (..., 3) of fractional cells (..., 2)."""
@@ -282,17 +282,17 @@ class RingGrid:
         """Return the fractional cells (..., 2) of directions (..., 3)."""
         d = np.asarray(directions)
         row = self._row_of(np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1])))
-        turn = wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - self.centre_longitude_rad)
+        from_centre = wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - self.centre_longitude_rad)
         phase = np.interp(row, np.arange(self.shape[0]), self.phases)
-        return np.stack([row, (self.columns - 1) / 2 - turn / self.d_longitude_rad - phase], axis=-1)
+        return np.stack([row, (self.columns - 1) / 2 - from_centre / self.d_longitude_rad - phase], axis=-1)
 
     def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the unit rays (..., 3) of fractional cells (..., 2)."""
         c = np.asarray(cells, dtype=np.float64)
         latitude = _extended_interp(c[..., 0], np.arange(float(self.shape[0])), self.latitudes_rad)
         phase = np.interp(c[..., 0], np.arange(self.shape[0]), self.phases)
-        turn = (c[..., 1] - (self.columns - 1) / 2 + phase) * self.d_longitude_rad
-        longitude = self.centre_longitude_rad - turn
+        from_centre = (c[..., 1] - (self.columns - 1) / 2 + phase) * self.d_longitude_rad
+        longitude = self.centre_longitude_rad - from_centre
         return np.stack(
             [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
         )
