@@ -43,12 +43,12 @@ def verdict(result: PoseResult) -> str:
 
 def position(result: PoseResult) -> str:
     """Return where the camera stood, seen from the scanner, with its standard deviation."""
-    return f"{result.thesis_parameters.describe_position()} (sigma {1000 * result.sigma_position_m:.1f} mm)"
+    return f"{result.thesis_parameters.in_words()} (sigma {1000 * result.sigma_position_m:.1f} mm)"
 
 
 def turn(result: PoseResult) -> str:
     """Return how the camera was turned against the scanner's X, with its standard deviation."""
-    return f"{result.thesis_parameters.describe_orientation()} (sigma {sigma_angle(result)})"
+    return f"{result.thesis_parameters.turn_in_words()} (sigma {sigma_angle(result)})"
 
 
 def sigma_angle(result: PoseResult) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import html
 
 from ladarreg_core.inspection.model_textures import Legend
-from ladarreg_core.palette import as_css
+
+from .colours import as_css
 
 
 def legend_html(legend: Legend, said: str = "") -> str:

@@ -106,7 +106,8 @@ class StageLink:
         if stage is None:
             return
         from ladarreg_core.inspection.picks import picks_in_space
-        from ladarreg_core.palette import MATCHES
+
+        from ..scene.colours import MATCH_COLOURS
 
         room, document = workbench.room, workbench.session.document
         scan, entry = room.scan(document), workbench.shown
@@ -130,5 +131,5 @@ class StageLink:
             return
         points, ids, on = picks_in_space(scan, room.picks(entry))
         numbers = {pick.id: pick.number for pick in entry.picks}
-        colours = [MATCHES[(numbers[name] - 1) % len(MATCHES)] for name in ids]
+        colours = [MATCH_COLOURS[(numbers[name] - 1) % len(MATCH_COLOURS)] for name in ids]
         stage.show_picks(points, colours, on, ids)

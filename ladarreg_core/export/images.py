@@ -10,8 +10,17 @@ import numpy as np
 
 from ladarreg_core.arrays import ByteArray
 from ladarreg_core.export.atomic_write import write_bytes
-from ladarreg_core.palette import VISIBILITY
-from ladarreg_core.surface.texture import RegisteredTexture
+from ladarreg_core.surface.texture import Label, RegisteredTexture
+
+LABEL_COLOURS = {
+    Label.NO_RETURN: (15, 17, 21),
+    Label.SEEN: (76, 195, 138),
+    Label.OCCLUDED: (242, 111, 110),
+    Label.OUT_OF_FRAME: (73, 88, 120),
+    Label.GRAZING: (242, 184, 75),
+    Label.UNCERTAIN: (201, 167, 255),
+}
+"""RGB in which each label is shown."""
 
 
 def write_registered_png(path: str | Path, texture: RegisteredTexture) -> None:
@@ -43,7 +52,8 @@ def write_labels_png(path: str | Path, texture: RegisteredTexture) -> None:
     from PIL import Image
 
     palette = np.zeros((256, 3), dtype=np.uint8)
-    palette[: len(VISIBILITY)] = VISIBILITY
+    for label, colour in LABEL_COLOURS.items():
+        palette[label] = colour
     image = Image.fromarray(texture.labels)
     image.putpalette(palette.tobytes())
     stream = io.BytesIO()

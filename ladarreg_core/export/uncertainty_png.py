@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.export.images import write_png
-from ladarreg_core.export.layout import padded, stacked, text_block
-from ladarreg_core.palette import BACKGROUND, DIM, INK, UNKNOWN, ramp_colours
+from ladarreg_core.export.layout import BACKGROUND, DIM, INK, padded, stacked, text_block
 
+_NOTHING = (48, 48, 48)
 _SHARE_SHOWN = 98.0  # per cent: a few cells far off must not flatten all others
 _NICE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 _LEAST_PX, _MOST_PX = 1e-6, 1e9
@@ -46,8 +47,8 @@ def uncertainty_picture(sigma_px: FloatArray, *, most_px: float | None = None) -
     with np.errstate(invalid="ignore"):
         level = np.clip(np.nan_to_num(sigma / np.float32(most), nan=0.0, posinf=1.0, neginf=0.0), 0, 1)
         exceeded = bool((sigma > most).any())
-    picture = np.array(ramp_colours(level))
-    picture[np.isnan(sigma)] = UNKNOWN
+    picture = _coloured(np.rint(level * 255).astype(np.uint8))
+    picture[np.isnan(sigma)] = _NOTHING
     return stacked([picture, _scale(most, exceeded="+" if exceeded else "", room=picture.shape[1])])
 
 
@@ -71,10 +72,15 @@ def scale_end(sigma_px: FloatArray) -> float:
     return float(power * next((n for n in _NICE if n * power >= high * (1 - 1e-6)), _NICE[-1]))
 
 
+def _coloured(level: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the colours (H, W, 3) of levels (H, W)."""
+    return np.array(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)[..., ::-1], dtype=np.uint8)
+
+
 def _scale(most: float, *, exceeded: str, room: int) -> NDArray[np.uint8]:
     """Return the bar with its numbers, at least `room` pixels wide where that is possible without stretching it."""
     width = int(np.clip(room - 2 * _MARGIN, *_BAR_WIDTHS))
-    bar = np.array(ramp_colours(np.tile(np.linspace(0, 1, width), (_BAR_HEIGHT, 1))))
+    bar = _coloured(np.tile(np.linspace(0, 255, width).round().astype(np.uint8), (_BAR_HEIGHT, 1)))
     field = 56
     full = np.full((round(_TEXT * 1.36), width + field, 3), BACKGROUND, dtype=np.uint8)
     for tick in range(_TICKS + 1):

@@ -190,7 +190,7 @@ def _describe_pose(path: Path) -> FileInfo:
         kind="pose",
         format="JSON",
         pose={
-            "camera": six.describe_position(),
+            "camera": six.in_words(),
             "pan_tilt_roll_deg": ", ".join(f"{angle:.2f}" for angle in angles),
         },
     )

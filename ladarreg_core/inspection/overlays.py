@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.palette import ACCENT
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.render import render_scan_colors
 from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture
 
 OverlayShow = Literal["intensity", "edges", "range"]
+_EDGE_COLOUR = (92, 200, 255)
 _STRONG = 150.0
 _WIDEST_PX = 2048
 
@@ -45,7 +45,7 @@ def scan_over_photo(scan: Scan, camera: Camera, camera_from_scanner: Rigid, show
     depth, _ = render_scan_colors(scan, camera, camera_from_scanner, picture=_range_picture(scan), supersample=1)
     strength = np.maximum(_magnitude(colour[..., 0]), _magnitude(depth[..., 0]))
     edge = np.zeros_like(colour)
-    edge[:] = ACCENT
+    edge[:] = _EDGE_COLOUR
     inside = cv2.erode(covered.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     return _with_alpha(edge, np.where(inside, np.clip(255 * strength / _STRONG, 0, 255), 0))
 

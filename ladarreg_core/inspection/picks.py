@@ -113,6 +113,7 @@ def judge_picks(measured: Measured, picks: Sequence[Pick], result: PoseResult) -
     by_pick: dict[str, list[int]] = {}
     for k, name in enumerate(matches.pick_ids):
         by_pick.setdefault(name, []).append(k)
+    assert matches.fractions is not None
     ends = np.rint(matches.fractions).astype(int).tolist()
     found = {}
     for pick in picks:

@@ -37,9 +37,12 @@ def checked_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> 
         raise OptionError(f"the initial pose is a {type(initial).__name__}; give a Rigid (camera_from_scanner)")
     if initial is not None and not np.abs(initial.centre).max() <= _MOST_RANGE_M:
         raise OptionError(f"the initial pose lies more than {_MOST_RANGE_M:g} m away; check its unit")
+    assert matches.weights is not None
     count = len(matches)
     if count < LEAST_MATCHES:
         raise DegenerateGeometryError(f"{_so_many(matches)} and a pose needs {LEAST_MATCHES}; add matches")
+    assert matches.range_weights is not None
+    assert matches.directions is not None
     numbers = [matches.rays, matches.ranges, matches.uv, matches.weights, matches.range_weights, matches.directions]
     finite = np.isfinite(np.column_stack(numbers)).all(axis=1)
     if not finite.all():
@@ -57,6 +60,7 @@ def checked_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> 
             f"{_these(~good, matches)} a range that is not positive, or a range or pixel beyond "
             f"{_MOST_RANGE_M:g}; ranges are metres along the ray"
         )
+    assert matches.across is not None
     along = np.abs(np.linalg.norm(matches.directions, axis=1) - 1) <= _UNIT_TOLERANCE
     astray = matches.across & ~along
     if astray.any():

@@ -83,6 +83,7 @@ def simplex_covariance(
         step_m,
     )
     spread = np.stack([*(k * sigma_px for k in by_pixel), by_range * sigma_range_m])  # (3, 2, N)
+    assert counted.weights is not None
     known = np.isfinite(J).all(axis=(0, 1)) & np.isfinite(spread).all(axis=(0, 1))
     if np.count_nonzero(known) < 3:
         return huge

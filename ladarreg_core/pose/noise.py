@@ -48,6 +48,8 @@ def estimate_noise(
         fixed_px: where it is known, px.
         fixed_range_m: where it is known, m.
     """
+    assert inliers.weights is not None
+    assert inliers.range_weights is not None
     points = pose @ inliers.points
     uv, d_uv = camera.project_with_jacobian(points)
     e: FloatArray = (inliers.uv - uv) * np.sqrt(inliers.weights)[:, None]

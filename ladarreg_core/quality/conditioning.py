@@ -140,6 +140,8 @@ def _well_placed(matches: Matches, camera: Camera, pose: Rigid, reach: float) ->
 
     Many that weigh little: a few at random places would be well placed by luck only.
     """
+    assert matches.weights is not None
+    assert matches.range_weights is not None
     # Roberts' sequence for three dimensions: even, and the same at every call.
     even = np.mod(0.5 + np.arange(1, _REFERENCE + 1)[:, None] * _R3, 1)
     uv = even[:, :2] * camera.size - 0.5

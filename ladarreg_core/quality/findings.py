@@ -267,6 +267,7 @@ def _disparity(result: PoseResult, figures: Mapping[str, Any]) -> Finding | None
 
 def _bias(result: PoseResult) -> Finding | None:
     """Tell whether the matches lie aside of where the pose puts them, beyond their scatter."""
+    assert result.matches.across is not None
     usable = result.inliers & ~result.matches.across & np.isfinite(result.residuals_px).all(axis=1)
     by_pick: dict[str, list[int]] = {}
     for k in np.flatnonzero(usable).tolist():

@@ -224,6 +224,7 @@ def _check_inputs(matches: object, camera: object, pose: object, options: object
         raise OptionError(f"the pose is a {type(pose).__name__}; give a Rigid (camera_from_scanner)")
     if not isinstance(options, SmoothOptions):
         raise OptionError(f"options is a {type(options).__name__}; give SmoothOptions")
+    assert matches.weights is not None
     values = np.column_stack([matches.rays, matches.ranges, matches.uv, matches.weights])
     with np.errstate(over="ignore", invalid="ignore"):
         unit = np.abs(np.linalg.norm(matches.rays, axis=1) - 1) <= _UNIT_TOLERANCE

@@ -208,6 +208,8 @@ class ThesisSearch:
         if not len(lines.ranges):
             return found
         m = found.matches
+        assert m.fractions is not None
+        assert m.weights is not None
         both = Matches(
             np.concatenate([m.rays, self.scan.view.rays_at(lines.scan_uv)]),
             np.concatenate([m.ranges, lines.ranges]),

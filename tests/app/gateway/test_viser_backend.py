@@ -5,9 +5,8 @@ from __future__ import annotations
 import socket
 
 from ladarreg.gateway.viser_backend import HOST, close_server, open_locked_server
+from ladarreg.scene.colours import MATCH_COLOURS
 from ladarreg.static_files import static_folder, static_text
-
-from ladarreg_core.palette import MATCHES
 
 
 def test_it_listens_on_loopback_only() -> None:
@@ -34,7 +33,7 @@ def test_nobody_can_ask_for_a_public_address() -> None:
 
 def test_tokens_hold_the_colours_that_the_scene_uses() -> None:
     tokens = static_text("tokens.css")
-    for k, colour in enumerate(MATCHES, start=1):
+    for k, colour in enumerate(MATCH_COLOURS, start=1):
         assert f"--lr-match-{k}: #{bytes(colour).hex()};" in tokens
     assert "--lr-accent: #5cc8ff;" in tokens
     for name in ("tokens.css", "panel.css", "logo.svg", "index.html", "js/main.js", "css/base.css"):

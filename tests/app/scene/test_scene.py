@@ -14,16 +14,17 @@ import pytest
 import viser
 from ladarreg.gateway.viser_backend import close_server
 from ladarreg.scene import SimplexFrame, Stage3D
+from ladarreg.scene.colours import ACCENT, BACKGROUND, MATCH_COLOURS, as_css
 from ladarreg.scene.draw_queue import Wishes
 from ladarreg.scene.legend import legend_html
 from ladarreg.scene.picks_layer import Picks
+from ladarreg.static_files import static_text
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.inspection.model_textures import Legend, model_texture
 from ladarreg_core.matches import Matches
-from ladarreg_core.palette import MATCHES
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -262,7 +263,7 @@ def test_picks_have_their_colours_and_answer_clicks(
 ) -> None:
     stage.show_registration(SCAN, PHOTO, None)
     points = np.array([[3, 0, 0], [np.nan, 0, 0], [3, 0.5, 0], [3, -0.5, 0]])
-    colours = np.array(MATCHES[:4], np.uint8)
+    colours = np.array(MATCH_COLOURS[:4], np.uint8)
     stage.show_picks(points, colours, [True, True, False, True], ["a", "b", "c", "d"])
     assert stage.settle()
     cloud: Any = nodes(server)["/matches/points"]
@@ -480,6 +481,14 @@ def test_words_cannot_inject_html(server: viser.ViserServer, stage: Stage3D) -> 
 def test_picks_of_a_line_share_their_id() -> None:
     picks = Picks.of([[1, 0, 0], [2, 0, 0], [np.nan] * 3], [[1, 1, 1]] * 3, [True] * 3, ["l", "l", "m"])
     assert picks.ids == ("l", "l")
+
+
+def test_the_colours_are_the_tokens() -> None:
+    tokens = static_text("tokens.css")
+    for k, colour in enumerate(MATCH_COLOURS, start=1):
+        assert f"--lr-match-{k}: {as_css(colour)};" in tokens
+    assert f"--lr-accent: {as_css(ACCENT)};" in tokens
+    assert f"--lr-background: {as_css(BACKGROUND)};" in tokens
 
 
 def test_a_pose_far_away_is_no_obstacle(server: viser.ViserServer, stage: Stage3D) -> None:

@@ -2,8 +2,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from ladarreg_core.export.images import write_labels_png, write_registered_png
-from ladarreg_core.palette import VISIBILITY
+from ladarreg_core.export.images import LABEL_COLOURS, write_labels_png, write_registered_png
 from ladarreg_core.surface.texture import Label, RegisteredTexture
 
 
@@ -23,6 +22,10 @@ def test_the_labels_are_codes_that_a_person_can_read(tmp_path):
         np.testing.assert_array_equal(np.asarray(image), labels)
         colours = np.asarray(image.convert("RGB"))
     for label in Label:
-        assert (colours[labels == label] == VISIBILITY[label]).all()
+        assert (colours[labels == label] == LABEL_COLOURS[label]).all()
     # A reader that turns palettes into colours shows those.
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "labels.png"), cv2.IMREAD_COLOR)[..., ::-1], colours)
+    distance = np.linalg.norm(
+        [np.subtract(LABEL_COLOURS[a], LABEL_COLOURS[b]) for a in Label for b in Label if a < b], axis=1
+    )
+    assert distance.min() > 60

@@ -64,7 +64,7 @@ def test_a_range_spike_is_not_the_worst_place() -> None:
 def test_what_cannot_be_told_is_absent_with_its_reason() -> None:
     room, _, matches, good, _ = clustered(2, count=14)
     away = Rigid(rotation_from_rotvec([0, np.pi, 0]) @ good.camera_from_scanner.rotation, np.zeros(3))
-    none = Matches.none()
+    none = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
     nothing = {
         "matches": none, "inliers": np.zeros(0, bool), "residuals_px": np.zeros((0, 2)), "residuals_m": np.zeros(0),
         "stereo_depth_error_m": np.zeros(0),

@@ -106,6 +106,8 @@ def test_lines_multiply_the_matches(room: PaintedRoom, search: ThesisSearch) -> 
     assert {name[0] for name in dense.matches.pick_ids[len(found) :]} == {"l"}
     assert right(dense, room).mean() > 0.8
     fractions, weights = dense.matches.fractions, dense.matches.weights
+    assert fractions is not None
+    assert weights is not None
     on_lines = np.array([name[0] == "l" for name in dense.matches.pick_ids])
     assert (fractions[~on_lines] == 0).all()
     assert ((fractions[on_lines] > 0) & (fractions[on_lines] < 1)).all()
