@@ -8,7 +8,7 @@ from ladarreg_core.export.viser_colors import line_colours_for_viewer
 from ladarreg_core.inspection.model_textures import small_picture, view_picture
 from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
 from ladarreg_core.inspection.viewpoints import field_of_view
-from ladarreg_core.surface.blend import intensity_picture
+from ladarreg_core.surface.texture import intensity_picture
 
 from .colours import ACCENT, REFUSED, SCANNER
 

@@ -22,8 +22,8 @@ from ladarreg_core.matching.verification import GateOptions, Verification, check
 from ladarreg_core.matching.view_search import ViewSearch
 from ladarreg_core.matching.views import rolled_view, scan_density, viewing_directions
 from ladarreg_core.photo import Photo
+from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
-from ladarreg_core.steps import StepLog
 
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3

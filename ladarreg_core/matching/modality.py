@@ -17,8 +17,8 @@ from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
 from ladarreg_core.matching.verification import GateOptions, Verification
 from ladarreg_core.photo import Photo
+from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
-from ladarreg_core.steps import StepLog
 
 COARSE_GATE = GateOptions(
     contrast=2.1, many=35, few=35, few_contrast=2.1, few_fraction=0.5, fine_fraction=0.30, false_alarm=0.0

@@ -21,7 +21,7 @@ from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, PairLevels, ScanL
 from ladarreg_core.matching.roll import Roll, roll_between
 from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.matching.views import direction_towards_overlap
-from ladarreg_core.steps import StepLog
+from ladarreg_core.progress import StepLog
 
 _COARSEST = LEVELS[-1]
 _COARSE_REFINEMENT = RefineOptions(tau_px=8, iterations=8)

@@ -11,9 +11,9 @@ import ladarreg_core as lr
 from ladarreg_core.comparison import compare
 from ladarreg_core.frames import rotation_about
 from ladarreg_core.matching.thesis.chain import ThesisOptions, solve_thesis
+from ladarreg_core.progress import StepLog
 from ladarreg_core.registration import RegisterOptions
 from ladarreg_core.simulate import SimulatedCase, simulate_case
-from ladarreg_core.steps import StepLog
 from tests.scenes.painted_room import PaintedRoom, painted_room
 
 STAGES = ["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]

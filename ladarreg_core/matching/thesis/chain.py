@@ -27,11 +27,10 @@ from ladarreg_core.picks.measure import SAMPLES_PER_LINE, matches_from_picks
 from ladarreg_core.pose.acceptance import LEAST_INLIERS, count_distinct
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, Method, PoseOptions, solve_pose
 from ladarreg_core.pose.thesis.stereo_simplex import Residual
-from ladarreg_core.progress import StepReport
+from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.quality.stereo_limits import stereo_cautions
 from ladarreg_core.results import PoseResult, Stage, StageName
 from ladarreg_core.scan import Scan
-from ladarreg_core.steps import StepLog
 from ladarreg_core.surface.perspective import perspective_view
 
 FirstPose = Literal["linear", "robust", "linear_only"]

@@ -14,7 +14,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.pyramid import ScanLevels
-from ladarreg_core.picks.perspective_line import fraction_in_photo, kappa_of
+from ladarreg_core.picks.lines import fraction_in_photo, kappa_of
 from ladarreg_core.surface.remap import look_up
 
 Kappa = Literal["equal", "by_pose"]
