@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import stat
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import msgspec
 
-from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.errors import OptionError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 
@@ -21,11 +20,6 @@ if TYPE_CHECKING:
 What = Literal["scan", "photo", "camera", "matches"]
 _MOST_SERVED = 2000
 _DEEPEST = 4
-_PHOTOS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"}
-_SCANS = {".e57", ".pcd", ".npz"}
-_MANY = {".json", ".yaml", ".yml", ".csv"}
-_HEAD_BYTES = 4096
-_DESCRIPTOR = re.compile(rb'"kind"\s*:\s*"(depth-image|counts)"')
 
 
 class Files:
@@ -177,6 +171,8 @@ class Files:
         A file is for the page where nothing on the way to it is hidden, by its own name and by that of what a link
         leads to, and where it is of a kind that can be opened.
         """
+        from ladarreg_core.formats import listed_kind
+
         served = self._served
         if served is None or not _is_text(str(path)):
             return None
@@ -186,10 +182,10 @@ class Files:
                 steps = way.relative_to(served).parts
                 if any(_is_hidden(served.joinpath(*steps[: k + 1])) for k in range(len(steps))):
                     return None
-            kind = _kind(target) if target.is_file() else None
+            kind = listed_kind(target) if target.is_file() else None
         except (OSError, ValueError, RuntimeError):  # no path at all, one that leads out of the folder, or in circles
             return None
-        return None if kind is None else (target, kind)
+        return None if kind is None or kind not in get_args(What) else (target, kind)
 
     def served_slice(self) -> dict[str, Any] | None:
         """Return the served files; None where no folder is served."""
@@ -206,26 +202,6 @@ def _is_hidden(path: Path) -> bool:
         return True
 
 
-def _kind(path: Path) -> str | None:
-    """Return what a file may be opened as; None: as nothing. Only the many kinds of text have to be looked into."""
-    from ladarreg_core.formats import recognise
-
-    suffix = path.suffix.lower()
-    if suffix in _SCANS:
-        return "scan"
-    if suffix in _PHOTOS:
-        return "photo"
-    if suffix not in _MANY:
-        return None
-    try:
-        found = recognise(path).kind
-        if found == "scan" and not _describes_scan(path):
-            return None
-    except (LadarregError, OSError):
-        return None
-    return found if found in get_args(What) else None
-
-
 def _is_text(name: str) -> bool:
     """Return whether a name can be written and sent: on some systems a file's name is any bytes."""
     try:
@@ -233,9 +209,3 @@ def _is_text(name: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
-
-
-def _describes_scan(path: Path) -> bool:
-    """Return whether a JSON file says itself that it describes a scan; any other object is taken for one, too."""
-    with path.open("rb") as file:
-        return _DESCRIPTOR.search(file.read(_HEAD_BYTES)) is not None

@@ -10,13 +10,11 @@ from pathlib import Path
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import cannot_write, sync_folder
 from ladarreg_core.export.glb import write_glb
-from ladarreg_core.export.images import write_labels_png, write_registered_png
-from ladarreg_core.export.json import write_document
+from ladarreg_core.export.images import write_labels_png, write_registered_png, write_uncertainty_png
+from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.export.ply import write_ply
-from ladarreg_core.export.registration_json import registration_document
 from ladarreg_core.export.replacement import REGISTRATION_FILES, in_words, require_apart, require_replaceable
 from ladarreg_core.export.staging import clear_leftovers, put_in_place, staging_folder
-from ladarreg_core.export.uncertainty_png import write_uncertainty_png
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.quality.assessment import Assessment, assess

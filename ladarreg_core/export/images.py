@@ -1,4 +1,4 @@
-"""The registered picture and its labels as PNG, on the scan's grid."""
+"""PNG files on the scan's grid: the registered photograph, its labels and its uncertainty."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray
+from ladarreg_core.arrays import ByteArray, FloatArray, read_only
+from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.export.atomic_write import write_bytes
+from ladarreg_core.export.layout import BACKGROUND, DIM, INK, padded, stacked, text_block
 from ladarreg_core.surface.texture import Label, RegisteredTexture
 
 LABEL_COLOURS = {
@@ -21,6 +24,12 @@ LABEL_COLOURS = {
     Label.UNCERTAIN: (201, 167, 255),
 }
 """RGB in which each label is shown."""
+_NOTHING = (48, 48, 48)
+_SHARE_SHOWN = 98.0  # per cent: a few cells far off must not flatten all others
+_NICE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+_LEAST_PX, _MOST_PX = 1e-6, 1e9
+_BAR_WIDTHS, _BAR_HEIGHT, _MARGIN, _TEXT = (200, 480), 14, 12, 13
+_TICKS = 4
 
 
 def write_registered_png(path: str | Path, texture: RegisteredTexture) -> None:
@@ -60,3 +69,83 @@ def write_labels_png(path: str | Path, texture: RegisteredTexture) -> None:
     # Eight bits per pixel: a reader that ignores palettes then still finds one code a byte.
     image.save(stream, format="PNG", bits=8)
     write_bytes(path, stream.getvalue())
+
+
+def uncertainty_picture(sigma_px: FloatArray, *, most_px: float | None = None) -> NDArray[np.uint8]:
+    """Return the uncertainty in colours, dark blue to yellow, above a scale in pixels.
+
+    Args:
+        sigma_px: (H, W) standard deviation as `picture_sigma`, px; NaN where there is none.
+        most_px: what the brightest colour stands for, px; larger values are shown in it too. None: a round number
+            that 98 % of the cells do not exceed.
+
+    Returns:
+        (H + scale, at least W, 3) uint8 RGB; the scan's cells are its upper left H x W pixels, gray where NaN.
+
+    Raises:
+        ShapeError: if there is no (H, W) grid of cells.
+        OptionError: if `most_px` is not a positive number.
+    """
+    sigma = read_only(sigma_px, np.float32, (None, None), "the uncertainty")
+    if not sigma.size:
+        raise ShapeError("the uncertainty has no cells; it must have one for every cell of the scan")
+    if most_px is not None:
+        number = isinstance(most_px, int | float | np.floating | np.integer) and not isinstance(most_px, bool)
+        if not number or not _LEAST_PX <= most_px <= _MOST_PX:
+            raise OptionError(f"most_px is {most_px!r}; it must be a positive number of pixels")
+    most = scale_end(sigma) if most_px is None else float(most_px)
+    with np.errstate(invalid="ignore"):
+        level = np.clip(np.nan_to_num(sigma / np.float32(most), nan=0.0, posinf=1.0, neginf=0.0), 0, 1)
+        exceeded = bool((sigma > most).any())
+    picture = _coloured(np.rint(level * 255).astype(np.uint8))
+    picture[np.isnan(sigma)] = _NOTHING
+    return stacked([picture, _scale(most, exceeded="+" if exceeded else "", room=picture.shape[1])])
+
+
+def write_uncertainty_png(path: str | Path, sigma_px: FloatArray, *, most_px: float | None = None) -> None:
+    """Write `uncertainty_picture` of the same arguments.
+
+    Raises:
+        ExportError: if the file cannot be written.
+        LadarregError: as `uncertainty_picture`.
+    """
+    write_png(path, uncertainty_picture(sigma_px, most_px=most_px))
+
+
+def scale_end(sigma_px: FloatArray) -> float:
+    """Return the round number, px, that 98 % of the cells of (H, W) do not exceed; 1 where there are none."""
+    known = sigma_px[np.isfinite(sigma_px) & (sigma_px > 0)]
+    if not known.size:
+        return 1.0
+    high = float(np.clip(np.percentile(known.astype(np.float64), _SHARE_SHOWN), _LEAST_PX, _MOST_PX / 10))
+    power = 10.0 ** np.floor(np.log10(high))
+    return float(power * next((n for n in _NICE if n * power >= high * (1 - 1e-6)), _NICE[-1]))
+
+
+def _coloured(level: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the colours (H, W, 3) of levels (H, W)."""
+    return np.array(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)[..., ::-1], dtype=np.uint8)
+
+
+def _scale(most: float, *, exceeded: str, room: int) -> NDArray[np.uint8]:
+    """Return the bar with its numbers, at least `room` pixels wide where that is possible without stretching it."""
+    width = int(np.clip(room - 2 * _MARGIN, *_BAR_WIDTHS))
+    bar = _coloured(np.tile(np.linspace(0, 255, width).round().astype(np.uint8), (_BAR_HEIGHT, 1)))
+    field = 56
+    full = np.full((round(_TEXT * 1.36), width + field, 3), BACKGROUND, dtype=np.uint8)
+    for tick in range(_TICKS + 1):
+        at = round(tick * (width - 1) / _TICKS)
+        words = f"{tick * most / _TICKS:.4g}{exceeded if tick == _TICKS else ''}"
+        number = text_block(words, size=_TEXT, width=field, align="centre", colour=INK)
+        # Neighbouring fields may overlap on a narrow bar; what is lighter wins, so no number is cut.
+        part = full[:, at : at + field]
+        np.maximum(part, number[:, : part.shape[1]], out=part)
+        bar[-4:, min(at, width - 1)] = INK
+    title = text_block("standard deviation of the registered picture, pixels", size=_TEXT, colour=DIM)
+    return stacked(
+        [
+            padded(bar, top=_MARGIN, left=field // 2, bottom=4),
+            full,
+            padded(title, left=field // 2, bottom=_MARGIN, right=_MARGIN),
+        ]
+    )

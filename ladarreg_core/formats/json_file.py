@@ -35,6 +35,12 @@ def parsed_once() -> Iterator[None]:
         _parsed.reset(token)
 
 
+def begins_with_brace(file: Path) -> bool:
+    """Return whether a text file begins like a JSON object."""
+    with open(file, "rb") as stream:
+        return stream.read(64).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"{")
+
+
 def read_json_object(path: Path, what: str) -> dict[str, Any]:
     """Return the object that a JSON file holds.
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.formats import describe, extract_images, formats, read_photo, read_scan
+from ladarreg_core.formats import FORMATS, describe, extract_images, read_photo, read_scan
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.formats.pose_file import read_pose
@@ -67,7 +67,7 @@ def main(folder: str, name: str, first: str, last: str, patience_s: str, keep: s
     """
     home = Path(folder)
     seeds = [seed for seed in seeds_in(home) if seed.format == name]
-    kind = next(known.kind for known in formats() if known.name == name)
+    kind = next(known.kind for known in FORMATS if known.name == name)
     readers = readers_of(kind, name, home)
     for seed in seeds:  # whatever the readers import is imported now, and the sound files must be read
         for reader in readers.values():

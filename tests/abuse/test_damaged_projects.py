@@ -25,7 +25,7 @@ from ladarreg_core.project.history import History
 from ladarreg_core.project.results import pose_entry, registration_of
 
 WHEN = "2026-01-02T03:04:05+00:00"
-OLD = Path(__file__).resolve().parents[1] / "unit" / "project_without_checksums"
+OLD = Path(__file__).resolve().parents[1] / "unit" / "project" / "without_checksums"
 Files = dict[str, bytes]
 
 

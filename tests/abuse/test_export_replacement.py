@@ -19,8 +19,7 @@ import pytest
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export import replacement, staging
 from ladarreg_core.export.folder import FileJob, check_folder, write_folder
-from ladarreg_core.export.json import write_document
-from ladarreg_core.export.registration_json import registration_document
+from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.export.zip_file import write_zip
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.folder import ProjectFolder

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
-from ladarreg_core.formats import describe, extract_images, formats, read_photo, read_scan, recognise
+from ladarreg_core.formats import FORMATS, describe, extract_images, read_photo, read_scan, recognise
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.formats.npz import write_npz_xyz
@@ -142,7 +142,7 @@ def test_formats_are_told_by_content_alone(
         target.write_bytes(path.read_bytes())
         read(target)
     assert {recognise(path).kind for path, _ in good_files.values()} == {"scan", "photo"}
-    assert len({f.name for f in formats()}) == len(formats())
+    assert len({f.name for f in FORMATS}) == len(FORMATS)
 
 
 def test_the_wrong_kind_of_file_is_named(good_files: dict[str, tuple[Path, Reader]], tmp_path: Path) -> None:

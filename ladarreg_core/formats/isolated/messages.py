@@ -156,7 +156,7 @@ class _Decoder:
 def _records() -> dict[str, type[Any]]:
     """Return the data types that a message can hold, by name."""
     from ladarreg_core.camera import Camera
-    from ladarreg_core.formats import FileInfo
+    from ladarreg_core.formats.file_info import FileInfo
     from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo

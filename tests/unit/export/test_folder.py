@@ -9,8 +9,7 @@ from PIL import Image
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export import staging
 from ladarreg_core.export.folder import FILE_NAMES, export_registration, write_folder
-from ladarreg_core.export.json import write_document
-from ladarreg_core.export.registration_json import registration_document
+from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.quality.smoothed_scan import SmoothedScan
 from tests.unit.export.samples import sample_registration
 

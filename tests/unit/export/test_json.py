@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.json import write_document
-from ladarreg_core.export.registration_json import registration_document
+from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.frames import Rigid
 from ladarreg_core.results import Registration
 
