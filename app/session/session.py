@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ladarreg_core.errors import LadarregError, UnsavedError
-from ladarreg_core.project.changes import check_readable
+from ladarreg_core.project.delta import check_readable
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.elsewhere import write_elsewhere
 from ladarreg_core.project.folder import ProjectFolder

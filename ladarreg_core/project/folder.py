@@ -28,14 +28,14 @@ import msgspec
 
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, NewerVersionError
 from ladarreg_core.export.atomic_write import AppendedFile, cannot_write, sync_folder, write_bytes
-from ladarreg_core.project.changes import change_between
+from ladarreg_core.project.checksum import sealed, unsealed
 from ladarreg_core.project.codec import arrays_of, decode_document, encode
+from ladarreg_core.project.delta import change_between
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import Entry, History
 from ladarreg_core.project.lock import FolderLock
 from ladarreg_core.project.records import Records, read_records, record_line
 from ladarreg_core.project.replay import RECOVERED, Replayed, Snapshot, replayed
-from ladarreg_core.project.seal import sealed, unsealed
 from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.project.unknown_fields import Unknown, encoded_with, unknown_fields
 

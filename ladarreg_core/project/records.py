@@ -14,8 +14,8 @@ from typing import Any
 
 import msgspec
 
+from ladarreg_core.project.checksum import sealed, unsealed
 from ladarreg_core.project.codec import encode
-from ladarreg_core.project.seal import sealed, unsealed
 
 Record = dict[str, Any]
 _BEGINNINGS = re.compile(rb'\{"(?:commit|amend)":\{|\{"at":')

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ladarreg_core.errors import FormatError, LadarregError, NewerVersionError
-from ladarreg_core.project.changes import changed
 from ladarreg_core.project.codec import FindArrays, decode_document, encode
+from ladarreg_core.project.delta import changed
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import Entry, History
 from ladarreg_core.project.records import Record

@@ -22,8 +22,8 @@ from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.matches import Matches, Pick, unit_rays
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.project import edits
-from ladarreg_core.project.changes import change_between, changed, check_readable
 from ladarreg_core.project.codec import decode_document, encode
+from ladarreg_core.project.delta import change_between, changed, check_readable
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
