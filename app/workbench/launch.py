@@ -124,7 +124,7 @@ def serve_and_close(
     """
     from ..gateway.serving import serve_until_interrupted
 
-    for sentence in workbench.session.folder.said:
+    for sentence in workbench.session.folder.remarks:
         print(f"ladarreg: {sentence}", file=sys.stderr)
     where: Future[ViserAddress] = Future()
     opened: list[viser.ViserServer] = []

@@ -121,7 +121,7 @@ FORMATS: tuple[FileFormat, ...] = (
         is_generic_text=True,
     ),
     FileFormat(
-        "picture", "photo", (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"),
+        "image", "photo", (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"),
         lambda head, _: image_format(head) is not None, describe_photo,
     ),
     FileFormat(
@@ -164,9 +164,9 @@ def _unsupported(head: bytes) -> str:
     """Return a phrase that says what an unsupported file appears to be."""
     known = next((name for magic, name in _UNSUPPORTED if head.startswith(magic)), None)
     if known:
-        return f"it is {known}, which is not read"
+        return f"it is {known}, which is not supported"
     start = one_line(head[:12].decode("latin-1"), 24)
-    return f"it is of no known format (it begins with {start!r})"
+    return f"its format is unknown (it begins with {start!r})"
 
 
 def listed_kind(path: Path) -> FileKind | None:

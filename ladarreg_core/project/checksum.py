@@ -1,7 +1,6 @@
-"""A checksum as the last field of a JSON object, `{..., "crc": "89abcdef"}`, that also mends one flipped bit.
+"""Checksum as the last field of a JSON object, `{..., "crc": "89abcdef"}`, which can also correct one flipped bit.
 
-Source: the CRC-32 of ISO 3309 as in zlib; two different single flipped bits never have the same syndrome in a text as
-short as these.
+Source: the CRC-32 of ISO 3309 as in zlib; in texts as short as these no two single-bit errors have the same syndrome.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import Literal
 
 _PATTERN = re.compile(rb',"crc":"([0-9a-f]{8})"\}')
 _LENGTH = len(b',"crc":"89abcdef"}')
-_LONGEST_MENDED = 8 << 20
+_LONGEST_CORRECTED = 8 << 20
 _POLYNOMIAL = 0xEDB88320
 
 
@@ -29,42 +28,42 @@ _BIT_OF_REMAINDER = {_REMAINDERS[1 << bit]: 1 << bit for bit in range(8)}
 
 
 @dataclass(frozen=True, slots=True)
-class Unsealed:
-    """What the seal of a text says of it."""
+class CheckedText:
+    """A text after verification of its checksum."""
 
     data: bytes
-    """The text, mended where that was possible."""
-    state: Literal["sound", "mended", "no seal", "broken"]
-    """`no seal`: as files are that an older version of the program wrote; `broken`: it is not what was sealed."""
+    """The text, corrected where that was possible."""
+    state: Literal["intact", "corrected", "no checksum", "damaged"]
+    """`no checksum`: as written by older versions of the program."""
 
 
-def sealed(data: bytes) -> bytes:
-    """Return a JSON object, not empty, with its checksum."""
+def with_checksum(data: bytes) -> bytes:
+    """Return a non-empty JSON object with its checksum appended as a field."""
     body = data[:-1]
-    return body + _seal(body)
+    return body + _checksum_field(body)
 
 
-def unsealed(data: bytes, *, mend: bool = True) -> Unsealed:
-    """Return what the seal of a text says of it; the checksum stays in the text.
+def verify_checksum(data: bytes, *, correct: bool = True) -> CheckedText:
+    """Verify the checksum of a text, which remains in the text.
 
     Args:
-        data: as `sealed` wrote it, or with damage.
-        mend: whether to look for one flipped bit, which takes seconds for some megabytes.
+        data: a text written by `with_checksum`, possibly damaged.
+        correct: whether to search for one flipped bit, which takes seconds for some megabytes.
     """
     body, tail = data[:-_LENGTH], data[-_LENGTH:]
-    right = _seal(body)
+    right = _checksum_field(body)
     if tail == right:
-        return Unsealed(data, "sound")
-    if _bits_apart(tail, right) == 1:  # the flipped bit is one of the seal
-        return Unsealed(body + right, "mended")
+        return CheckedText(data, "intact")
+    if _bits_apart(tail, right) == 1:  # the flipped bit is in the checksum field
+        return CheckedText(body + right, "corrected")
     found = _PATTERN.fullmatch(tail)
     if found is None:
-        return Unsealed(data, "no seal")
-    whole = _mended(body, int(found[1], 16)) if mend and len(body) <= _LONGEST_MENDED else None
-    return Unsealed(data, "broken") if whole is None else Unsealed(whole + tail, "mended")
+        return CheckedText(data, "no checksum")
+    whole = _corrected(body, int(found[1], 16)) if correct and len(body) <= _LONGEST_CORRECTED else None
+    return CheckedText(data, "damaged") if whole is None else CheckedText(whole + tail, "corrected")
 
 
-def _seal(body: bytes) -> bytes:
+def _checksum_field(body: bytes) -> bytes:
     return b',"crc":"%08x"}' % zlib.crc32(body)
 
 
@@ -72,11 +71,11 @@ def _bits_apart(one: bytes, other: bytes) -> int:
     return (int.from_bytes(one, "little") ^ int.from_bytes(other, "little")).bit_count()
 
 
-def _mended(body: bytes, checksum: int) -> bytes | None:
-    """Return the text of a checksum that is one bit away; None where there is none.
+def _corrected(body: bytes, checksum: int) -> bytes | None:
+    """Return the text with the given checksum that differs in one bit; None if there is none.
 
-    The checksum is linear: a flipped bit adds the remainder of that bit followed by zeros. So the zeros are taken off
-    the syndrome one by one, until it is the remainder of a single bit.
+    The CRC is linear: a flipped bit adds the remainder of that bit followed by zeros. So zeros are removed from the
+    syndrome one byte at a time until it is the remainder of a single bit.
     """
     syndrome = zlib.crc32(body) ^ checksum
     for index in range(len(body) - 1, -1, -1):

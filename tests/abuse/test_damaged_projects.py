@@ -118,7 +118,7 @@ def written(place: Path, files: Files) -> Path:
 def opened(place: Path) -> tuple[History, tuple[str, ...]]:
     folder = ProjectFolder(place)
     try:
-        return folder.read(), folder.said
+        return folder.read(), folder.remarks
     finally:
         folder.close()
 
@@ -309,7 +309,7 @@ def test_a_project_without_checksums_opens_with_its_history(tmp_path: Path) -> N
     place = shutil.copytree(OLD, tmp_path / "p")
     folder = ProjectFolder(place)
     read = folder.read()
-    assert folder.said == ()
+    assert folder.remarks == ()
     assert [entry.label for entry in read.entries] == ["Begin", "Solve", "Draw point 4", "Rename to third"]
     assert (read.at, read.document.name) == (2, "test")
     assert len(registration_of(read.document.photos[0].poses[0]).matches) == 40

@@ -24,8 +24,8 @@ from benchmarks.workbench import Page, Served
 from ladarreg_core.errors import ExportError, UnsavedError
 from ladarreg_core.export.atomic_write import AppendedFile
 from ladarreg_core.project.document import Source
-from ladarreg_core.project.elsewhere import write_elsewhere
 from ladarreg_core.project.folder import ProjectFolder
+from ladarreg_core.project.rescue import write_rescue_copy
 from ladarreg_core.simulate.sample import sample_folder
 from tests.abuse.drawing import begin, draw, work_until_killed
 from tests.abuse.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
@@ -44,7 +44,7 @@ def drawn(place: Path) -> list[int]:
         assert [entry.label for entry in history.entries[1:]] == [
             f"Draw {round(pick.photo[0][0]) - 100}" for pick in history.document.photos[0].picks
         ], "every one is a step of the history"
-        assert folder.said == ()
+        assert folder.remarks == ()
         return [round(pick.photo[0][0]) - 100 for pick in history.document.photos[0].picks]
     finally:
         folder.close()
@@ -203,11 +203,11 @@ def test_at_the_end_the_project_is_written_where_there_is_room(tmp_path: Path) -
 def test_where_no_place_has_room_that_is_said_and_nothing_is_left(tmp_path: Path) -> None:
     session = begin(tmp_path / "p")
     (tmp_path / "file").write_bytes(b"no folder")
-    with pytest.raises(ExportError, match="no other place"):
-        write_elsewhere(session.folder, session.history, [tmp_path / "file" / "x"], name="work")
+    with pytest.raises(ExportError, match="no other folder could be written"):
+        write_rescue_copy(session.folder, session.history, [tmp_path / "file" / "x"], name="work")
     if os.name != "nt":
-        with largest_file(64), pytest.raises(ExportError, match="no other place"):
-            write_elsewhere(session.folder, session.history, [tmp_path / "other"], name="work")
+        with largest_file(64), pytest.raises(ExportError, match="no other folder could be written"):
+            write_rescue_copy(session.folder, session.history, [tmp_path / "other"], name="work")
         assert list((tmp_path / "other").iterdir()) == []
     session.close()
 

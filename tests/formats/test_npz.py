@@ -126,8 +126,8 @@ def bad_files(folder: Path) -> dict[str, Path]:
         "'dr_m' is 0": save(folder / "zero.npz", **good | {"dr_m": 0.0}),
         "d_azimuth_rad": save(folder / "degrees.npz", **good | {"d_azimuth_rad": 5.0}),
         "one number": save(folder / "vector.npz", **good | {"dr_m": [0.1, 0.2]}),
-        "whole numbers": save(folder / "float.npz", **good | {"counts": good["counts"] * 1.0}),
-        "not negative": save(folder / "negative.npz", **good | {"counts": -good["counts"].astype(int)}),
+        "must contain integers": save(folder / "float.npz", **good | {"counts": good["counts"] * 1.0}),
+        "must not be negative": save(folder / "negative.npz", **good | {"counts": -good["counts"].astype(int)}),
         "numbers": save(folder / "text.npz", **good | {"intensity": np.full((6, 8), "a")}),
         "'intensity_is'": save(folder / "word.npz", **good, intensity_is="cooked"),
         "no returns": save(folder / "blind.npz", **good | {"counts": good["counts"] * 0}),
@@ -161,7 +161,7 @@ def test_claims_without_data_are_refused_before_memory_is_asked_for(tmp_path: Pa
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("intensity.npy", npy_claiming(shape, b"\0" * 100))
             archive.writestr("counts.npy", npy_claiming(shape, b"\0" * 100))
-        with pytest.raises(FormatError, match=r"claims .* but 100 bytes are there"):
+        with pytest.raises(FormatError, match=r"claims .* but 100 bytes are present"):
             read_npz(path)
 
 

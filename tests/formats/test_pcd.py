@@ -91,7 +91,7 @@ def test_a_header_that_lies_about_the_order_is_found_out(tmp_path: Path, make: A
     data = make.pcd(stored_by_column, intensity, width=wall.shape[1], height=wall.shape[0])
     scan = read_pcd(write(tmp_path / "a.pcd", data))
     assert not is_scan_grid(unit_rays(stored_by_column.reshape(*wall.shape, 3)))
-    assert "another order" in scan.notes[0]
+    assert "not in this order" in scan.notes[0]
     kept = scan.points[scan.valid]
     assert len(kept) > 0.8 * wall.valid.sum()
     distance = np.linalg.norm(kept[:, None] - wall.points[wall.valid][None], axis=-1)
@@ -140,7 +140,7 @@ def bad_headers(make: Any, wall: Scan) -> dict[str, bytes]:
         "50,000,000 points of 19 bytes": many,
         "50,000,000 points of 7 numbers": many.replace(b"DATA binary", b"DATA ascii"),
         "would need 18.9 GB of memory": huge_body,
-        "more than they can": swollen,
+        "which is impossible": swollen,
         "compressed bytes": compressed[:at] + b"\xff\xff\xff\x7f" + compressed[at + 4 :],
         "but the header claims": compressed[: at + 4] + b"\xff\xff\xff\x7f" + compressed[at + 8 :],
         "none is an intensity": make.pcd(points, None),

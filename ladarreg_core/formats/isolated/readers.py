@@ -1,14 +1,14 @@
-"""Files read in a process of their own: a reader that hangs, crashes or takes too much memory costs its file only.
+"""Readers in separate processes: one that hangs, crashes or takes too much memory only fails its own file.
 
-A scan or a picture goes through native decoders, and a damaged or hostile file may take down the process that they run
-in. `IsolatedReaders` runs any reader of `ladarreg_core.formats` (or any other importable function of paths and plain
-values) in a child process with limits on memory and time, and returns what it returned:
+Scans and images go through native decoders, and a damaged or hostile file can crash the process in which they run.
+`IsolatedReaders` runs any reader of `ladarreg_core.formats` (or any other importable function of paths and plain
+values) in a child process with limits on memory and time, and returns its result:
 
     readers = IsolatedReaders()
     scan = readers.run(read_scan, path, scan_index=1)
 
-Messages are described in `messages`, the child's side in `worker`. This module imports nothing heavy, so that the
-first child can start before anything else.
+The messages are defined in `messages`, the child's side in `worker`. This module imports nothing heavy, so that the
+first child can start early.
 """
 
 from __future__ import annotations
@@ -34,90 +34,90 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _PROGRAM = "import sys; sys.path[:] = sys.argv[1:]; from ladarreg_core.formats.isolated.worker import main; main()"
-_TICK_S = 0.25
-_START_S = 60.0
-_END_S = 5.0
+_POLL_S = 0.25
+_START_TIMEOUT_S = 60.0
+_EXIT_TIMEOUT_S = 5.0
 _PIPE_BYTES = 1 << 20
 _DAMAGED = "the file is probably damaged: copy or export it again"
-_HARMLESS = (CameraError, OptionError)
-_FOLLOWS_DESCRIPTORS = ("read_scan", "describe")
-_REMEMBERED = 256
+_REUSABLE_AFTER = (CameraError, OptionError)
+_READ_DESCRIPTORS = ("read_scan", "describe")
+_MOST_REMEMBERED = 256
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReaderLimits:
-    """What one read may cost."""
+    """Limits of one read."""
 
     memory_bytes: int = 1 << 30
-    """Beyond what the process holds before. Kept by Linux; elsewhere only by the budget of the readers themselves."""
+    """Memory in addition to that of the idle process. Enforced on Linux; elsewhere only by the readers' own budget."""
     memory_per_file_byte: float = 32.0
-    """More for large files: bytes for each of the file's."""
+    """Additional memory per byte of the file."""
     most_memory_bytes: int = 6 << 30
-    """The most, however large the file."""
+    """Upper bound of the memory, for any file."""
     silent_s: float = 30.0
-    """Time without any progress after which a reader counts as hanging."""
+    """Time without progress after which a reader is considered to hang."""
     silent_s_per_mb: float = 2.0
-    """More for large files: not every reader reports progress."""
+    """Additional time per megabyte of the file: not every reader reports progress."""
     most_silent_s: float = 300.0
-    """The most, however large the file."""
+    """Upper bound of the time without progress, for any file."""
     longest_s: float = 3600.0
-    """Time after which a reader is stopped, whatever it reports."""
+    """Total time after which a reader is stopped."""
     result_bytes: int = 6 << 30
-    """The largest result."""
+    """Size limit of a result."""
 
     def memory_for(self, file_bytes: int) -> int:
-        """Return how much memory the reader of a file of that size may take."""
+        """Return the memory limit for a file of a given size."""
         return int(min(self.memory_bytes + self.memory_per_file_byte * file_bytes, self.most_memory_bytes))
 
     def silence_for(self, file_bytes: int) -> float:
-        """Return how long the reader of a file of that size may report nothing."""
+        """Return the longest time without progress for a file of a given size."""
         return min(self.silent_s + self.silent_s_per_mb * file_bytes / 2**20, max(self.silent_s, self.most_silent_s))
 
 
 class IsolatedReaders:
-    """Reader processes: one waits ready, others are started where several files are read at the same time.
+    """Pool of reader processes: one is kept ready, more are started when several files are read at the same time.
 
     Args:
-        limits: what one read may cost.
-        at_a_time: how many files are read at the same time; more wait.
+        limits: limits of one read.
+        max_parallel: number of files that are read at the same time; further calls wait.
     """
 
-    def __init__(self, limits: ReaderLimits | None = None, *, at_a_time: int = 4) -> None:
+    def __init__(self, limits: ReaderLimits | None = None, *, max_parallel: int = 4) -> None:
         self.limits = limits or ReaderLimits()
-        self._places = threading.BoundedSemaphore(at_a_time)
+        self._slots = threading.BoundedSemaphore(max_parallel)
         self._lock = threading.Lock()
         self._ready: _Process | None = None
-        self._all: set[_Process] = set()
-        self._stopped: OrderedDict[_FileState, str] = OrderedDict()
+        self._processes: set[_Process] = set()
+        self._failures: OrderedDict[_FileState, str] = OrderedDict()
 
     def warm(self) -> None:
-        """Have a process ready; returns at once, while it loads the readers."""
+        """Start a process in advance; returns at once, while the process loads the readers."""
         with self._lock:
             if self._ready is not None and self._ready.ended:
-                self._all.discard(self._ready)
+                self._processes.discard(self._ready)
                 self._ready = None
             if self._ready is None:
-                with suppress(OSError):  # the next read says so, if it is still so
-                    self._ready = self._started()
+                with suppress(OSError):  # the next read reports it if it persists
+                    self._ready = self._start()
 
     def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Call a function in a reader process and return what it returns.
+        """Call a function in a reader process and return its result.
 
         Args:
-            function: a function of a module; where it takes `report`, its progress counts as a sign of life.
-            args: its arguments, of the types that `messages` can send; the first one names the file.
-            kwargs: its options, likewise. A `report` is called in this thread, also while there is nothing new; where
-                it raises, the process is stopped.
+            function: a module-level function; if it takes `report`, its progress counts as a sign of life.
+            args: positional arguments, of types that `messages` can send; the first one is the file.
+            kwargs: keyword arguments, likewise. `report` is called in this thread at regular intervals, even without
+                news; if it raises, the process is stopped.
 
         Raises:
-            LadarregError: what the function raises, of the same type and with the same text.
-            FormatError: if the process crashed, hung, or needed more memory than it may.
+            LadarregError: as raised by the function, with the same type and text.
+            FormatError: if the process crashed, hung, or exceeded its memory limit.
         """
         report: Any = kwargs.pop("report", None)
         file = _FileState.of(function, args)
-        self._refuse_again(file)
+        self._refuse_known_failure(file)
         request = {
             "module": function.__module__,
             "name": function.__qualname__,
@@ -127,81 +127,81 @@ class IsolatedReaders:
             "memory_bytes": self.limits.memory_for(file.bytes),
             "silent_s": self.limits.silence_for(file.bytes),
         }
-        with self._places:
-            process = self._taken(file)
-            sound = False
+        with self._slots:
+            process = self._take_process(file)
+            reusable = False
             try:
-                answer = process.asked(request, self.limits, file, report)
+                answer = process.ask(request, self.limits, file, report)
                 error = _error_in(answer, file)
-                sound = not answer["worn"] and (error is None or isinstance(error, _HARMLESS))
+                reusable = not answer["worn"] and (error is None or isinstance(error, _REUSABLE_AFTER))
             except _ReaderStoppedError as stopped:
-                if stopped.by_the_file:
+                if stopped.caused_by_file:
                     self._remember(file, str(stopped))
                 raise FormatError(str(stopped)) from None
             finally:
-                self._give_back(process, sound=sound)
+                self._return_process(process, reusable=reusable)
         if error is not None:
             raise error
         return answer["answer"]  # type: ignore[no-any-return]
 
     def close(self) -> None:
-        """Stop all processes; reads under way fail. It can be used again."""
+        """Stop all processes; running reads fail. The pool can be used again afterwards."""
         with self._lock:
-            processes, self._ready = list(self._all), None
-            self._all.clear()
+            processes, self._ready = list(self._processes), None
+            self._processes.clear()
         for process in processes:
             process.stop()
 
-    def _started(self) -> _Process:
+    def _start(self) -> _Process:
         process = _Process()
-        self._all.add(process)
+        self._processes.add(process)
         return process
 
-    def _taken(self, file: _FileState) -> _Process:
+    def _take_process(self, file: _FileState) -> _Process:
         with self._lock:
             process, self._ready = self._ready, None
             if process is not None and not process.ended:
                 return process
             if process is not None:
-                self._all.discard(process)  # somebody killed it
+                self._processes.discard(process)  # it was killed from outside
             try:
-                return self._started()
+                return self._start()
             except OSError as error:
                 reason = error.strerror or type(error).__name__
-                text = f"{file.name}: it cannot be read now, as no process can be started ({reason}); try again"
+                text = f"{file.name}: it cannot be read now because no process can be started ({reason}); try again"
                 raise FormatError(text) from error
 
-    def _give_back(self, process: _Process, *, sound: bool) -> None:
-        """Keep a process for the next file, but not one that met a damaged file or grew large."""
+    def _return_process(self, process: _Process, *, reusable: bool) -> None:
+        """Keep a process for the next file unless it met a damaged file or grew large."""
         with self._lock:
-            if sound and self._ready is None and not process.ended:
+            if reusable and self._ready is None and not process.ended:
                 self._ready = process
                 return
         process.stop()
         with self._lock:
-            self._all.discard(process)
-        if not sound:
+            self._processes.discard(process)
+        if not reusable:
             self.warm()
 
     def _remember(self, file: _FileState, text: str) -> None:
         if not file.path:
             return
         with self._lock:
-            self._stopped[file] = text
-            while len(self._stopped) > _REMEMBERED:
-                self._stopped.popitem(last=False)
+            self._failures[file] = text
+            while len(self._failures) > _MOST_REMEMBERED:
+                self._failures.popitem(last=False)
 
-    def _refuse_again(self, file: _FileState) -> None:
-        """Refuse an unchanged file whose reader was stopped before: a page may ask for it again and again."""
+    def _refuse_known_failure(self, file: _FileState) -> None:
+        """Refuse an unchanged file whose reader was stopped before: a page may request it repeatedly."""
         with self._lock:
-            text = self._stopped.get(file)
+            text = self._failures.get(file)
         if text is not None:
             raise FormatError(text)
 
 
 @dataclass(frozen=True, slots=True)
 class _FileState:
-    """The file that a call reads, as it is now."""
+    """Identity and current state of the file that a call reads."""
 
     name: str
     path: str
@@ -212,7 +212,7 @@ class _FileState:
     @staticmethod
     def of(function: Callable[..., Any], args: tuple[Any, ...]) -> _FileState:
         called = f"{function.__module__}.{function.__qualname__}"
-        if not args or not isinstance(args[0], str | os.PathLike):  # not remembered: it has no state
+        if not args or not isinstance(args[0], str | os.PathLike):  # without a path nothing is remembered
             return _FileState(function.__qualname__, "", called, 0, 0)
         from ladarreg_core.formats.untrusted import shown_name
 
@@ -220,95 +220,95 @@ class _FileState:
         try:
             state = os.stat(path)
             size = state.st_size
-            if path.lower().endswith(".json") and function.__name__ in _FOLLOWS_DESCRIPTORS:
-                # It is small itself, but may stand for any of the files beside it.
+            if path.lower().endswith(".json") and function.__name__ in _READ_DESCRIPTORS:
+                # A descriptor is small, but may refer to any of the files beside it.
                 size = sum(entry.stat().st_size for entry in os.scandir(os.path.dirname(path)) if entry.is_file())
             return _FileState(shown_name(path), path, called, size, state.st_mtime_ns)
-        except (OSError, ValueError):  # the reader says what is wrong with it
+        except (OSError, ValueError):  # the reader reports what is wrong
             return _FileState(shown_name(path), path, called, 0, 0)
 
 
 class _ReaderStoppedError(Exception):
-    """A reader process that ended, or had to be ended, before it answered."""
+    """A reader process ended, or had to be stopped, before it answered."""
 
-    def __init__(self, text: str, *, by_the_file: bool = True) -> None:
+    def __init__(self, text: str, *, caused_by_file: bool = True) -> None:
         super().__init__(text)
-        self.by_the_file = by_the_file
+        self.caused_by_file = caused_by_file
 
 
 class _Process:
     """One reader process."""
 
     def __init__(self) -> None:
-        private = {name: value for name, value in os.environ.items() if not name.startswith("LADARREG_")}
+        environment = {name: value for name, value in os.environ.items() if not name.startswith("LADARREG_")}
         options: dict[str, Any] = {}
         if sys.platform == "win32":
             options["creationflags"] = subprocess.CREATE_NO_WINDOW
         else:
-            options["start_new_session"] = True  # Ctrl-C is for the parent
+            options["start_new_session"] = True  # Ctrl-C must reach the parent only
         self._popen = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, *sys.path],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=None if log.isEnabledFor(logging.DEBUG) else subprocess.DEVNULL,
-            # Thread pools of the numerical libraries take address space for each core of the machine.
-            env={**private, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            # Thread pools of the numerical libraries reserve address space for every core.
+            env={**environment, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
             **options,
         )
         if sys.platform == "linux":
             import fcntl
 
             assert self._popen.stdout is not None
-            with suppress(OSError):  # more than a user may have; it is only faster
+            with suppress(OSError):  # beyond the user's limit; a larger pipe is only faster
                 fcntl.fcntl(self._popen.stdout.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
     @property
     def ended(self) -> bool:
-        """Whether it runs no more."""
+        """Whether the process has ended."""
         return self._popen.poll() is not None
 
-    def asked(
+    def ask(
         self, request: dict[str, Any], limits: ReaderLimits, file: _FileState, report: Report | None
     ) -> dict[str, Any]:
-        """Return the answer to a request.
+        """Send a request and return the answer.
 
         Raises:
-            _ReaderStoppedError: if there is none.
+            _ReaderStoppedError: if the process ends or has to be stopped before it answers.
         """
         exchange = _Exchange(self._popen, request, limits.result_bytes)
-        begun = heard = time.monotonic()
+        started = last_sign = time.monotonic()
         signs = 0
-        while not exchange.over(_TICK_S):
+        while not exchange.over(_POLL_S):
             now = time.monotonic()
             if exchange.signs != signs:
-                signs, heard = exchange.signs, now
-            patience = request["silent_s"] if signs else _START_S
-            if now - heard > patience or now - begun > limits.longest_s:
-                raise _ReaderStoppedError(_hung(file, now - begun))
+                signs, last_sign = exchange.signs, now
+            timeout = request["silent_s"] if signs else _START_TIMEOUT_S
+            if now - last_sign > timeout or now - started > limits.longest_s:
+                raise _ReaderStoppedError(_hung(file, now - started))
             if report is not None:
                 report(exchange.progress or Progress(0, 0, f"reading {file.name}"))
         if exchange.answer is not None:
             return exchange.answer
         if exchange.refused:
             log.debug("%s: %s", file.path, exchange.refused)
-            raise _ReaderStoppedError(f"{file.name}: its reader sent no sensible answer; {_DAMAGED}")
+            raise _ReaderStoppedError(f"{file.name}: its reader sent an invalid answer; {_DAMAGED}")
         if exchange.unsent is not None:
             raise exchange.unsent
-        raise self._why_it_ended(file, time.monotonic() - begun)
+        raise self._why_it_ended(file, time.monotonic() - started)
 
     def stop(self) -> None:
-        """End it at once."""
+        """Kill the process."""
         with suppress(OSError):
             self._popen.kill()
         self._popen.wait()
         for stream in (self._popen.stdin, self._popen.stdout):
             assert stream is not None
-            with suppress(OSError):  # what could not be sent any more
+            with suppress(OSError):  # data that could not be sent
                 stream.close()
 
     def _why_it_ended(self, file: _FileState, seconds: float) -> _ReaderStoppedError:
         try:
-            code = self._popen.wait(_END_S)
+            code = self._popen.wait(_EXIT_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             return _ReaderStoppedError(f"{file.name}: its reader ended without an answer; {_DAMAGED}")
         if code < 0:
@@ -316,15 +316,15 @@ class _Process:
             if number == getattr(signal, "SIGALRM", None):
                 return _ReaderStoppedError(_hung(file, seconds))
             if number == getattr(signal, "SIGKILL", None):
-                text = f"{file.name}: its reader was killed from outside, perhaps for want of memory; try again"
-                return _ReaderStoppedError(text, by_the_file=False)
-            words = signal.strsignal(number) or f"signal {number}"
-            return _ReaderStoppedError(f"{file.name}: its reader crashed ({words}); {_DAMAGED}")
+                text = f"{file.name}: its reader was killed from outside, perhaps because memory ran out; try again"
+                return _ReaderStoppedError(text, caused_by_file=False)
+            name = signal.strsignal(number) or f"signal {number}"
+            return _ReaderStoppedError(f"{file.name}: its reader crashed ({name}); {_DAMAGED}")
         return _ReaderStoppedError(f"{file.name}: its reader ended with code {code:#x} and no answer; {_DAMAGED}")
 
 
 class _Exchange:
-    """A request and the messages that come back, in a thread of their own: pipes know no time limit everywhere."""
+    """A request and its replies, handled in a separate thread because pipes have no timeouts on some systems."""
 
     def __init__(self, popen: subprocess.Popen[bytes], request: dict[str, Any], result_bytes: int) -> None:
         self._popen, self._request, self._result_bytes = popen, request, result_bytes
@@ -338,7 +338,7 @@ class _Exchange:
         threading.Thread(target=self._run, name="reader", daemon=True).start()
 
     def over(self, seconds: float) -> bool:
-        """Wait for news; return whether there will be no more."""
+        """Wait for news; return whether the exchange has ended."""
         self._news.wait(seconds)
         self._news.clear()
         return self._over
@@ -349,7 +349,7 @@ class _Exchange:
         try:
             self._exchange()
         except (EOFError, OSError):
-            pass  # the process has ended, and its code says why
+            pass  # the process has ended, and its exit code says why
         except (MessageError, ValueError, TypeError, KeyError) as error:
             self.refused = error
         finally:
@@ -365,13 +365,13 @@ class _Exchange:
         assert answers is not None
         try:
             write_message(requests, self._request)
-        except TypeError as error:  # the caller's, not the file's
+        except TypeError as error:  # the caller's mistake, not the file's
             self.unsent = error
             return
         while True:
             message = read_message(answers, largest_bytes=self._result_bytes)
             if not isinstance(message, dict):
-                raise MessageError(f"a {type(message).__name__} for an answer")
+                raise MessageError(f"the answer is a {type(message).__name__}")
             if "progress" not in message:
                 self.answer = message | {"worn": bool(message["worn"])}
                 return
@@ -383,7 +383,7 @@ class _Exchange:
 
 
 def _working_folder() -> str:
-    """Return the folder that relative paths start from; empty where somebody removed it."""
+    """Return the current working folder; empty if it has been removed."""
     try:
         return os.getcwd()
     except OSError:
@@ -391,11 +391,11 @@ def _working_folder() -> str:
 
 
 def _hung(file: _FileState, seconds: float) -> str:
-    return f"{file.name}: its reader was stopped, as it hung for {seconds:.0f} s; {_DAMAGED}"
+    return f"{file.name}: its reader hung and was stopped after {seconds:.0f} s; {_DAMAGED}"
 
 
 def _error_in(answer: dict[str, Any], file: _FileState) -> LadarregError | None:
-    """Return the error that a reader answered with; None where it answered with a result."""
+    """Return the error in an answer; None where it contains a result."""
     from ladarreg_core.formats.untrusted import one_line
 
     if "answer" in answer:

@@ -23,7 +23,7 @@ from ladarreg_core.matches import Matches, Pick, unit_rays
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.project import edits
 from ladarreg_core.project.codec import decode_document, encode
-from ladarreg_core.project.delta import change_between, changed, check_readable
+from ladarreg_core.project.delta import apply_change, change_between, check_readable
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
@@ -97,7 +97,7 @@ def test_damaged_documents_are_refused_in_one_line(damage: bytes) -> None:
 def test_picks_of_a_hostile_document_are_checked() -> None:
     fields = json.loads(encode(a_document()))
     fields["photos"][0]["picks"][0]["scan"] = [[0, 0, 0]]
-    with pytest.raises(LadarregError, match="no length"):
+    with pytest.raises(LadarregError, match="zero length"):
         decode_document(json.dumps(fields).encode(), lambda name: StoredArrays(b""))
 
 
@@ -185,15 +185,15 @@ def test_usual_rays_are_normalised_to_the_same_digits_as_by_their_norm() -> None
 @pytest.mark.parametrize(
     ("check", "value", "says"),
     [
-        (edits.rays, [[10**400, 0, 0]], "list of 3 numbers"),
-        (edits.rays, [[0, 0, 0]], "no length"),
+        (edits.rays, [[10**400, 0, 0]], "list of 3 finite numbers"),
+        (edits.rays, [[0, 0, 0]], "zero length"),
         (edits.rays, [[1, 0, 0], [-1, 0, 1e-3]], "150 degrees"),
         (edits.pixels, [[1000001, 0]], "1,000,000 px"),
         (edits.pixels, [[-1e308, 0]], "1,000,000 px"),
-        (edits.pixels, [[10**400, 0]], "list of 2 numbers"),
+        (edits.pixels, [[10**400, 0]], "list of 2 finite numbers"),
         (edits.weight, 1e-7, "from 0.000001 to 1,000,000"),
-        (edits.weight, 10**400, "no number"),
-        (edits.weight, True, "no number"),
+        (edits.weight, 10**400, "not a number"),
+        (edits.weight, True, "not a number"),
     ],
 )
 def test_what_enters_a_document_is_within_bounds(check: Callable[[object], object], value: object, says: str) -> None:
@@ -222,7 +222,7 @@ def test_what_could_not_be_read_again_is_not_kept() -> None:
 def test_an_answer_that_is_not_finite_is_not_kept() -> None:
     for field in ("covariance", "sigma_px"):
         answer = replace(a_result(), **{field: getattr(a_result(), field) * np.nan})
-        with pytest.raises(DegenerateGeometryError, match="undetermined"):
+        with pytest.raises(DegenerateGeometryError, match="do not determine the pose"):
             pose_entry("robust", answer)
 
 
@@ -387,7 +387,7 @@ def test_a_change_that_was_written_makes_one_document_of_the_other(seeds: list[i
     for seed in seeds:
         after = edited_at_random(before, seed)
         change = json.loads(encode(change_between(before, after)))
-        mine = changed(mine, change, stored.__getitem__)
+        mine = apply_change(mine, change, stored.__getitem__)
         assert mine == after
         assert (change == {}) == (after == before)
         before = after
@@ -400,7 +400,7 @@ def test_a_change_is_small_and_shares_what_stays() -> None:
     ((name, fields),) = change["photos"]["in"]["p1"]["picks"].pop("in").items()
     assert (name, fields["photo"]) == ("7", ((1.0, 2.0),))
     assert len(encode(change_between(before, after))) < 200
-    again = changed(before, json.loads(encode(change_between(before, after))), lambda name: StoredArrays(b""))
+    again = apply_change(before, json.loads(encode(change_between(before, after))), lambda name: StoredArrays(b""))
     assert all(a is b for a, b in zip(before.photos[0].picks, again.photos[0].picks, strict=True) if a.id != "7")
 
 
@@ -421,7 +421,7 @@ def test_a_change_is_small_and_shares_what_stays() -> None:
 )
 def test_a_damaged_change_is_refused_in_one_line(change: object) -> None:
     with pytest.raises(FormatError) as caught:
-        changed(a_document(), change, lambda name: StoredArrays(b""))
+        apply_change(a_document(), change, lambda name: StoredArrays(b""))
     assert "\n" not in str(caught.value)
 
 
@@ -479,7 +479,7 @@ def test_missing_and_exchanged_arrays_cost_only_the_matches_in_them(tmp_path: Pa
         assert read.document == document
         with pytest.raises(FormatError, match="solve again"):
             registration_of(read.document.photos[0].poses[0])
-        assert [sentence for sentence in again.said if "one answer" in sentence]
+        assert [sentence for sentence in again.remarks if "one result" in sentence]
         read = read.committed(named(read.document, "work goes on"), label="Rename", author="", when=WHEN)
         again.save_commit(read)
         again.settle()
@@ -490,7 +490,7 @@ def test_missing_and_exchanged_arrays_cost_only_the_matches_in_them(tmp_path: Pa
     stored.write_bytes(whole)
     again = ProjectFolder(tmp_path / "p")
     assert len(registration_of(again.read().document.photos[0].poses[0]).matches) == 40, "put back, it is found"
-    assert again.said == ()
+    assert again.remarks == ()
     again.close()
 
 
