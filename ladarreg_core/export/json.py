@@ -29,7 +29,7 @@ CAMERA_FROM_SCANNER_IS = (
     "maps scanner points (X forward, Y left, Z up, m) to the camera (x right, y down, z forward, m): "
     "p_camera = camera_from_scanner @ p_scanner"
 )
-"""The direction of `camera_from_scanner` in words; it stands beside every matrix that is written."""
+"""Explanation of the direction of `camera_from_scanner`; written next to every such matrix."""
 _REGISTRATION_VERSION = 1
 _READ_BYTES = 1 << 20
 
@@ -41,7 +41,7 @@ def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
         ExportError: if the file cannot be written.
     """
     text = json.dumps(plain(document), indent=1, ensure_ascii=False, allow_nan=False)
-    write_bytes(path, (_short_rows(text) + "\n").encode("utf-8"))
+    write_bytes(path, (_join_short_lists(text) + "\n").encode("utf-8"))
 
 
 def registration_document(
@@ -51,13 +51,13 @@ def registration_document(
     smoothed: SmoothedScan | None = None,
     inputs: Sequence[str | Path] = (),
 ) -> dict[str, Any]:
-    """Return a registration as a JSON-ready document; a number that does not exist is None.
+    """Return a registration as a JSON-ready document; undefined numbers are None.
 
     Args:
         registration: the result.
-        assessment: what there is to say of it; None: that part of the document is empty.
-        smoothed: the scan that the models show, where spikes were looked for.
-        inputs: the files it came from; their names, sizes and SHA-256 are kept, not their folders.
+        assessment: assessment of the result; None: that part of the document is empty.
+        smoothed: the scan used for the models, if spikes were searched for.
+        inputs: the input files; their names, sizes and SHA-256 are recorded, without their folders.
 
     Raises:
         ExportError: if an input file cannot be read.
@@ -113,7 +113,7 @@ def registration_document(
             for step in r.steps
         ],
         "diagnostics": r.diagnostics,
-        **_assessed(assessment),
+        **_assessment_fields(assessment),
         "smoothing": None
         if smoothed is None
         else {"cells_replaced": smoothed.cells_replaced, "sentence": smoothed.sentence},
@@ -128,14 +128,14 @@ def registration_document(
 
 
 def _influence(assessment: Assessment | None, k: int) -> dict[str, float] | None:
-    """Return how far the pose moves without match k; None also for numbers where the rest determines no pose."""
+    """Return the influence of match k on the pose; numbers are None if the other matches determine no pose."""
     found = None if assessment is None else assessment.influence
     if found is None:
         return None
     return {name: getattr(found, name)[k] for name in ("position_m", "angle_rad", "pixels", "cook")}
 
 
-def _assessed(assessment: Assessment | None) -> dict[str, Any]:
+def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
     a = assessment
     uncertainty = None if a is None else a.uncertainty
     return {
@@ -167,7 +167,7 @@ def _assessed(assessment: Assessment | None) -> dict[str, Any]:
 
 
 def thesis_document(thesis: ThesisParameters) -> dict[str, Any]:
-    """Return the thesis's six parameters with their units and the position in words."""
+    """Return the thesis's six parameters with their units and a description of the position."""
     return {
         "Tx": thesis.Tx,
         "Ty": thesis.Ty,
@@ -181,7 +181,7 @@ def thesis_document(thesis: ThesisParameters) -> dict[str, Any]:
 
 
 def software_document() -> dict[str, str]:
-    """Return which versions made a file."""
+    """Return the versions of the software that writes a file."""
     return {
         "name": "ladarreg",
         "version": ladarreg_core.__version__,
@@ -191,7 +191,7 @@ def software_document() -> dict[str, str]:
 
 
 def input_document(path: Path) -> dict[str, Any]:
-    """Return the name, size and SHA-256 of a file, not its folder.
+    """Return the name, size and SHA-256 of an input file, without its folder.
 
     Raises:
         ExportError: if it cannot be read.
@@ -209,7 +209,7 @@ def input_document(path: Path) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON knows it: dicts, lists, strings, finite numbers, None."""
+    """Convert a value to plain JSON values: dicts, lists, strings, finite numbers, None."""
     if value is None or isinstance(value, (str, bool)):
         return str(value.value) if isinstance(value, Enum) else value
     if isinstance(value, Enum):
@@ -229,8 +229,8 @@ def plain(value: Any) -> Any:
     return str(value)
 
 
-def _short_rows(text: str) -> str:
-    """Put the numbers of a short list on one line, so that a matrix reads as a matrix."""
+def _join_short_lists(text: str) -> str:
+    """Put the numbers of a short list on one line, so that matrices are readable."""
     lines, result, k = text.split("\n"), [], 0
     while k < len(lines):
         line = lines[k]

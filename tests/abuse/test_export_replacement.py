@@ -104,7 +104,7 @@ def test_photographs_are_never_replaced(tmp_path: Path, spelled: Callable[[Path]
     folder = photographs(tmp_path / "holiday")
     (folder / "raw").mkdir()
     before = tree(tmp_path)
-    assert "holds IMG_0000.jpg, IMG_0001.jpg, IMG_0002.jpg and 3 more, which" in refused(spelled(folder))
+    assert "contains IMG_0000.jpg, IMG_0001.jpg, IMG_0002.jpg and 3 more, which" in refused(spelled(folder))
     assert tree(tmp_path) == before
 
 
@@ -149,19 +149,19 @@ def test_a_document_that_is_not_ours_opens_nothing(tmp_path: Path, document: byt
 def test_a_document_of_ours_among_other_files_opens_nothing(tmp_path: Path) -> None:
     folder = photographs(tmp_path / "holiday")
     (folder / "registration.json").write_text(TEXT)
-    assert "holds IMG_0000.jpg, IMG_0001.jpg, IMG_0002.jpg and 2 more beside registration.json" in refused(folder)
+    assert "contains IMG_0000.jpg, IMG_0001.jpg, IMG_0002.jpg and 2 more besides registration.json" in refused(folder)
     comparison = tmp_path / "comparison"
     comparison.mkdir()
     pictures = ["IMG_0001.jpg", "../holiday/IMG_0001.jpg", "registered_a.png", 3, None]
     columns = [{"picture": name} for name in pictures]
     (comparison / "comparison.json").write_text(json.dumps({**DOCUMENT, "columns": [*columns, 5]}))
     (comparison / "IMG_0001.jpg").write_bytes(b"mine")
-    assert "holds IMG_0001.jpg beside comparison.json" in refused(comparison)
+    assert "contains IMG_0001.jpg besides comparison.json" in refused(comparison)
     case = tmp_path / "case"
     case.mkdir()
     (case / "registration.json").write_text(TEXT)
     (case / "scan.npz").write_bytes(b"measured")  # ours by its name, but not the name of a result
-    assert "holds scan.npz beside registration.json" in refused(case)
+    assert "contains scan.npz besides registration.json" in refused(case)
 
 
 @pytest.mark.parametrize("odd", ["link", "folder", "pipe"])
@@ -182,7 +182,7 @@ def test_names_of_ours_that_are_no_files_are_not_ours(tmp_path: Path, odd: str) 
             pytest.skip("this system has no pipes with names")
         else:
             os.mkfifo(folder / name)
-        assert f"holds {name}" in refused(folder)
+        assert f"contains {name}" in refused(folder)
     assert real.read_text() == TEXT
 
 
@@ -205,7 +205,7 @@ def test_the_open_project_is_never_replaced(
             said = refused(Path(spelled(project.path)) / inside, apart_from=known)
             assert "lies in the project project" in said
     for above in (tmp_path, project.path / "..", tmp_path / "above" / "project" / "inputs" / ".." / ".."):
-        assert "holds the project project" in refused(above, apart_from=[project.path])
+        assert "contains the project project" in refused(above, apart_from=[project.path])
         assert "which ladarreg did not write" in refused(above)
     assert tree(tmp_path) == before
 
@@ -228,7 +228,7 @@ def test_a_mounted_project_is_a_project(tmp_path: Path, project: ProjectFolder) 
         "except Exception as error: print(error)"
     )
     mounted = 'mount --bind "$1" "$3" && exec "$0" -c "$4" "$3" "$2"'
-    for source, said in ((tmp_path, "holds the project"), (project.path, "is a project")):
+    for source, said in ((tmp_path, "contains the project"), (project.path, "is a project")):
         done = subprocess.run(
             ["unshare", "-rm", "sh", "-c", mounted, sys.executable, source, project.path, there, code],
             capture_output=True, text=True,
@@ -242,7 +242,7 @@ def test_an_input_is_never_replaced(tmp_path: Path, spelled: Callable[[Path], Pa
     out = tmp_path / "out"
     write_folder(out, lambda: results(1))
     for given in (out / "model.glb", tmp_path / "above" / "out" / "model.glb"):
-        assert "holds the input model.glb" in refused(spelled(out), inputs=[given])
+        assert "contains the input model.glb" in refused(spelled(out), inputs=[given])
     assert "lies in the input" in refused(spelled(out), inputs=[tmp_path])
     assert generation_of(out) == 1
 
@@ -304,9 +304,9 @@ def export_and_die(out: Path, what: str, at: object, after: bool) -> None:
     if what == "write":
         files = [(name, dying_at(1, write, after=after) if name == at else write) for name, write in files]
     elif what == "exchange":
-        staging._exchanged = dying_at(1, staging._exchanged, after=after)
+        staging._exchange = dying_at(1, staging._exchange, after=after)
     elif what == "rename":
-        staging._exchanged = lambda first, second: False
+        staging._exchange = lambda first, second: False
         os.rename = dying_at(at, os.rename, after=after)
     elif at == 5:
         os.rmdir = dying_at(1, os.rmdir, after=after)
@@ -345,7 +345,7 @@ def killed(process: multiprocessing.process.BaseProcess) -> None:
 
 def export_for_ever(out: Path, exchange: bool) -> None:
     if not exchange:
-        staging._exchanged = lambda first, second: False
+        staging._exchange = lambda first, second: False
     for k in range(1, 10**9):
         write_folder(out, lambda k=k: results(k), force=True)
 
@@ -368,7 +368,7 @@ def test_killed_again_and_again_nothing_is_lost_and_nothing_stays(tmp_path: Path
 
 def export_beside_others(out: Path, seconds: float, exchange: bool) -> None:
     if not exchange:
-        staging._exchanged = lambda first, second: False
+        staging._exchange = lambda first, second: False
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         try:

@@ -313,7 +313,7 @@ def test_results_go_into_a_folder_and_never_over_one(registered: Bench, tmp_path
     registered.do("export_folder", photo="p1", folder=str(folder))
     registered.workbench.runner.wait(120)
     assert (folder / "registration.json").is_file()
-    assert "holds earlier results" in registered.refused("export_folder", photo="p1", folder=str(folder))
+    assert "contains earlier results" in registered.refused("export_folder", photo="p1", folder=str(folder))
     (folder / "model.glb").write_bytes(b"old")
     registered.do("export_folder", photo="p1", folder=str(folder), force=True)
     registered.workbench.runner.wait(120)
@@ -328,9 +328,9 @@ def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(regis
     (photographs / "IMG_0001.jpg").write_bytes(b"precious")
     (tmp_path / "link").symlink_to(project.parent)
     for folder, said in (
-        (photographs, "holds IMG_0001.jpg, which"),
+        (photographs, "contains IMG_0001.jpg, which"),
         (project, "is a project"),
-        (project.parent, "holds the project"),
+        (project.parent, "contains the project"),
         (project / "exports", "lies in the project"),
         (tmp_path / "link" / "project", "is a project"),
         (project / "arrays" / "..", "is a project"),

@@ -191,7 +191,7 @@ def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, comparison, scan, p
     assert names(out) == written
     assert (out / "table.md").read_text(encoding="utf-8") != "old"
     (out / "registered_by_hand.png").write_bytes(b"mine")
-    with pytest.raises(ExportError, match=r"holds registered_by_hand\.png beside comparison\.json"):
+    with pytest.raises(ExportError, match=r"contains registered_by_hand\.png besides comparison\.json"):
         export_comparison(out, comparison, scan, photo, force=True)
 
 
@@ -199,7 +199,7 @@ def test_a_folder_with_an_input_is_kept_and_nothing_is_left_of_nothing(tmp_path,
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "comparison.json").write_bytes(b"precious")
     inputs = [tmp_path / "data" / "comparison.json"]
-    with pytest.raises(ExportError, match="holds the input"):
+    with pytest.raises(ExportError, match="contains the input"):
         export_comparison(tmp_path / "data", comparison, scan, photo, inputs=inputs, force=True)
     with pytest.raises(ShapeError, match="no columns"):
         export_comparison(tmp_path / "new", Comparison(columns=()), scan, photo)

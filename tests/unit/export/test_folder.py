@@ -105,7 +105,7 @@ def test_results_that_were_refused_are_replaced_without_being_asked(tmp_path, re
 def test_files_of_ones_own_choice_belong_to_the_results(tmp_path, registration, scan, photo):
     more = [(name, lambda path: path.write_text("new")) for name in ("matches.json", "my matches.csv")]
     export_registration(tmp_path / "out", registration, scan, photo, more=more)
-    with pytest.raises(ExportError, match=r"holds my matches\.csv beside registration\.json, which"):
+    with pytest.raises(ExportError, match=r"contains my matches\.csv besides registration\.json, which"):
         export_registration(tmp_path / "out", registration, scan, photo, force=True)
     export_registration(tmp_path / "out", registration, scan, photo, more=more, force=True)
     assert names(tmp_path / "out") == sorted([*FILE_NAMES, "matches.json", "my matches.csv"])
@@ -115,7 +115,7 @@ def test_files_of_ones_own_choice_belong_to_the_results(tmp_path, registration, 
 def way(request, monkeypatch):
     """Both ways of putting a folder into the place of another, on every system that has both."""
     if request.param == "set aside":
-        monkeypatch.setattr(staging, "_exchanged", lambda first, second: False)
+        monkeypatch.setattr(staging, "_exchange", lambda first, second: False)
     return request.param
 
 
@@ -150,7 +150,7 @@ def test_a_rename_that_fails_restores_the_old_folder(tmp_path, registration, sca
             raise OSError(28, "No space left on device")
         real(source, target)
 
-    monkeypatch.setattr(staging, "_exchanged", lambda first, second: False)
+    monkeypatch.setattr(staging, "_exchange", lambda first, second: False)
     monkeypatch.setattr(staging.os, "rename", rename)
     with pytest.raises(ExportError, match="no space left"):
         export_registration(out, registration, scan, photo, force=True)
@@ -170,7 +170,7 @@ def test_an_interruption_just_after_the_last_rename_keeps_the_new_folder(
         if target == out:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(staging, "_exchanged", lambda first, second: False)
+    monkeypatch.setattr(staging, "_exchange", lambda first, second: False)
     monkeypatch.setattr(staging.os, "rename", rename)
     with pytest.raises(KeyboardInterrupt):
         export_registration(out, registration, scan, photo, force=True)
@@ -188,7 +188,7 @@ def test_a_file_that_appears_at_the_last_moment_is_kept(tmp_path, registration, 
         real(new, target, verify)
 
     monkeypatch.setattr("ladarreg_core.export.folder.put_in_place", put_in_place)
-    with pytest.raises(ExportError, match=r"holds IMG_0001\.jpg beside registration\.json"):
+    with pytest.raises(ExportError, match=r"contains IMG_0001\.jpg besides registration\.json"):
         export_registration(out, registration, scan, photo, force=True)
     assert names(tmp_path) == ["out"]
     assert held(out) == {**old, "IMG_0001.jpg": b"just saved"}
@@ -220,10 +220,10 @@ def test_places_that_cannot_be_are_refused_in_one_line(tmp_path, registration, s
     data = tmp_path / "data"
     data.mkdir()
     (data / "scan.npz").write_bytes(b"precious")
-    with pytest.raises(ExportError, match=r"holds the input scan\.npz"):
+    with pytest.raises(ExportError, match=r"contains the input scan\.npz"):
         export_registration(data, registration, scan, photo, inputs=[data / "scan.npz"], force=True)
     monkeypatch.chdir(data)
-    with pytest.raises(ExportError, match="work in"):
+    with pytest.raises(ExportError, match="current working folder"):
         export_registration(".", registration, scan, photo, force=True)
     assert names(data) == ["scan.npz"]
     assert names(tmp_path) == ["data", "file", "link"]

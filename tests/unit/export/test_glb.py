@@ -92,7 +92,7 @@ def test_a_model_of_nothing_is_refused_in_words():
     with pytest.raises(ExportError, match="no surface"):
         glb_bytes(empty, np.zeros((4, 4, 3), np.uint8))
     one = Mesh(np.eye(3), np.array([[0, 1, 2]]), np.array([[0, 0], [0, 1], [1, 0]]), (2, 2))
-    with pytest.raises(ShapeError, match="picture"):
+    with pytest.raises(ShapeError, match="texture"):
         glb_bytes(one, np.zeros((4, 4), np.uint8))
 
 
