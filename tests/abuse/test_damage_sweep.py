@@ -1,4 +1,4 @@
-"""A sweep over a project: flipped bits, missing files, emptied files; all else must be there."""
+"""A sweep over a project: flipped bits, missing files, emptied files; everything else must remain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Projects with flipped bits, missing files and torn records: what is not damaged comes back, whole."""
+"""Projects with flipped bits, missing files and truncated records: undamaged parts are recovered completely."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def an_answer(stage: str, seed: int) -> PoseEntry:
 
 
 class Work:
-    """Somebody who works on a project."""
+    """A simulated operator of a project."""
 
     def __init__(self, place: Path) -> None:
         self.folder = ProjectFolder(place)
@@ -74,7 +74,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Kept:
-    """A project on the disk, and what it was when it was written."""
+    """A project on disk, and its state when it was written."""
 
     files: Files
     history: History
@@ -124,7 +124,7 @@ def opened(place: Path) -> tuple[History, tuple[str, ...]]:
 
 
 def opened_twice(place: Path) -> tuple[History, tuple[str, ...]]:
-    """Open a damaged project, and again: it is mended by then, but for what is gone for good."""
+    """Open a damaged project twice: by then it is repaired, except for what is lost permanently."""
     history, said = opened(place)
     again, said_again = opened(place)
     assert steps(again) == steps(history)
@@ -137,7 +137,7 @@ def flipped(data: bytes, index: int, bit: int) -> bytes:
 
 
 def places_to_flip(data: bytes, count: int) -> list[tuple[int, int]]:
-    """Bits all over a file, those at the ends of its lines among them."""
+    """Bits all over a file, including those at the ends of its lines."""
     rng = random.Random(len(data))
     ends = [index for index, byte in enumerate(data) if byte == ord("\n")]
     indices = {rng.randrange(len(data)) for _ in range(count)} | set(rng.sample(ends, min(len(ends), count // 4)))
@@ -225,7 +225,7 @@ def test_worse_damage_of_one_file_costs_no_more_than_steps_back(
 
 
 def test_what_follows_on_project_json_is_not_lost_with_what_was_before_it(tmp_path: Path) -> None:
-    """Records are lost before a kill that left project.json behind: both it and what came after it count."""
+    """Records are lost before a kill after which project.json is outdated: it and the records after it are used."""
     work = Work(tmp_path / "work")
     for k in range(6):
         work.draw(k)
@@ -244,7 +244,7 @@ def test_what_follows_on_project_json_is_not_lost_with_what_was_before_it(tmp_pa
 
 
 def test_a_record_that_was_torn_within_the_file_costs_itself(kept: Kept, tmp_path: Path) -> None:
-    """As versions left it that took half a record for a whole one when the disk was full."""
+    """As left by versions that treated a truncated record as complete when the disk was full."""
     lines = kept.files["history.jsonl"].split(b"\n")
     for torn in range(1, len(lines) - 2):
         joined = [*lines[:torn], lines[torn][: len(lines[torn]) // 2] + lines[torn + 1], *lines[torn + 2 :]]
@@ -273,7 +273,7 @@ def test_a_project_of_a_newer_version_says_so_and_is_left_alone(kept: Kept, tmp_
 
 @pytest.mark.parametrize("left", ["both", "project.json", "history.jsonl"])
 def test_fields_that_are_not_known_are_written_again(kept: Kept, tmp_path: Path, left: str) -> None:
-    """A version that adds fields without changing what the others mean."""
+    """A version that adds fields without changing the meaning of others."""
     place = written(tmp_path / "p", kept.files)
 
     def more(fields: dict) -> dict:

@@ -1,4 +1,4 @@
-"""Exports that are asked to replace what is not theirs, that are killed, and that get into each other's way."""
+"""Exports onto folders that are not theirs, killed exports, and concurrent exports."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PARTS = ("registered.png", "labels.png", "model.glb")
 
 
 def results(generation: object) -> list[FileJob]:
-    """The files of a run, which all name it."""
+    """The files of a run, each of which contains its number."""
 
     def document(path: Path) -> None:
         write_document(path, {**DOCUMENT, "seed": generation})
@@ -44,7 +44,7 @@ def results(generation: object) -> list[FileJob]:
 
 
 def generation_of(folder: Path) -> object:
-    """The run that a folder is of, as a whole."""
+    """The run that wrote all files of a folder."""
     (found,) = {json.loads((folder / "registration.json").read_text())["seed"]} | {
         int((folder / name).read_text()) for name in PARTS
     }
@@ -62,7 +62,7 @@ def tree(folder: Path) -> dict[str, bytes | str]:
 
 
 def refused(folder: Path | str, **options: object) -> str:
-    """The sentence by which a folder is refused, the same with and without force, before and after the work."""
+    """The error for a folder, the same with and without force, before and after the computation."""
     said = set()
     for force in (True, False):
         for write in (check_folder, partial(write_folder, files=lambda: results(0))):
@@ -160,7 +160,7 @@ def test_a_document_of_ours_among_other_files_opens_nothing(tmp_path: Path) -> N
     case = tmp_path / "case"
     case.mkdir()
     (case / "registration.json").write_text(TEXT)
-    (case / "scan.npz").write_bytes(b"measured")  # ours by its name, but not the name of a result
+    (case / "scan.npz").write_bytes(b"measured")  # ours by name, but not the name of a result
     assert "contains scan.npz besides registration.json" in refused(case)
 
 
@@ -299,7 +299,7 @@ MOMENTS = {
 
 
 def export_and_die(out: Path, what: str, at: object, after: bool) -> None:
-    """Replace results, and die on the way."""
+    """Replace results, and die meanwhile."""
     files = results(2)
     if what == "write":
         files = [(name, dying_at(1, write, after=after) if name == at else write) for name, write in files]
@@ -324,11 +324,11 @@ def test_killed_at_any_moment_the_old_or_the_new_is_whole(tmp_path: Path, what: 
     write_folder(out, lambda: results(1))
     killed(PROCESSES.Process(target=export_and_die, args=(out, what, at, after)))
     if what != "rename":
-        assert generation_of(out) in (1, 2)  # the place is never empty where folders can be exchanged
+        assert generation_of(out) in (1, 2)  # the target always exists where folders can be exchanged
     elif not out.exists():
         (aside,) = tmp_path.glob(".out.*.old")
         assert generation_of(aside) == 1
-    check_folder(tmp_path / "beside")  # as the next run there does
+    check_folder(tmp_path / "beside")  # like the next run
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     late = what == "remove" or (what == "exchange" and after) or (what == "rename" and (at, after) >= (2, True))
     assert generation_of(out) == (2 if late else 1)
@@ -413,7 +413,7 @@ def test_a_zip_that_was_killed_leaves_the_old_one(tmp_path: Path) -> None:
 def test_what_only_looks_like_a_leftover_stays(tmp_path: Path) -> None:
     for name in (".out.123-0123456z.part", ".out.part", "out.123-01234567.part", "..123-01234567.part"):
         photographs(tmp_path / name)
-    photographs(tmp_path / ".out.999999-01234567.part")  # ours by its name, but not by what it holds
+    photographs(tmp_path / ".out.999999-01234567.part")  # ours by name, but not by content
     (tmp_path / ".out.999999-01234568.part").write_bytes(b"a file")
     (tmp_path / ".out.999999-01234569.part").symlink_to(tmp_path / "out.123-01234567.part")
     before = tree(tmp_path)

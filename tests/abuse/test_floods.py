@@ -1,4 +1,4 @@
-"""Floods of connections against a real server that may open few files: newcomers get in, and every edit is saved."""
+"""Floods of connections against a real server that may open few files: new clients get in, and every edit is saved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Disks that run full in the middle of a record, and programs that are killed or stopped then."""
+"""Disks that become full in the middle of a record, and programs that are killed or stopped then."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TOKEN = "a-token-for-full-disks"
 
 
 def drawn(place: Path) -> list[int]:
-    """What a project on the disk holds, by the numbers that `draw` was given."""
+    """Content of a project on disk, as the numbers given to `draw`."""
     folder = ProjectFolder(place)
     try:
         history = folder.read()

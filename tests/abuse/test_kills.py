@@ -1,4 +1,4 @@
-"""Ten kills while three people edit."""
+"""Ten kills while three clients edit."""
 
 from __future__ import annotations
 

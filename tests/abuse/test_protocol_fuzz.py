@@ -1,4 +1,4 @@
-"""Hostile messages to a real server: each is answered by a sentence, and what was accepted survives a kill."""
+"""Hostile messages to a real server: each gets a one-sentence reply, and accepted edits survive a kill."""
 
 from __future__ import annotations
 

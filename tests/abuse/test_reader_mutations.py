@@ -1,4 +1,4 @@
-"""Damaged copies of sound files of every format, read in child processes."""
+"""Damaged copies of valid files of every format, read in child processes."""
 
 from __future__ import annotations
 

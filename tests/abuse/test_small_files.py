@@ -1,4 +1,4 @@
-"""Small files that claim, or grow into, very large ones: none may cost more than a gigabyte or five seconds."""
+"""Small files that claim, or expand to, very large ones: none may take more than a gigabyte or five seconds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The memory that a read may use: what readers reckon is what they need, and large honest files still open."""
+"""Memory limits of reading: the readers' estimates match their needs, and large valid files still open."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ladarreg_core.scanner.grids import AzimuthElevation
 from tests.abuse import bombs
 
 ROWS, COLUMNS = 400, 600
-_LIBRARIES = 25_000_000  # what the first use of some functions loads
+_LIBRARIES = 25_000_000  # loaded by the first use of some functions
 
 
 def _large_files(folder: Path, make: Any) -> dict[str, Path]:
@@ -163,7 +163,7 @@ def test_json_is_parsed_once(tmp_path: Path, wall: Scan, make: Any, monkeypatch:
         describe(tmp_path / "bad.json")
     assert len(parsed) == 1
     (tmp_path / "bad.json").write_text('{"matches": []}')
-    with pytest.raises(FormatError, match="scan_coordinates"):  # what was parsed before is not remembered
+    with pytest.raises(FormatError, match="scan_coordinates"):  # earlier parses are not cached
         read_matches(tmp_path / "bad.json", wall)
 
 

@@ -1,4 +1,4 @@
-"""Descriptors: depth pictures and raw counts."""
+"""Descriptors: depth images and raw counts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""E57 scans and pictures."""
+"""E57 scans and images."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAGE = 1024
 
 
 def castagnoli(data: bytes) -> int:
-    """CRC-32C, the check sum of E57 pages."""
+    """CRC-32C, the checksum of E57 pages."""
     value = 0xFFFFFFFF
     for byte in data:
         value ^= byte
@@ -34,7 +34,7 @@ def castagnoli(data: bytes) -> int:
 
 
 def forged(path: Path, old: bytes, new: bytes) -> Path:
-    """The file with a text replaced by one of equal length, its check sums made right again."""
+    """The file with a text replaced by one of equal length, its checksums recomputed."""
     assert len(old) == len(new)
     data = path.read_bytes()
     pages = [data[k : k + PAGE - 4] for k in range(0, len(data), PAGE)]
@@ -166,7 +166,7 @@ def test_claims_with_right_check_sums_are_refused(tmp_path: Path, make: Any, wal
     data = path.read_bytes()
     plain = b"".join(data[k : k + PAGE - 4] for k in range(0, len(data), PAGE))
     text = plain[plain.index(b"<temperature") : plain.index(count) + len(count)]
-    # The longer number takes its room from an element that nobody reads.
+    # The longer number takes its space from an element that is not read.
     claim = text.replace(b'<temperature type="Float"/>', b"", 1).replace(count, b'recordCount="200000000"')
     padded = claim.replace(b"<relativeHumidity", b" " * (len(text) - len(claim)) + b"<relativeHumidity", 1)
     with pytest.raises(FormatError, match="claims 200,000,000 points"):
@@ -174,7 +174,7 @@ def test_claims_with_right_check_sums_are_refused(tmp_path: Path, make: Any, wal
 
 
 def picture_e57(path: Path, make: Any, wall: Scan) -> tuple[Path, Rigid]:
-    """A scan with a pose, and a pinhole picture with one: E57 cameras look along -Z, Y up."""
+    """A scan with a pose, and a pinhole image with one: E57 cameras look along -Z, Y up."""
     import io
 
     import pye57

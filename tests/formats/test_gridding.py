@@ -1,4 +1,4 @@
-"""Clouds laid onto a grid: points are kept, rings stay rings, nothing is mirrored."""
+"""Gridding of clouds: points are kept, rings stay rings, nothing is mirrored."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ UNEVEN = np.concatenate([[-25, -19, -14, -13, -12, -11, -10, -9, -8, -7], np.ara
 
 
 def cells_of_points(cloud: Any, points: np.ndarray) -> np.ndarray:
-    """Which cells (K, 2) hold a return, checked to be points that went in, unmoved."""
+    """Cells (K, 2) with a return, after checking that their points are input points, unmoved."""
     valid = np.isfinite(cloud.ranges)
     found = cloud.geometry.rays[valid] * cloud.ranges[valid][:, None].astype(np.float64)
     known = {tuple(p) for p in np.round(points, 3).tolist()}
     near = sum(tuple(p) in known for p in np.round(found, 3).tolist())
-    assert near > 0.97 * len(found), "points moved"  # rounding at the last digit parts a few
+    assert near > 0.97 * len(found), "points moved"  # rounding of the last digit separates a few
     return np.argwhere(valid)
 
 

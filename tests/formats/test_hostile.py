@@ -1,4 +1,4 @@
-"""Files that are missing, cut off, random or not what they say: one line, quickly, whatever the format."""
+"""Files that are missing, truncated, random or mislabelled: a one-line error, quickly, for every format."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def assert_one_line(error: BaseException) -> None:
 
 
 def refusals(read: Reader, path: Path, contents: list[bytes]) -> int:
-    """How many of the contents are refused; anything but one of our errors ends the test."""
+    """Number of refused contents; any exception other than `LadarregError` fails the test."""
     count = 0
     for content in contents:
         path.write_bytes(content)

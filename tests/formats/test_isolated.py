@@ -1,4 +1,4 @@
-"""Readers in processes of their own: what hangs, crashes or grows costs its file only."""
+"""Readers in separate processes: one that hangs, crashes or grows only fails its own file."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def readers() -> Iterator[IsolatedReaders]:
 
 @pytest.fixture(scope="module")
 def strict() -> Iterator[IsolatedReaders]:
-    """Readers with little patience."""
+    """Readers with short timeouts."""
     found = IsolatedReaders(QUICK)
     yield found
     found.close()
@@ -208,7 +208,7 @@ def test_errors_of_ours_come_back_as_they_are(readers: IsolatedReaders, tmp_path
         assert str(there.value) == str(here.value)
 
 
-# What goes wrong
+# Failures
 
 
 @pytest.mark.parametrize(
@@ -281,7 +281,7 @@ def test_progress_passes_and_is_a_sign_of_life(strict: IsolatedReaders, file: Pa
     assert {progress.label for progress in read} == {"reading"}
     assert [p.done for p in read] == sorted(p.done for p in read)
     assert len({p.done for p in read}) >= steps / 2
-    assert strict.run(misbehaving.goes_on, file, steps, QUICK.silent_s / 4) == steps  # also where nobody listens
+    assert strict.run(misbehaving.goes_on, file, steps, QUICK.silent_s / 4) == steps  # also without a listener
 
 
 def test_cancelling_ends_the_process_even_in_silence(readers: IsolatedReaders, file: Path) -> None:
@@ -360,7 +360,7 @@ def test_the_process_inherits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not [name for name in names if name.startswith("LADARREG_")]
 
 
-# Messages of a process that was taken over
+# Messages of a compromised process
 
 
 def message(text: object, rest: bytes = b"") -> io.BytesIO:

@@ -1,4 +1,4 @@
-"""NPZ scans: what is written is read back, and nothing hostile gets through."""
+"""NPZ scans: files are read back as written, and hostile ones are refused."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_written_points_are_read_back_to_the_bit(tmp_path: Path, wall: Scan) -> 
     scan = read_npz(tmp_path / "a.npz")
     np.testing.assert_allclose(scan.points, wall.points, atol=1e-6)
     np.testing.assert_array_equal(scan.color, colour)
-    # Cells without a return have a ray too, close to where the scanner looked.
+    # Cells without a return have a ray too, close to the scanner's direction.
     assert np.abs(scan.rays - wall.rays).max() < 0.25 * 0.01
 
 
@@ -110,7 +110,7 @@ class Explosive:
 
 
 def bad_files(folder: Path) -> dict[str, Path]:
-    """Every way to be wrong, by the word that its error must hold."""
+    """Invalid files, by a phrase that the error must contain."""
     objects = np.empty((6, 8), dtype=object)
     objects[:] = Explosive()
     good = good_counts()

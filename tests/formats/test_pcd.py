@@ -1,4 +1,4 @@
-"""PCD clouds: three encodings, one scan; headers are judged before they are believed."""
+"""PCD clouds: three encodings, one scan; headers are checked before they are used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photographs: which way up, which focal length, which pixels."""
+"""Photographs: orientation, focal length and pixel formats."""
 
 from __future__ import annotations
 

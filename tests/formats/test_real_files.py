@@ -1,4 +1,4 @@
-"""Real scans: upright, not mirrored, and where their surveys say."""
+"""Real scans: upright, not mirrored, and at their surveyed positions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of a comparison: its numbers, its table, and that nothing is written as registered that is not."""
+"""The exported comparison: its numbers and table, and that only accepted stages are written as registered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The contact sheet: what stands on it, that nothing is cut or claimed too much, and any size of scan and photo."""
+"""The contact sheet: its content, that nothing is clipped or overstated, for any size of scan and photo."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_the_colours_are_the_pages(checkout) -> None:
 
 
 def flat_case(rows: int, columns: int, step_deg: tuple[float, float], size: tuple[int, int]) -> tuple[Scan, Photo]:
-    """Return a wall with a block before it, and a photo of noise."""
+    """Return a wall with a block in front of it, and a photo of noise."""
     geometry = AzimuthElevation(rows, columns, *np.deg2rad(step_deg))
     ranges = 4.0 / geometry.rays[..., 0]
     ranges[rows // 3 : rows // 2, columns // 3 : columns // 2] *= 0.7
@@ -119,7 +119,7 @@ def test_any_case_fits_the_sheet(case, stages, no_pose) -> None:
 
 
 def hostile(comparison: Comparison) -> Comparison:
-    """Return the comparison with what solvers and file names can bring."""
+    """Return the comparison with extreme results and file names."""
     first, second, *rest = comparison.columns
     result = first.stage.result
     count = len(result.matches)
@@ -292,7 +292,7 @@ def test_the_enlargement_makes_the_typical_residual_show(lengths: list[float]) -
 
 
 def test_a_texture_made_by_the_default_is_what_the_tile_shows(scan, photo) -> None:
-    """Two sheets differ where their textures do: the tile is the column's own picture."""
+    """Two sheets differ where their textures do: the tile is the column's own texture."""
     one = comparison_of(scan, photo, POSE, stages=("linear", "default"))
     column = one.columns[0]
     black = texture_scan(scan, Photo(np.zeros_like(photo.pixels), photo.camera), POSE)

@@ -19,7 +19,7 @@ def names(path):
 
 
 def earlier(out, *, accepted=True, **more):
-    """Write what an earlier run left, with something in it that no later one writes."""
+    """Write the results of an earlier run, with content that no later run writes."""
     out.mkdir(parents=True)
     write_document(out / "registration.json", registration_document(sample_registration(accepted=accepted)))
     for name in FILE_NAMES[1:] if accepted else ():
@@ -113,7 +113,7 @@ def test_files_of_ones_own_choice_belong_to_the_results(tmp_path, registration, 
 
 @pytest.fixture(params=["exchanged", "set aside"])
 def way(request, monkeypatch):
-    """Both ways of putting a folder into the place of another, on every system that has both."""
+    """Both ways of replacing a folder, on every system that supports both."""
     if request.param == "set aside":
         monkeypatch.setattr(staging, "_exchange", lambda first, second: False)
     return request.param

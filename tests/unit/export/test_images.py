@@ -34,7 +34,7 @@ def test_the_labels_are_codes_that_a_person_can_read(tmp_path):
         colours = np.asarray(image.convert("RGB"))
     for label in Label:
         assert (colours[labels == label] == LABEL_COLOURS[label]).all()
-    # A reader that turns palettes into colours shows those.
+    # Readers that expand palettes show these colours.
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "labels.png"), cv2.IMREAD_COLOR)[..., ::-1], colours)
     distance = np.linalg.norm(
         [np.subtract(LABEL_COLOURS[a], LABEL_COLOURS[b]) for a in Label for b in Label if a < b], axis=1
@@ -56,7 +56,7 @@ def test_the_png_shows_every_cell_and_a_scale(tmp_path):
     assert light[-1] > 2.5 * light[0]
     np.testing.assert_array_equal(cells[40, 40], cells[0, -1])
     assert read.shape[0] > 90 + 40
-    # The bar holds the very colours of the cells, so that it can be read off.
+    # The bar has exactly the colours of the cells, so that values can be read off.
     bar = {tuple(colour) for row in read[90:] for colour in row.tolist()}
     assert len({tuple(c) for c in cells[0].tolist()} - bar) < 60
     capped = uncertainty_picture(np.minimum(sigma, 2), most_px=2.0)

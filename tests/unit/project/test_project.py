@@ -1,4 +1,4 @@
-"""The document, its edits, its history and the folder that keeps it."""
+"""The document, its edits, its history and the project folder."""
 
 from __future__ import annotations
 
@@ -342,7 +342,7 @@ def test_a_long_history_is_shortened_and_stands_where_it_stood(tmp_path: Path, m
 
 
 def reading_of(place: Path) -> Document:
-    """What project.json holds."""
+    """Content of project.json."""
     return decode_document(
         (place / "project.json").read_bytes(), lambda name: StoredArrays((place / f"arrays/{name}.npz").read_bytes())
     )
