@@ -92,7 +92,7 @@ def require_replaceable(
         reason = (error.strerror or type(error).__name__).lower()
         raise ExportError(f"the folder {called} exists and cannot be read: {reason}; give another folder") from None
     if content.others:
-        beside = f" besides {content.document}" if content.document else ""
+        beside = f" next to {content.document}" if content.document else ""
         raise ExportError(
             f"the folder {called} contains {_listed(content.others)}{beside}, which ladarreg did not write, so it is "
             "not replaced; give another folder, or move them away first"

@@ -79,7 +79,7 @@ def _budget(file: Path, fields: Mapping[str, Any], names: tuple[str, ...], memor
 
 def _depth_image(file: Path, fields: Mapping[str, Any], memory_bytes: int | None, report: Report | None) -> Scan:
     if fields.get("intensity") is None:
-        raise FormatError("the field 'intensity' is missing; a scan needs the laser's intensity besides its depth")
+        raise FormatError("the field 'intensity' is missing; a scan needs the laser's intensity, too")
     unit = number(fields, "depth_unit_m")
     if unit <= 0:
         raise FormatError(f"'depth_unit_m' is {unit:g}; it must be the positive length of one depth unit in metres")

@@ -122,7 +122,7 @@ def _check_size(image: Image, path: Path, budget: ReadBudget) -> None:
         _check_codestream(image, path)
     mode = "I" if image.mode.startswith("I;16") else image.mode
     needed = _BYTES_PER_PIXEL.get(mode, _OTHER_BYTES)
-    if image.format not in ("JPEG", "PNG", "PPM", "BMP"):  # whole strips and frames are decoded besides the image
+    if image.format not in ("JPEG", "PNG", "PPM", "BMP"):  # whole strips and frames are decoded in addition
         needed += _OTHER_BYTES
     if image.info.get("progressive"):
         needed = max(needed, 4.3 + _COEFFICIENT_BYTES * len(image.getbands()))

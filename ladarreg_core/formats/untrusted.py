@@ -101,11 +101,11 @@ def inside_folder(folder: Path, name: object, what: str) -> Path:
         FormatError: if the name is not a relative path, or leads out of the folder, be it through a symbolic link.
     """
     if not isinstance(name, str) or not name.strip() or "\0" in name:
-        raise FormatError(f"{what} is {one_line(repr(name), 60)}; it must be the name of a file beside this one")
+        raise FormatError(f"{what} is {one_line(repr(name), 60)}; it must be the name of a file next to this one")
     home = folder.resolve()
     target = (home / name).resolve()
     if Path(name).is_absolute() or not target.is_relative_to(home):
-        raise FormatError(f"{what} {one_line(repr(name), 60)} leads out of the folder; put the file beside this one")
+        raise FormatError(f"{what} {one_line(repr(name), 60)} leads out of the folder; put the file next to this one")
     return target
 
 

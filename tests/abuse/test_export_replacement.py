@@ -149,19 +149,19 @@ def test_a_document_that_is_not_ours_opens_nothing(tmp_path: Path, document: byt
 def test_a_document_of_ours_among_other_files_opens_nothing(tmp_path: Path) -> None:
     folder = photographs(tmp_path / "holiday")
     (folder / "registration.json").write_text(TEXT)
-    assert "contains IMG_0000.jpg, IMG_0001.jpg, IMG_0002.jpg and 2 more besides registration.json" in refused(folder)
+    assert "contains IMG_0000.jpg, IMG_0001.jpg, IMG_0002.jpg and 2 more next to registration.json" in refused(folder)
     comparison = tmp_path / "comparison"
     comparison.mkdir()
     pictures = ["IMG_0001.jpg", "../holiday/IMG_0001.jpg", "registered_a.png", 3, None]
     columns = [{"picture": name} for name in pictures]
     (comparison / "comparison.json").write_text(json.dumps({**DOCUMENT, "columns": [*columns, 5]}))
     (comparison / "IMG_0001.jpg").write_bytes(b"mine")
-    assert "contains IMG_0001.jpg besides comparison.json" in refused(comparison)
+    assert "contains IMG_0001.jpg next to comparison.json" in refused(comparison)
     case = tmp_path / "case"
     case.mkdir()
     (case / "registration.json").write_text(TEXT)
     (case / "scan.npz").write_bytes(b"measured")  # ours by name, but not the name of a result
-    assert "contains scan.npz besides registration.json" in refused(case)
+    assert "contains scan.npz next to registration.json" in refused(case)
 
 
 @pytest.mark.parametrize("odd", ["link", "folder", "pipe"])

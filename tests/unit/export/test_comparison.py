@@ -191,7 +191,7 @@ def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, comparison, scan, p
     assert names(out) == written
     assert (out / "table.md").read_text(encoding="utf-8") != "old"
     (out / "registered_by_hand.png").write_bytes(b"mine")
-    with pytest.raises(ExportError, match=r"contains registered_by_hand\.png besides comparison\.json"):
+    with pytest.raises(ExportError, match=r"contains registered_by_hand\.png next to comparison\.json"):
         export_comparison(out, comparison, scan, photo, force=True)
 
 

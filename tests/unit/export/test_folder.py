@@ -105,7 +105,7 @@ def test_results_that_were_refused_are_replaced_without_being_asked(tmp_path, re
 def test_files_of_ones_own_choice_belong_to_the_results(tmp_path, registration, scan, photo):
     more = [(name, lambda path: path.write_text("new")) for name in ("matches.json", "my matches.csv")]
     export_registration(tmp_path / "out", registration, scan, photo, more=more)
-    with pytest.raises(ExportError, match=r"contains my matches\.csv besides registration\.json, which"):
+    with pytest.raises(ExportError, match=r"contains my matches\.csv next to registration\.json, which"):
         export_registration(tmp_path / "out", registration, scan, photo, force=True)
     export_registration(tmp_path / "out", registration, scan, photo, more=more, force=True)
     assert names(tmp_path / "out") == sorted([*FILE_NAMES, "matches.json", "my matches.csv"])
@@ -188,7 +188,7 @@ def test_a_file_that_appears_at_the_last_moment_is_kept(tmp_path, registration, 
         real(new, target, verify)
 
     monkeypatch.setattr("ladarreg_core.export.folder.put_in_place", put_in_place)
-    with pytest.raises(ExportError, match=r"contains IMG_0001\.jpg besides registration\.json"):
+    with pytest.raises(ExportError, match=r"contains IMG_0001\.jpg next to registration\.json"):
         export_registration(out, registration, scan, photo, force=True)
     assert names(tmp_path) == ["out"]
     assert held(out) == {**old, "IMG_0001.jpg": b"just saved"}
