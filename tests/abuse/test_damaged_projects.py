@@ -150,7 +150,7 @@ def aside(place: Path, name: str) -> list[bytes]:
 
 
 @pytest.mark.parametrize("name", ["history.jsonl", "project.json"])
-def test_a_flipped_bit_costs_nothing(kept: Kept, tmp_path: Path, name: str) -> None:
+def test_a_flipped_bit_loses_nothing(kept: Kept, tmp_path: Path, name: str) -> None:
     for index, bit in places_to_flip(kept.files[name], 60):
         damaged = flipped(kept.files[name], index, bit)
         place = written(tmp_path / "p", kept.files | {name: damaged})
@@ -160,7 +160,7 @@ def test_a_flipped_bit_costs_nothing(kept: Kept, tmp_path: Path, name: str) -> N
         assert aside(place, name) == [damaged], "and the damaged file is kept"
 
 
-def test_a_flipped_bit_in_arrays_costs_the_matches_in_them(kept: Kept, tmp_path: Path) -> None:
+def test_a_flipped_bit_in_arrays_loses_only_their_matches(kept: Kept, tmp_path: Path) -> None:
     for name in [name for name in kept.files if name.startswith("arrays/")]:
         for index, bit in places_to_flip(kept.files[name], 8):
             damaged = flipped(kept.files[name], index, bit)
@@ -200,9 +200,7 @@ def test_any_single_file_can_be_missing(kept: Kept, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["history.jsonl", "project.json"])
 @pytest.mark.parametrize("damage", ["cut to nothing", "cut", "zeros", "a line", "other bytes"])
-def test_worse_damage_of_one_file_costs_no_more_than_steps_back(
-    kept: Kept, tmp_path: Path, name: str, damage: str
-) -> None:
+def test_worse_damage_of_one_file_loses_only_undo_steps(kept: Kept, tmp_path: Path, name: str, damage: str) -> None:
     data = kept.files[name]
     for at in range(0, len(data), max(len(data) // 12, 1)):
         cut = {
@@ -224,7 +222,7 @@ def test_worse_damage_of_one_file_costs_no_more_than_steps_back(
             assert [entry for entry in whole if entry[0] in numbers and entry not in sound] == [], "the sound prefix"
 
 
-def test_what_follows_on_project_json_is_not_lost_with_what_was_before_it(tmp_path: Path) -> None:
+def test_records_after_project_json_survive_the_loss_of_earlier_ones(tmp_path: Path) -> None:
     """Records are lost before a kill after which project.json is outdated: it and the records after it are used."""
     work = Work(tmp_path / "work")
     for k in range(6):
@@ -243,7 +241,7 @@ def test_what_follows_on_project_json_is_not_lost_with_what_was_before_it(tmp_pa
     assert json.loads(files["project.json"])["seq"] < json.loads(lines[-2])["seq"]
 
 
-def test_a_record_that_was_torn_within_the_file_costs_itself(kept: Kept, tmp_path: Path) -> None:
+def test_a_truncated_record_within_the_file_loses_only_itself(kept: Kept, tmp_path: Path) -> None:
     """As left by versions that treated a truncated record as complete when the disk was full."""
     lines = kept.files["history.jsonl"].split(b"\n")
     for torn in range(1, len(lines) - 2):
@@ -252,7 +250,7 @@ def test_a_record_that_was_torn_within_the_file_costs_itself(kept: Kept, tmp_pat
         assert history.document == kept.history.document
 
 
-def test_both_files_beyond_help_are_left_alone(kept: Kept, tmp_path: Path) -> None:
+def test_two_unreadable_files_are_left_unchanged(kept: Kept, tmp_path: Path) -> None:
     place = written(tmp_path / "p", {**kept.files, "history.jsonl": b"#" * 50, "project.json": b""})
     before = files_of(place)
     with pytest.raises(FormatError, match="both damaged"):
@@ -261,7 +259,7 @@ def test_both_files_beyond_help_are_left_alone(kept: Kept, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["project.json", "history.jsonl"])
-def test_a_project_of_a_newer_version_says_so_and_is_left_alone(kept: Kept, tmp_path: Path, name: str) -> None:
+def test_a_project_of_a_newer_version_is_refused_and_left_unchanged(kept: Kept, tmp_path: Path, name: str) -> None:
     newer = json.dumps({"version": 2, "name": "newer", "photos": {"of another": "shape"}}).encode()
     line = json.dumps({"commit": {"number": 0, "label": "", "author": "", "when": WHEN}, "document": json.loads(newer)})
     files = {"project.json": newer} if name == "project.json" else {"history.jsonl": line.encode() + b"\n"}
@@ -272,7 +270,7 @@ def test_a_project_of_a_newer_version_says_so_and_is_left_alone(kept: Kept, tmp_
 
 
 @pytest.mark.parametrize("left", ["both", "project.json", "history.jsonl"])
-def test_fields_that_are_not_known_are_written_again(kept: Kept, tmp_path: Path, left: str) -> None:
+def test_unknown_fields_are_preserved(kept: Kept, tmp_path: Path, left: str) -> None:
     """A version that adds fields without changing the meaning of others."""
     place = written(tmp_path / "p", kept.files)
 
@@ -348,7 +346,7 @@ def test_a_lock_that_was_removed_still_holds(tmp_path: Path) -> None:
     ProjectFolder(tmp_path / "p").close()
 
 
-def test_a_history_that_somebody_removes_or_replaces_is_written_again(tmp_path: Path) -> None:
+def test_a_removed_or_replaced_history_is_rewritten(tmp_path: Path) -> None:
     work = Work(tmp_path / "p")
     log = tmp_path / "p" / "history.jsonl"
     log.unlink()
@@ -365,7 +363,7 @@ def test_a_history_that_somebody_removes_or_replaces_is_written_again(tmp_path: 
     assert said == ()
 
 
-def test_nothing_but_a_sentence_comes_of_a_folder_without_a_project(tmp_path: Path) -> None:
+def test_a_folder_without_a_project_is_refused(tmp_path: Path) -> None:
     folder = ProjectFolder(tmp_path / "p")
     assert not folder.begun
     with pytest.raises(LadarregError, match="no project"):

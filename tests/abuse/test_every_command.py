@@ -213,7 +213,7 @@ def test_the_sweep_knows_every_command() -> None:
 
 
 @pytest.mark.parametrize("do", sorted(SOUND))
-def test_a_command_is_refused_or_kept(page: Page, tmp_path: Path, do: str) -> None:
+def test_a_command_is_refused_or_saved(page: Page, tmp_path: Path, do: str) -> None:
     page.bench.do("go_to", n=max(entry["n"] for entry in page.bench.slice("history")["entries"]))
     last = page.bench.workbench.session.history.present.number
     for sound in SOUND[do]:

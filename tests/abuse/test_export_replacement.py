@@ -248,7 +248,7 @@ def test_an_input_is_never_replaced(tmp_path: Path, spelled: Callable[[Path], Pa
 
 
 @pytest.mark.parametrize("name", ["a\0b", "x" * 300, "/" * 5000 + "x" * 300, "\udcff\n" + "y" * 400, "/", "/proc/x/y"])
-def test_odd_names_are_refused_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_odd_names_are_refused_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ExportError) as caught:
         write_folder(name, lambda: results(1), force=True)
@@ -378,7 +378,7 @@ def export_beside_others(out: Path, seconds: float, exchange: bool) -> None:
 
 
 @pytest.mark.parametrize("exchange", [True, False])
-def test_several_programs_at_one_place_leave_one_whole_result(tmp_path: Path, exchange: bool) -> None:
+def test_concurrent_programs_leave_one_complete_result(tmp_path: Path, exchange: bool) -> None:
     out = tmp_path / "out"
     write_folder(out, lambda: results(0))
     processes = [PROCESSES.Process(target=export_beside_others, args=(out, 0.7, exchange)) for _ in range(3)]
@@ -410,7 +410,7 @@ def test_a_zip_that_was_killed_leaves_the_old_one(tmp_path: Path) -> None:
     assert target.read_bytes() != before
 
 
-def test_what_only_looks_like_a_leftover_stays(tmp_path: Path) -> None:
+def test_folders_that_only_look_like_leftovers_stay(tmp_path: Path) -> None:
     for name in (".out.123-0123456z.part", ".out.part", "out.123-01234567.part", "..123-01234567.part"):
         photographs(tmp_path / name)
     photographs(tmp_path / ".out.999999-01234567.part")  # ours by name, but not by content

@@ -22,7 +22,7 @@ def seeds(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Seed]]:
 
 
 @pytest.mark.parametrize("name", [known.name for known in FORMATS])
-def test_damaged_files_cost_an_error_and_nothing_else(seeds: tuple[Path, list[Seed]], name: str) -> None:
+def test_damaged_files_only_cause_errors(seeds: tuple[Path, list[Seed]], name: str) -> None:
     folder, known = seeds
     if name == "E57" and importlib.util.find_spec("pye57") is None:
         pytest.skip("pye57 is not installed")

@@ -52,7 +52,7 @@ def _large_files(folder: Path, make: Any) -> dict[str, Path]:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs os.fork and the resource module")
-def test_readers_use_what_they_reckon(tmp_path: Path, make: Any) -> None:
+def test_readers_use_the_memory_they_estimate(tmp_path: Path, make: Any) -> None:
     files = _large_files(tmp_path, make)
     assert len(files) == 7
     costs = bombs.costs_of([("scan", path) for path in files.values()])
@@ -68,7 +68,7 @@ def test_readers_use_what_they_reckon(tmp_path: Path, make: Any) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs os.fork and the resource module")
-def test_photographs_use_what_is_reckoned(tmp_path: Path) -> None:
+def test_photographs_use_the_memory_they_estimate(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (1500, 2000, 3), dtype=np.uint8)
     image = Image.fromarray(pixels)
     image.save(tmp_path / "a.jpg")
@@ -87,7 +87,7 @@ def test_photographs_use_what_is_reckoned(tmp_path: Path) -> None:
         assert cost.peak_bytes < 1e9 * float(found[1]) + _LIBRARIES, (path.name, found[1], cost)
 
 
-def test_large_honest_files_have_room() -> None:
+def test_large_valid_files_are_within_the_budget() -> None:
     ReadBudget.of(98_000_000).require(10_000_000 * 432, "10 million points of an E57")
     ReadBudget.of(8_000_000).require_pixels(12_240, 8_160, 10.3)  # 100 Mpixel, progressive
     ReadBudget.of(40_000_000).require_cells(2500, 4000, 218)
@@ -105,7 +105,7 @@ def test_the_budget_is_an_option_and_named(tmp_path: Path, wall: Scan) -> None:
             read_scan(tmp_path / "a.npz", memory_bytes=wrong)  # type: ignore[arg-type]
 
 
-def test_nothing_is_read_at_the_length_that_a_header_claims(tmp_path: Path) -> None:
+def test_claimed_header_lengths_are_not_trusted(tmp_path: Path) -> None:
     path = bombs.npz_of_long_header(tmp_path / "a.npz", header_bytes=30 << 20)
     with pytest.raises(FormatError, match="damaged header"):
         read_npz(path)

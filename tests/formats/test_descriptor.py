@@ -109,7 +109,7 @@ def counts_descriptor(folder: Path, raw: bytes, **changes: Any) -> Path:
     dtype=st.sampled_from(["<u4", ">u4", ">i4", "<u8", "uint32"]),
     header=st.integers(0, 40),
 )
-def test_packed_words_are_taken_apart(
+def test_packed_words_are_unpacked(
     tmp_path_factory: pytest.TempPathFactory, counts: list[int], strength: list[int], dtype: str, header: int
 ) -> None:
     folder = tmp_path_factory.mktemp("counts")
@@ -127,7 +127,7 @@ def test_packed_words_are_taken_apart(
     assert scan.geometry == AzimuthElevation(3, 4, 0.01, 0.01, 0.005, 0.0)
 
 
-def test_intensity_from_a_file_of_its_own(tmp_path: Path) -> None:
+def test_intensity_from_a_separate_file(tmp_path: Path) -> None:
     (tmp_path / "ir.raw").write_bytes(np.arange(12, dtype=">f4").tobytes())
     raw = np.arange(1, 13, dtype=">u2").tobytes() + b"tail"
     scan = read_scan(counts_descriptor(tmp_path, raw, dtype=">u2", intensity_file="ir.raw", intensity_dtype=">f4"))

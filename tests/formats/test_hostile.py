@@ -67,7 +67,7 @@ def good_files(tmp_path_factory: pytest.TempPathFactory, make: Any, wall: Scan) 
     return {name: (folder / name, reader) for name, reader in readers.items()}
 
 
-def test_cut_off_at_fifty_places(good_files: dict[str, tuple[Path, Reader]]) -> None:
+def test_truncated_at_fifty_lengths(good_files: dict[str, tuple[Path, Reader]]) -> None:
     for name, (path, read) in good_files.items():
         read(path)
         data = path.read_bytes()
@@ -105,7 +105,7 @@ def test_random_bytes_after_any_beginning(
     assert not (tmp_path / "out").exists()
 
 
-def test_what_is_no_file(tmp_path: Path, wall: Scan) -> None:
+def test_paths_that_are_not_files_are_refused(tmp_path: Path, wall: Scan) -> None:
     (tmp_path / "empty.npz").touch()
     os.mkfifo(tmp_path / "pipe.npz")
     paths = {
@@ -134,7 +134,7 @@ def test_odd_names_do_not_break_the_line(tmp_path: Path) -> None:
         assert_one_line(caught.value)
 
 
-def test_formats_are_told_by_content_alone(
+def test_formats_are_recognised_by_content_alone(
     tmp_path: Path, good_files: dict[str, tuple[Path, Reader]], wall: Scan
 ) -> None:
     for name, (path, read) in good_files.items():

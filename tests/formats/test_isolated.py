@@ -140,7 +140,7 @@ def test_every_geometry_can_be_sent() -> None:
     assert every == known
 
 
-def test_readers_answer_as_they_do_here(readers: IsolatedReaders, tmp_path: Path) -> None:
+def test_readers_return_the_same_as_in_this_process(readers: IsolatedReaders, tmp_path: Path) -> None:
     folder = sample_folder()
     photo = next(folder.glob("photo.*"))
     scan = readers.run(read_scan, folder / "scan.npz", scan_index=0)
@@ -160,7 +160,7 @@ def test_readers_answer_as_they_do_here(readers: IsolatedReaders, tmp_path: Path
     assert np.array_equal(found.photo, direct.photo)
 
 
-def test_a_thermal_picture_keeps_its_temperatures() -> None:
+def test_a_thermal_image_keeps_its_temperatures() -> None:
     kelvin = np.linspace(290, 300, 12, dtype=np.float32).reshape(3, 4)
     photo = Photo(np.zeros((3, 4, 3), np.uint8), Camera.from_focal(4, 3, 5.0), temperature_k=kelvin, calibrated=True)
     stream = io.BytesIO()
@@ -228,7 +228,7 @@ def test_errors_of_ours_come_back_as_they_are(readers: IsolatedReaders, tmp_path
     ids=lambda value: getattr(value, "__name__", ""),
 )
 @pytest.mark.skipif(sys.platform == "win32", reason="a crash has another code there")
-def test_whatever_goes_wrong_is_one_refusal(
+def test_every_failure_is_one_refusal(
     strict: IsolatedReaders, file: Path, reader: Callable[[Path], None], says: str
 ) -> None:
     with pytest.raises(FormatError) as refused:
@@ -273,7 +273,7 @@ def test_a_file_that_crashed_is_refused_at_once_until_it_changes(strict: Isolate
     assert time.monotonic() - begun >= QUICK.silent_s
 
 
-def test_progress_passes_and_is_a_sign_of_life(strict: IsolatedReaders, file: Path) -> None:
+def test_progress_is_forwarded_and_restarts_the_timeout(strict: IsolatedReaders, file: Path) -> None:
     told: list[Progress] = []
     steps = 8
     assert strict.run(misbehaving.goes_on, file, steps, QUICK.silent_s / 4, report=told.append) == steps
@@ -284,7 +284,7 @@ def test_progress_passes_and_is_a_sign_of_life(strict: IsolatedReaders, file: Pa
     assert strict.run(misbehaving.goes_on, file, steps, QUICK.silent_s / 4) == steps  # also without a listener
 
 
-def test_cancelling_ends_the_process_even_in_silence(readers: IsolatedReaders, file: Path) -> None:
+def test_cancelling_ends_the_process_even_without_progress(readers: IsolatedReaders, file: Path) -> None:
     process = readers.run(misbehaving.process_id)
     begun = time.monotonic()
 
@@ -301,7 +301,7 @@ def test_cancelling_ends_the_process_even_in_silence(readers: IsolatedReaders, f
     assert readers.run(misbehaving.process_id) != process
 
 
-def test_a_sound_file_leaves_the_process_a_damaged_one_replaces_it(readers: IsolatedReaders, file: Path) -> None:
+def test_only_a_damaged_file_replaces_the_process(readers: IsolatedReaders, file: Path) -> None:
     first = readers.run(misbehaving.process_id)
     assert readers.run(misbehaving.size_of, file) == 12
     assert readers.run(misbehaving.process_id) == first

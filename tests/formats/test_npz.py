@@ -82,7 +82,7 @@ def test_zero_nan_and_infinite_points_are_no_returns(tmp_path: Path, wall: Scan)
     np.testing.assert_array_equal(scan.valid, expected)
 
 
-def test_intensity_that_is_not_finite_costs_its_return(tmp_path: Path) -> None:
+def test_cells_without_finite_intensity_are_no_returns(tmp_path: Path) -> None:
     fields = good_counts()
     fields["intensity"] = fields["intensity"].astype(np.float64)
     fields["intensity"][2, 3:6] = [np.nan, np.inf, 1e300]
@@ -98,7 +98,7 @@ def test_millimetres_are_suspected_and_not_converted(tmp_path: Path, wall: Scan)
     assert read_npz(save(tmp_path / "b.npz", xyz=wall.points, intensity=wall.intensity)).notes == ()
 
 
-def test_a_mirrored_grid_is_told_and_kept(tmp_path: Path, wall: Scan) -> None:
+def test_a_mirrored_grid_is_noted_and_kept(tmp_path: Path, wall: Scan) -> None:
     scan = read_npz(save(tmp_path / "a.npz", xyz=wall.points[:, ::-1], intensity=wall.intensity))
     assert "mirrored" in scan.notes[0]
     np.testing.assert_allclose(scan.points, wall.points[:, ::-1], atol=1e-6)
@@ -155,7 +155,7 @@ def npy_claiming(shape: tuple[int, ...], body: bytes) -> bytes:
     return stream.getvalue() + body
 
 
-def test_claims_without_data_are_refused_before_memory_is_asked_for(tmp_path: Path) -> None:
+def test_claims_without_data_are_refused_before_allocation(tmp_path: Path) -> None:
     for shape in ((20_000, 10_000), (2**40, 2**22), (6, 8)):
         path = tmp_path / "claim.npz"
         with zipfile.ZipFile(path, "w") as archive:

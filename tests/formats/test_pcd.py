@@ -35,12 +35,12 @@ def test_lzf_gives_back_what_was_compressed(make: Any, data: bytes) -> None:
 
 
 @given(st.binary(min_size=1, max_size=400), st.integers(0, 2000))
-def test_lzf_of_nonsense_is_an_error_or_of_the_size_asked(data: bytes, size: int) -> None:
+def test_random_lzf_is_an_error_or_has_the_requested_size(data: bytes, size: int) -> None:
     with contextlib.suppress(FormatError):
         assert len(lzf_decompress(data, size)) == size
 
 
-def test_three_encodings_hold_one_organised_scan(tmp_path: Path, make: Any, wall: Scan) -> None:
+def test_three_encodings_give_the_same_organised_scan(tmp_path: Path, make: Any, wall: Scan) -> None:
     points, intensity = cloud_of(wall)
     for encoding in ENCODINGS:
         data = make.pcd(points, intensity, encoding=encoding, width=wall.shape[1], height=wall.shape[0])
@@ -53,7 +53,7 @@ def test_three_encodings_hold_one_organised_scan(tmp_path: Path, make: Any, wall
 @pytest.mark.parametrize("flip_rows", [False, True])
 @pytest.mark.parametrize("flip_columns", [False, True])
 @pytest.mark.parametrize("transpose", [False, True])
-def test_organised_clouds_are_turned_the_right_way_up(
+def test_organised_clouds_are_put_upright(
     tmp_path: Path, make: Any, wall: Scan, flip_rows: bool, flip_columns: bool, transpose: bool
 ) -> None:
     def changed(grid: np.ndarray) -> np.ndarray:
@@ -85,7 +85,7 @@ def test_a_depth_cameras_optical_frame_keeps_its_grid(tmp_path: Path, make: Any,
     np.testing.assert_allclose(scan.points.reshape(-1, 3), optical, atol=1e-6)
 
 
-def test_a_header_that_lies_about_the_order_is_found_out(tmp_path: Path, make: Any, wall: Scan) -> None:
+def test_a_header_with_a_wrong_order_is_detected(tmp_path: Path, make: Any, wall: Scan) -> None:
     stored_by_column = wall.points.swapaxes(0, 1).reshape(-1, 3)
     intensity = wall.intensity.swapaxes(0, 1).ravel()
     data = make.pcd(stored_by_column, intensity, width=wall.shape[1], height=wall.shape[0])

@@ -89,7 +89,7 @@ def test_whole_numbers_of_another_type_are_pixels() -> None:
 
 
 @pytest.mark.parametrize("path", [None, 0, 3.5, b"scan.npz", ["scan.npz"]])
-def test_what_is_no_path_is_said_so(path: Any) -> None:
+def test_invalid_paths_are_named_in_the_error(path: Any) -> None:
     for read in (lr.read_scan, lambda p: lr.read_photo(p, focal_px=500)):
         with pytest.raises(FormatError, match="is not a path"):
             read(path)

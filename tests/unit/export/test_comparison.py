@@ -38,7 +38,7 @@ def strict(text):
     return json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
 
 
-def test_the_folder_holds_everything_under_its_true_name(tmp_path, comparison, scan, photo) -> None:
+def test_the_folder_contains_everything_under_its_name(tmp_path, comparison, scan, photo) -> None:
     source = tmp_path / "elsewhere" / "scan.npz"
     source.parent.mkdir()
     source.write_bytes(b"123")
@@ -62,7 +62,7 @@ def test_the_folder_holds_everything_under_its_true_name(tmp_path, comparison, s
     assert str(tmp_path) not in json.dumps(document)
 
 
-def test_every_column_says_its_numbers(comparison, scan) -> None:
+def test_every_column_has_its_numbers(comparison, scan) -> None:
     document = comparison_document(comparison, scan)
     for column, told in zip(comparison.columns, document["columns"], strict=True):
         result = column.stage.result
@@ -142,7 +142,7 @@ def test_the_text_keeps_its_lines(comparison, scan) -> None:
     assert sum(line.startswith("- ") for line in wild.splitlines()) == 5
 
 
-def test_an_unaccepted_default_is_no_measure(scan, photo) -> None:
+def test_an_unaccepted_default_is_cautioned_about(scan, photo) -> None:
     refused = comparison_of(scan, photo, POSE, accepted=())
     assert "default itself is not accepted" in table_text(refused, scan)
     assert comparison_document(refused, scan)["cautions"]
@@ -162,7 +162,7 @@ def test_figures_leave_out_what_is_not_a_number(comparison) -> None:
     assert np.isnan([rms_px(nothing), rms_depth_m(nothing)]).all()
 
 
-def test_what_solvers_can_bring_is_written(tmp_path, scan, photo) -> None:
+def test_extreme_results_are_written(tmp_path, scan, photo) -> None:
     export_comparison(tmp_path / "out", hostile(comparison_of(scan, photo, POSE)), scan, photo)
     document = strict((tmp_path / "out" / "comparison.json").read_text(encoding="utf-8"))
     assert document["columns"][0]["rms_px"] is None

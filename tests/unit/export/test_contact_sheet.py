@@ -150,13 +150,13 @@ def hostile(comparison: Comparison) -> Comparison:
     )
 
 
-def test_what_solvers_can_bring_is_drawn(scan, photo) -> None:
+def test_extreme_results_are_drawn(scan, photo) -> None:
     comparison = hostile(comparison_of(scan, photo, POSE))
     sheet = contact_sheet(comparison, scan, photo)
     np.testing.assert_array_equal(sheet, contact_sheet(comparison, scan, photo))
 
 
-def test_accepted_and_not_are_told_apart_by_their_colours(scan, photo) -> None:
+def test_accepted_and_not_accepted_differ_in_colour(scan, photo) -> None:
     sheets = [
         contact_sheet(comparison_of(scan, photo, POSE, stages=("simplex", "default"), accepted=names), scan, photo)
         for names in ((), ("default",), ("simplex", "default"))
@@ -172,7 +172,7 @@ def test_accepted_and_not_are_told_apart_by_their_colours(scan, photo) -> None:
     assert refused[2] < 50
 
 
-def test_a_comparison_of_nothing_is_refused(scan, photo, tmp_path) -> None:
+def test_an_empty_comparison_is_refused(scan, photo, tmp_path) -> None:
     with pytest.raises(ShapeError, match="no columns"):
         contact_sheet(Comparison(columns=()), scan, photo)
     other = comparison_of(scan, photo, POSE, stages=("default",))
@@ -213,7 +213,7 @@ def test_the_detail_shows_the_depth_edge_that_is_seen() -> None:
 
 
 @given(st.integers(0, 2**31), st.floats(0, 1))
-def test_windows_hold_what_is_seen_and_stay_on_the_grid(seed: int, share: float) -> None:
+def test_windows_contain_the_coloured_cells_and_stay_on_the_grid(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     shape = tuple(rng.integers(2, 60, 2).tolist())
     geometry = AzimuthElevation(*shape, 0.01, 0.01)

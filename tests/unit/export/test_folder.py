@@ -46,7 +46,7 @@ def test_what_is_not_accepted_is_never_written_as_registered(tmp_path, scan, pho
     assert json.loads((tmp_path / "out" / "registration.json").read_text(encoding="utf-8"))["accepted"] is False
 
 
-def test_the_uncertainty_stands_on_the_scan_beside_the_labels(tmp_path, registration, scan, photo):
+def test_the_uncertainty_is_on_the_scan_grid_like_the_labels(tmp_path, registration, scan, photo):
     export_registration(tmp_path / "out", registration, scan, photo)
     picture = np.asarray(Image.open(tmp_path / "out" / "uncertainty.png"))[: scan.shape[0], : scan.shape[1]]
     points = registration.camera_from_scanner @ np.nan_to_num(scan.points, nan=-1.0)
@@ -91,7 +91,7 @@ def test_results_are_refused_or_replaced(tmp_path, registration, scan, photo):
     assert names(tmp_path) == ["out"]
 
 
-def test_results_that_were_refused_are_replaced_without_being_asked(tmp_path, registration, scan, photo):
+def test_refused_results_are_replaced_without_force(tmp_path, registration, scan, photo):
     earlier(tmp_path / "alone", accepted=False)
     export_registration(tmp_path / "alone", registration, scan, photo)
     assert names(tmp_path / "alone") == sorted(FILE_NAMES)
@@ -102,7 +102,7 @@ def test_results_that_were_refused_are_replaced_without_being_asked(tmp_path, re
     assert held(tmp_path / "beside") == {**old, "labels.png": b"mine"}
 
 
-def test_files_of_ones_own_choice_belong_to_the_results(tmp_path, registration, scan, photo):
+def test_additional_files_belong_to_the_results(tmp_path, registration, scan, photo):
     more = [(name, lambda path: path.write_text("new")) for name in ("matches.json", "my matches.csv")]
     export_registration(tmp_path / "out", registration, scan, photo, more=more)
     with pytest.raises(ExportError, match=r"contains my matches\.csv next to registration\.json, which"):
@@ -210,7 +210,7 @@ def test_two_at_once_replace_one_after_the_other_or_are_refused(tmp_path, way):
     assert held(out)["labels.png"] == b"inner"
 
 
-def test_places_that_cannot_be_are_refused_in_one_line(tmp_path, registration, scan, photo, monkeypatch):
+def test_impossible_folders_are_refused_in_one_line(tmp_path, registration, scan, photo, monkeypatch):
     (tmp_path / "file").write_text("mine", encoding="utf-8")
     (tmp_path / "link").symlink_to(tmp_path)
     for place in ("file", "link", "file/below"):

@@ -87,7 +87,7 @@ def test_a_texture_too_large_is_reduced(scan):
     assert read.visual.material.baseColorTexture.size == (8192, 2)
 
 
-def test_a_model_of_nothing_is_refused_in_words():
+def test_an_empty_model_is_refused_with_a_reason():
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), (4, 4))
     with pytest.raises(ExportError, match="no surface"):
         glb_bytes(empty, np.zeros((4, 4, 3), np.uint8))
@@ -111,7 +111,7 @@ def test_a_colour_is_shown_to_within_3_levels_wherever_the_curve_can_make_it(rgb
     assert error.max() <= 3 or not inside
 
 
-def test_what_photographs_are_made_of_can_be_shown():
+def test_muted_colours_can_be_displayed():
     """Muted colours, of at most half saturation and up to 90 % bright."""
     rng = np.random.default_rng(0)
     value, saturation = rng.uniform(10, 230, 4000), rng.uniform(0, 0.5, 4000)

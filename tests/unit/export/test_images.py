@@ -75,7 +75,7 @@ def test_the_scale_ends_at_a_round_number_just_above_nearly_all(values):
     assert uncertainty_picture(sigma).shape[0] > 1
 
 
-def test_what_cannot_be_drawn_is_named(tmp_path):
+def test_invalid_uncertainties_are_named_in_the_error(tmp_path):
     sigma = np.ones((4, 5))
     for bad in (0, -1, np.nan, np.inf, "2", True):
         with pytest.raises(OptionError, match="most_px"):
