@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ladarreg_core.errors import LadarregError, UnsavedError
-from ladarreg_core.project.changes import check_readable
+from ladarreg_core.project.delta import check_readable
 from ladarreg_core.project.document import Document
-from ladarreg_core.project.elsewhere import write_elsewhere
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
+from ladarreg_core.project.rescue import write_rescue_copy
 
 from .debounce import Debouncer
 
@@ -167,7 +167,7 @@ class Session:
         lacking = f"the project {self.folder.path} lacks all edits since {self._saved_at} ({self.unsaved})"
         name = f"{self.folder.path.name}-unsaved-{datetime.datetime.now():%Y%m%d-%H%M%S}"
         try:
-            place = write_elsewhere(self.folder, self._history, self._elsewhere, name=name)
+            place = write_rescue_copy(self.folder, self._history, self._elsewhere, name=name)
         except LadarregError as error:
             return f"{lacking}, and they are lost: {error}"
         return f"{lacking}; the whole project including them is in {place}: open it with 'ladarreg serve {place}'"

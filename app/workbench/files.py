@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import stat
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +11,7 @@ from typing import Any, Literal, get_args
 
 import msgspec
 
-from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.errors import OptionError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 
@@ -24,11 +23,6 @@ from .selection import Selection
 What = Literal["scan", "photo", "camera", "matches"]
 _MAX_SERVED = 2000
 _MAX_DEPTH = 4
-_PHOTOS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"}
-_SCANS = {".e57", ".pcd", ".npz"}
-_TEXT_KINDS = {".json", ".yaml", ".yml", ".csv"}
-_HEAD_BYTES = 4096
-_DESCRIPTOR = re.compile(rb'"kind"\s*:\s*"(depth-image|counts)"')
 
 
 class Files:
@@ -191,6 +185,8 @@ class Files:
 
         They may open files of a known kind, unless any part of the path, or of the target of a link, is hidden.
         """
+        from ladarreg_core.formats import listed_kind
+
         served = self._served
         if served is None or not _is_unicode(str(path)):
             return None
@@ -200,10 +196,10 @@ class Files:
                 steps = way.relative_to(served).parts
                 if any(_is_hidden(served.joinpath(*steps[: k + 1])) for k in range(len(steps))):
                     return None
-            kind = _kind(target) if target.is_file() else None
+            kind = listed_kind(target) if target.is_file() else None
         except (OSError, ValueError, RuntimeError):  # not a path, outside the folder, or a cycle of links
             return None
-        return None if kind is None else (target, kind)
+        return None if kind is None or kind not in get_args(What) else (target, kind)
 
     def served_slice(self) -> dict[str, Any] | None:
         """Return the served files; None where no folder is served."""
@@ -220,26 +216,6 @@ def _is_hidden(path: Path) -> bool:
         return True
 
 
-def _kind(path: Path) -> str | None:
-    """Return the kind of a file; None: unknown. Only text files need to be read for that."""
-    from ladarreg_core.formats import recognise
-
-    suffix = path.suffix.lower()
-    if suffix in _SCANS:
-        return "scan"
-    if suffix in _PHOTOS:
-        return "photo"
-    if suffix not in _TEXT_KINDS:
-        return None
-    try:
-        found = recognise(path).kind
-        if found == "scan" and not _describes_scan(path):
-            return None
-    except (LadarregError, OSError):
-        return None
-    return found if found in get_args(What) else None
-
-
 def _is_unicode(name: str) -> bool:
     """Return whether a name is valid Unicode: on some systems file names are arbitrary bytes."""
     try:
@@ -247,9 +223,3 @@ def _is_unicode(name: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
-
-
-def _describes_scan(path: Path) -> bool:
-    """Return whether a JSON file declares itself a scan descriptor; `recognise` takes any other object for one."""
-    with path.open("rb") as file:
-        return _DESCRIPTOR.search(file.read(_HEAD_BYTES)) is not None

@@ -124,7 +124,7 @@ def serve_and_close(
     """
     from ..gateway.server import serve_until_interrupted
 
-    for sentence in workbench.session.folder.said:
+    for sentence in workbench.session.folder.remarks:
         print(f"ladarreg: {sentence}", file=sys.stderr)
     viser_address: Future[ViserAddress] = Future()
     viser_servers: list[viser.ViserServer] = []

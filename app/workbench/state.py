@@ -35,7 +35,7 @@ def project_slice(session: Session) -> dict[str, Any]:
         "saved_at": clock(session.saved_at),
         "unsaved": bool(session.unsaved),
         "unsaved_why": session.unsaved,
-        "amiss": " ".join(session.folder.said),
+        "amiss": " ".join(session.folder.remarks),
         "undo": undone.label if undone else None,
         "redo": redone.label if redone else None,
     }

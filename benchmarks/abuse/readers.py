@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.abuse.log import Log
-from ladarreg_core.formats import formats
+from ladarreg_core.formats import FORMATS
 from tests.abuse.reader_fuzz import read_damaged
 from tests.abuse.seed_files import write_seeds
 
@@ -21,7 +21,7 @@ def run(log: Log, mutations: int) -> None:
     with tempfile.TemporaryDirectory(prefix="seeds-") as name:
         folder = Path(name)
         seeds = write_seeds(folder)
-        for known in formats():
+        for known in FORMATS:
             if not any(seed.format == known.name for seed in seeds):
                 log.add(SECTION, format=known.name, files=0, refused=0, seconds=0, mb=0, faults=["no seed file"])
                 continue

@@ -1,1 +1,1 @@
-"""Results written to files, one target a file."""
+"""Export of results to files, one module per format."""

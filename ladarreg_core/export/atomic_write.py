@@ -1,4 +1,4 @@
-"""Bytes on the disk, surely."""
+"""Durable writing of files: data are on disk when a call returns, and failed appends leave no partial data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ladarreg_core.errors import ExportError
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
-    """Write a file and wait until the disk has it.
+    """Write a file durably.
 
     Raises:
         ExportError: if that fails.
@@ -26,52 +26,52 @@ def write_bytes(path: str | Path, data: bytes) -> None:
 
 
 class AppendedFile:
-    """A file that only grows, by whole pieces: an append that fails leaves no part of it behind.
+    """A file that is only appended to, in complete pieces: a failed append leaves no partial piece behind.
 
-    The file is kept open, so that appending needs no free file descriptor. What lies behind the sound length, because
-    a failed append could not be cut off at once, is cut off before the next one.
+    The file is kept open, so that appending needs no free file descriptor. If the remains of a failed append cannot be
+    truncated at once, they are truncated before the next append.
 
     Args:
         path: an existing file.
-        sound: how many of its bytes are sound; None: all of them.
+        intact_bytes: length of its intact part; None: the whole file.
     """
 
-    def __init__(self, path: str | Path, *, sound: int | None = None) -> None:
+    def __init__(self, path: str | Path, *, intact_bytes: int | None = None) -> None:
         self.path = Path(path)
-        self._sound = sound
+        self._intact_bytes = intact_bytes
         self._descriptor: int | None = None
-        self._unsure = False
+        self._sync_failed = False
 
     @property
     def intact(self) -> bool:
-        """Whether the path still leads to this file and the disk has all that was appended to it."""
-        if self._unsure:
+        """Whether the path still refers to this file, and everything appended is on disk."""
+        if self._sync_failed:
             return False
         try:
-            here, there = os.fstat(self._opened()), os.stat(self.path)
+            here, there = os.fstat(self._open()), os.stat(self.path)
         except OSError:
             return False
-        return os.path.samestat(here, there) and here.st_size >= (self._sound or 0)
+        return os.path.samestat(here, there) and here.st_size >= (self._intact_bytes or 0)
 
     def append(self, data: bytes) -> None:
-        """Append and wait until the disk has it.
+        """Append data durably.
 
         Raises:
-            ExportError: if that fails; the file is as it was before, at the latest when the next piece is appended.
+            ExportError: if that fails; the file is then restored, at the latest before the next append.
         """
         try:
-            descriptor = self._opened()
-            self._cut(descriptor)
+            descriptor = self._open()
+            self._truncate(descriptor)
             try:
                 _write_all(descriptor, data)
             except OSError:
                 with contextlib.suppress(OSError):
-                    self._cut(descriptor)
+                    self._truncate(descriptor)
                 raise
             self._sync(descriptor)
         except OSError as error:
             raise cannot_write(self.path, error) from None
-        self._sound = (self._sound or 0) + len(data)
+        self._intact_bytes = (self._intact_bytes or 0) + len(data)
 
     def close(self) -> None:
         """Close the file."""
@@ -80,32 +80,32 @@ class AppendedFile:
             with contextlib.suppress(OSError):
                 os.close(descriptor)
 
-    def _opened(self) -> int:
+    def _open(self) -> int:
         if self._descriptor is None:
             self._descriptor = os.open(self.path, os.O_RDWR | os.O_APPEND | getattr(os, "O_BINARY", 0))
-        if self._sound is None:
-            self._sound = os.fstat(self._descriptor).st_size
+        if self._intact_bytes is None:
+            self._intact_bytes = os.fstat(self._descriptor).st_size
         return self._descriptor
 
-    def _cut(self, descriptor: int) -> None:
-        if os.fstat(descriptor).st_size > (self._sound or 0):
-            os.ftruncate(descriptor, self._sound or 0)
+    def _truncate(self, descriptor: int) -> None:
+        if os.fstat(descriptor).st_size > (self._intact_bytes or 0):
+            os.ftruncate(descriptor, self._intact_bytes or 0)
 
     def _sync(self, descriptor: int) -> None:
-        sync = getattr(os, "fdatasync", os.fsync)  # a file's times need not be on the disk
+        sync = getattr(os, "fdatasync", os.fsync)  # a file's times need not be synchronised
         try:
             sync(descriptor)
         except OSError:
-            # Which of the pages reached the disk is unknown, also of those that were synchronised by mistake before:
-            # the system may take all of them for written after it has said once that they are not.
-            self._unsure = True
+            # It is unknown which pages reached the disk: after reporting a failure once, the system may consider all
+            # of them written.
+            self._sync_failed = True
             with contextlib.suppress(OSError):
-                self._cut(descriptor)
+                self._truncate(descriptor)
             raise
 
 
 def _write_all(descriptor: int, data: bytes) -> None:
-    """Write everything; a disk that runs full in the middle of a piece takes a part of it without an error."""
+    """Write all data; a disk that becomes full meanwhile accepts a part of them without an error."""
     left = memoryview(data)
     while left:
         written = os.write(descriptor, left)
@@ -115,13 +115,13 @@ def _write_all(descriptor: int, data: bytes) -> None:
 
 
 def cannot_write(path: str | Path, error: OSError) -> ExportError:
-    """Return the one-line error for a file or folder that could not be written."""
+    """Return a one-line error for a file or folder that could not be written."""
     reason = (error.strerror or type(error).__name__).lower()
-    return ExportError(f"cannot write {path}: {reason}; give a folder that is writable and has room")
+    return ExportError(f"cannot write {path}: {reason}; give a writable folder with enough free space")
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the disk know the folder's entries, where the system can say so."""
+    """Synchronise a folder's entries to disk where the system supports it."""
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -1,4 +1,4 @@
-"""A comparison of the thesis's stages with the default, in one folder: numbers, table, contact sheet, pictures."""
+"""Export of a comparison of the thesis's stages with the default: numbers, table, contact sheet and images."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from ladarreg_core.scan import Scan
 _VERSION = 1
 _PICTURES_ARE = (
     "the photograph on the scan's grid: registered_<stage>.png where the stage is accepted; "
-    "not_accepted_<stage>.png is only a candidate whose evidence is not enough to call it registered"
+    "not_accepted_<stage>.png is only a candidate whose evidence is insufficient for acceptance"
 )
 
 
@@ -55,42 +55,42 @@ def export_comparison(
     force: bool = False,
     report: Report | None = None,
 ) -> None:
-    """Write a comparison into a new folder that is there wholly or not at all.
+    """Write a comparison into a new folder atomically.
 
-    `comparison.json`, `table.md` and `contact_sheet.png`, and per stage with a pose its picture on the scan's grid:
-    `registered_<stage>.png` if the stage is accepted, `not_accepted_<stage>.png` if not.
+    It contains `comparison.json`, `table.md` and `contact_sheet.png`, and for each stage with a pose the photograph on
+    the scan's grid: `registered_<stage>.png` if the stage is accepted, `not_accepted_<stage>.png` if not.
 
     Args:
-        folder: where to; its parents are made if need be.
+        folder: output folder; missing parents are created.
         comparison: the columns.
         scan: the scan.
         photo: the photograph.
-        inputs: the files that scan and photo came from, named in `comparison.json`.
+        inputs: the files that scan and photo were read from, recorded in `comparison.json`.
         force: replace the results of an earlier run.
-        report: told before each file and at the end.
+        report: receives the progress, before each file and at the end.
 
     Raises:
-        ExportError: if the folder exists and must not be replaced, as `check_folder` says, or if something cannot be
+        ExportError: if the folder exists and must not be replaced, see `check_folder`, or if something cannot be
             written.
-        ShapeError: if there is no column, or a picture is not on the scan's grid.
+        ShapeError: if there is no column, or an image is not on the scan's grid.
     """
     write_folder(folder, lambda: _files(comparison, scan, photo, inputs), inputs=inputs, force=force, report=report)
 
 
 def picture_name(column: Column) -> str | None:
-    """Return the file name of a column's picture, which says whether it is registered; None where there is none."""
+    """Return the file name of a column's image, which shows whether it is accepted; None if there is no image."""
     if column.stage.result is None or column.texture is None:
         return None
     return f"{'registered' if column.stage.result.accepted else 'not_accepted'}_{column.stage.name}.png"
 
 
 def comparison_document(comparison: Comparison, scan: Scan, *, inputs: Sequence[str | Path] = ()) -> dict[str, Any]:
-    """Return a comparison as a JSON-ready document; a number that does not exist is None.
+    """Return a comparison as a JSON-ready document; undefined numbers are None.
 
     Args:
         comparison: the columns.
         scan: the scan that they share.
-        inputs: the files it came from; their names, sizes and SHA-256 are kept, not their folders.
+        inputs: the input files; their names, sizes and SHA-256 are recorded, without their folders.
 
     Raises:
         ExportError: if an input file cannot be read.
@@ -114,16 +114,16 @@ def comparison_document(comparison: Comparison, scan: Scan, *, inputs: Sequence[
 
 
 def table_text(comparison: Comparison, scan: Scan) -> str:
-    """Return the Markdown file: the table, what was foreseen, and why each stage is judged as it is."""
+    """Return the Markdown file: the table, the cautions, and the reasons of each verdict."""
     parts = ["# Registration, stage by stage", markdown_table(comparison_table(comparison, scan)).rstrip()]
     cautions = cautions_of(comparison)
     if cautions:
         parts.append("\n".join(f"- Caution: {_line(caution)}" for caution in cautions))
-    parts.append("\n".join(f"- {title_of(c)}: {_line(_verdict_in_words(c))}" for c in comparison.columns))
+    parts.append("\n".join(f"- {title_of(c)}: {_line(_verdict_sentences(c))}" for c in comparison.columns))
     parts.append(
-        "`points`: matches that hold, of those used; the rms values are over those that hold. `from default`: the "
-        "median displacement in the photograph of what the default colours, the distance of the camera centres, and "
-        "the angle between the orientations."
+        "`points`: inliers, of the matches used; the rms values are over the inliers. `from default`: the median "
+        "displacement in the photograph of the points coloured by the default, the distance of the camera positions, "
+        "and the angle between the camera orientations."
     )
     return "\n\n".join(parts) + "\n"
 
@@ -192,12 +192,12 @@ def _result_document(result: PoseResult | None) -> dict[str, Any]:
     }
 
 
-def _verdict_in_words(column: Column) -> str:
+def _verdict_sentences(column: Column) -> str:
     result = column.stage.result
     reasons = () if result is None else result.reasons
     return " ".join([f"{verdict_of(column)}.", *filter(None, (column.stage.note, *reasons))])
 
 
 def _line(text: str) -> str:
-    """Return the text on one line of Markdown, with nothing that it would set apart."""
+    """Return the text on one line, with special characters of Markdown escaped."""
     return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")

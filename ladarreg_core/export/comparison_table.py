@@ -1,4 +1,4 @@
-"""The numbers of a comparison, as the thesis's Tables 3.2-3.5 set them side by side."""
+"""Table of a comparison's numbers, in the layout of the thesis's Tables 3.2-3.5."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from ladarreg_core.results import STAGE_LABELS, PoseResult
 from ladarreg_core.scan import Scan
 
 NOTHING = "-"
-"""Stands where a number does not exist."""
+"""Placeholder for undefined numbers."""
 _COMPARED_POINTS = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """How far one pose lies from the default's."""
+    """Difference of a pose from that of the default method."""
 
     median_px: float
-    """Median displacement in the photo of the points that the default's picture colours; infinite where most of them
-    fall behind the camera, NaN where it colours none."""
+    """Median displacement in the photo, px, of the points coloured by the default; infinite if most of them fall behind
+    the camera, NaN if it colours none."""
     position_m: float
-    """Between the camera centres."""
+    """Distance of the camera positions, m."""
     angle_rad: float
-    """Between the orientations."""
+    """Angle between the camera orientations, rad."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """Text cells: `rows` of a head and one cell per column."""
+    """Table of text cells."""
 
     heads: tuple[str, ...]
-    """The columns' titles."""
+    """Titles of the columns."""
     rows: tuple[tuple[str, ...], ...]
-    """Each the row's name and its cells."""
+    """Rows: the row's name followed by one cell per column."""
 
 
 def title_of(column: Column) -> str:
-    """Return what to call a column."""
+    """Return the title of a column."""
     return STAGE_LABELS.get(column.stage.name, str(column.stage.name))
 
 
@@ -53,25 +53,25 @@ def verdict_of(column: Column) -> str:
 
 
 def default_of(comparison: Comparison) -> Column | None:
-    """Return the default's column."""
+    """Return the column of the default method; None if there is none."""
     return next((column for column in comparison.columns if column.stage.name == "default"), None)
 
 
 def cautions_of(comparison: Comparison) -> tuple[str, ...]:
-    """Return what was foreseen, and what the table's own numbers must be read with."""
+    """Return the cautions of the comparison, and one if the default itself is not accepted."""
     default = default_of(comparison)
     if default is None or verdict_of(default) != "not accepted":
         return comparison.cautions
-    return (*comparison.cautions, "The default itself is not accepted: how far a stage lies from it says little.")
+    return (*comparison.cautions, "The default itself is not accepted, so the differences from it mean little.")
 
 
 def rms_px(result: PoseResult) -> float:
-    """Return the root mean square length of the inliers' residuals, photo pixels; NaN where there are none."""
+    """Return the root mean square length of the inliers' residuals, photo pixels; NaN if there are none."""
     return _root_mean((result.residuals_px[result.inliers] ** 2).sum(axis=-1))
 
 
 def rms_depth_m(result: PoseResult) -> float:
-    """Return the root mean square of the inliers' stereo depth errors, m; NaN where there are none."""
+    """Return the root mean square of the inliers' stereo depth errors, m; NaN if there are none."""
     return _root_mean(result.stereo_depth_error_m[result.inliers] ** 2)
 
 
@@ -79,7 +79,7 @@ def check_comparison(comparison: Comparison, scan: Scan) -> None:
     """Refuse a comparison that cannot be shown on a scan.
 
     Raises:
-        ShapeError: if there is no column, or a picture is not on the scan's grid.
+        ShapeError: if there is no column, or an image is not on the scan's grid.
     """
     if not comparison.columns:
         raise ShapeError("the comparison has no columns; give at least one stage")
@@ -87,13 +87,11 @@ def check_comparison(comparison: Comparison, scan: Scan) -> None:
         if column.texture is not None and column.texture.labels.shape != scan.shape:
             found = " x ".join(map(str, column.texture.labels.shape))
             wanted = " x ".join(map(str, scan.shape))
-            raise ShapeError(
-                f"the picture of {title_of(column)!r} has {found} cells, the scan {wanted}; they must agree"
-            )
+            raise ShapeError(f"the image of {title_of(column)!r} has {found} cells, the scan {wanted}; they must agree")
 
 
 def differences(comparison: Comparison, scan: Scan) -> tuple[Difference | None, ...]:
-    """Return how far each column lies from the default; None where either has no pose.
+    """Return the difference of each column from the default; None where either has no pose.
 
     Args:
         comparison: the columns.
@@ -163,7 +161,7 @@ def markdown_table(table: Table) -> str:
 
 
 def _seen_points(default: Column, scan: Scan) -> FloatArray:
-    """Return points (N, 3) that the default's picture colours, or any of the scan's where it has no picture."""
+    """Return scan points (N, 3) coloured by the default, or any points of the scan if it has no texture."""
     seen: BoolArray = scan.valid if default.texture is None else default.texture.coloured & scan.valid
     index = np.flatnonzero(seen)
     index = index[:: max(1, len(index) // _COMPARED_POINTS)]
@@ -190,7 +188,7 @@ def _root_mean(squares: FloatArray) -> float:
 
 
 def _number(value: float, digits: int) -> str:
-    """Return a number that fits a cell, however large."""
+    """Return a number formatted to fit a cell, however large."""
     if not np.isfinite(value):
         return NOTHING
     return f"{value:.{digits}f}" if abs(value) < 1e5 else f"{value:.1e}"

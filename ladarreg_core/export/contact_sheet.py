@@ -1,4 +1,4 @@
-"""A comparison as one picture: what each stage gives, a detail of it, and the matches that it stands on."""
+"""Contact sheet of a comparison: the result of each stage, an enlarged detail, and its matches, in one image."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture, model_picture
 
 SHEET_WIDTH = 2560
-"""Pixels."""
+"""Width of the sheet, pixels."""
 _MARGIN, _GAP, _PAD = 44, 20, 16
 _BIG, _HEAD, _BODY, _SMALL = 40, 27, 21, 19
 _TABLE_ROW = 30
@@ -96,10 +96,10 @@ def write_contact_sheet(path: str | Path, comparison: Comparison, scan: Scan, ph
 
 
 def contact_sheet(comparison: Comparison, scan: Scan, photo: Photo) -> NDArray[np.uint8]:
-    """Return the comparison as one picture that can be understood at a glance.
+    """Return the comparison as one image.
 
-    Above: the scan's intensity, the photograph and the table. Below, a column per stage: the photograph on the scan's
-    grid with its verdict, the same detail of each with the scan's own edges over it, and the matches on the photograph.
+    At the top: the scan's intensity, the photograph and the table. Below, one column per stage: the photograph on the
+    scan's grid with its verdict, an enlarged detail with the scan's intensity edges, and the matches on the photograph.
 
     Args:
         comparison: the columns.
@@ -110,7 +110,7 @@ def contact_sheet(comparison: Comparison, scan: Scan, photo: Photo) -> NDArray[n
         (H, `SHEET_WIDTH`, 3) uint8 RGB.
 
     Raises:
-        ShapeError: if there is no column, or a picture is not on the scan's grid.
+        ShapeError: if there is no column, or an image is not on the scan's grid.
 
     Source: thesis Figure 2.22 and Tables 3.2-3.5.
     """
@@ -125,7 +125,7 @@ def contact_sheet(comparison: Comparison, scan: Scan, photo: Photo) -> NDArray[n
     bands.append(_cards(comparison, shown, scan, tile, inner))
     if detail is not None:
         bands += [
-            _caption("The same place, enlarged", [_note("thin lines: the edges of the scan's own intensity")], inner),
+            _caption("Enlarged detail", [_note("thin lines: edges of the scan's intensity")], inner),
             _details(comparison, shown, scan, detail, inner),
         ]
     results = [column.stage.result for column in comparison.columns]
@@ -143,7 +143,7 @@ def contact_sheet(comparison: Comparison, scan: Scan, photo: Photo) -> NDArray[n
 
 
 def _reference(comparison: Comparison) -> RegisteredTexture | None:
-    """Return the picture to choose the detail by: the default's, else the last that there is."""
+    """Return the texture that determines the detail: the default's, else the last one."""
     default = default_of(comparison)
     if default is not None and default.texture is not None:
         return default.texture
@@ -155,7 +155,7 @@ def _column_width(comparison: Comparison, inner: int) -> int:
     return (inner - _GAP * (count - 1)) // count
 
 
-# --- above -----------------------------------------------------------------------------------------------------------
+# --- top -------------------------------------------------------------------------------------------------------------
 
 
 def _header(comparison: Comparison, scan: Scan, photo: Photo, inner: int) -> NDArray[np.uint8]:
@@ -176,7 +176,7 @@ def _header(comparison: Comparison, scan: Scan, photo: Photo, inner: int) -> NDA
 def _top(
     comparison: Comparison, scan: Scan, photo: Photo, tile: Window, detail: Window | None, inner: int
 ) -> NDArray[np.uint8]:
-    """Return scan, photograph and table in one row; a wide scan stands above the photograph."""
+    """Return scan, photograph and table in one row; a wide scan is placed above the photograph."""
     aspects = (_aspect(scan, whole_window(scan)), photo.camera.width / photo.camera.height)
     room = inner - _TABLE_WIDTH - _GAP
     height = min(_TALLEST, (room - _GAP) / sum(aspects))
@@ -204,7 +204,7 @@ def _area(sizes: Sequence[tuple[int, int]]) -> int:
 
 
 def _scan_picture(scan: Scan, size: tuple[int, int], tile: Window, detail: Window | None) -> NDArray[np.uint8]:
-    """Return the intensity with the outlines of what the tiles and the details show."""
+    """Return the intensity image with the outlines of the tiles' and the details' windows."""
     picture = framed(resized(intensity_picture(scan), size), LINE)
     for window, colour in ((tile, DIM), (detail, ACCENT)):
         if window is None or window == whole_window(scan):
@@ -218,14 +218,14 @@ def _scan_picture(scan: Scan, size: tuple[int, int], tile: Window, detail: Windo
 
 
 def _table_panel(comparison: Comparison, scan: Scan, full_width: int) -> NDArray[np.uint8]:
-    """Return the table of numbers, the default's column emphasised."""
+    """Return the table of numbers with the default's column emphasised."""
     table = comparison_table(comparison, scan)
     inner = full_width - 2 * _PAD
     width = min((inner - _ROW_NAME_WIDTH) // len(table.heads), 240)
     first = inner - width * len(table.heads)
     heads = [wrapped(head, size=_SMALL, width=min(width - 4, _HEAD_WIDTH), lines=3) for head in table.heads]
     deepest = max(len(head) for head in heads)
-    raised = [[""] * (deepest - len(head)) + head for head in heads]  # they all end on the lowest line
+    raised = [[""] * (deepest - len(head)) + head for head in heads]  # all heads end on the lowest line
     blocks = [_table_row(("", *line), first, width, (DIM, DIM, INK)) for line in zip(*raised, strict=True)]
     rule = np.full((1, inner, 3), LINE, dtype=np.uint8)
     blocks.append(padded(rule, top=8, bottom=4, ground=PANEL))
@@ -240,7 +240,7 @@ def _table_panel(comparison: Comparison, scan: Scan, full_width: int) -> NDArray
 def _table_row(
     cells: tuple[str, ...], first: int, width: int, colours: tuple[Colour, Colour, Colour]
 ) -> NDArray[np.uint8]:
-    """Return a row in the colours of its name, its cells, and its last cell."""
+    """Return a row; `colours` are those of its name, its cells and its last cell."""
     blocks = [text_block(cells[0], size=_SMALL, width=first, colour=colours[0], ground=PANEL)]
     for number, cell in enumerate(cells[1:], start=2):
         colour = colours[2] if number == len(cells) else colours[1]
@@ -309,7 +309,7 @@ def _lines(column: Column, apart: Difference | None) -> list[tuple[str, Colour]]
     if result is None:
         return []
     lines = [
-        (_matches_in_words(result), INK),
+        (_inlier_summary(result), INK),
         (result.thesis_parameters.in_words(), INK),
         (result.thesis_parameters.turn_in_words().replace(" deg", "°"), INK),
     ]
@@ -318,9 +318,9 @@ def _lines(column: Column, apart: Difference | None) -> list[tuple[str, Colour]]
     return lines
 
 
-def _matches_in_words(result: PoseResult) -> str:
+def _inlier_summary(result: PoseResult) -> str:
     rms = rms_px(result)
-    text = f"{int(result.inliers.sum())} of {len(result.matches)} matches hold"
+    text = f"{int(result.inliers.sum())} of {len(result.matches)} matches are inliers"
     return f"{text}, {rms:.2f} px rms" if np.isfinite(rms) else text
 
 
@@ -347,7 +347,7 @@ def _details(
     width = _column_width(comparison, inner)
     size = _window_size(scan, detail, width, round(width / DETAIL_ASPECT * 1.2))
     edges = edge_lines(scan, detail, size)
-    halo = cv2.dilate(edges.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # for the lines to show on light ground
+    halo = cv2.dilate(edges.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # keeps them visible
     panels = []
     for column, whole in zip(comparison.columns, shown, strict=True):
         picture = resized(whole[detail.cells], size)
@@ -358,7 +358,7 @@ def _details(
 
 
 def _marked(picture: ByteArray, verdict: str, width: int, *, ground: Colour = BACKGROUND) -> NDArray[np.uint8]:
-    """Return a picture in the middle of its column, marked unless it is accepted."""
+    """Return an image centred in its column, marked unless it is accepted."""
     if verdict == "accepted":
         return placed(picture, width=width, height=picture.shape[0], ground=ground)
     colour, mark_ground = _BADGES[verdict]
@@ -368,7 +368,7 @@ def _marked(picture: ByteArray, verdict: str, width: int, *, ground: Colour = BA
     if fits and picture.shape[0] >= mark.shape[0] + 20:
         picture = with_mark(picture, mark)
         return placed(picture, width=width, height=picture.shape[0], ground=ground)
-    # Too small to bear it: the mark stands on the ground, beside or above.
+    # The image is too small for the mark, which is placed over the ground next to it or above.
     height = max(picture.shape[0], mark.shape[0] + 20)
     return with_mark(placed(picture, width=width, height=height, ground=ground), mark)
 
@@ -384,7 +384,7 @@ def _window_size(scan: Scan, window: Window, width: int, height: int) -> tuple[i
 
 
 def _aspect(scan: Scan, window: Window) -> float:
-    """Return width over height, in angle."""
+    """Return the angular aspect ratio, width / height."""
     return window.width * cell_aspect(scan) / window.height
 
 
@@ -403,10 +403,10 @@ def _matches(comparison: Comparison, photo: Photo, enlargement: int, inner: int)
 
 
 def _match_legend(enlargement: int) -> list[NDArray[np.uint8]]:
-    times = "" if enlargement == 1 else f", {enlargement} times as long"
-    note = f"lines lead to where the pose puts the point{times}"
+    times = "" if enlargement == 1 else f", enlarged {enlargement} times"
+    note = f"lines: residuals{times}"
     return [
-        *(beside([_dot(colour), _note(words)], gap=8) for words, colour in (("holds", OK), ("does not hold", BAD))),
+        *(beside([_dot(colour), _note(words)], gap=8) for words, colour in (("inlier", OK), ("outlier", BAD))),
         _note(note),
     ]
 

@@ -1,4 +1,4 @@
-"""Where on the scan the quality of a registration shows best, and the scan's edges to judge it by."""
+"""Choice of the detail that shows the quality of a registration best, and the scan's edges drawn on it."""
 
 from __future__ import annotations
 
@@ -29,41 +29,41 @@ _NOISE_SHARE = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A part of the scan's grid, cells."""
+    """A rectangular part of the scan's grid, in cells."""
 
     top: int
     """First row."""
     left: int
     """First column."""
     height: int
-    """Rows."""
+    """Number of rows."""
     width: int
-    """Columns."""
+    """Number of columns."""
 
     @property
     def cells(self) -> tuple[slice, slice]:
-        """The rows and columns, to index an array on the grid with."""
+        """Slices of rows and columns that index arrays on the grid."""
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
 
 def cell_aspect(scan: Scan) -> float:
-    """Return how wide a cell is in angle against its height, within what a picture can bear."""
+    """Return the ratio of a cell's angular width and height, limited to a displayable range."""
     down, across = scan.geometry.step_rad
     ratio = across / down if down > 0 and across > 0 else 1.0
     return float(np.clip(ratio, 0.2, 5.0)) if np.isfinite(ratio) else 1.0
 
 
 def whole_window(scan: Scan) -> Window:
-    """Return all of the grid."""
+    """Return the window of the whole grid."""
     return Window(0, 0, *scan.shape)
 
 
 def seen_window(scan: Scan, textures: Sequence[RegisteredTexture]) -> Window:
-    """Return the part of the grid that any of the pictures colours, with a margin; all of it where that is most.
+    """Return the part of the grid coloured by any texture, with a margin; the whole grid if that is most of it.
 
     Args:
         scan: the scan.
-        textures: the photograph on its grid, by several poses.
+        textures: the photograph on its grid, for several poses.
     """
     coloured = np.zeros(scan.shape, dtype=np.bool_)
     for texture in textures:
@@ -83,15 +83,15 @@ def seen_window(scan: Scan, textures: Sequence[RegisteredTexture]) -> Window:
 
 
 def detail_window(scan: Scan, reference: RegisteredTexture, textures: Sequence[RegisteredTexture]) -> Window | None:
-    """Return the part of the grid where depth edges meet a change of the photograph's colour, and most pictures see it.
+    """Return the part of the grid where depth edges coincide with contrast and most textures have colour.
 
     Args:
         scan: the scan.
-        reference: the picture to judge contrast by.
-        textures: all pictures, `reference` among them.
+        reference: the texture whose contrast is used.
+        textures: all textures, including `reference`.
 
     Returns:
-        The window, of the aspect `DETAIL_ASPECT` in angle where the grid is large enough; None if nothing is seen.
+        The window, with the angular aspect `DETAIL_ASPECT` if the grid is large enough; None if no cell is coloured.
     """
     step = max(1, int(np.sqrt(scan.ranges.size / _WORKING_CELLS)))
     seen = reference.coloured[::step, ::step]
@@ -100,7 +100,7 @@ def detail_window(scan: Scan, reference: RegisteredTexture, textures: Sequence[R
     share = np.mean([texture.coloured[::step, ::step] for texture in textures], axis=0, dtype=np.float32)
     contrast = _local_contrast(reference.image[::step, ::step], seen)
     intensity = intensity_picture(scan)[::step, ::step, 0]
-    edges = _torn(scan, step) + 0.3 * _local_contrast(np.repeat(intensity[..., None], 3, axis=-1), seen)
+    edges = _depth_edges(scan, step) + 0.3 * _local_contrast(np.repeat(intensity[..., None], 3, axis=-1), seen)
     score = edges * (0.05 + contrast) * share * seen
 
     height, width = _detail_size(scan, reference)
@@ -113,37 +113,37 @@ def detail_window(scan: Scan, reference: RegisteredTexture, textures: Sequence[R
 
 
 def edge_lines(scan: Scan, window: Window, size: tuple[int, int]) -> BoolArray:
-    """Return thin lines along the edges of the scan's intensity in a window, as a mask of an enlarged picture.
+    """Return thin lines along the edges of the scan's intensity in a window, as a mask of the enlarged image.
 
     Args:
         scan: the scan.
-        window: which part of its grid.
-        size: (width, height) of the picture, pixels.
+        window: the part of its grid.
+        size: (width, height) of the enlarged image, pixels.
 
     Returns:
         (height, width) bool.
     """
     intensity = intensity_picture(scan)[..., 0]
     known = scan.valid.astype(np.float32)
-    # Speckle is blurred, and holes are filled from beside them so that they make no edge.
+    # Speckle is blurred, and holes are filled from their neighbours so that they create no edges.
     weight = cv2.GaussianBlur(known, (0, 0), _BLUR_CELLS)
     smooth = cv2.GaussianBlur(intensity * known, (0, 0), _BLUR_CELLS) / np.maximum(weight, 1e-3)
     crop = np.asarray(cv2.resize(smooth[window.cells], size, interpolation=cv2.INTER_CUBIC))
-    # The enlargement bends at every cell, and each bend in a ramp would be an edge of its own.
+    # The enlarged image is piecewise smooth per cell; without blurring, each cell border in a ramp would be an edge.
     cell_px = max(size[0] / window.width, size[1] / window.height)
     crop = cv2.GaussianBlur(crop, (0, 0), max(_BLUR_CELLS * cell_px, _BLUR_CELLS))
     slopes = [np.asarray(cv2.Sobel(crop, cv2.CV_32F, *d, ksize=3)) * (cell_px / 8) for d in ((1, 0), (0, 1))]
     strength = np.hypot(*slopes)  # gray levels per cell
     strong = max(float(np.percentile(strength, _STRONG_EDGES)), _LEAST_EDGE)
     weak = min(max(float(np.percentile(strength, _WEAK_EDGES)), _LEAST_EDGE / 2), strong)
-    # Canny takes whole numbers; on an enlargement a slope of few levels would make hairy lines.
+    # Canny takes integers; on an enlarged image, slopes of few levels would give frayed lines.
     finer = _CANNY_RANGE / max(float(strength.max()), _LEAST_EDGE)
     dx, dy = (np.rint(slope * finer).astype(np.int16) for slope in slopes)
     return np.asarray(cv2.Canny(dx, dy, weak * finer, strong * finer, L2gradient=True)) > 0
 
 
 def _detail_size(scan: Scan, reference: RegisteredTexture) -> tuple[int, int]:
-    """Return (rows, columns) of the detail: a share of what is seen, of one aspect in angle."""
+    """Return (rows, columns) of the detail: a share of the coloured part, with a fixed angular aspect."""
     seen = seen_window(scan, [reference])
     aspect = cell_aspect(scan)
     across = max(_DETAIL_SHARE * np.sqrt(seen.width * aspect * seen.height * DETAIL_ASPECT), _LEAST_CELLS * aspect)
@@ -152,28 +152,28 @@ def _detail_size(scan: Scan, reference: RegisteredTexture) -> tuple[int, int]:
 
 
 def _around(middle: tuple[float, float], height: int, width: int, shape: tuple[int, int]) -> Window:
-    """Return a window of a size about a cell, moved into the grid."""
+    """Return a window centred on a cell, shifted into the grid."""
     height, width = min(height, shape[0]), min(width, shape[1])
     top = int(np.clip(round(middle[0] - height / 2), 0, shape[0] - height))
     left = int(np.clip(round(middle[1] - width / 2), 0, shape[1] - width))
     return Window(top, left, height, width)
 
 
-def _torn(scan: Scan, step: int) -> NDArray[np.float32]:
-    """Return 1 at cells beside a depth edge, else 0, for every `step`-th cell."""
+def _depth_edges(scan: Scan, step: int) -> NDArray[np.float32]:
+    """Return 1 at cells next to a depth edge, else 0, for every `step`-th cell."""
     edges, valid = grid_edges(scan), scan.valid
-    torn = np.zeros(scan.shape, dtype=np.uint8)
-    torn[:, 1:] |= ~edges.right & valid[:, 1:] & valid[:, :-1]
-    torn[1:] |= ~edges.down & valid[1:] & valid[:-1]
-    # An edge is thin; where most cells are torn there is no surface, only noise (windows, foliage).
-    torn[_box_mean(torn.astype(np.float32), (9, 9)) > _NOISE_SHARE] = 0
+    found = np.zeros(scan.shape, dtype=np.uint8)
+    found[:, 1:] |= ~edges.right & valid[:, 1:] & valid[:, :-1]
+    found[1:] |= ~edges.down & valid[1:] & valid[:-1]
+    # Edges are thin; where most cells are edges there is no surface but noise (windows, foliage).
+    found[_box_mean(found.astype(np.float32), (9, 9)) > _NOISE_SHARE] = 0
     if step > 1:
-        torn = np.asarray(cv2.dilate(torn, np.ones((step, step), np.uint8)))
-    return torn[::step, ::step].astype(np.float32)
+        found = np.asarray(cv2.dilate(found, np.ones((step, step), np.uint8)))
+    return found[::step, ::step].astype(np.float32)
 
 
 def _local_contrast(picture: ByteArray, seen: BoolArray) -> NDArray[np.float32]:
-    """Return the spread of the brightness about each cell, 0 to 1, among the cells that are seen."""
+    """Return the range of brightness around each cell, 0 to 1, among the coloured cells."""
     gray = np.ascontiguousarray(cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2GRAY))
     kernel = np.ones((5, 5), np.uint8)
     brightest = np.asarray(cv2.dilate(np.where(seen, gray, 0).astype(np.uint8), kernel), dtype=np.float32)
@@ -182,5 +182,5 @@ def _local_contrast(picture: ByteArray, seen: BoolArray) -> NDArray[np.float32]:
 
 
 def _box_mean(values: FloatArray, box: tuple[int, int]) -> NDArray[np.float32]:
-    """Return the mean over a box (width, height) about each cell, with nothing outside the grid."""
+    """Return the mean over a box (width, height) around each cell, with zeros outside the grid."""
     return np.asarray(cv2.blur(values, box, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)

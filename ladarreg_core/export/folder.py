@@ -1,4 +1,4 @@
-"""Everything that a registration gives, in one folder that is there wholly or not at all."""
+"""Export of a registration into a folder that is written atomically."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ from pathlib import Path
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import cannot_write, sync_folder
 from ladarreg_core.export.glb import write_glb
-from ladarreg_core.export.images import write_labels_png, write_registered_png
-from ladarreg_core.export.json import write_document
+from ladarreg_core.export.images import write_labels_png, write_registered_png, write_uncertainty_png
+from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.export.ply import write_ply
-from ladarreg_core.export.registration_json import registration_document
-from ladarreg_core.export.replacement import REGISTRATION_FILES, in_words, require_apart, require_replaceable
+from ladarreg_core.export.replacement import REGISTRATION_FILES, display_path, require_apart, require_replaceable
 from ladarreg_core.export.staging import clear_leftovers, put_in_place, staging_folder
-from ladarreg_core.export.uncertainty_png import write_uncertainty_png
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.quality.assessment import Assessment, assess
@@ -27,9 +25,9 @@ from ladarreg_core.surface.mesh import scan_mesh
 from ladarreg_core.surface.texture import RegisteredTexture, model_picture, texture_scan
 
 FILE_NAMES = REGISTRATION_FILES
-"""What a folder of results holds; all but the first only where the registration is accepted."""
+"""Files of a results folder; all but the first are only written for accepted registrations."""
 FileJob = tuple[str, Callable[[Path], None]]
-"""A file's name, and what writes it to a path."""
+"""File name, and the function that writes the file to a path."""
 
 
 def export_registration(
@@ -49,23 +47,23 @@ def export_registration(
     """Write a registration into a new folder.
 
     `registration.json` always; `registered.png`, `labels.png`, `uncertainty.png`, `model.glb` and `cloud.ply` only if
-    the registration is accepted. The folder is there wholly or not at all, as `write_folder` says.
+    the registration is accepted. The folder is written atomically, see `write_folder`.
 
     Args:
-        folder: where to; its parents are made if need be.
+        folder: output folder; missing parents are created.
         registration: the result.
         scan: the scan.
         photo: the photograph.
-        assessment: what there is to say of it; None: it is assessed here.
-        smoothed: the scan that `model.glb` and `cloud.ply` show; None: the scan itself.
-        inputs: the files that scan and photo came from, named in `registration.json`.
+        assessment: assessment of the result; None: it is computed here.
+        smoothed: the scan used for `model.glb` and `cloud.ply`; None: `scan`.
+        inputs: the files that scan and photo were read from, recorded in `registration.json`.
         apart_from: as in `write_folder`.
-        more: further files, as the matches that were drawn.
+        more: additional files, such as the picks.
         force: replace the results of an earlier run.
-        report: told after each file.
+        report: receives the progress, per file.
 
     Raises:
-        ExportError: if the folder exists and must not be replaced, as `check_folder` says, or if something cannot be
+        ExportError: if the folder exists and must not be replaced, see `check_folder`, or if something cannot be
             written.
     """
     write_folder(
@@ -89,44 +87,44 @@ def write_folder(
     force: bool = False,
     report: Report | None = None,
 ) -> None:
-    """Write files into a new folder that is there wholly or not at all.
+    """Write files into a new folder atomically.
 
-    All is written beside the folder's place and put into it in one step at the end, so that an error, an interruption
-    or a `report` that raises leaves what was there before. What a killed program left beside it is cleared away first.
+    Everything is written to a temporary folder next to the target, which is renamed at the end, so that an error, an
+    interruption or a `report` that raises leaves the previous state. Leftovers of killed programs are removed first.
 
     Args:
-        folder: where to; its parents are made if need be.
-        files: returns the names and writers; called when the folder can be written.
-        inputs: the files that the results come from; a folder that holds one of them is not replaced.
-        apart_from: folders of projects that are open; none that is, holds or lies in one of them is replaced.
-        more_names: files of such folders, beside those that every run writes.
+        folder: output folder; missing parents are created.
+        files: returns the names and writers; called once the folder can be written.
+        inputs: the input files of the results; a folder that contains one of them is not replaced.
+        apart_from: open project folders; a folder that is, contains or lies in one of them is not replaced.
+        more_names: names of additional result files, beyond those that every run writes.
         force: replace the results of an earlier run.
-        report: told before each file and at the end.
+        report: receives the progress, before each file and at the end.
 
     Raises:
-        ExportError: if the folder exists and must not be replaced, as `check_folder` says, or if something cannot be
+        ExportError: if the folder exists and must not be replaced, see `check_folder`, or if something cannot be
             written.
     """
     check_folder(folder, force=force, inputs=inputs, apart_from=apart_from, more_names=more_names)
-    target = _place_of(folder)
+    target = _resolve_parent(folder)
     made = _missing_parents(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with staging_folder(target, more_names=more_names) as new:
             _write_all(new, files(), report)
             _sync(new)
-            _require_free(target, force, inputs, apart_from, more_names)  # it may have appeared meanwhile
+            _require_free(target, force, inputs, apart_from, more_names)  # it may have been created meanwhile
             put_in_place(
                 new,
                 target,
                 lambda old: require_replaceable(old, force=force, more_names=more_names, shown=target),
             )
     except OSError as error:
-        raise cannot_write(in_words(target), error) from None
+        raise cannot_write(display_path(target), error) from None
     finally:
         for parent in made:
             with contextlib.suppress(OSError):
-                parent.rmdir()  # where nothing came into it
+                parent.rmdir()  # only if still empty
 
 
 def check_folder(
@@ -137,30 +135,30 @@ def check_folder(
     apart_from: Sequence[str | Path] = (),
     more_names: Collection[str] = (),
 ) -> None:
-    """Refuse a folder that results must not go to; call it before long work.
+    """Refuse a folder that must not be used for results; to be called before long computations.
 
-    A folder that exists is replaced only if `force` is on and it holds the results of an earlier run and nothing else
-    (an empty one, too); without `force` only if these are of a registration that was refused. A project, the folder
-    of an input, and what is above or below them is never replaced. What a killed program left beside the folder is
-    cleared away: a folder that it had set aside has its name back.
+    With `force`, an existing folder is replaced if it is empty or contains only results of an earlier run; without
+    `force`, only if these are of a registration that was refused. A project, the folder of an input, and folders above
+    or below them are never replaced. Leftovers of a killed program are removed, and a folder that it had renamed gets
+    its name back.
 
     Args:
-        folder: where results are to go.
+        folder: output folder.
         force: whether results may be replaced.
         inputs: as in `write_folder`.
         apart_from: as in `write_folder`.
         more_names: as in `write_folder`.
 
     Raises:
-        ExportError: if that is so, if it is not a folder, or if none can be made there.
+        ExportError: if the folder must not be replaced, is not a folder, or cannot be created.
     """
     try:
-        target = _place_of(folder)
+        target = _resolve_parent(folder)
         clear_leftovers(target.parent, more_names=more_names)
         _require_free(target, force, inputs, apart_from, more_names)
-    except (OSError, ValueError) as error:  # a name that is too long, or holds a NUL
+    except (OSError, ValueError) as error:  # a name that is too long or contains a NUL
         reason = (getattr(error, "strerror", None) or str(error)).lower()
-        raise ExportError(f"{in_words(folder)} cannot be a folder: {reason}; give another place") from None
+        raise ExportError(f"{display_path(folder)} cannot be a folder: {reason}; give another folder") from None
 
 
 def _require_free(
@@ -170,28 +168,28 @@ def _require_free(
     apart_from: Sequence[str | Path],
     more_names: Collection[str],
 ) -> None:
-    shown = in_words(target)
+    shown = display_path(target)
     if not target.name:
-        raise ExportError(f"{shown} is the top of a file system; give a folder below it")
+        raise ExportError(f"{shown} is the root of a file system; give a folder below it")
     with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-        os.lstat(target)  # raises for names that no system takes
+        os.lstat(target)  # raises for invalid names
     if target.is_symlink() or (target.exists() and not target.is_dir()):
-        what = "a symbolic link" if target.is_symlink() else "no folder"
-        raise ExportError(f"{shown} exists and is {what}; give another place for the results")
+        what = "a symbolic link" if target.is_symlink() else "not a folder"
+        raise ExportError(f"{shown} exists and is {what}; give another folder for the results")
     if target.exists():
         here = Path.cwd()
         if any(os.path.samefile(target, parent) for parent in (here, *here.parents)):
-            raise ExportError(f"the folder {shown} is the one you work in; give another place for the results")
+            raise ExportError(f"the folder {shown} is the current working folder; give another folder for the results")
         require_apart(target, inputs=inputs, projects=apart_from)
         require_replaceable(target, force=force, more_names=more_names)
     home = next(parent for parent in (*target.parents, target) if os.path.lexists(parent))
     if not home.is_dir() or not os.access(home, os.W_OK | os.X_OK):
-        reason = "may not be written to" if home.is_dir() else "is no folder"
-        raise ExportError(f"{shown} cannot be made: {in_words(home)} {reason}; give another place for the results")
+        reason = "is not writable" if home.is_dir() else "is not a folder"
+        raise ExportError(f"{shown} cannot be created: {display_path(home)} {reason}; give another folder")
 
 
-def _place_of(folder: str | Path) -> Path:
-    """Return a folder's place with all links above it followed, as the system does it; its own name stays."""
+def _resolve_parent(folder: str | Path) -> Path:
+    """Return a folder's path with the symbolic links above it resolved, but not the folder itself."""
     path = Path(folder)
     if path.name in ("", ".."):
         return Path(os.path.realpath(path))
@@ -199,7 +197,7 @@ def _place_of(folder: str | Path) -> Path:
 
 
 def _sync(folder: Path) -> None:
-    """Have the disk hold every file of a folder before the folder takes the place of another."""
+    """Synchronise all files of a folder to disk before the folder replaces another."""
     for path in folder.iterdir():
         with open(path, "rb+") as file:
             os.fsync(file.fileno())
@@ -223,7 +221,7 @@ def registration_files(
     assessment: Assessment | None = None,
     smoothed: SmoothedScan | None = None,
 ) -> list[FileJob]:
-    """Return the names of a registration's files, and what writes each; the arguments are `export_registration`'s."""
+    """Return the names and writers of a registration's files; the arguments are those of `export_registration`."""
     found = assess(scan, registration) if assessment is None else assessment
 
     def write_json(path: Path) -> None:
@@ -262,7 +260,7 @@ def _models(scan: Scan, texture: RegisteredTexture) -> list[FileJob]:
 
 
 def _missing_parents(target: Path) -> list[Path]:
-    """Return the parents that writing will have to make, innermost first."""
+    """Return the missing parent folders, innermost first."""
     missing = []
     for parent in target.parents:
         if parent.exists():

@@ -1,4 +1,4 @@
-"""The textured 2.5-D model as binary glTF."""
+"""Export of the textured 2.5-D model as binary glTF."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ def glb_bytes(
 ) -> bytes:
     """Return a model as GLB: one unlit mesh with its texture, in metres.
 
-    Vertices stay in the scanner frame (X forward, Y left, Z up) under one root node that turns them into glTF's Y up.
+    Vertices are in the scanner frame (X forward, Y left, Z up) under a root node that rotates them into glTF's frame.
 
     Args:
         mesh: the mesh.
-        picture: (h, w, 3) uint8 RGB over the whole scan grid, of any size; it is reduced where it is too large.
-        for_viser: make it for viser's scene, which is the scanner frame itself and is tone mapped: no root rotation,
-            and a texture that the tone mapping turns into the true colours.
-        largest_texture_px: the longer side of the picture, at most 8192.
+        picture: texture over the whole scan grid, (h, w, 3) uint8 RGB of any size; reduced if it is too large.
+        for_viser: target viser's scene, which uses the scanner frame and tone mapping: no root rotation, and a texture
+            that has the true colours after tone mapping.
+        largest_texture_px: limit of the texture's longer side, at most 8192.
 
     Raises:
-        ShapeError: if the picture is no RGB picture.
+        ShapeError: if the texture is not an RGB image.
         ExportError: if the mesh has no faces.
     """
     if not len(mesh.faces):
-        raise ExportError("the scan has no surface: no three neighbouring cells belong together; no model is written")
-    pixels = read_only(picture, np.uint8, (None, None, 3), "the model's picture")
+        raise ExportError("the scan has no surface: no three neighbouring cells are connected; no model is written")
+    pixels = read_only(picture, np.uint8, (None, None, 3), "the model's texture")
     longest, largest = max(pixels.shape[:2]), min(largest_texture_px, _LARGEST_TEXTURE_PX)
     if longest > largest:
         height, width = (max(1, round(n * largest / longest)) for n in pixels.shape[:2])
@@ -62,7 +62,7 @@ def glb_bytes(
     if for_viser:
         pixels = texture_for_viewer(pixels)
     done, encoded = cv2.imencode(".png", pixels[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, _PNG_COMPRESSION])
-    assert done, "an 8-bit picture can always be encoded"
+    assert done, "an 8-bit image can always be encoded"
 
     vertices = np.ascontiguousarray(mesh.vertices, dtype="<f4")
     chunks = [

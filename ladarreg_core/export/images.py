@@ -1,4 +1,4 @@
-"""The registered picture and its labels as PNG, on the scan's grid."""
+"""PNG files on the scan's grid: the registered photograph, its labels and its uncertainty."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray
+from ladarreg_core.arrays import ByteArray, FloatArray, read_only
+from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.export.atomic_write import write_bytes
+from ladarreg_core.export.layout import BACKGROUND, DIM, INK, padded, stacked, text_block
 from ladarreg_core.surface.texture import Label, RegisteredTexture
 
 LABEL_COLOURS = {
@@ -20,7 +23,13 @@ LABEL_COLOURS = {
     Label.GRAZING: (242, 184, 75),
     Label.UNCERTAIN: (201, 167, 255),
 }
-"""RGB in which each label is shown."""
+"""RGB colour of each label."""
+_NO_VALUE = (48, 48, 48)
+_SHARE_SHOWN = 98.0  # per cent; a few outlying cells must not compress the scale of all others
+_NICE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+_LEAST_PX, _MOST_PX = 1e-6, 1e9
+_BAR_WIDTHS, _BAR_HEIGHT, _MARGIN, _TEXT = (200, 480), 14, 12, 13
+_TICKS = 4
 
 
 def write_registered_png(path: str | Path, texture: RegisteredTexture) -> None:
@@ -33,18 +42,18 @@ def write_registered_png(path: str | Path, texture: RegisteredTexture) -> None:
 
 
 def write_png(path: str | Path, picture: ByteArray) -> None:
-    """Write a picture (H, W, 3), uint8 RGB, without loss.
+    """Write an image (H, W, 3), uint8 RGB, losslessly.
 
     Raises:
         ExportError: if the file cannot be written.
     """
     done, encoded = cv2.imencode(".png", picture[..., ::-1])
-    assert done, "an 8-bit picture can always be encoded"
+    assert done, "an 8-bit image can always be encoded"
     write_bytes(path, encoded.tobytes())
 
 
 def write_labels_png(path: str | Path, texture: RegisteredTexture) -> None:
-    """Write the labels as an indexed PNG: the pixel values are the codes, the palette makes them legible.
+    """Write the labels as an indexed PNG: pixel values are the codes, the palette gives them colours.
 
     Raises:
         ExportError: if the file cannot be written.
@@ -57,6 +66,86 @@ def write_labels_png(path: str | Path, texture: RegisteredTexture) -> None:
     image = Image.fromarray(texture.labels)
     image.putpalette(palette.tobytes())
     stream = io.BytesIO()
-    # Eight bits per pixel: a reader that ignores palettes then still finds one code a byte.
+    # Eight bits per pixel, so that readers that ignore palettes find one code per byte.
     image.save(stream, format="PNG", bits=8)
     write_bytes(path, stream.getvalue())
+
+
+def uncertainty_picture(sigma_px: FloatArray, *, most_px: float | None = None) -> NDArray[np.uint8]:
+    """Return the uncertainty as colours from dark blue to yellow, above a scale bar in pixels.
+
+    Args:
+        sigma_px: (H, W) standard deviation as returned by `picture_sigma`, px; NaN where undefined.
+        most_px: value of the brightest colour, px, also used for larger values. None: a round number that 98 % of
+            the cells do not exceed.
+
+    Returns:
+        (H + scale, at least W, 3) uint8 RGB; the scan's cells are its upper left H x W pixels, gray where NaN.
+
+    Raises:
+        ShapeError: if it is not an (H, W) grid of cells.
+        OptionError: if `most_px` is not a positive number.
+    """
+    sigma = read_only(sigma_px, np.float32, (None, None), "the uncertainty")
+    if not sigma.size:
+        raise ShapeError("the uncertainty has no cells; it must have the size of the scan")
+    if most_px is not None:
+        number = isinstance(most_px, int | float | np.floating | np.integer) and not isinstance(most_px, bool)
+        if not number or not _LEAST_PX <= most_px <= _MOST_PX:
+            raise OptionError(f"most_px is {most_px!r}; it must be a positive number of pixels")
+    most = scale_end(sigma) if most_px is None else float(most_px)
+    with np.errstate(invalid="ignore"):
+        level = np.clip(np.nan_to_num(sigma / np.float32(most), nan=0.0, posinf=1.0, neginf=0.0), 0, 1)
+        exceeded = bool((sigma > most).any())
+    picture = _coloured(np.rint(level * 255).astype(np.uint8))
+    picture[np.isnan(sigma)] = _NO_VALUE
+    return stacked([picture, _scale(most, exceeded="+" if exceeded else "", room=picture.shape[1])])
+
+
+def write_uncertainty_png(path: str | Path, sigma_px: FloatArray, *, most_px: float | None = None) -> None:
+    """Write the image returned by `uncertainty_picture` for the same arguments.
+
+    Raises:
+        ExportError: if the file cannot be written.
+        LadarregError: as `uncertainty_picture`.
+    """
+    write_png(path, uncertainty_picture(sigma_px, most_px=most_px))
+
+
+def scale_end(sigma_px: FloatArray) -> float:
+    """Return a round number, px, that 98 % of the cells (H, W) do not exceed; 1 if no cell has a value."""
+    known = sigma_px[np.isfinite(sigma_px) & (sigma_px > 0)]
+    if not known.size:
+        return 1.0
+    high = float(np.clip(np.percentile(known.astype(np.float64), _SHARE_SHOWN), _LEAST_PX, _MOST_PX / 10))
+    power = 10.0 ** np.floor(np.log10(high))
+    return float(power * next((n for n in _NICE if n * power >= high * (1 - 1e-6)), _NICE[-1]))
+
+
+def _coloured(level: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the colours (H, W, 3) of levels (H, W)."""
+    return np.array(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)[..., ::-1], dtype=np.uint8)
+
+
+def _scale(most: float, *, exceeded: str, room: int) -> NDArray[np.uint8]:
+    """Return the scale bar with its numbers, if possible `room` pixels wide."""
+    width = int(np.clip(room - 2 * _MARGIN, *_BAR_WIDTHS))
+    bar = _coloured(np.tile(np.linspace(0, 255, width).round().astype(np.uint8), (_BAR_HEIGHT, 1)))
+    field = 56
+    full = np.full((round(_TEXT * 1.36), width + field, 3), BACKGROUND, dtype=np.uint8)
+    for tick in range(_TICKS + 1):
+        at = round(tick * (width - 1) / _TICKS)
+        label = f"{tick * most / _TICKS:.4g}{exceeded if tick == _TICKS else ''}"
+        number = text_block(label, size=_TEXT, width=field, align="centre", colour=INK)
+        # Neighbouring fields may overlap on a narrow bar; the lighter pixel wins, so that no number is clipped.
+        part = full[:, at : at + field]
+        np.maximum(part, number[:, : part.shape[1]], out=part)
+        bar[-4:, min(at, width - 1)] = INK
+    title = text_block("standard deviation of the registered image, pixels", size=_TEXT, colour=DIM)
+    return stacked(
+        [
+            padded(bar, top=_MARGIN, left=field // 2, bottom=4),
+            full,
+            padded(title, left=field // 2, bottom=_MARGIN, right=_MARGIN),
+        ]
+    )

@@ -1,4 +1,4 @@
-"""What the JSON files of all exports share: strict numbers, a pose in both directions, where it came from."""
+"""JSON documents of the exports: `registration.json`, and the parts that all of them share."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,12 +18,19 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import write_bytes
 from ladarreg_core.frames import ThesisParameters
+from ladarreg_core.results import Registration
+from ladarreg_core.surface.texture import Label
+
+if TYPE_CHECKING:
+    from ladarreg_core.quality.assessment import Assessment
+    from ladarreg_core.quality.smoothed_scan import SmoothedScan
 
 CAMERA_FROM_SCANNER_IS = (
     "maps scanner points (X forward, Y left, Z up, m) to the camera (x right, y down, z forward, m): "
     "p_camera = camera_from_scanner @ p_scanner"
 )
-"""The direction of `camera_from_scanner` in words; it stands beside every matrix that is written."""
+"""Explanation of the direction of `camera_from_scanner`; written next to every such matrix."""
+_REGISTRATION_VERSION = 1
 _READ_BYTES = 1 << 20
 
 
@@ -34,11 +41,133 @@ def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
         ExportError: if the file cannot be written.
     """
     text = json.dumps(plain(document), indent=1, ensure_ascii=False, allow_nan=False)
-    write_bytes(path, (_short_rows(text) + "\n").encode("utf-8"))
+    write_bytes(path, (_join_short_lists(text) + "\n").encode("utf-8"))
+
+
+def registration_document(
+    registration: Registration,
+    *,
+    assessment: Assessment | None = None,
+    smoothed: SmoothedScan | None = None,
+    inputs: Sequence[str | Path] = (),
+) -> dict[str, Any]:
+    """Return a registration as a JSON-ready document; undefined numbers are None.
+
+    Args:
+        registration: the result.
+        assessment: assessment of the result; None: that part of the document is empty.
+        smoothed: the scan used for the models, if spikes were searched for.
+        inputs: the input files; their names, sizes and SHA-256 are recorded, without their folders.
+
+    Raises:
+        ExportError: if an input file cannot be read.
+    """
+    r = registration
+    scanner_from_camera = r.camera_from_scanner.inverse
+    document = {
+        "version": _REGISTRATION_VERSION,
+        "camera_from_scanner": r.camera_from_scanner.matrix,
+        "camera_from_scanner_is": CAMERA_FROM_SCANNER_IS,
+        "scanner_from_camera": scanner_from_camera.matrix,
+        "scanner_from_camera_is": "the inverse: maps camera points to the scanner; its last column is the camera's "
+        "centre in the scanner frame",
+        "camera": r.camera.as_fields(),
+        "camera_sigmas": dict(r.camera_sigmas),
+        "covariance": np.asarray(r.covariance),
+        "covariance_is": "of (w, c): R_true = exp([w]x) R (rad), c = true minus estimated camera centre in the "
+        "scanner frame (m)",
+        "sigma": {
+            "angle_rad": r.sigma_angle_rad,
+            "position_m": r.sigma_position_m,
+            "pixel_px": r.sigma_px,
+            "range_m": r.sigma_range_m,
+            "chi2_per_dof": r.chi2_per_dof,
+        },
+        "thesis_parameters": thesis_document(r.thesis_parameters),
+        "accepted": bool(r.accepted),
+        "evidence": r.evidence,
+        "reasons": list(r.reasons),
+        "matches": [
+            {
+                "pick_id": pick_id,
+                "inlier": r.inliers[k],
+                "residual_px": r.residuals_px[k],
+                "residual_m": r.residuals_m[k],
+                "stereo_depth_error_m": r.stereo_depth_error_m[k],
+                "uv": r.matches.uv[k],
+                "ray": r.matches.rays[k],
+                "range_m": r.matches.ranges[k],
+                "influence": _influence(assessment, k),
+            }
+            for k, pick_id in enumerate(r.matches.pick_ids)
+        ],
+        "labels": {str(label.value): label.name.lower() for label in Label},
+        "method": r.method,
+        "steps": [
+            {
+                "name": step.name,
+                "seconds": step.seconds,
+                "matches": None if step.matches is None else len(step.matches),
+                "detail": step.detail,
+            }
+            for step in r.steps
+        ],
+        "diagnostics": r.diagnostics,
+        **_assessment_fields(assessment),
+        "smoothing": None
+        if smoothed is None
+        else {"cells_replaced": smoothed.cells_replaced, "sentence": smoothed.sentence},
+        "options": r.options,
+        "seed": r.seed,
+        "inputs": [input_document(Path(path)) for path in inputs],
+        "software": software_document(),
+    }
+    ready = plain(document)
+    assert isinstance(ready, dict)
+    return ready
+
+
+def _influence(assessment: Assessment | None, k: int) -> dict[str, float] | None:
+    """Return the influence of match k on the pose; numbers are None if the other matches determine no pose."""
+    found = None if assessment is None else assessment.influence
+    if found is None:
+        return None
+    return {name: getattr(found, name)[k] for name in ("position_m", "angle_rad", "pixels", "cook")}
+
+
+def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
+    a = assessment
+    uncertainty = None if a is None else a.uncertainty
+    return {
+        "findings": [
+            {
+                "name": finding.name,
+                "level": finding.level,
+                "sentence": finding.sentence,
+                "what_to_do": finding.what_to_do,
+                "values": finding.values,
+            }
+            for finding in (a.findings or () if a is not None else ())
+        ],
+        "uncertainty": None
+        if uncertainty is None
+        else {
+            "median_px": uncertainty.median_px,
+            "p95_px": uncertainty.p95_px,
+            "worst_px": uncertainty.worst_px,
+            "worst_cell": uncertainty.worst_cell,
+            "worst_uv": uncertainty.worst_uv,
+        },
+        "advice": [
+            {"sentence": place.in_words(), "cell": place.cell, "uv": place.uv, "gain": place.gain}
+            for place in (a.advice or () if a is not None else ())
+        ],
+        "not_assessed": {} if a is None else a.absent,
+    }
 
 
 def thesis_document(thesis: ThesisParameters) -> dict[str, Any]:
-    """Return the thesis's six parameters with their units and the position in words."""
+    """Return the thesis's six parameters with their units and a description of the position."""
     return {
         "Tx": thesis.Tx,
         "Ty": thesis.Ty,
@@ -52,7 +181,7 @@ def thesis_document(thesis: ThesisParameters) -> dict[str, Any]:
 
 
 def software_document() -> dict[str, str]:
-    """Return which versions made a file."""
+    """Return the versions of the software that writes a file."""
     return {
         "name": "ladarreg",
         "version": ladarreg_core.__version__,
@@ -62,7 +191,7 @@ def software_document() -> dict[str, str]:
 
 
 def input_document(path: Path) -> dict[str, Any]:
-    """Return the name, size and SHA-256 of a file, not its folder.
+    """Return the name, size and SHA-256 of an input file, without its folder.
 
     Raises:
         ExportError: if it cannot be read.
@@ -80,7 +209,7 @@ def input_document(path: Path) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON knows it: dicts, lists, strings, finite numbers, None."""
+    """Convert a value to plain JSON values: dicts, lists, strings, finite numbers, None."""
     if value is None or isinstance(value, (str, bool)):
         return str(value.value) if isinstance(value, Enum) else value
     if isinstance(value, Enum):
@@ -100,8 +229,8 @@ def plain(value: Any) -> Any:
     return str(value)
 
 
-def _short_rows(text: str) -> str:
-    """Put the numbers of a short list on one line, so that a matrix reads as a matrix."""
+def _join_short_lists(text: str) -> str:
+    """Put the numbers of a short list on one line, so that matrices are readable."""
     lines, result, k = text.split("\n"), [], 0
     while k < len(lines):
         line = lines[k]

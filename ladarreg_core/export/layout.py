@@ -1,4 +1,4 @@
-"""Blocks of a printed sheet: text, badges and pictures as RGB arrays that are set side by side and below each other."""
+"""Layout of image sheets: blocks of text, badges and images as RGB arrays, arranged in rows and columns."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Colour = tuple[int, int, int]
 Align = Literal["left", "centre", "right"]
 
-# The look's colours, as in the page's style sheet.
+# Colours as in the page's style sheet.
 BACKGROUND: Colour = (0x0F, 0x11, 0x15)
 PANEL: Colour = (0x16, 0x1A, 0x21)
 RAISED: Colour = (0x1C, 0x21, 0x2A)
@@ -36,15 +36,15 @@ BAD: Colour = (0xF2, 0x72, 0x6F)
 BAD_GROUND: Colour = (0x2B, 0x16, 0x17)
 
 _LINE_HEIGHT = 1.36
-_BLOCKS_FROM = 9
-_SPELLED = {"\u2013": "-", "\u2014": "-", "\u2212": "-", "\u00d7": "x", "\u00df": "ss", "\u00b5": "u"}
+_NEAREST_FROM = 9
+_REPLACEMENTS = {"\u2013": "-", "\u2014": "-", "\u2212": "-", "\u00d7": "x", "\u00df": "ss", "\u00b5": "u"}
 
 
 def legible(text: str) -> str:
-    """Return the text in the letters that the font has: accents dropped, what it cannot show as '?'."""
+    """Return the text in characters of the font: accents are dropped, other unknown characters become '?'."""
     shown: list[str] = []
     for letter in unicodedata.normalize("NFC", " ".join(text.split())):
-        letter = _SPELLED.get(letter, letter)
+        letter = _REPLACEMENTS.get(letter, letter)
         if letter in "\u00b0\u00b7\u00b1\u2026" or letter.isascii():
             shown.append(letter if letter.isprintable() else "?")
             continue
@@ -54,17 +54,17 @@ def legible(text: str) -> str:
 
 
 def text_width(text: str, *, size: int) -> float:
-    """Return how wide a text is set, pixels."""
+    """Return the width of a text, pixels."""
     return float(_font(size).getlength(legible(text)))
 
 
 def shortened(text: str, *, size: int, width: float) -> str:
-    """Return the text, cut and ended by an ellipsis where it is wider than `width` pixels."""
+    """Return the text, truncated with an ellipsis if it is wider than `width` pixels."""
     text = legible(text)
     if text_width(text, size=size) <= width:
         return text
     low, high = 0, len(text)
-    while low < high:  # the longest beginning that fits
+    while low < high:  # the longest prefix that fits
         middle = (low + high + 1) // 2
         if text_width(text[:middle].rstrip() + "\u2026", size=size) <= width:
             low = middle
@@ -74,7 +74,7 @@ def shortened(text: str, *, size: int, width: float) -> str:
 
 
 def wrapped(text: str, *, size: int, width: float, lines: int) -> list[str]:
-    """Return at most so many lines that are each at most `width` pixels wide; what does not fit ends in an ellipsis."""
+    """Return the text wrapped to lines of at most `width` pixels; an ellipsis replaces what exceeds the last line."""
     words = legible(text).split()
     result: list[str] = []
     while words and len(result) < lines - 1:
@@ -99,17 +99,17 @@ def text_block(
     weight: float = 0.0,
     align: Align = "left",
 ) -> NDArray[np.uint8]:
-    """Return a text on a flat ground.
+    """Return a text on a uniform background.
 
     Args:
-        text: what it says.
-        size: of the letters, pixels.
-        width: of the block; the text is wrapped or shortened to it. None: as wide as the text.
-        lines: at most so many.
-        colour: of the letters.
-        ground: behind them.
-        weight: how much bolder than the plain letters, pixels.
-        align: to which side of the block.
+        text: the text.
+        size: font size, pixels.
+        width: width of the block, to which the text is wrapped or truncated. None: as wide as the text.
+        lines: largest number of lines.
+        colour: text colour.
+        ground: background colour.
+        weight: additional stroke width, pixels.
+        align: horizontal alignment within the block.
 
     Returns:
         (H, W, 3) uint8 RGB.
@@ -124,7 +124,7 @@ def text_block(
     for number, row in enumerate(rows):
         spare = full - weight - text_width(row, size=size)
         x = {"left": 0.0, "centre": spare / 2, "right": spare}[align]
-        # The baseline, not the letters' own box, so that neighbours stand on one line.
+        # Aligned at the baseline, not the bounding box, so that neighbouring blocks line up.
         y = height * number + height * 0.74
         for shift in (0.0, weight) if weight else (0.0,):
             draw.text((x + shift, y), row, font=font, fill=colour, anchor="ls")
@@ -132,7 +132,7 @@ def text_block(
 
 
 def chip(text: str, *, size: int, colour: Colour, ground: Colour, under: Colour) -> NDArray[np.uint8]:
-    """Return a badge: a text in a rounded box of its colour."""
+    """Return a badge: a text in a rounded box with a border of the same colour."""
     words = text_block(text, size=size, colour=colour, ground=ground, weight=0.4)
     return boxed(words, pad=(round(size * 0.14), round(size * 0.6)), ground=ground, line=colour, under=under, radius=8)
 
@@ -140,7 +140,7 @@ def chip(text: str, *, size: int, colour: Colour, ground: Colour, under: Colour)
 def boxed(
     block: ByteArray, *, pad: tuple[int, int], ground: Colour, line: Colour, under: Colour, radius: int
 ) -> NDArray[np.uint8]:
-    """Return a block within a box with rounded corners, `pad` pixels (vertical, horizontal) wider on every side."""
+    """Return a block in a box with rounded corners and `pad` pixels (vertical, horizontal) of padding."""
     result = padded(block, top=pad[0], bottom=pad[0], left=pad[1], right=pad[1], ground=ground)
     height, width = result.shape[:2]
     radius = min(radius, height // 2, width // 2)
@@ -148,7 +148,7 @@ def boxed(
     y = np.abs(np.arange(height) + 0.5 - half[0])[:, None] - half[0]
     x = np.abs(np.arange(width) + 0.5 - half[1])[None] - half[1]
     middle = slice(radius, height - radius)
-    # Only the strips along the sides hold anything but the ground.
+    # Only the strips along the sides differ from the plain ground.
     for rows, columns in (
         (slice(0, radius), slice(None)),
         (slice(height - radius, height), slice(None)),
@@ -181,7 +181,7 @@ def placed(
     align: Align = "centre",
     at_top: float = 0.5,
 ) -> NDArray[np.uint8]:
-    """Return a block within a larger field; `at_top` is the share of the spare height above it."""
+    """Return a block within a larger field; `at_top` is the fraction of the spare height above it."""
     spare = width - block.shape[1]
     left = {"left": 0, "centre": spare // 2, "right": spare}[align]
     above = round((height - block.shape[0]) * at_top)
@@ -191,14 +191,14 @@ def placed(
 
 
 def stacked(blocks: Sequence[ByteArray], *, gap: int = 0, ground: Colour = BACKGROUND) -> NDArray[np.uint8]:
-    """Return blocks below each other, each at the left."""
+    """Return blocks one below the other, aligned left."""
     width = max(block.shape[1] for block in blocks)
     rows = [padded(b, right=width - b.shape[1], bottom=gap, ground=ground) for b in blocks[:-1]]
     return np.concatenate([*rows, padded(blocks[-1], right=width - blocks[-1].shape[1], ground=ground)])
 
 
 def beside(blocks: Sequence[ByteArray], *, gap: int = 0, ground: Colour = BACKGROUND) -> NDArray[np.uint8]:
-    """Return blocks side by side, each at the top."""
+    """Return blocks side by side, aligned at the top."""
     height = max(block.shape[0] for block in blocks)
     columns = [padded(b, bottom=height - b.shape[0], right=gap, ground=ground) for b in blocks[:-1]]
     last = padded(blocks[-1], bottom=height - blocks[-1].shape[0], ground=ground)
@@ -206,20 +206,20 @@ def beside(blocks: Sequence[ByteArray], *, gap: int = 0, ground: Colour = BACKGR
 
 
 def fit_size(aspect: float, *, width: int, height: int) -> tuple[int, int]:
-    """Return the largest (width, height), pixels, of an aspect (width over height) within a field."""
+    """Return the largest (width, height), pixels, with a given aspect ratio (width / height) that fits a field."""
     w = min(float(width), height * aspect)
     return max(1, min(width, round(w))), max(1, min(height, round(w / aspect)))
 
 
 def resized(picture: ByteArray, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return a picture at (width, height) pixels: averaged where it shrinks, its pixels shown where it grows a lot."""
+    """Return an image resized to (width, height) pixels: averaged if reduced, nearest neighbour if much enlarged."""
     growth = min(size[0] / picture.shape[1], size[1] / picture.shape[0])
-    how = cv2.INTER_AREA if growth < 1 else cv2.INTER_CUBIC if growth < _BLOCKS_FROM else cv2.INTER_NEAREST
+    how = cv2.INTER_AREA if growth < 1 else cv2.INTER_CUBIC if growth < _NEAREST_FROM else cv2.INTER_NEAREST
     return np.asarray(cv2.resize(picture, size, interpolation=how), dtype=np.uint8)
 
 
 def framed(picture: ByteArray, colour: Colour, *, thickness: int = 2) -> NDArray[np.uint8]:
-    """Return a picture whose outermost pixels are a frame."""
+    """Return an image with a frame drawn over its outermost pixels."""
     result = np.array(picture, dtype=np.uint8)
     for side in (np.s_[:thickness], np.s_[-thickness:], np.s_[:, :thickness], np.s_[:, -thickness:]):
         result[side] = colour
@@ -227,7 +227,7 @@ def framed(picture: ByteArray, colour: Colour, *, thickness: int = 2) -> NDArray
 
 
 def with_mark(picture: ByteArray, mark: ByteArray, *, margin: int = 10) -> NDArray[np.uint8]:
-    """Return a picture with a mark over its lower left corner; it must be larger than the mark."""
+    """Return an image with a mark over its lower left corner; it must be larger than the mark."""
     result = np.array(picture, dtype=np.uint8)
     bottom = result.shape[0] - margin
     result[bottom - mark.shape[0] : bottom, margin : margin + mark.shape[1]] = mark

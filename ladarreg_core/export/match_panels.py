@@ -1,4 +1,4 @@
-"""The matches of a pose, drawn on the photograph."""
+"""Panels of the contact sheet with the matches of a pose, drawn on the photograph."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 
 _ENLARGEMENTS = (50, 20, 10, 5, 2, 1)
-_WANTED_LINE_PX = 14.0
+_TARGET_LINE_PX = 14.0
 _LONGEST_LINE_PX = 60.0
 _MANY_MATCHES = 250
 _DIMMED, _GRAYED = 0.5, 0.65
@@ -21,9 +21,9 @@ _SHIFT = 4  # fractional bits of OpenCV's drawing coordinates
 
 
 def best_enlargement(results: Sequence[PoseResult | None], width: int) -> int:
-    """Return how many times longer than true residuals are drawn on photographs `width` pixels wide, so that they show.
+    """Return the factor by which residuals are enlarged to be visible on photographs `width` pixels wide.
 
-    One number for all results, so that the panels can be compared.
+    It is the same for all results, so that the panels are comparable.
     """
     medians = []
     for result in results:
@@ -33,7 +33,7 @@ def best_enlargement(results: Sequence[PoseResult | None], width: int) -> int:
             medians += [float(np.median(length))] if len(length) else []
     # The geometric mean: neither the worst nor the best result alone sets the scale.
     typical = float(np.exp(np.mean(np.log(np.maximum(medians, 1e-6))))) if medians else 0.0
-    return next((times for times in _ENLARGEMENTS if times * typical <= _WANTED_LINE_PX), 1)
+    return next((times for times in _ENLARGEMENTS if times * typical <= _TARGET_LINE_PX), 1)
 
 
 def match_panel(
@@ -45,16 +45,16 @@ def match_panel(
         photo: the photograph.
         result: the matches with their residuals; None: no dots.
         size: (width, height) of the panel, pixels.
-        enlargement: how many times longer than true the residuals are drawn; very long ones are cut.
+        enlargement: factor by which the residuals are enlarged; very long ones are shortened.
 
     Returns:
-        (height, width, 3) uint8 RGB; inliers green, the others red and below them.
+        (height, width, 3) uint8 RGB; inliers are green, outliers red and below them.
     """
     panel = _dimmed(resized(photo.pixels, size))
     if result is None:
         return panel
     scale = np.array(size) / photo.camera.size
-    # Outer borders stay where they are, so pixel centres move.
+    # The image borders coincide, so pixel centres shift.
     at = (result.matches.uv + 0.5) * scale - 0.5
     step = -result.residuals_px * scale * enlargement
     length = np.hypot(*step.T)[:, None]
@@ -84,7 +84,7 @@ def _fixed(point: NDArray[np.float64]) -> tuple[int, int]:
 
 
 def _dimmed(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a picture darker and grayer, so that what is drawn on it stands out."""
+    """Return a darker and grayer copy of an image, against which drawings stand out."""
     gray = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), dtype=np.float32)[..., None]
     mixed = _GRAYED * gray + (1 - _GRAYED) * picture.astype(np.float32)
     return np.asarray(np.rint(mixed * _DIMMED), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""The coloured cloud as binary PLY."""
+"""Export of the coloured cloud as binary PLY."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def write_ply(path: str | Path, scan: Scan, texture: RegisteredTexture) -> None:
 def ply_bytes(scan: Scan, texture: RegisteredTexture) -> bytes:
     """Return the returns of a scan as binary little-endian PLY, row by row.
 
-    Cells that the camera does not see carry their dimmed laser intensity as colour.
+    Cells that the camera does not see have their dimmed laser intensity as colour.
 
     Raises:
         ShapeError: if the texture is not on the scan's grid.

@@ -1,11 +1,11 @@
-"""Folders that are written beside their place and put into it in one step, whatever becomes of the program.
+"""Atomic replacement of folders: a staging folder is written next to the target and renamed at the end.
 
-Beside a folder NAME, while it is written, lie
+While a folder NAME is being written, these are next to it:
 
-.NAME.PID-XXXXXXXX.part   what is not finished, or was replaced: removed at the end
-.NAME.PID-XXXXXXXX.old    the folder that is being replaced, for a moment, where two folders cannot be exchanged
+.NAME.PID-XXXXXXXX.part   the unfinished or the replaced folder; removed at the end
+.NAME.PID-XXXXXXXX.old    the folder being replaced, for a moment, on systems that cannot exchange two folders
 
-A program that is killed leaves them; `clear_leftovers` removes the first and gives the second its name back.
+A killed program leaves them behind; `clear_leftovers` removes the first and gives the second its name back.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Literal
 
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import sync_folder
-from ladarreg_core.export.replacement import content_of, in_words, remove_results
+from ladarreg_core.export.replacement import display_path, folder_content, remove_results
 
 _LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?:(?P<pid>\d{1,10})-)?[0-9a-f]{8}\.(?P<state>part|old)")
 _HERE = -100  # AT_FDCWD
@@ -30,34 +30,34 @@ _EXCHANGE = 2  # RENAME_EXCHANGE
 
 @contextlib.contextmanager
 def staging_folder(target: Path, *, more_names: Collection[str] = ()) -> Iterator[Path]:
-    """Make a folder beside a place and hold it; at the end remove what it holds then, if it is still there.
+    """Create and lock a temporary folder next to a target; at the end it is removed with its remaining result files.
 
     Args:
-        target: the place; its parent exists.
-        more_names: files that are written, beside those of every run.
+        target: the target folder; its parent exists.
+        more_names: names of additional result files, beyond those that every run writes.
 
     Raises:
-        OSError: if it cannot be made.
+        OSError: if it cannot be created.
     """
     folder, held = _new_folder(target)
     try:
         yield folder
     finally:
         remove_results(folder, more_names=more_names)
-        _let_go(held)
+        _unlock(held)
 
 
 def put_in_place(new: Path, target: Path, verify: Callable[[Path], None]) -> None:
-    """Rename a staging folder to its place; what was there is in the staging folder then.
+    """Rename a staging folder to its target; the previous content is then in the staging folder.
 
-    On Linux the two folders are exchanged in one step. Elsewhere the old folder is set aside first, and has its name
-    back if the new one cannot take it.
+    On Linux the two folders are exchanged atomically. Elsewhere the old folder is renamed first, and gets its name back
+    if the new one cannot be renamed.
 
     Args:
         new: the staging folder.
-        target: the place.
-        verify: raises if the folder that was there, given by its path at that moment, must not be replaced; it is put
-            back then.
+        target: the target folder.
+        verify: called with the current path of the previous folder; raises if it must not be replaced, in which case
+            it is restored.
 
     Raises:
         OSError: if it cannot be renamed.
@@ -68,30 +68,31 @@ def put_in_place(new: Path, target: Path, verify: Callable[[Path], None]) -> Non
         sync_folder(target.parent)
         return
     try:
-        held = _hold(target)
+        held = _lock(target)
     except BlockingIOError:
         raise ExportError(
-            f"the folder {in_words(target)} is being replaced by another program; wait for that, or give another folder"
+            f"the folder {display_path(target)} is being replaced by another program; wait for it, or give another "
+            "folder"
         ) from None
     try:
-        if _exchanged(new, target):
+        if _exchange(new, target):
             try:
                 verify(new)
             except BaseException:
-                _exchanged(new, target)
+                _exchange(new, target)
                 raise
         else:
             _set_aside_and_rename(new, target, verify)
         sync_folder(target.parent)
     finally:
-        _let_go(held)
+        _unlock(held)
 
 
 def clear_leftovers(folder: Path, *, more_names: Collection[str] = ()) -> None:
-    """Clear away what killed programs left in a folder: see above. What a living program holds is not touched.
+    """Remove what killed programs left in a folder, see above. Folders locked by running programs are not touched.
 
     Args:
-        folder: where folders were being written.
+        folder: parent of the folders that were being written.
         more_names: as in `staging_folder`.
     """
     with contextlib.suppress(OSError):
@@ -107,33 +108,33 @@ def clear_leftovers(folder: Path, *, more_names: Collection[str] = ()) -> None:
 
 
 def _clear(path: Path, target: Path, state: str, pid: str | None, more_names: Collection[str]) -> None:
-    held = _hold(path)  # raises where its program lives
+    held = _lock(path)  # raises if its program is running
     try:
-        if held is None and (pid is None or _runs(int(pid))):
+        if held is None and (pid is None or _is_running(int(pid))):
             return
         if state == "part":
             remove_results(path, more_names=more_names)
         elif not os.path.lexists(target):
             os.rename(path, target)
-        elif content_of(target, more_names=more_names).document:  # the new results stand
+        elif folder_content(target, more_names=more_names).document:  # the new results are in place
             remove_results(path, more_names=more_names)
     finally:
-        _let_go(held)
+        _unlock(held)
 
 
 def _set_aside_and_rename(new: Path, target: Path, verify: Callable[[Path], None]) -> None:
-    aside = _beside(target, "old")
+    aside = _temporary_path(target, "old")
     try:
         os.rename(target, aside)
         verify(aside)
         os.rename(new, target)
-    finally:  # an interruption may fall just behind either
+    finally:  # an interruption may occur right after either rename
         if os.path.lexists(aside):
             os.rename(aside, new if os.path.lexists(target) else target)
 
 
-def _exchanged(first: Path, second: Path) -> bool:
-    """Exchange two folders in one step; return False where the system or the file system cannot."""
+def _exchange(first: Path, second: Path) -> bool:
+    """Exchange two folders atomically; return False where the system or the file system does not support it."""
     if sys.platform != "linux":
         return False
     import ctypes
@@ -145,29 +146,29 @@ def _exchanged(first: Path, second: Path) -> bool:
     return bool(exchange(_HERE, os.fsencode(first), _HERE, os.fsencode(second), _EXCHANGE) == 0)
 
 
-def _beside(target: Path, state: Literal["part", "old"]) -> Path:
+def _temporary_path(target: Path, state: Literal["part", "old"]) -> Path:
     return target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}.{state}")
 
 
 def _new_folder(target: Path) -> tuple[Path, int | None]:
-    """Make a folder and hold it, before anybody takes it for a leftover."""
+    """Create a folder and lock it before another program considers it a leftover."""
     while True:
-        folder = _beside(target, "part")
+        folder = _temporary_path(target, "part")
         folder.mkdir()
         try:
-            held = _hold(folder)
+            held = _lock(folder)
             if held is None or os.path.samestat(os.fstat(held), os.stat(folder)):
                 return folder, held
-            _let_go(held)
+            _unlock(held)
         except (BlockingIOError, FileNotFoundError):
             continue
 
 
-def _hold(folder: Path) -> int | None:
-    """Hold a folder for as long as this process lives; None where the system cannot.
+def _lock(folder: Path) -> int | None:
+    """Lock a folder for the lifetime of this process; None where the system does not support it.
 
     Raises:
-        BlockingIOError: if it is held already.
+        BlockingIOError: if it is locked already.
         OSError: if it cannot be opened.
     """
     if sys.platform == "win32":
@@ -186,14 +187,14 @@ def _hold(folder: Path) -> int | None:
     return descriptor
 
 
-def _let_go(held: int | None) -> None:
+def _unlock(held: int | None) -> None:
     if held is not None:
         with contextlib.suppress(OSError):
             os.close(held)
 
 
-def _runs(pid: int) -> bool:
-    """Return whether there is a process of that number."""
+def _is_running(pid: int) -> bool:
+    """Return whether a process with that id is running."""
     if sys.platform == "win32":
         import ctypes
 
@@ -201,7 +202,7 @@ def _runs(pid: int) -> bool:
         kernel.OpenProcess.restype = ctypes.c_void_p
         process = kernel.OpenProcess(0x100000, False, pid)  # SYNCHRONIZE
         if not process:
-            return ctypes.get_last_error() == 5  # ERROR_ACCESS_DENIED: it runs, as somebody else
+            return ctypes.get_last_error() == 5  # ERROR_ACCESS_DENIED: it runs as another user
         ended = kernel.WaitForSingleObject(ctypes.c_void_p(process), 0) == 0
         kernel.CloseHandle(ctypes.c_void_p(process))
         return not ended

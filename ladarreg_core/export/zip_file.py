@@ -1,4 +1,4 @@
-"""Results in one zip file, which is there wholly or not at all."""
+"""Export of results into one zip file, written atomically."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from ladarreg_core.progress import Progress, Report
 
 
 def write_zip(path: str | Path, files: Callable[[], Sequence[FileJob]], *, report: Report | None = None) -> None:
-    """Write files into a zip file; one of that name is replaced.
+    """Write files into a zip file, replacing any of that name.
 
-    All is written beside it first, so that an error, an interruption or a `report` that raises leaves what was there.
+    It is written to a temporary folder first, so that an error, an interruption or a `report` that raises leaves the
+    previous state.
 
     Args:
-        path: the zip file; its folder exists, and is one that only this program writes into.
+        path: the zip file; its folder exists, and only this program writes into it.
         files: returns the names and writers.
-        report: told before each file and at the end.
+        report: receives the progress, before each file and at the end.
 
     Raises:
         ExportError: if it cannot be written.

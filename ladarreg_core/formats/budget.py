@@ -1,7 +1,7 @@
-"""The memory that reading one file may use, compared with what the file claims before anything is allocated.
+"""Memory limits of reading a file, checked against the file's claims before anything is allocated.
 
-Compressed and constant data cost a file almost nothing: a few kilobytes can claim a scan or a picture of gigabytes.
-Every reader works out from the header what it would hold at its peak (arrays, copies and masks) and asks here first.
+Compressed and constant data take almost no space: a few kilobytes can claim a scan or an image of gigabytes. Every
+reader estimates its peak memory (arrays, copies and masks) from the header and checks it here first.
 """
 
 from __future__ import annotations
@@ -11,28 +11,28 @@ from dataclasses import dataclass
 from ladarreg_core.errors import FormatError, OptionError
 
 DEFAULT_BYTES = 1 << 30
-"""Memory that reading a small file may use at its peak."""
+"""Default memory limit for small files."""
 BYTES_PER_FILE_BYTE = 64
-"""A large file may use this many times its own size instead: a dense scan is 10 to 20 bytes a point in the file, and
-about 400 while it is laid onto its grid."""
+"""Default memory limit for large files, relative to their size: a dense scan takes 10 to 20 bytes per point in the
+file, and about 400 while it is gridded."""
 ALWAYS_CELLS = 2_000_000
-"""A grid of up to this many cells is taken from a file of any size: a scan may be nearly empty."""
+"""Grids of up to this many cells are accepted from files of any size: a scan may be nearly empty."""
 LEAST_CELLS = 4096
-"""A cloud is not thinned to fewer."""
+"""Smallest grid that a cloud is thinned to."""
 CELLS_PER_BYTE = 2
-"""A larger grid needs at least half a byte of file for each of its cells."""
+"""Largest number of cells per byte of file for larger grids."""
 ALWAYS_PIXELS = 16_000_000
-"""A picture of up to this many pixels is taken from a file of any size: it may be of one colour."""
+"""Images of up to this many pixels are accepted from files of any size: an image may have a single colour."""
 PIXELS_PER_BYTE = 200
-"""A larger picture may have this many pixels for each byte of its file."""
+"""Largest number of pixels per byte of file for larger images."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReadBudget:
-    """What reading one file may cost."""
+    """Limits of reading one file."""
 
     file_bytes: int
-    """Size of the file, with those that it refers to."""
+    """Size of the file, including the files that it refers to."""
     limit_bytes: int
     """Memory that the read may use at its peak."""
 
@@ -41,8 +41,8 @@ class ReadBudget:
         """Return the budget of a file.
 
         Args:
-            file_bytes: its size, bytes.
-            memory_bytes: memory that the read may use; None: 1 GB, or 64 times the file's size if that is more.
+            file_bytes: file size, bytes.
+            memory_bytes: memory that the read may use, bytes; None: 1 GB, or 64 times the file's size if that is more.
 
         Raises:
             OptionError: if `memory_bytes` is not positive.
@@ -50,27 +50,27 @@ class ReadBudget:
         if memory_bytes is None:
             memory_bytes = max(DEFAULT_BYTES, BYTES_PER_FILE_BYTE * file_bytes)
         if isinstance(memory_bytes, bool) or not isinstance(memory_bytes, int) or memory_bytes < 1:
-            raise OptionError(f"memory_bytes is {memory_bytes!r}; it must be a positive whole number of bytes")
+            raise OptionError(f"memory_bytes is {memory_bytes!r}; it must be a positive integer, in bytes")
         return ReadBudget(file_bytes, memory_bytes)
 
     @property
     def most_cells(self) -> int:
-        """The largest grid that a file of this size plausibly holds."""
+        """Number of cells that a file of this size can plausibly contain."""
         return max(ALWAYS_CELLS, CELLS_PER_BYTE * self.file_bytes)
 
-    def cells_beside(self, held_bytes: float, bytes_per_cell: float) -> int:
-        """Return the largest grid that there is room for beside what is held already; a finer one is thinned to it."""
-        return max(LEAST_CELLS, min(self.most_cells, int((self.limit_bytes - held_bytes) / bytes_per_cell)))
+    def cells_that_fit(self, bytes_per_cell: float, *, besides_bytes: float) -> int:
+        """Return the number of cells that fit besides data of a given size; finer grids are thinned to it."""
+        return max(LEAST_CELLS, min(self.most_cells, int((self.limit_bytes - besides_bytes) / bytes_per_cell)))
 
     def require(self, needed_bytes: float, what: str) -> None:
         """Refuse a read that needs more memory than it may use.
 
         Args:
-            needed_bytes: memory at the peak of the read, bytes.
-            what: what needs it, in the plural or the singular, for the error.
+            needed_bytes: peak memory of the read, bytes.
+            what: the data that need it, for the error message.
 
         Raises:
-            FormatError: if it is beyond the budget.
+            FormatError: if it exceeds the budget.
         """
         if needed_bytes > self.limit_bytes:
             raise FormatError(
@@ -82,38 +82,38 @@ class ReadBudget:
         """Refuse a grid that is too large for memory, or for the file that claims it.
 
         Args:
-            rows: of the grid, at least 1.
-            columns: of the grid, at least 1.
-            bytes_per_cell: memory for each cell at the peak of the read, bytes.
+            rows: rows of the grid, at least 1.
+            columns: columns of the grid, at least 1.
+            bytes_per_cell: peak memory of the read per cell, bytes.
 
         Raises:
-            FormatError: if it is beyond the budget.
+            FormatError: if it exceeds the budget.
         """
         self.require(rows * columns * bytes_per_cell, f"its grid of {rows:,} x {columns:,} cells")
         if rows * columns > self.most_cells:
             raise FormatError(
-                f"it claims {rows:,} x {columns:,} cells in {self.file_bytes:,} bytes; a file of that size holds at "
-                f"most {self.most_cells:,}: it is damaged or nearly empty, so thin it out"
+                f"it claims {rows:,} x {columns:,} cells in {self.file_bytes:,} bytes; a file of that size contains at "
+                f"most {self.most_cells:,}: it is damaged or nearly empty; thin it out"
             )
 
     def require_pixels(self, width: int, height: int, bytes_per_pixel: float) -> None:
-        """Refuse a picture that is too large for memory, or for the file that claims it.
+        """Refuse an image that is too large for memory, or for the file that claims it.
 
         Args:
-            width: of the picture, pixels.
-            height: of the picture, pixels.
-            bytes_per_pixel: memory for each pixel at the peak of the read, bytes.
+            width: image width, pixels.
+            height: image height, pixels.
+            bytes_per_pixel: peak memory of the read per pixel, bytes.
 
         Raises:
-            FormatError: if it is beyond the budget.
+            FormatError: if it exceeds the budget.
         """
         pixels = width * height
         if pixels > ALWAYS_PIXELS and pixels > PIXELS_PER_BYTE * self.file_bytes:
             raise FormatError(
-                f"the picture claims {width:,} x {height:,} pixels in {self.file_bytes:,} bytes, more than "
-                f"{PIXELS_PER_BYTE} a byte; it is cut off or no honest file: export it again or scale it down"
+                f"the image claims {width:,} x {height:,} pixels in {self.file_bytes:,} bytes, more than "
+                f"{PIXELS_PER_BYTE} per byte; it is truncated or malicious: export it again or scale it down"
             )
-        self.require(pixels * bytes_per_pixel, f"the picture of {width:,} x {height:,} pixels")
+        self.require(pixels * bytes_per_pixel, f"the image of {width:,} x {height:,} pixels")
 
 
 def _gigabytes(count: float) -> str:

@@ -1,4 +1,4 @@
-"""Camera files: our JSON, OpenCV's YAML or JSON storage, and ROS camera_info YAML."""
+"""Camera files: ladarreg's JSON, OpenCV's YAML or JSON storage, and ROS camera_info YAML."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _PINHOLE_MODELS = ("", "plumb_bob", "rational_polynomial", "radtan", "opencv", "
 
 
 def read_camera(path: PathLike) -> Camera:
-    """Read a camera, its form recognised by content.
+    """Read a camera, its format recognised by content.
 
     Raises:
-        FormatError: if it is no camera file.
-        CameraError: if its numbers are no camera.
+        FormatError: if it is not a camera file.
+        CameraError: if its parameters are invalid.
     """
     with reading(path) as file:
         size = file.stat().st_size
@@ -43,7 +43,7 @@ def read_camera(path: PathLike) -> Camera:
         try:
             text = file.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError:
-            raise FormatError("it is no text; a camera is JSON, OpenCV YAML or ROS camera_info YAML") from None
+            raise FormatError("it is not text; a camera is JSON, OpenCV YAML or ROS camera_info YAML") from None
         return camera_from_fields(parse_yaml(text))
 
 
@@ -57,34 +57,34 @@ def write_camera(path: PathLike, camera: Camera) -> None:
 
 
 def camera_fields(camera: Camera) -> dict[str, Any]:
-    """Return a camera as the fields of its JSON."""
+    """Return the fields of a camera's JSON."""
     return camera.as_fields()
 
 
 def camera_from_fields(fields: Mapping[str, Any]) -> Camera:
-    """Return the camera that the fields of a file describe.
+    """Return the camera described by the fields of a file.
 
     Args:
-        fields: our own (`fx`, ...) or a calibration tool's (`camera_matrix`, `K`, ...), names in any case.
+        fields: those of ladarreg (`fx`, ...) or of a calibration tool (`camera_matrix`, `K`, ..., in any case).
 
     Raises:
         FormatError: if fields are missing.
-        CameraError: if their values are no camera.
+        CameraError: if their values are invalid.
     """
     if "fx" in fields or "fy" in fields:
-        return _own(fields)
+        return _camera_from_own_fields(fields)
     if isinstance(fields.get("camera"), Mapping):
         return camera_from_fields(fields["camera"])
     by_name = {"".join(c for c in str(key).lower() if c.isalnum()): value for key, value in fields.items()}
     matrix = _first(by_name, _MATRIX)
     if matrix is None:
         raise FormatError(
-            f"it holds {_some(fields)} but neither fx, fy, cx, cy nor a camera_matrix; give a camera file"
+            f"it contains {_first_names(fields)} but neither fx, fy, cx, cy nor a camera_matrix; give a camera file"
         )
-    return _tool(by_name, _numbers(matrix, "the camera matrix"))
+    return _camera_from_tool_fields(by_name, _numbers(matrix, "the camera matrix"))
 
 
-def _own(fields: Mapping[str, Any]) -> Camera:
+def _camera_from_own_fields(fields: Mapping[str, Any]) -> Camera:
     terms = fields.get("distortion", [])
     if not isinstance(terms, list):
         raise FormatError(f"the field 'distortion' is {one_line(repr(terms), 60)}; it must be a list of numbers")
@@ -99,7 +99,7 @@ def _own(fields: Mapping[str, Any]) -> Camera:
     )
 
 
-def _tool(by_name: Mapping[str, Any], K: list[float]) -> Camera:
+def _camera_from_tool_fields(by_name: Mapping[str, Any], K: list[float]) -> Camera:
     model = str(by_name.get("distortionmodel") or "").lower()
     if model not in _PINHOLE_MODELS:
         raise CameraError(
@@ -118,13 +118,15 @@ def _tool(by_name: Mapping[str, Any], K: list[float]) -> Camera:
         if len(pair) == 2:
             width, height = pair
     if width is None or height is None:
-        raise FormatError("it does not say the picture's size; add image_width and image_height")
+        raise FormatError("the image size is missing; add image_width and image_height")
     sides = {"image_width": width, "image_height": height}
     raw = _first(by_name, _DISTORTION)
     terms = _numbers(raw, "the distortion") if raw is not None else []
     if len(terms) in (12, 14):
         if any(terms[8:]):
-            raise CameraError(f"the distortion has {len(terms)} terms; thin prisms and tilt are not supported: use 8")
+            raise CameraError(
+                f"the distortion has {len(terms)} terms; thin-prism and tilt terms are not supported: use 8"
+            )
         terms = terms[:8]
     return Camera(whole_number(sides, "image_width"), whole_number(sides, "image_height"), fx, fy, cx, cy, tuple(terms))
 
@@ -134,7 +136,7 @@ def _first(by_name: Mapping[str, Any], names: Sequence[str]) -> Any:
 
 
 def _numbers(value: Any, what: str) -> list[float]:
-    """Return the numbers of a list, of a list of lists, or of a stored matrix with its `data`."""
+    """Return the numbers in a list, a list of lists, or an OpenCV matrix with its `data`."""
     if isinstance(value, Mapping):
         data = value.get("data")
         numbers = _numbers(data if data is not None else [], what)
@@ -149,20 +151,20 @@ def _numbers(value: Any, what: str) -> list[float]:
     return [number({what: item}, what) for item in value]
 
 
-def _some(fields: Mapping[str, Any]) -> str:
+def _first_names(fields: Mapping[str, Any]) -> str:
     names = ", ".join(one_line(name, 20) for name in list(fields)[:5])
     return names or "nothing"
 
 
 def sniff_camera_yaml(head: bytes) -> bool:
-    """Tell whether a text's first bytes look like a calibration in YAML."""
+    """Return whether the first bytes look like a calibration in YAML."""
     return head.lstrip().startswith(b"%YAML") or any(
         word in head for word in (b"camera_matrix", b"image_width", b"distortion_model", b"cameraMatrix")
     )
 
 
 def describe_camera(camera: Camera) -> dict[str, Any]:
-    """Return a camera in a person's words: focal length, principal point, distortion."""
+    """Return a camera's parameters, formatted for display."""
     return {
         "size": f"{camera.width} x {camera.height} px",
         "focal_px": f"{camera.fx:.2f}, {camera.fy:.2f}",

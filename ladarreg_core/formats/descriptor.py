@@ -1,4 +1,4 @@
-"""Descriptor JSON: a few words that turn bare depth pictures and raw count files into scans."""
+"""Descriptor JSON: metadata that turn plain depth images and raw count files into scans."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import IntensityKind, Scan
 from ladarreg_core.scanner.grids import PinholeGrid, range_from_counts
 
-# Memory for each cell at the peak of a read, as measured; unbending a lens's distortion takes the most.
+# Measured peak memory per cell of a read; undistorting takes the most.
 _DEPTH_BYTES = 300
 _PLAIN_DEPTH_BYTES = 160
 _COUNTS_BYTES = 80
@@ -42,24 +42,24 @@ _DTYPE_WORDS = {
 
 
 def read_descriptor(path: PathLike, *, memory_bytes: int | None = None, report: Report | None = None) -> Scan:
-    """Read the scan that a descriptor describes.
+    """Read the scan described by a descriptor.
 
     Args:
         path: a JSON object with `kind` `depth-image` or `counts`.
-        memory_bytes: memory that the read may use, bytes; None: see `budget`, by the size of all its files together.
+        memory_bytes: memory that the read may use, bytes; None: see `budget`, for the total size of its files.
         report: receives the progress.
 
     Raises:
-        FormatError: if a field is missing or absurd, a file that it names is missing, damaged or outside its folder, or
-            they would need more memory than may be used.
-        ShapeError: if pictures and camera disagree in size, or there is no return.
-        CameraError: if the camera is none.
+        FormatError: if a field is missing or invalid, a file that it names is missing, damaged or outside its folder,
+            or they would need more memory than may be used.
+        ShapeError: if images and camera differ in size, or there is no return.
+        CameraError: if the camera is missing or invalid.
     """
     with reading(path) as file:
         fields = read_json_object(file, "a scan descriptor")
         if "kind" not in fields:
             names = one_line(", ".join(list(fields)[:6]), 80) or "nothing"
-            raise FormatError(f"it is JSON with {names}, but no scan: a descriptor has 'kind': {' or '.join(KINDS)}")
+            raise FormatError(f"it is JSON with {names}, but not a scan: a descriptor has 'kind': {' or '.join(KINDS)}")
         kind = choice(fields, "kind", KINDS)
         reader = _depth_image if kind == "depth-image" else _counts
         return reader(file, fields, memory_bytes, report)
@@ -71,7 +71,7 @@ def _intensity_is(fields: Mapping[str, Any]) -> IntensityKind:
 
 
 def _budget(file: Path, fields: Mapping[str, Any], names: tuple[str, ...], memory_bytes: int | None) -> ReadBudget:
-    """Return the budget of a descriptor with the files that it names."""
+    """Return the budget of a descriptor and the files that it names."""
     targets = [inside_folder(file.parent, fields[name], f"the file of {name!r}") for name in names if fields.get(name)]
     files = {file.resolve(), *(target for target in targets if target.is_file())}
     return ReadBudget.of(sum(each.stat().st_size for each in files), memory_bytes)
@@ -79,21 +79,21 @@ def _budget(file: Path, fields: Mapping[str, Any], names: tuple[str, ...], memor
 
 def _depth_image(file: Path, fields: Mapping[str, Any], memory_bytes: int | None, report: Report | None) -> Scan:
     if fields.get("intensity") is None:
-        raise FormatError("the field 'intensity' is missing; a scan needs the laser's intensity beside its depth")
+        raise FormatError("the field 'intensity' is missing; a scan needs the laser's intensity, too")
     unit = number(fields, "depth_unit_m")
     if unit <= 0:
         raise FormatError(f"'depth_unit_m' is {unit:g}; it must be the positive length of one depth unit in metres")
     is_z = choice(fields, "depth_is", ("z", "range")) == "z"
     if not isinstance(fields.get("camera"), dict):
-        raise CameraError("the field 'camera' is missing; a depth picture needs width, height, fx, fy, cx, cy")
+        raise CameraError("the field 'camera' is missing; a depth image needs width, height, fx, fy, cx, cy")
     geometry = PinholeGrid(camera_from_fields(fields["camera"]))
     require_cells(*geometry.shape)
     budget = _budget(file, fields, ("depth", "intensity"), memory_bytes)
     budget.require_cells(*geometry.shape, _DEPTH_BYTES if geometry.camera.distortion else _PLAIN_DEPTH_BYTES)
     depth = _plane(file, fields, "depth", geometry.shape, budget)
-    _tell(report, 1)
+    _report(report, 1)
     intensity = _plane(file, fields, "intensity", geometry.shape, budget)
-    _tell(report, 2)
+    _report(report, 2)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         metres = depth.astype(np.float64) * unit
         # z is measured along the camera's axis, which is the scanner's X.
@@ -115,10 +115,10 @@ def _plane(
     with reading(target) as picture:
         values = read_image(picture, budget=budget).values
     if values.ndim != 2:
-        raise ShapeError(f"the picture of {name!r} has colours; it must have one channel")
+        raise ShapeError(f"the image in {name!r} has colours; it must have one channel")
     if values.shape != shape:
         found, wanted = (" x ".join(map(str, s[::-1])) for s in (values.shape, shape))
-        raise ShapeError(f"the picture of {name!r} is {found} pixels, the camera {wanted}; they must agree")
+        raise ShapeError(f"the image in {name!r} is {found} pixels, the camera {wanted}; they must agree")
     return values
 
 
@@ -135,16 +135,16 @@ def _counts(file: Path, fields: Mapping[str, Any], memory_bytes: int | None, rep
     budget = _budget(file, fields, ("file", "intensity_file"), memory_bytes)
     budget.require_cells(rows, columns, _COUNTS_BYTES)
     words, notes = _raster(file, fields, "file", "dtype", (rows, columns))
-    _tell(report, 1)
+    _report(report, 1)
     counts = _bits(words, fields, "count")
     if packed:
         intensity = _bits(words, fields, "intensity")
     else:
         intensity, more = _raster(file, fields, "intensity_file", "intensity_dtype", (rows, columns))
         notes += more
-    _tell(report, 2)
+    _report(report, 2)
     if counts.dtype.kind == "i" and counts.min() < 0:
-        raise FormatError(f"the counts reach down to {counts.min()}; check 'dtype' and its byte order")
+        raise FormatError(f"the counts contain {counts.min()}; check 'dtype' and its byte order")
     geometry = counts_geometry((rows, columns), scalars)
     ranges = as_float32(range_from_counts(counts, scalars["r0_m"], scalars["dr_m"]))
     return Scan(
@@ -160,10 +160,10 @@ def _counts(file: Path, fields: Mapping[str, Any], memory_bytes: int | None, rep
 def _raster(
     file: Path, fields: Mapping[str, Any], name: str, type_name: str, shape: tuple[int, int]
 ) -> tuple[NDArray[Any], tuple[str, ...]]:
-    """Return the values of a headerless file, and a note where it is longer than it must be."""
+    """Return the values of a raw file, and a note if it is longer than expected."""
     dtype = _dtype(fields.get(type_name, fields.get("dtype") if type_name != "dtype" else None), type_name)
     if name == "file" and dtype.kind == "f":
-        raise FormatError(f"'dtype' is {dtype.str!r}; counts are whole numbers: give an integer type such as '>u2'")
+        raise FormatError(f"'dtype' is {dtype.str!r}; counts are integers: give an integer type such as '>u2'")
     header = whole_number(fields, "header_bytes", 0) if name == "file" else 0
     target = inside_folder(file.parent, fields.get(name), f"the file of {name!r}")
     count = shape[0] * shape[1]
@@ -180,7 +180,7 @@ def _raster(
 
 
 def _dtype(code: Any, name: str) -> np.dtype[Any]:
-    """Return a plain number type; without a byte order it is little-endian."""
+    """Return a numeric type; without a byte order it is little-endian."""
     text = _DTYPE_WORDS.get(code, code) if isinstance(code, str) else ""
     match = _DTYPE.fullmatch(text)
     if match is None or (match[2] == "f" and match[3] in "12"):
@@ -191,7 +191,7 @@ def _dtype(code: Any, name: str) -> np.dtype[Any]:
 
 
 def _bits(words: NDArray[Any], fields: Mapping[str, Any], name: str) -> NDArray[Any]:
-    """Return (word >> shift) & mask; the words themselves where neither is given."""
+    """Return (word >> shift) & mask, or the unchanged words where neither is given."""
     if fields.get(f"{name}_mask") is None and fields.get(f"{name}_shift") is None:
         return words
     bits = words.dtype.itemsize * 8
@@ -203,6 +203,6 @@ def _bits(words: NDArray[Any], fields: Mapping[str, Any], name: str) -> NDArray[
     return np.asarray((unsigned >> unsigned.dtype.type(shift)) & unsigned.dtype.type(mask))
 
 
-def _tell(report: Report | None, done: int) -> None:
+def _report(report: Report | None, done: int) -> None:
     if report is not None:
         report(Progress(done, 2, "reading the scan"))

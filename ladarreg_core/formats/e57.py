@@ -1,4 +1,4 @@
-"""E57 scans: structured grids with each point's own ray, and clouds gridded by spherical projection."""
+"""Reader of E57 scans: structured grids with one ray per point, and clouds gridded by spherical projection."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _INDICES = ("rowIndex", "columnIndex")
 _STATES = ("cartesianInvalidState", "sphericalInvalidState", "isIntensityInvalid")
 _LEAST_UNIQUE = 0.6
 _CELLS_PER_POINT = 200
-# Memory at the peak of a read, as measured: for each point, for each of its fields, for its cell where the grid is
-# full, and for each cell of a grid that is mostly empty.
+# Measured peak memory of a read: per point, per field of a point, per point's cell where the grid is full, and per cell
+# of a grid that is mostly empty.
 _POINT_BYTES = 160
 _FIELD_BYTES = 8
 _OWN_CELL_BYTES = 200
@@ -44,18 +44,18 @@ def read_e57(
 
     Args:
         path: the file.
-        scan_index: which of its scans, from 0.
+        scan_index: index of the scan, from 0.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress, in points.
 
     Returns:
-        the scan, in the scanner's own frame; row 0 is the top and column 0 the left, whatever the file's order. A file
-        without row and column indices is laid onto a grid. A grid of more than 8 M cells is thinned.
+        The scan in the scanner's frame. Row 0 is the top and column 0 the left, whatever the file's order. Points
+        without row and column indices are gridded. A grid of more than 8 million cells is thinned.
 
     Raises:
         FormatError: if it is damaged, has no scan or no intensity, or would need more memory than it may use.
         ShapeError: if there are no returns.
-        OptionError: if there is no such scan.
+        OptionError: if there is no scan with that index.
     """
     with reading(path) as file:
         info = read_e57_info(file)
@@ -67,16 +67,18 @@ def read_e57(
         budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
         with e57_file(file) as image_file:
             columns = _read_points(image_file, scan, scan_index, report)
-        return _to_scan(file.stem, info, scan, columns, budget.cells_beside(held, _CELL_BYTES))
+        return _to_scan(file.stem, info, scan, columns, budget.cells_that_fit(_CELL_BYTES, besides_bytes=held))
 
 
 def _chosen(info: E57Info, scan_index: int) -> E57ScanInfo:
     if not info.scans:
-        pictures = f"only pictures ({len(info.images)})" if info.images else "nothing"
-        raise FormatError(f"the E57 holds {pictures} and no scan; give one with points")
+        other = f"only images ({len(info.images)})" if info.images else "nothing"
+        raise FormatError(f"the E57 contains {other} and no scan; give one with points")
     if isinstance(scan_index, bool) or not 0 <= scan_index < len(info.scans):
         names = one_line(", ".join(f"{k} {scan.name!r}" for k, scan in enumerate(info.scans[:6])), 100)
-        raise OptionError(f"there is no scan {scan_index}; the file holds {len(info.scans)} ({names}): choose by index")
+        raise OptionError(
+            f"there is no scan {scan_index}; the file contains {len(info.scans)} ({names}): choose by index"
+        )
     return info.scans[scan_index]
 
 
@@ -84,12 +86,12 @@ def _require_fields(scan: E57ScanInfo) -> None:
     names = scan.field_names
     if not (names >= set(_CARTESIAN) or names >= set(_SPHERICAL)):
         raise FormatError(
-            f"its points have {one_line(', '.join(sorted(names)), 80)}; cartesian or spherical are needed"
+            f"its points have {one_line(', '.join(sorted(names)), 80)}; Cartesian or spherical coordinates are needed"
         )
     if "intensity" not in names:
-        extra = "; its colours are a camera's, and no intensity" if set(_COLORS) <= names else ""
+        extra = "; its colours come from a camera and are not an intensity" if set(_COLORS) <= names else ""
         raise FormatError(
-            f"scan {scan.name!r} has no intensity, which is what is matched{extra}: export it again with intensity"
+            f"scan {scan.name!r} has no intensity, which is needed for matching{extra}: export it again with intensity"
         )
     if scan.points == 0:
         raise ShapeError(f"scan {scan.name!r} has no points; it needs measured ranges")
@@ -97,11 +99,11 @@ def _require_fields(scan: E57ScanInfo) -> None:
 
 @contextmanager
 def e57_file(path: Path) -> Iterator[Any]:
-    """Open an E57 file; its library's many-lined errors become one line.
+    """Open an E57 file; multi-line errors of the library are shortened to one line.
 
     Raises:
         DependencyError: if the library is not installed.
-        FormatError: if it refuses the file.
+        FormatError: if the library cannot read the file.
     """
     try:
         from pye57 import libe57
@@ -146,7 +148,7 @@ def _read_points(image_file: Any, scan: E57ScanInfo, scan_index: int, report: Re
                 report(Progress(done, scan.points, f"reading {scan.name}"))
             count = reader.read()
             if count == 0:
-                raise FormatError(f"scan {scan.name!r} ends after {done:,} of {scan.points:,} points; it is cut off")
+                raise FormatError(f"scan {scan.name!r} ends after {done:,} of {scan.points:,} points; it is truncated")
             count = min(count, scan.points - done)
             for name, part in parts.items():
                 with np.errstate(over="ignore", invalid="ignore"):
@@ -173,10 +175,10 @@ def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDA
     color = _color(columns, scan.color_largest)
     notes: list[str] = []
     if len(info.scans) > 1:
-        notes.append(f"the file holds {len(info.scans)} scans; this is {scan.name!r}")
+        notes.append(f"the file contains {len(info.scans)} scans; this is {scan.name!r}")
     if info.images:
         count = len(info.images)
-        notes.append(f"the file holds {count} embedded picture{'s' * (count > 1)} that can be extracted")
+        notes.append(f"the file contains {count} embedded image{'s' * (count > 1)} that can be extracted")
     most_cells = min(most_cells, LARGEST_GRID)
     grid = _grid_cells(columns, most_cells)
     if grid is None:
@@ -195,10 +197,10 @@ def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDA
     row, column, shape, thinned = grid
     if thinned > 1:
         notes.append(f"the grid was thinned to one row and one column in {thinned}")
-    # State 1: the range is invalid but the direction is known, and gives the empty cell its ray.
+    # State 1: the range is invalid but the direction is valid, and becomes the ray of the empty cell.
     directed = np.flatnonzero((state == 1) & (row >= 0))
     hit = np.flatnonzero(returned & (row >= 0))
-    hit = hit[np.argsort(-ranges[hit], kind="stable")]  # what is written last stays: the nearest of several returns
+    hit = hit[np.argsort(-ranges[hit], kind="stable")]  # the last write wins: the nearest of several returns
     rays = np.full((*shape, 3), np.nan)
     rays[row[directed], column[directed]] = points[directed]
     rays[row[hit], column[hit]] = points[hit]
@@ -223,7 +225,7 @@ def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDA
 
 
 def _positions(columns: dict[str, NDArray[Any]]) -> tuple[FloatArray, IntArray]:
-    """Return points (N, 3), scanner frame, m, and their state (N,): 0 valid, 1 only the direction, 2 nothing."""
+    """Return points (N, 3), scanner frame, m, and their state (N,): 0 valid, 1 direction only, 2 invalid."""
     if _CARTESIAN[0] in columns:
         points = np.stack([columns[name] for name in _CARTESIAN], axis=-1)
         state = columns.get("cartesianInvalidState")
@@ -247,9 +249,9 @@ def _color(columns: dict[str, NDArray[Any]], largest: float) -> ByteArray | None
 def _grid_cells(
     columns: dict[str, NDArray[Any]], most_cells: int
 ) -> tuple[IntArray, IntArray, tuple[int, int], int] | None:
-    """Return each point's (row, column; -1 = thinned away), the grid's shape and the thinning; None: there is no grid.
+    """Return each point's row and column (-1 = thinned out), the grid's shape and the thinning; None without a grid.
 
-    Indices are believed only where they are mostly different: some writers leave them all zero.
+    Indices are used only if most of them differ: some writers leave them all zero.
     """
     if not set(_INDICES) <= set(columns):
         return None

@@ -1,7 +1,7 @@
-"""What an E57 file says of itself, read and judged before a byte of its points is decoded.
+"""Table of contents of an E57 file, read and validated before any point is decoded.
 
-Only the 48-byte header and the XML at the end are touched, so that scans and pictures can be listed at once, and so
-that a file which claims more than it holds is refused before memory is asked for.
+Only the 48-byte header and the XML at the end are read, so that scans and images are listed quickly, and a file that
+claims more than it contains is refused before memory is allocated.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from ladarreg_core.frames import Rigid
 SIGNATURE = b"ASTM-E57"
 _HEADER = struct.Struct("<8sIIQQQQ")
 _PAGE = 1024
-_PAGE_DATA = 1020  # the last four bytes of a page are its check sum
+_PAGE_DATA = 1020  # the last four bytes of a page are its checksum
 _LARGEST_XML = 32 << 20
 _DEEPEST = 64
 _MOST_ELEMENTS = 500_000
-_MOST_CHILDREN = 4_000  # the native reader looks for equal names among all of them
-_LEAST_BITS = 8  # of a point's record
+_MOST_CHILDREN = 4_000  # the native reader compares the names of all of them
+_LEAST_BITS = 8  # smallest point record
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,20 +50,20 @@ class E57ScanInfo:
     points: int
     fields: tuple[E57Field, ...]
     grid: tuple[int, int] | None
-    """(rows, columns) by the file's index bounds; None where it has none."""
+    """(rows, columns) from the index bounds; None without them."""
     world_from_scanner: Rigid | None
     color_largest: float
-    """The value of full red; 255 where the file does not say."""
+    """Largest value of a colour channel; 255 where the file gives none."""
 
     @property
     def field_names(self) -> frozenset[str]:
-        """The names of the fields."""
+        """Names of the fields."""
         return frozenset(field.name for field in self.fields)
 
 
 @dataclass(frozen=True, slots=True)
 class E57ImageInfo:
-    """One embedded picture."""
+    """One embedded image."""
 
     name: str
     kind: str
@@ -74,41 +74,41 @@ class E57ImageInfo:
     height: int
     bytes: int
     blob_path: tuple[str | int, ...]
-    """Where its data hang in the file's tree."""
+    """Path of its data in the file's tree."""
     numbers: dict[str, float]
-    """What the representation and a distortion block say, by element name."""
+    """Numeric elements of its representation and distortion block, by name."""
     world_from_image: Rigid | None
-    """Its pose; E57 cameras look along -Z with Y up."""
+    """Pose; E57 cameras look along -Z with Y up."""
     associated_guid: str
-    """The scan it was taken with."""
+    """GUID of the scan that it was taken with."""
 
 
 @dataclass(frozen=True, slots=True)
 class E57Info:
-    """The file's contents."""
+    """Scans and images of a file."""
 
     scans: tuple[E57ScanInfo, ...]
     images: tuple[E57ImageInfo, ...]
 
 
 def sniff_e57(head: bytes) -> bool:
-    """Tell whether these are the first bytes of an E57 file."""
+    """Return whether these are the first bytes of an E57 file."""
     return head.startswith(SIGNATURE)
 
 
 def read_e57_info(path: Path) -> E57Info:
-    """Read the file's list of contents.
+    """Read the table of contents.
 
     Args:
-        path: a file that exists.
+        path: an existing file.
 
     Raises:
-        FormatError: if it is cut off, damaged, or claims more than it can hold.
+        FormatError: if it is truncated, damaged, or claims more than it can contain.
     """
     size = path.stat().st_size
     with open(path, "rb") as stream:
         xml = _read_xml(stream, size)
-    _judge_xml(xml)
+    _check_xml(xml)
     try:
         root = ElementTree.fromstring(xml)
     except ElementTree.ParseError as error:
@@ -121,12 +121,12 @@ def read_e57_info(path: Path) -> E57Info:
 def _read_xml(stream: BinaryIO, size: int) -> bytes:
     head = stream.read(_HEADER.size)
     if len(head) < _HEADER.size or not head.startswith(SIGNATURE):
-        raise FormatError("it is no E57 file; an E57 begins with 'ASTM-E57' and a header of 48 bytes")
+        raise FormatError("it is not an E57 file; an E57 begins with 'ASTM-E57' and a header of 48 bytes")
     _, major, _, length, xml_at, xml_length, page = _HEADER.unpack(head)
     if major != 1 or page != _PAGE:
         raise FormatError(f"it is E57 version {major} with pages of {page} bytes; version 1 with {_PAGE} is read")
     if length != size:
-        state = "cut off" if length > size else "damaged"
+        state = "truncated" if length > size else "damaged"
         raise FormatError(f"its header says {length:,} bytes, the file has {size:,}; it is {state}: copy it again")
     if xml_length > min(_LARGEST_XML, size) or xml_at < _HEADER.size or xml_at >= size:
         raise FormatError(f"its header puts {xml_length:,} bytes of XML at {xml_at:,} of {size:,}; it is damaged")
@@ -143,8 +143,8 @@ def _read_xml(stream: BinaryIO, size: int) -> bytes:
     return xml.rstrip(b"\0")
 
 
-def _judge_xml(xml: bytes) -> None:
-    """Refuse entities, abysses and floods, which make XML parsers eat memory."""
+def _check_xml(xml: bytes) -> None:
+    """Refuse entities, deep nesting and excessive numbers of elements, which exhaust the memory of XML parsers."""
     parser = expat.ParserCreate()
     count = 0
     children = [0]  # so far, of each element that is open
@@ -155,10 +155,12 @@ def _judge_xml(xml: bytes) -> None:
         children[-1] += 1
         depth = len(children)
         if depth > _DEEPEST or count > _MOST_ELEMENTS:
-            raise FormatError(f"the E57's XML is nested {depth} deep with {count:,} elements; it is no honest file")
+            raise FormatError(
+                f"the E57's XML is nested {depth} deep with {count:,} elements; it is malicious or damaged"
+            )
         if children[-1] > _MOST_CHILDREN:
             raise FormatError(
-                f"an element of the E57's XML holds more than {_MOST_CHILDREN:,} others; it is no honest file"
+                f"an element of the E57's XML holds more than {_MOST_CHILDREN:,} others; it is malicious or damaged"
             )
         children.append(0)
 
@@ -166,7 +168,9 @@ def _judge_xml(xml: bytes) -> None:
         children.pop()
 
     def doctype(*_: object) -> None:
-        raise FormatError("the E57's XML declares a document type, which E57 has not; it is no honest file")
+        raise FormatError(
+            "the E57's XML declares a document type, which E57 does not allow; it is malicious or damaged"
+        )
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.StartDoctypeDeclHandler = doctype
@@ -226,11 +230,11 @@ def _scan(node: _Node, index: int, file_bytes: int) -> E57ScanInfo:
     count = _whole(points.get("recordCount"), "recordCount")
     fields = tuple(_field(child) for child in _children(_child(points, "prototype")))
     bits = sum(field.bits for field in fields)
-    # Constant fields take no bits at all, but points that differ in nothing are no scan.
+    # Constant fields take no bits, but points without any other field are not a scan.
     if count < 0 or count * max(bits, _LEAST_BITS) / 8 > file_bytes + 1024:
         raise FormatError(
             f"scan {index} claims {count:,} points of {bits:.0f} bits, but the whole file has {file_bytes:,} bytes; it "
-            "is damaged or no honest file"
+            "is damaged or malicious"
         )
     bounds = _child(node, "indexBounds")
     grid = None
@@ -286,14 +290,14 @@ def _images(root: _Node, file_bytes: int) -> Iterator[E57ImageInfo]:
                 together += length
                 if length <= 0 or together > file_bytes:
                     raise FormatError(
-                        f"the first {index + 1} pictures claim {together:,} bytes in a file of {file_bytes:,}; it is "
+                        f"the first {index + 1} images claim {together:,} bytes in a file of {file_bytes:,}; it is "
                         "damaged"
                     )
                 numbers = {_local(child): _number(child) for child in _children(shape) if _is_number(child)}
                 distortion = _child(node, "distortion")
                 numbers |= {_local(child): _number(child) for child in _children(distortion) if _is_number(child)}
                 yield E57ImageInfo(
-                    one_line(_text(_child(node, "name")) or f"picture {index}", 60),
+                    one_line(_text(_child(node, "name")) or f"image {index}", 60),
                     "visual reference" if kind == "visualReference" else kind,
                     encoding,
                     _whole(_text(_child(shape, "imageWidth")), "imageWidth"),

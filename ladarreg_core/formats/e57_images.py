@@ -1,4 +1,4 @@
-"""Pictures embedded in E57 files: written out with the camera and the pose that the file gives them."""
+"""Extraction of the images embedded in E57 files, with their cameras and poses."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ _STARTS = {"jpeg": b"\xff\xd8", "png": b"\x89PNG"}
 
 @dataclass(frozen=True, slots=True)
 class ExtractedImage:
-    """One picture written out."""
+    """Paths of one extracted image."""
 
     picture: Path
     camera: Path | None
-    """Its camera file, where the file gives a usable one."""
+    """Camera file; None where the E57 gives no usable camera."""
     pose: Path | None
-    """Its pose file (`camera_from_scanner`), where the file gives its pose."""
+    """Pose file (`camera_from_scanner`); None where the E57 gives no pose."""
 
 
 def extract_images(path: PathLike, folder: PathLike) -> list[ExtractedImage]:
-    """Write the pictures embedded in an E57 file, with their cameras and poses.
+    """Write the images embedded in an E57 file, with their cameras and poses.
 
     Args:
         path: the E57 file.
-        folder: where to; it is made, and no file in it is overwritten.
+        folder: output folder; created if necessary. No file in it is overwritten.
 
     Returns:
-        what was written, in the file's order; empty where there are no pictures.
+        The written files, in the E57's order; empty if there are no images.
 
     Raises:
-        FormatError: if the file is no E57 or is damaged.
+        FormatError: if the file is not an E57 or is damaged.
         ExportError: if a file exists already or cannot be written.
     """
     with reading(path) as file:
@@ -64,13 +64,13 @@ def extract_images(path: PathLike, folder: PathLike) -> list[ExtractedImage]:
                 for name, image, blob in zip(names, info.images, blobs, strict=True)
             ]
         except OSError as error:
-            raise ExportError(f"the pictures cannot be written: {error.strerror}; check the folder") from error
+            raise ExportError(f"the images cannot be written: {error.strerror}; check the folder") from error
 
 
 def camera_of_image(image: E57ImageInfo) -> Camera | None:
-    """Return the camera of an embedded picture, or None where the file gives none that can be used.
+    """Return the camera of an embedded image, or None where the file gives no usable one.
 
-    An OpenCV distortion block, where there is one with a focal length, is believed before the ideal pinhole.
+    An OpenCV distortion block with a focal length takes precedence over the ideal pinhole.
     """
     n = image.numbers
     if image.kind != "pinhole":
@@ -97,7 +97,7 @@ def camera_of_image(image: E57ImageInfo) -> Camera | None:
 
 
 def camera_from_scanner_of(image: E57ImageInfo, info: E57Info) -> Rigid | None:
-    """Return the pose of a picture against the scan that it was taken with (else the first), or None without a pose."""
+    """Return the pose of an image relative to its associated scan (else the first scan); None without a pose."""
     if image.world_from_image is None or not info.scans:
         return None
     scan = next((s for s in info.scans if s.guid and s.guid == image.associated_guid), info.scans[0])
@@ -112,7 +112,7 @@ def _blob(image_file: object, image: E57ImageInfo) -> bytes:
     data = bytes(node.read_buffer())  # type: ignore[attr-defined]
     if not data.startswith(_STARTS[image.format]):
         raise FormatError(
-            f"the picture {image.name!r} is no {image.format.upper()}, though the E57 says so; it is damaged"
+            f"the image {image.name!r} is not the {image.format.upper()} that the E57 declares; it is damaged"
         )
     return data
 
@@ -131,4 +131,4 @@ def _write(stem: Path, image: E57ImageInfo, data: bytes, info: E57Info) -> Extra
 
 
 def _slug(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_")[:40] or "picture"
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_")[:40] or "image"

@@ -1,4 +1,4 @@
-"""What a photo's EXIF tags say of its camera: which way up it was held, and the focal length."""
+"""Facts from EXIF tags: the camera's orientation and its focal length."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ _DISAGREEMENT = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ExifFocal:
-    """A focal length, and how it was found."""
+    """A focal length and its origin."""
 
     focal_px: float
-    """Pixels of the picture."""
+    """Focal length, pixels."""
     source: str
-    """In words, for the photo's notes."""
+    """Origin, worded for the photo's notes."""
 
 
 def orientation_of(tags: Mapping[int, Any]) -> int:
-    """Return the EXIF orientation, 1 to 8; 1 where it is absent or absurd."""
+    """Return the EXIF orientation, 1 to 8; 1 where it is absent or invalid."""
     value = tags.get(ORIENTATION, 1)
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
 def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Return a picture (H, W, ...) turned and mirrored as its EXIF orientation says."""
+    """Return an image (H, W, ...) rotated and mirrored according to its EXIF orientation."""
     if orientation in (2, 3):
         values = values[:, ::-1]
     if orientation in (3, 4):
@@ -54,16 +54,16 @@ def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def focal_from_exif(tags: Mapping[int, Any], raw_width: int, raw_height: int) -> ExifFocal | None:
-    """Return the focal length in pixels, or None where the tags do not tell it.
+    """Return the focal length in pixels, or None where the tags do not give it.
 
-    From the focal plane's resolution where it agrees within 10 % with the 35 mm equivalent (or there is none), since
-    the equivalent is a rounded number; else from the equivalent, by the picture's diagonal: makers compare angles of
-    view along the diagonal, which is the same as 36 mm of width for 3:2 pictures, and holds for upright ones too.
+    The focal plane's resolution is used where it agrees within 10 % with the 35 mm equivalent (or there is none), since
+    the equivalent is rounded. Otherwise the equivalent is converted by the image's diagonal: manufacturers compare
+    angles of view along the diagonal, which equals 36 mm of width for 3:2 images and also holds for portrait images.
 
     Args:
         tags: EXIF tags by number.
-        raw_width: the picture's width before any turn, pixels.
-        raw_height: its height.
+        raw_width: image width before any rotation, pixels.
+        raw_height: image height before any rotation, pixels.
     """
     from_plane = _by_focal_plane(tags, raw_width, raw_height)
     film = _number(tags.get(_FOCAL_35MM))
@@ -71,19 +71,19 @@ def focal_from_exif(tags: Mapping[int, Any], raw_width: int, raw_height: int) ->
     if film:
         focal = focal_of_35mm(film, raw_width, raw_height)
         if _plausible(focal, raw_width, raw_height):
-            from_film = ExifFocal(focal, f"EXIF: {film:g} mm in 35 mm terms, good to some percent")
+            from_film = ExifFocal(focal, f"EXIF: {film:g} mm (35 mm equivalent), accurate to a few percent")
     if from_plane and from_film and abs(from_plane.focal_px / from_film.focal_px - 1) > _DISAGREEMENT:
         return from_film
     return from_plane or from_film
 
 
 def focal_of_35mm(equivalent_mm: float, width: int, height: int) -> float:
-    """Return the focal length, pixels, of a 35 mm equivalent, by the picture's diagonal.
+    """Return the focal length, pixels, of a 35 mm equivalent, by the image's diagonal.
 
     Args:
-        equivalent_mm: focal length in 35 mm terms, mm.
-        width: the picture's width, pixels; turned or not is the same.
-        height: its height.
+        equivalent_mm: 35 mm equivalent focal length, mm.
+        width: image width, pixels; rotated or not makes no difference.
+        height: image height, pixels.
     """
     return equivalent_mm / _FILM_DIAGONAL_MM * math.hypot(width, height)
 
@@ -93,7 +93,7 @@ def _by_focal_plane(tags: Mapping[int, Any], raw_width: int, raw_height: int) ->
     unit_mm = _UNIT_MM.get(tags.get(_PLANE_UNIT, 2))
     if not (focal_mm and resolution and unit_mm):
         return None
-    full_width = _number(tags.get(_PIXEL_X_DIMENSION)) or raw_width  # the picture may have been resized since
+    full_width = _number(tags.get(_PIXEL_X_DIMENSION)) or raw_width  # the image may have been resized since
     focal = focal_mm * resolution / unit_mm * raw_width / full_width
     if not _plausible(focal, raw_width, raw_height):
         return None
@@ -115,7 +115,7 @@ def _number(value: Any) -> float | None:
 
 
 def exif_facts(tags: Mapping[int, Any]) -> dict[str, Any]:
-    """Return what an operator may want to know of the tags."""
+    """Return the tags that an operator may want to see: make, model, lens, focal length and orientation."""
     facts: dict[str, Any] = {}
     for name, tag in (("make", 0x010F), ("model", 0x0110), ("lens", 0xA434)):
         if isinstance(tags.get(tag), str) and tags[tag].strip("\0 "):

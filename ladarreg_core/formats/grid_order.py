@@ -1,4 +1,4 @@
-"""Whether rows and columns of a file are a scan's grid, and how they must be turned: row 0 on top, column 0 left."""
+"""Order of a file's rows and columns: checks that they form a scan grid, and puts row 0 on top and column 0 left."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LEAST_PAIRS = 12
 
 @dataclass(frozen=True, slots=True)
 class GridOrder:
-    """What to do to a grid: transpose first, then flip."""
+    """Reordering of a grid: transposition first, then flips."""
 
     transpose: bool
     flip_rows: bool
@@ -46,11 +46,11 @@ def unit_rays(points: FloatArray) -> NDArray[np.float64]:
 
 
 def is_scan_grid(rays: FloatArray) -> bool:
-    """Tell whether rows and columns of rays (H, W, 3) are neighbours in space.
+    """Return whether neighbours in rows and columns of rays (H, W, 3) are neighbours in space.
 
-    Headers are not to be believed: points may be stored in another order than their width and height say, or each row
-    may begin at another azimuth. In a grid neighbouring rays advance by equal steps, rows and columns cross at no sharp
-    angle, and the cells are not folded over.
+    Headers are not reliable: points may be stored in another order than width and height suggest, or each row may start
+    at another azimuth. In a grid, neighbouring rays advance by equal steps, rows and columns do not cross at an acute
+    angle, and cells are not folded over.
     """
     if min(rays.shape[:2]) < 2:
         return False
@@ -74,10 +74,10 @@ def is_scan_grid(rays: FloatArray) -> bool:
 
 
 def order_of(rays: FloatArray) -> GridOrder:
-    """Return how a grid of rays (H, W, 3), NaN where unknown, must be turned.
+    """Return the reordering that a grid of rays (H, W, 3), NaN where unknown, needs.
 
-    Rows run along the latitude and fall from the top; columns then run to the right as seen from the scanner. In a
-    depth camera's optical frame (Z forward, Y down) up is -Y. Where latitude runs along neither, rows stay as they are.
+    Afterwards latitude decreases along the rows and columns run to the right as seen from the scanner. In a depth
+    camera's optical frame (Z forward, Y down) up is -Y. If latitude varies along neither axis, rows keep their order.
     """
     pole = rotation_from_pole(rays[np.isfinite(rays[..., 0])])
     rays = rays if pole is None else rays @ pole.T
@@ -92,12 +92,12 @@ def order_of(rays: FloatArray) -> GridOrder:
     right, down = np.diff(turned, axis=1)[:-1], np.diff(turned, axis=0)[:, :-1]
     side = (np.cross(right, down) * turned[:-1, :-1]).sum(-1)
     side = side[np.isfinite(side)]
-    # Seen from the scanner, right x down points away from it; a grid where it does not is a mirror image.
+    # Seen from the scanner, right x down points away from it; otherwise the grid is mirrored.
     return GridOrder(bool(transpose), bool(flip_rows), bool(np.sum(np.sign(side)) < 0))
 
 
 def _travel(latitude: NDArray[np.float64], axis: int) -> float:
-    """Return how far the latitude goes from the first to the last row (or column), by its typical step."""
+    """Return the change of latitude from the first to the last row (or column), from its median step."""
     steps = np.diff(latitude, axis=axis)
     steps = steps[np.isfinite(steps)]
     return float(np.median(steps)) * latitude.shape[axis] if len(steps) else 0.0

@@ -1,4 +1,4 @@
-"""Pictures as files: their size is judged from the header before a pixel is decoded."""
+"""Image files; their size is checked from the header before a pixel is decoded."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from ladarreg_core.formats.untrusted import one_line
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# Only decoders that run inside this process: others start programs on what the file says.
+# Only decoders that run inside this process: others start external programs on the file's content.
 _PIL_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "PPM", "GIF", "JPEG2000")
-_LARGEST_PIXELS = 178_000_000  # where Pillow itself stops
-_MOST_PASSED = 200_000_000  # pixels times passes of a JPEG that are taken from a file of any size
+_LARGEST_PIXELS = 178_000_000  # Pillow's own limit
+_MOST_PASSED = 200_000_000  # pixels times passes of a JPEG that are accepted from a file of any size
 _BAND_PIXELS = 4_000_000
-# Memory for each pixel at the peak of a read, from the file to a photograph or a plane of a scan; as measured.
+# Measured peak memory per pixel of a read, from the file to a photograph or a channel of a scan.
 _BYTES_PER_PIXEL = {"L": 8.0, "RGB": 9.5, "1": 8.0, "F": 26.0, "I": 26.0}
-_OTHER_BYTES = 14.0  # a palette, transparency, ink: turned into RGB in a copy
-_COEFFICIENT_BYTES = 2  # a progressive JPEG is held whole before it becomes pixels
+_OTHER_BYTES = 14.0  # palettes, transparency and CMYK are converted to RGB in a copy
+_COEFFICIENT_BYTES = 2  # all coefficients of a progressive JPEG are held until it is decoded
 _START_OF_SCAN = b"\xff\xda"
 _MAGICS = (
     (b"\x89PNG\r\n\x1a\n", "PNG"),
@@ -45,7 +45,7 @@ _MAGICS = (
 
 
 def image_format(head: bytes) -> str | None:
-    """Return the format whose first bytes these are, or None for no picture."""
+    """Return the image format that these first bytes belong to; None where they belong to no image."""
     for magic, name in _MAGICS:
         if head.startswith(magic):
             return None if name in ("PGM", "PPM") and not head[2:3].isspace() else name
@@ -54,7 +54,7 @@ def image_format(head: bytes) -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageData:
-    """A decoded picture, as it stands in the file."""
+    """A decoded image, as stored in the file."""
 
     values: NDArray[Any]
     """(H, W) or (H, W, 3); uint8, uint16, int32 or float32."""
@@ -65,42 +65,42 @@ class ImageData:
 
 
 def read_image(path: Path, *, budget: ReadBudget | None = None) -> ImageData:
-    """Decode a picture whole; a truncated one is an error.
+    """Decode a complete image; a truncated one is an error.
 
     Args:
-        path: a file that exists.
-        budget: what reading it may cost; None: what a file of its size may.
+        path: an existing file.
+        budget: memory limits; None: the default for a file of its size.
 
     Raises:
-        FormatError: if it is no picture of a known format, too large, or damaged.
+        FormatError: if it is not an image of a known format, is too large, or is damaged.
     """
     from PIL import Image, UnidentifiedImageError
 
     with open(path, "rb") as stream:
         if stream.read(12)[4:12] in (b"ftypheic", b"ftypheix", b"ftypmif1", b"ftypavif"):
-            raise FormatError("it is a HEIC or AVIF picture, which is not read; convert it to JPEG or PNG")
+            raise FormatError("it is a HEIC or AVIF image, which is not supported; convert it to JPEG or PNG")
         stream.seek(0)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns of large pictures; they are judged here
+            warnings.simplefilter("ignore")  # Pillow warns about large images; they are checked here
             try:
                 with Image.open(stream, formats=_PIL_FORMATS) as image:
-                    _judge(image, path, budget or ReadBudget.of(path.stat().st_size))
+                    _check_size(image, path, budget or ReadBudget.of(path.stat().st_size))
                     image.load()
-                    return ImageData(_values_of(image), image.format or "picture", _tags_of(image))
+                    return ImageData(_values_of(image), image.format or "image", _tags_of(image))
             except UnidentifiedImageError:
-                raise FormatError("it is no picture that can be read; give a PNG, JPEG, TIFF, WebP or BMP") from None
+                raise FormatError("it is not an image that can be read; give a PNG, JPEG, TIFF, WebP or BMP") from None
             except Image.DecompressionBombError:
                 raise FormatError(f"it claims more than {_LARGEST_PIXELS:,} pixels; scale it down") from None
             except (OSError, SyntaxError, ValueError, EOFError) as error:
                 reason = one_line(error, 100)
-                raise FormatError(f"the picture is damaged or cut off ({reason}); copy or export it again") from error
+                raise FormatError(f"the image is damaged or truncated ({reason}); copy or export it again") from error
 
 
 def image_size(path: Path) -> tuple[int, int, str]:
-    """Return (width, height, format) from a picture's header.
+    """Return (width, height, format) from an image's header.
 
     Raises:
-        FormatError: if it is no picture.
+        FormatError: if it is not an image.
     """
     from PIL import Image
 
@@ -108,23 +108,21 @@ def image_size(path: Path) -> tuple[int, int, str]:
         warnings.simplefilter("ignore")
         try:
             with Image.open(path, formats=_PIL_FORMATS) as image:
-                return image.width, image.height, image.format or "picture"
+                return image.width, image.height, image.format or "image"
         except Exception as error:
-            raise FormatError(f"the picture's header cannot be read ({one_line(error, 100)})") from error
+            raise FormatError(f"the image's header cannot be read ({one_line(error, 100)})") from error
 
 
-def _judge(image: Image, path: Path, budget: ReadBudget) -> None:
-    """Refuse a picture, by its header, that would take too much memory or time."""
+def _check_size(image: Image, path: Path, budget: ReadBudget) -> None:
+    """Refuse an image whose header shows that it would take too much memory or time."""
     width, height = image.size
     if not 1 <= width * height <= _LARGEST_PIXELS:
-        raise FormatError(
-            f"the picture claims {width:,} x {height:,} pixels; between 1 and {_LARGEST_PIXELS:,} are read"
-        )
+        raise FormatError(f"the image claims {width:,} x {height:,} pixels; between 1 and {_LARGEST_PIXELS:,} are read")
     if image.format == "JPEG2000":
-        _judge_codestream(image, path)
+        _check_codestream(image, path)
     mode = "I" if image.mode.startswith("I;16") else image.mode
     needed = _BYTES_PER_PIXEL.get(mode, _OTHER_BYTES)
-    if image.format not in ("JPEG", "PNG", "PPM", "BMP"):  # whole strips and frames are unpacked beside the picture
+    if image.format not in ("JPEG", "PNG", "PPM", "BMP"):  # whole strips and frames are decoded in addition
         needed += _OTHER_BYTES
     if image.info.get("progressive"):
         needed = max(needed, 4.3 + _COEFFICIENT_BYTES * len(image.getbands()))
@@ -133,34 +131,34 @@ def _judge(image: Image, path: Path, budget: ReadBudget) -> None:
     if passed > max(_MOST_PASSED, PIXELS_PER_BYTE * budget.file_bytes):
         raise FormatError(
             f"the JPEG of {width:,} x {height:,} pixels has {passed // (width * height):,} passes in "
-            f"{budget.file_bytes:,} bytes; it is damaged or no honest file: export it again"
+            f"{budget.file_bytes:,} bytes; it is damaged or malicious: export it again"
         )
 
 
 def _passes_of(image: Image, path: Path) -> int:
-    """Return how often a JPEG goes over its pixels: a progressive one may do so in passes of a few bytes each."""
+    """Return the number of passes over a JPEG's pixels; those of a progressive one may be a few bytes each."""
     if image.format != "JPEG":
         return 1
     with open(path, "rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         count, at = 0, data.find(_START_OF_SCAN)
         while at >= 0:
             count, at = count + 1, data.find(_START_OF_SCAN, at + 2)
-    # A colour picture may hold its channels one by one, which is no pass more.
+    # A colour image may store its channels in separate scans, which together are one pass.
     return max(1, count // len(image.getbands()))
 
 
-def _judge_codestream(image: Image, path: Path) -> None:
-    """Refuse a JPEG 2000 whose data are of another size than its header says: room is made for what the data say."""
+def _check_codestream(image: Image, path: Path) -> None:
+    """Refuse a JPEG 2000 whose codestream and header differ in size: memory is allocated for the codestream's size."""
     with open(path, "rb") as stream:
         head = stream.read(1 << 16)
     at = head.find(b"\xff\x4f\xff\x51")
     if at < 0 or len(head) < at + 42:
-        raise FormatError("the JPEG 2000 picture's data begin nowhere; convert it to PNG")
+        raise FormatError("the JPEG 2000 image has no codestream; convert it to PNG")
     right, bottom, left, top = struct.unpack_from(">4I", head, at + 8)
     channels = struct.unpack_from(">H", head, at + 40)[0]
     if (right - left, bottom - top) != image.size or channels > 4:
         raise FormatError(
-            f"the JPEG 2000 picture's header says {image.width:,} x {image.height:,} pixels, its data "
+            f"the JPEG 2000 image's header says {image.width:,} x {image.height:,} pixels, its data "
             f"{right - left:,} x {bottom - top:,} of {channels} channels; it is damaged: convert it to PNG"
         )
 
@@ -179,7 +177,7 @@ def _values_of(image: Image) -> NDArray[Any]:
 
 
 def _pixels(image: Image, dtype: Any, mode: str | None = None) -> NDArray[Any]:
-    """Return a picture's values, turned into a mode, in bands: whole they would be held three times over."""
+    """Return an image's values, converted to a mode band by band: all at once would take three times the memory."""
     channels = 3 if (mode or image.mode) == "RGB" else 1
     values = np.empty((image.height, image.width, channels), dtype)
     rows = max(1, _BAND_PIXELS // image.width)
@@ -193,28 +191,28 @@ def _tags_of(image: Image) -> dict[int, Any]:
     try:
         exif = image.getexif()
         return {**dict(exif), **dict(exif.get_ifd(0x8769))}
-    except Exception:  # tags are a courtesy: a damaged block must not cost the picture
+    except Exception:  # tags are optional: a damaged block must not make the image unreadable
         return {}
 
 
 def as_rgb(values: NDArray[Any]) -> tuple[ByteArray, str | None]:
-    """Return a picture as (H, W, 3) uint8, and a note on how deep pixels were made shallow, if they were.
+    """Return an image as (H, W, 3) uint8, and a note on the conversion to 8 bits, if there was one.
 
-    16-bit pixels are shifted by as many bits as their largest value needs less than 8: 12-bit pictures in 16-bit files
-    would be black otherwise.
+    16-bit pixels are shifted by the number of bits that their largest value has beyond 8; a fixed shift would make
+    12-bit images in 16-bit files black.
 
     Raises:
-        FormatError: if it has no finite pixel.
+        FormatError: if no pixel is finite.
     """
     note = None
     if values.dtype == np.uint16:
         bits = max(8, int(values.max(initial=0)).bit_length())
         values = (values >> (bits - 8)).astype(np.uint8)
-        note = f"16-bit pixels, {bits} bits used, shown in 8"
+        note = f"16-bit pixels, {bits} bits used, converted to 8"
     elif values.dtype != np.uint8:
         finite = np.isfinite(values)
         if not finite.any():
-            raise FormatError("the picture has no finite pixel; export it again")
+            raise FormatError("the image has no finite pixel; export it again")
         low, high = float(values[finite].min()), float(values[finite].max())
         scale = 255 / (high - low) if high > low else 0.0
         values = np.where(finite, (values.astype(np.float64) - low) * scale, 0).round().astype(np.uint8)

@@ -1,4 +1,4 @@
-"""JSON files: strict, small, and with errors that name the field."""
+"""Strict reading and writing of small JSON files; errors name the field."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from ladarreg_core.errors import ExportError, FormatError
 from ladarreg_core.formats.untrusted import PathLike, one_line, shown_name
 
 LARGEST_BYTES = 8_000_000
-"""Cameras, poses, matches, descriptors and results are smaller than this."""
-_WHAT = "\0"  # stands in a reason for what the file should be
+"""Size limit; cameras, poses, matches, descriptors and results are smaller."""
+_WHAT = "\0"  # placeholder in a reason for the expected content
 _parsed: ContextVar[dict[Path, dict[str, Any] | str] | None] = ContextVar("parsed", default=None)
 
 
 @contextmanager
 def parsed_once() -> Iterator[None]:
-    """Remember, until the block ends, what each JSON file holds: who recognises a file and who reads it parse it once.
+    """Cache parsed JSON files until the block ends, so that recognising and reading a file parse it only once.
 
-    Blocks may be nested; the outermost one counts. What they share must not be changed.
+    Blocks may be nested; the outermost one owns the cache. Cached objects must not be modified.
     """
     if _parsed.get() is not None:
         yield
@@ -35,15 +35,21 @@ def parsed_once() -> Iterator[None]:
         _parsed.reset(token)
 
 
+def begins_with_brace(file: Path) -> bool:
+    """Return whether a text file begins like a JSON object."""
+    with open(file, "rb") as stream:
+        return stream.read(64).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"{")
+
+
 def read_json_object(path: Path, what: str) -> dict[str, Any]:
-    """Return the object that a JSON file holds.
+    """Return the object in a JSON file.
 
     Args:
-        path: a file that exists.
-        what: what it should be, for the error.
+        path: an existing file.
+        what: expected content, for error messages.
 
     Raises:
-        FormatError: if it is too large, no JSON, holds NaN or infinity, or is no object.
+        FormatError: if it is too large, is not JSON, contains NaN or infinity, or is not an object.
     """
     known = _parsed.get()
     found = None if known is None else known.get(path)
@@ -57,7 +63,7 @@ def read_json_object(path: Path, what: str) -> dict[str, Any]:
 
 
 def _parse(path: Path) -> dict[str, Any] | str:
-    """Return the object that a JSON file holds, or what is wrong with it."""
+    """Return the object in a JSON file, or a sentence that says why there is none."""
     size = path.stat().st_size
     if size > LARGEST_BYTES:
         return f"it has {size:,} bytes; {_WHAT} has at most {LARGEST_BYTES:,}: give the right file"
@@ -66,20 +72,20 @@ def _parse(path: Path) -> dict[str, Any] | str:
     except FormatError as error:
         return str(error)
     except UnicodeDecodeError:
-        return f"it is no text in UTF-8; {_WHAT} is JSON"
+        return f"it is not UTF-8 text; {_WHAT} is JSON"
     except RecursionError:
         return f"its JSON is nested too deeply for {_WHAT}; give the right file"
     except json.JSONDecodeError as error:
-        return f"it is no JSON ({error.msg}, line {error.lineno}); {_WHAT} is JSON"
+        return f"it is not valid JSON ({error.msg}, line {error.lineno}); {_WHAT} is JSON"
     except ValueError as error:  # integers of thousands of digits
-        return f"it is no usable JSON ({one_line(error, 80)})"
+        return f"its JSON cannot be used ({one_line(error, 80)})"
     if not isinstance(value, dict):
         return f"its JSON is a {type(value).__name__}; {_WHAT} is an object in braces"
     return value
 
 
 def _no_constant(name: str) -> NoReturn:
-    raise FormatError(f"its JSON holds {name}; numbers must be finite")
+    raise FormatError(f"its JSON contains {name}; numbers must be finite")
 
 
 def write_json(path: PathLike, value: Mapping[str, Any]) -> None:
@@ -96,10 +102,10 @@ def write_json(path: PathLike, value: Mapping[str, Any]) -> None:
 
 
 def number(fields: Mapping[str, Any], name: str, default: float | None = None) -> float:
-    """Return a finite number.
+    """Return a field that must be a finite number.
 
     Raises:
-        FormatError: if it is missing (and has no default) or something else.
+        FormatError: if it is missing (and has no default) or not a finite number.
     """
     value = fields.get(name, default)
     if value is None:
@@ -113,10 +119,10 @@ def number(fields: Mapping[str, Any], name: str, default: float | None = None) -
 
 
 def whole_number(fields: Mapping[str, Any], name: str, default: int | None = None, *, least: int = 0) -> int:
-    """Return a whole number of at least `least`.
+    """Return a field that must be an integer of at least `least`.
 
     Raises:
-        FormatError: if it is missing (and has no default) or something else.
+        FormatError: if it is missing (and has no default) or not such an integer.
     """
     value = number(fields, name, default)
     if value != int(value) or value < least or value >= 2**53:
@@ -125,10 +131,10 @@ def whole_number(fields: Mapping[str, Any], name: str, default: int | None = Non
 
 
 def choice(fields: Mapping[str, Any], name: str, allowed: tuple[str, ...], default: str | None = None) -> str:
-    """Return one of a few words.
+    """Return a field that must be one of a few words.
 
     Raises:
-        FormatError: if it is missing (and has no default) or another word.
+        FormatError: if it is missing (and has no default) or has another value.
     """
     value = fields.get(name, default)
     if value not in allowed:

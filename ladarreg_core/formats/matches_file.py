@@ -1,4 +1,4 @@
-"""Matches files: JSON with points and lines, or CSV with points."""
+"""Matches files: picks as JSON (points and lines) or CSV (points)."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from ladarreg_core.matches import Pick, PickKind
 from ladarreg_core.scan import Scan
 
 MOST_MATCHES = 5_000
-"""A person puts down some dozens, a detector some hundreds."""
+"""Limit; operators draw some dozens, detectors find some hundreds."""
 _CELL_HEADER = ["row", "column", "u", "v"]
 _RAY_HEADER = ["x", "y", "z", "u", "v"]
 
 
 def read_matches(path: PathLike, scan: Scan) -> list[Pick]:
-    """Read picks, JSON or CSV by content.
+    """Read picks from JSON or CSV, distinguished by content.
 
     Args:
         path: the file.
         scan: the scan that cells belong to.
 
     Raises:
-        FormatError: if it is no matches file, holds more than 5,000 matches, a coordinate is missing or not finite, or
-            a cell lies outside the scan.
-        ShapeError: if a pick is no pair of points or lines.
+        FormatError: if it is not a matches file, contains more than 5,000 matches, a coordinate is missing or not
+            finite, or a cell lies outside the scan.
+        ShapeError: if a pick is not a pair of points or lines.
     """
     with reading(path) as file:
         with open(file, "rb") as stream:
             head = stream.read(256).removeprefix(b"\xef\xbb\xbf").lstrip()
         picks = _from_json(file, scan) if head.startswith((b"{", b"[")) else _from_csv(file, scan)
         if not picks:
-            raise FormatError("it holds no matches; it needs at least one")
+            raise FormatError("it contains no matches; it needs at least one")
         seen: set[str] = set()
         for pick in picks:
             if pick.id in seen:
-                raise FormatError(f"the id {one_line(pick.id, 40)!r} stands for two matches; ids must differ")
+                raise FormatError(f"the id {one_line(pick.id, 40)!r} is used by two matches; ids must differ")
             seen.add(pick.id)
         return picks
 
@@ -71,7 +71,7 @@ def write_matches(path: PathLike, picks: Iterable[Pick]) -> None:
 
 
 def write_matches_csv(path: PathLike, picks: Iterable[Pick]) -> None:
-    """Write the points among picks as CSV, `x,y,z,u,v`; CSV knows neither lines, nor what is off, nor weights.
+    """Write the points among picks as CSV, `x,y,z,u,v`; CSV stores no lines, no weights and not which picks are off.
 
     Raises:
         ExportError: if the file cannot be written.
@@ -105,7 +105,7 @@ def _pick(entry: Any, index: int, scan: Scan, *, in_cells: bool) -> Pick:
         raise FormatError(f"match {index + 1} is {one_line(repr(entry), 40)}; it must be an object in braces")
     given = entry.get("id", index + 1)
     if isinstance(given, bool) or not isinstance(given, str | int) or given == "":
-        raise FormatError(f"match {index + 1} has the id {one_line(repr(given), 40)}; it must be a word or a number")
+        raise FormatError(f"match {index + 1} has the id {one_line(repr(given), 40)}; it must be a string or a number")
     name = one_line(given, 40)
     kind: PickKind = "line" if choice(entry, "kind", ("point", "line"), "point") == "line" else "point"
     on = entry.get("on", True)
@@ -119,7 +119,7 @@ def _pick(entry: Any, index: int, scan: Scan, *, in_cells: bool) -> Pick:
 
 
 def _coordinates(value: Any, ends: int, size: int, what: str) -> FloatArray:
-    """Return (ends, size); a point's one coordinate may stand without the outer brackets."""
+    """Return (ends, size); the outer brackets of a point's only coordinate are optional."""
     if ends == 1 and isinstance(value, list) and len(value) == size and not any(isinstance(v, list) for v in value):
         value = [value]
     fits = isinstance(value, list) and len(value) == ends and all(isinstance(v, list) and len(v) == size for v in value)
@@ -141,7 +141,9 @@ def _rays_of_cells(cells: FloatArray, scan: Scan, name: str) -> FloatArray:
 
 
 def _too_many(count: str) -> FormatError:
-    return FormatError(f"it holds {count} matches; at most {MOST_MATCHES:,} are read: keep the best ones, well spread")
+    return FormatError(
+        f"it contains {count} matches; at most {MOST_MATCHES:,} are read: keep the best ones, well spread"
+    )
 
 
 def _from_csv(file: Path, scan: Scan) -> list[Pick]:
@@ -156,10 +158,10 @@ def _from_csv(file: Path, scan: Scan) -> list[Pick]:
 
 
 def csv_rows(file: Path) -> list[list[str]]:
-    """Return the cells of a CSV of matches, row by row; the header is the first, in small letters.
+    """Return the cells of a CSV of matches, row by row; the first row is the header, in lower case.
 
     Raises:
-        FormatError: if it is no text, too large, has another header, or holds more than 5,000 matches.
+        FormatError: if it is not text, is too large, has another header, or contains more than 5,000 matches.
     """
     size = file.stat().st_size
     if size > LARGEST_BYTES:
@@ -176,7 +178,7 @@ def csv_rows(file: Path) -> list[list[str]]:
                     if len(rows) == MOST_MATCHES + 2:
                         raise _too_many(f"more than {MOST_MATCHES:,}")
     except UnicodeDecodeError:
-        raise FormatError("it is no text; matches are JSON or CSV") from None
+        raise FormatError("it is not text; matches are JSON or CSV") from None
     header = [cell.strip().lower() for cell in rows[0]] if rows else []
     if header not in (_CELL_HEADER, _RAY_HEADER):
         raise FormatError(

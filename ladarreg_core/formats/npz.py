@@ -1,4 +1,4 @@
-"""NPZ scans: `intensity` with `xyz` or with `counts` and its scalars; nothing in them is ever unpickled."""
+"""NPZ scans: `intensity` with `xyz` or with `counts` and its scalars; nothing is ever unpickled."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ SCALARS = ("r0_m", "dr_m", "d_azimuth_rad", "d_elevation_rad")
 OFFSETS = ("azimuth_offset_rad", "elevation_offset_rad")
 _LONGEST_HEADER = 4096
 _PIECE = 1 << 20
-# Memory for each cell at the peak of a read, beside the arrays as they stand in the file; as measured.
+# Measured peak memory per cell of a read, beyond the file's arrays.
 _XYZ_BYTES = 330
 _COUNTS_BYTES = 40
 
 
 def sniff_npz(head: bytes) -> bool:
-    """Tell whether these are the first bytes of a zip archive."""
+    """Return whether these are the first bytes of a zip archive."""
     return head[:4] in (b"PK\x03\x04", b"PK\x05\x06")
 
 
@@ -55,10 +55,10 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         report: receives the progress.
 
     Returns:
-        the scan; row 0 is the top, column 0 the left.
+        The scan, in the file's order of rows and columns.
 
     Raises:
-        FormatError: if it is damaged, incomplete, pickled, claims more than it holds, or would need more memory than
+        FormatError: if it is damaged, incomplete, pickled, claims more than it contains, or would need more memory than
             it may use.
         ShapeError: if the arrays disagree or there is no return.
     """
@@ -66,11 +66,11 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         members = _members(archive)
         if "intensity" not in members:
             raise FormatError(
-                f"the NPZ holds {_listed(members)} but no 'intensity'; a scan needs the laser's intensity (H, W)"
+                f"the NPZ contains {_listed(members)} but no 'intensity'; a scan needs the laser's intensity (H, W)"
             )
         if ("xyz" in members) == ("counts" in members):
             found = "both 'xyz' and 'counts'" if "xyz" in members else f"{_listed(members)}"
-            raise FormatError(f"the NPZ holds {found}; it needs either 'xyz' (H, W, 3) or 'counts' (H, W)")
+            raise FormatError(f"the NPZ contains {found}; it needs either 'xyz' (H, W, 3) or 'counts' (H, W)")
         intensity = members["intensity"]
         if len(intensity.shape) != 2:
             raise ShapeError(f"'intensity' has the shape {intensity.shape}; it must be (H, W)")
@@ -87,11 +87,11 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         budget = ReadBudget.of(file.stat().st_size, memory_bytes)
         budget.require_cells(*intensity.shape, arrays + (_XYZ_BYTES if name == "xyz" else _COUNTS_BYTES))
         total = 2 + (color is not None)
-        _tell(report, 0, total)
+        _report(report, 0, total)
         shown = as_float32(intensity.read(archive))
-        _tell(report, 1, total)
+        _report(report, 1, total)
         values = measured.read(archive)
-        _tell(report, 2, total)
+        _report(report, 2, total)
         if name == "xyz":
             geometry, metres, notes = _from_xyz(values)
         else:
@@ -113,19 +113,19 @@ def write_npz_counts(
     path: PathLike, *, counts: NDArray[Any], intensity: NDArray[Any], geometry: AzimuthElevation, r0_m: float,
     dr_m: float, intensity_is: IntensityKind = "raw",
 ) -> None:  # fmt: skip
-    """Write the counts form.
+    """Write a scan in the counts form.
 
     Args:
-        path: where to.
+        path: output file.
         counts: (H, W) uint16, 0 = no return.
-        intensity: (H, W), any number type; it is kept.
-        geometry: its angles.
+        intensity: (H, W), any numeric type, which is kept.
+        geometry: angles of the grid.
         r0_m: range of count 0, m.
-        dr_m: range of one count, m.
+        dr_m: range increment per count, m.
         intensity_is: `raw` or `range_normalised`.
 
     Raises:
-        ShapeError: if the arrays have not the geometry's shape.
+        ShapeError: if the shapes of the arrays and the geometry differ.
         ExportError: if the file cannot be written.
     """
     if counts.shape != geometry.shape or intensity.shape != geometry.shape:
@@ -168,12 +168,12 @@ def _archive(file: Path) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(file) as archive:
             yield archive
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
-        raise FormatError(f"the NPZ is damaged or cut off ({one_line(error, 80)}); save it again") from error
+        raise FormatError(f"the NPZ is damaged or truncated ({one_line(error, 80)}); save it again") from error
 
 
 @dataclass(frozen=True, slots=True)
 class _Member:
-    """One array of the archive, as its own header describes it; nothing of its data has been read."""
+    """One array of the archive as described by its header; its data have not been read."""
 
     entry: zipfile.ZipInfo
     dtype: np.dtype[Any]
@@ -183,17 +183,17 @@ class _Member:
 
     @property
     def bytes_per_cell(self) -> int:
-        """Bytes of what stands at one (row, column)."""
+        """Bytes per (row, column)."""
         return math.prod(self.shape[2:]) * self.dtype.itemsize
 
     def read(self, archive: zipfile.ZipFile) -> NDArray[Any]:
-        """Return the array; the zip's check sum is verified on the way."""
+        """Return the array; the zip's checksum is verified while reading."""
         values = np.empty(math.prod(self.shape), self.dtype)
         room = values.view(np.uint8)
         with archive.open(self.entry) as stream:
             stream.read(self.data_offset)
             at = 0
-            while piece := stream.read(_PIECE):  # whole, it would be held several times over
+            while piece := stream.read(_PIECE):  # in one piece it would be in memory several times
                 room[at : at + len(piece)] = np.frombuffer(piece, np.uint8)
                 at += len(piece)
         if at != values.nbytes:
@@ -203,7 +203,7 @@ class _Member:
 
 
 def _members(archive: zipfile.ZipFile) -> dict[str, _Member]:
-    """Return the arrays of an archive by name; arrays of pickled objects raise only where they would be needed."""
+    """Return the known arrays of an archive by name; other arrays are ignored, even pickled ones."""
     wanted = {"intensity", "xyz", "counts", "color", "intensity_is", *SCALARS, *OFFSETS}
     found: dict[str, _Member] = {}
     for entry in archive.infolist():
@@ -211,15 +211,17 @@ def _members(archive: zipfile.ZipFile) -> dict[str, _Member]:
         if name not in wanted or not entry.filename.endswith(".npy"):
             continue
         if name in found:
-            raise FormatError(f"the NPZ holds two arrays named {name!r}; it must hold one")
+            raise FormatError(f"the NPZ contains two arrays named {name!r}; it must contain one")
         if entry.flag_bits & 1:
             raise FormatError("the NPZ is encrypted; save it without a password")
         if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise FormatError("the NPZ is packed in an unusual way; save it with numpy.savez or savez_compressed")
+            raise FormatError("the NPZ uses an unsupported compression; save it with numpy.savez or savez_compressed")
         found[name] = _header_of(archive, entry, name)
     if not found:
         inside = [one_line(entry.filename, 30) for entry in archive.infolist()[:4]]
-        raise FormatError(f"it is a zip archive with {inside or 'nothing'} inside; a scan needs arrays as NPZ")
+        raise FormatError(
+            f"it is a zip archive with {inside or 'nothing'} inside, not a scan; give an NPZ with a scan's arrays"
+        )
     return found
 
 
@@ -229,25 +231,27 @@ def _header_of(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> _
             version = np.lib.format.read_magic(stream)
             readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
             if version not in readers:
-                raise FormatError(f"the array {name!r} is of .npy version {version}; only 1.0 and 2.0 are read")
-            start = stream.read(_LONGEST_HEADER + 4)  # NumPy would read as much as the header claims to be long
+                raise FormatError(f"the array {name!r} has .npy version {version}; only 1.0 and 2.0 are supported")
+            start = stream.read(_LONGEST_HEADER + 4)  # NumPy would read the length that the header claims
             begin = io.BytesIO(start)
             shape, fortran, dtype = readers[version](begin, max_header_size=_LONGEST_HEADER)
         except (zipfile.BadZipFile, zlib.error, FormatError):
             raise
-        except Exception as error:  # the header is a Python literal: there are many ways not to be one
+        except Exception as error:  # the header is a Python literal, whose parser fails in many ways
             raise FormatError(f"the array {name!r} has a damaged header; save it again") from error
         offset = np.lib.format.MAGIC_LEN + begin.tell()
     if dtype.hasobject:
-        raise FormatError(f"the array {name!r} holds pickled Python objects, which are never loaded; save numbers")
+        raise FormatError(f"the array {name!r} contains pickled Python objects, which are never loaded; save numbers")
     if dtype.kind not in ("US" if name == "intensity_is" else "fiub"):
-        raise FormatError(f"the array {name!r} is of type {one_line(dtype, 40)}; it must hold numbers")
+        raise FormatError(f"the array {name!r} has the type {one_line(dtype, 40)}; it must contain numbers")
     if dtype.kind in "US" and dtype.itemsize > _LONGEST_HEADER:
-        raise FormatError(f"the array {name!r} holds words of {dtype.itemsize:,} bytes; it must be one short word")
+        raise FormatError(
+            f"the array {name!r} contains strings of {dtype.itemsize:,} bytes; it must be one short string"
+        )
     if math.prod(map(int, shape)) * dtype.itemsize != entry.file_size - offset:
         raise FormatError(
             f"the array {name!r} claims {' x '.join(map(str, shape)) or 'one'} values of {dtype.itemsize} bytes, "
-            f"but {max(entry.file_size - offset, 0):,} bytes are there; save it again"
+            f"but {max(entry.file_size - offset, 0):,} bytes are present; save it again"
         )
     return _Member(entry, dtype, tuple(int(side) for side in shape), bool(fortran), offset)
 
@@ -276,10 +280,10 @@ def counts_geometry(shape: tuple[int, int], scalars: dict[str, float]) -> Azimut
     """Return the geometry of the counts form.
 
     Raises:
-        FormatError: if `dr_m` is not positive, or an angle is impossible.
+        FormatError: if `dr_m` is not positive, or an angle is invalid.
     """
     if scalars["dr_m"] <= 0:
-        raise FormatError(f"'dr_m' is {scalars['dr_m']:g}; it must be the positive range of one count in metres")
+        raise FormatError(f"'dr_m' is {scalars['dr_m']:g}; it must be the positive range increment per count in metres")
     try:
         return AzimuthElevation(
             *shape,
@@ -294,9 +298,9 @@ def counts_geometry(shape: tuple[int, int], scalars: dict[str, float]) -> Azimut
 
 def _from_counts(counts: NDArray[Any], scalars: dict[str, float]) -> tuple[ScanGeometry, NDArray[np.float64]]:
     if counts.dtype.kind not in "ui":
-        raise FormatError(f"'counts' is of type {counts.dtype}; it must hold whole numbers (uint16)")
+        raise FormatError(f"'counts' has the type {counts.dtype}; it must contain integers (uint16)")
     if counts.dtype.kind == "i" and counts.min(initial=0) < 0:
-        raise FormatError(f"'counts' reaches down to {counts.min()}; counts are not negative, 0 = no return")
+        raise FormatError(f"'counts' contains {counts.min()}; counts must not be negative, 0 = no return")
     geometry = counts_geometry((counts.shape[0], counts.shape[1]), scalars)
     return geometry, range_from_counts(counts, scalars["r0_m"], scalars["dr_m"])
 
@@ -313,9 +317,9 @@ def _from_xyz(xyz: NDArray[Any]) -> tuple[ScanGeometry, NDArray[np.float64], tup
     points[missing] = np.nan
     ranges[missing] = np.nan
     rays = unit_rays(points)
-    # The order is the file's to keep: cells in a matches file are counted in it.
+    # The file's order is kept: the cells in matches files refer to it.
     wrong = is_scan_grid(rays) and order_of(rays)
-    note = "rows and columns do not run from the top and from the left: the picture is turned or mirrored"
+    note = "row 0 is not the top or column 0 not the left: the scan is shown rotated or mirrored"
     return TabulatedGrid(points), ranges, (note,) if wrong else ()
 
 
@@ -324,7 +328,7 @@ def _intensity_is(archive: zipfile.ZipFile, members: dict[str, _Member]) -> Inte
     if member is None:
         return "raw"
     if member.shape not in ((), (1,)):
-        raise ShapeError(f"'intensity_is' has the shape {member.shape}; it must be one word")
+        raise ShapeError(f"'intensity_is' has the shape {member.shape}; it must be one string")
     value = member.read(archive).reshape(())[()]
     word = value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)
     if word == "raw":
@@ -334,6 +338,6 @@ def _intensity_is(archive: zipfile.ZipFile, members: dict[str, _Member]) -> Inte
     raise FormatError(f"'intensity_is' is {one_line(repr(word), 40)}; it must be 'raw' or 'range_normalised'")
 
 
-def _tell(report: Report | None, done: int, total: int) -> None:
+def _report(report: Report | None, done: int, total: int) -> None:
     if report is not None:
         report(Progress(done, total, "reading the scan"))

@@ -1,7 +1,7 @@
-"""The part of YAML that camera calibrations are written in: nested mappings, lists, numbers and words.
+"""Parser for the subset of YAML that camera calibrations use: nested mappings, lists, numbers and strings.
 
-Tags (`!!opencv-matrix`), directives and comments are skipped; anchors, block texts and the rest of YAML are refused.
-The time taken is proportional to the length of the text.
+Tags (`!!opencv-matrix`), directives and comments are skipped; anchors, block scalars and the rest of YAML are refused.
+Parsing takes linear time.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ _Line = tuple[int, str]
 
 
 def parse_yaml(text: str) -> dict[str, Any]:
-    """Return the mapping that a YAML text holds; numbers become int or float, everything else text.
+    """Parse a YAML mapping; numbers become int or float, everything else a string.
 
     Raises:
-        FormatError: if it is no mapping, or uses what this subset leaves out.
+        FormatError: if it is not a mapping, or uses YAML outside this subset.
     """
     lines = _logical_lines(text)
     if not lines:
-        raise FormatError("it holds nothing; a camera file is JSON or YAML with a camera matrix")
+        raise FormatError("it is empty; a camera file is JSON or YAML with a camera matrix")
     value, rest = _block(lines, 0, 0)
     if rest != len(lines):
         raise FormatError(f"the line {one_line(lines[rest][1], 60)!r} is indented differently from its neighbours")
     if not isinstance(value, dict):
-        raise FormatError("it is no mapping of names to values; a camera file is JSON or YAML with a camera matrix")
+        raise FormatError("it is not a mapping of names to values; a camera file is JSON or YAML with a camera matrix")
     return value
 
 
@@ -48,7 +48,7 @@ def _logical_lines(text: str) -> list[_Line]:
         content = _without_comment(row).rstrip()
         bare = content.strip()
         if bare == "..." or (bare == "---" and lines):
-            break  # what follows is another document
+            break  # another YAML document follows
         if not pending and (not bare or bare == "---" or bare.startswith("%")):
             continue
         if not pending:
@@ -61,7 +61,7 @@ def _logical_lines(text: str) -> list[_Line]:
             lines.append((indent, " ".join(pending)))
             pending, depth = [], 0
     if pending:
-        raise FormatError("a bracket is opened and never closed; the file is cut off")
+        raise FormatError("a bracket is never closed; the file is truncated")
     return lines
 
 
@@ -92,7 +92,9 @@ def _block(lines: list[_Line], at: int, depth: int) -> tuple[Any, int]:
     while at < len(lines) and lines[at][0] == indent:
         pair = _key_and_value(lines[at][1])
         if pair is None:
-            raise FormatError(f"the line {one_line(lines[at][1], 60)!r} is no 'name: value'; give JSON or simple YAML")
+            raise FormatError(
+                f"the line {one_line(lines[at][1], 60)!r} is not of the form 'name: value'; give JSON or simple YAML"
+            )
         key, inline = pair[0], _without_tag(pair[1])
         at += 1
         if inline:
@@ -105,7 +107,7 @@ def _block(lines: list[_Line], at: int, depth: int) -> tuple[Any, int]:
 
 
 def _key_and_value(line: str) -> tuple[str, str] | None:
-    """Return the name and the text after its colon, or None where the line is no `name: value`."""
+    """Return the name and the text after its colon, or None where the line is not of the form `name: value`."""
     quote = line[:1]
     if quote in ("'", '"'):
         key, closed, rest = line[1:].partition(quote)
@@ -130,7 +132,7 @@ def _without_tag(text: str) -> str:
 def _scalar_or_flow(text: str) -> Any:
     text = _without_tag(text)
     if text[:1] in ("|", ">", "&", "*"):
-        raise FormatError(f"the value {one_line(text, 40)!r} uses YAML beyond what camera files need; give JSON")
+        raise FormatError(f"the value {one_line(text, 40)!r} uses an unsupported YAML feature; give JSON")
     if text[:1] not in ("[", "{"):
         return _scalar(text)
     tokens = [token for token in re.split(r"([\[\]{},])", text) if token.strip()]
@@ -170,7 +172,7 @@ def _flow(tokens: list[str], at: int, depth: int) -> tuple[Any, int]:
         elif at < len(tokens) and tokens[at] != close:
             raise FormatError(f"in a list there is {one_line(tokens[at], 40)!r} without a comma before it")
     if at >= len(tokens):
-        raise FormatError("a bracket is opened and never closed; the file is cut off")
+        raise FormatError("a bracket is never closed; the file is truncated")
     return (items if is_list else pairs), at + 1
 
 

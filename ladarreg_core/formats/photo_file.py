@@ -1,4 +1,4 @@
-"""Photographs: the picture the right way up, and the camera that took it."""
+"""Photograph files: the upright image and its camera."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ladarreg_core.thermal import kelvin_of, thermal_photo
 
 _FREEZING_K = 273.15
 _POSSIBLE = (0.05, 100.0)
-"""Focal length over the longer side; lenses lie between 0.3 and 35, what lies far outside was mistyped."""
+"""Accepted focal lengths, relative to the longer side; real lenses lie between 0.3 and 35."""
 _USUAL = (0.5, 10.0)
 
 
@@ -38,21 +38,20 @@ def read_photo(
 ) -> Photo:
     """Read a photograph with its camera.
 
-    The camera is the one given, or a distortion-free one of the focal length given, or of the one in EXIF.
+    The camera is `camera`, or a distortion-free one with the given focal length, or else with the one in EXIF.
 
     Args:
-        path: a PNG, JPEG, TIFF, WebP or BMP; gray and 16-bit pictures become 8-bit RGB, but for a gray picture of 16
-            bits in centikelvin or of floating point in kelvin (`kelvin_of`), which is a thermal one.
-        camera: a camera, or a file of one. Its size then says whether it was calibrated on raw or on turned pixels.
-        focal_px: focal length in pixels of this picture.
+        path: a PNG, JPEG, TIFF, WebP or BMP. Gray and 16-bit images are converted to 8-bit RGB; gray images with 16
+            bits in centikelvin or floating point in kelvin (`kelvin_of`) are thermal images.
+        camera: a camera or a camera file. Its size shows whether it was calibrated on raw or on rotated pixels.
+        focal_px: focal length, pixels of this image.
         focal_mm: focal length, mm; needs `sensor_mm`.
-        sensor_mm: the sensor's width, mm: that of the picture before any turn by EXIF.
+        sensor_mm: sensor width, mm, along the image's width before the rotation by EXIF.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
 
     Raises:
-        FormatError: if the file is no picture, is damaged, or would need more memory than it may use.
-        CameraError: if no focal length is given or found, no lens has the one given, or the picture has not the
-            camera's size.
+        FormatError: if the file is not an image, is damaged, or would need more memory than it may use.
+        CameraError: if no focal length is given or found, if it is implausible, or if image and camera differ in size.
         OptionError: if the options contradict each other or are not positive.
     """
     _check_options(camera, focal_px, focal_mm, sensor_mm)
@@ -70,7 +69,7 @@ def read_photo(
                 notes.append(
                     f"EXIF orientation {orientation} was applied"
                     if turned
-                    else f"EXIF orientation {orientation} was not applied: the camera has the size of the raw pixels"
+                    else f"EXIF orientation {orientation} was not applied: the camera's size is that of the raw pixels"
                 )
             pixels = upright(values, orientation) if turned else values
             return _photo(pixels, given, file.stem, notes, calibrated=True)
@@ -91,7 +90,7 @@ def _photo(values: NDArray[Any], camera: Camera, name: str, notes: list[str], *,
 
 def _thermal_note(kelvin: FloatArray) -> str:
     low, high = (float(v) - _FREEZING_K for v in (kelvin.min(), kelvin.max()))
-    return f"taken as a thermal picture, {low:.1f} to {high:.1f} C"
+    return f"read as a thermal image, {low:.1f} to {high:.1f} C"
 
 
 def _check_options(camera: object, focal_px: float | None, focal_mm: float | None, sensor_mm: float | None) -> None:
@@ -113,26 +112,26 @@ def _check_possible(focal_px: float, width: int, height: int) -> None:
     if not low * longer <= focal_px <= high * longer:
         usual = " to ".join(f"{round(share * longer)}" for share in _USUAL)
         raise CameraError(
-            f"a focal length of {focal_px:.3g} px does not fit a picture of {width} x {height} pixels, where most "
+            f"a focal length of {focal_px:.3g} px does not fit an image of {width} x {height} pixels, where most "
             f"lenses have {usual} px; check the figures and their units"
         )
 
 
 def _is_turned(camera: Camera, raw_width: int, raw_height: int, orientation: int) -> bool:
-    """Tell whether the camera belongs to the picture as EXIF turns it: its size decides.
+    """Return whether the camera belongs to the image as rotated by EXIF, judged by its size.
 
-    Where both fit (half turns, mirrored or square pictures) the turned one is meant: OpenCV, with which cameras are
-    calibrated, turns pictures silently.
+    Where both sizes fit (half turns, mirrored or square images) the rotated image is assumed: OpenCV, with which
+    cameras are calibrated, applies the orientation silently.
     """
     turned = (raw_height, raw_width) if orientation >= 5 else (raw_width, raw_height)
     if camera.size == turned:
         return True
     if camera.size == (raw_width, raw_height):
         return False
-    either = f" ({turned[0]} x {turned[1]} turned by EXIF)" if turned != (raw_width, raw_height) else ""
+    either = f" ({turned[0]} x {turned[1]} rotated by EXIF)" if turned != (raw_width, raw_height) else ""
     raise CameraError(
-        f"the picture is {raw_width} x {raw_height} pixels{either}, the camera {camera.width} x {camera.height}; "
-        "give the camera of this picture size"
+        f"the image is {raw_width} x {raw_height} pixels{either}, the camera {camera.width} x {camera.height}; "
+        "give a camera of this image size"
     )
 
 
@@ -146,7 +145,7 @@ def _focal(
 ) -> tuple[float, str]:
     if focal_px is not None:
         _check_possible(focal_px, raw_width, raw_height)
-        return focal_px, f"focal length {focal_px:.1f} px, as given; the lens is taken as free of distortion"
+        return focal_px, f"focal length {focal_px:.1f} px, as given; no lens distortion is assumed"
     if focal_mm is not None and sensor_mm is not None:
         focal = focal_mm / sensor_mm * raw_width
         _check_possible(focal, raw_width, raw_height)
@@ -154,7 +153,6 @@ def _focal(
     found = focal_from_exif(tags, raw_width, raw_height)
     if found is None:
         raise CameraError(
-            "the picture does not tell its focal length (no EXIF); give --camera FILE, --focal-px, or --focal-mm with "
-            "--sensor-mm"
+            "the image has no focal length in EXIF; give --camera FILE, --focal-px, or --focal-mm with --sensor-mm"
         )
     return found.focal_px, f"focal length {found.focal_px:.1f} px from {found.source}"

@@ -1,4 +1,4 @@
-"""Pose files: `{"camera_from_scanner": 4 x 4}`; a registration's own JSON is one too."""
+"""Pose files: `{"camera_from_scanner": 4 x 4}`; every `registration.json` is one, too."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ def read_pose(path: PathLike, *, field: str = POSE_FIELD) -> Rigid:
 
     Args:
         path: the file.
-        field: what the transform is called there.
+        field: name of the transform in the file.
 
     Raises:
-        FormatError: if it is no JSON with that field, or the field is no rigid transform.
+        FormatError: if it is not JSON with that field, or the field is not a rigid transform.
     """
     with reading(path) as file:
         rows = read_json_object(file, "a pose file").get(field)
         if rows is None:
-            raise FormatError(f"the field {field!r} is missing; a pose file holds it as 4 rows of 4 numbers")
+            raise FormatError(f"the field {field!r} is missing; a pose file contains it as 4 rows of 4 numbers")
         if not (isinstance(rows, list) and len(rows) == 4 and all(isinstance(r, list) and len(r) == 4 for r in rows)):
             raise FormatError(f"{field!r} is {one_line(repr(rows), 60)}; it must be 4 rows of 4 numbers")
         matrix = [[number({field: value}, field) for value in row] for row in rows]
         try:
             return Rigid.from_matrix(matrix)
         except (DegenerateGeometryError, ShapeError) as error:
-            raise FormatError(f"{field!r} is no rigid transform: {error}") from error
+            raise FormatError(f"{field!r} is not a rigid transform: {error}") from error
 
 
 def write_pose(path: PathLike, camera_from_scanner: Rigid) -> None:

@@ -1,4 +1,4 @@
-"""Earlier results as files: a registration's pose and how sure it is, and the offset between two cameras."""
+"""Reads earlier results: a `registration.json`, and the offset between two cameras of a mount."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _ASYMMETRY = 1e-6
 
 
 def read_registration(path: PathLike) -> Registration:
-    """Read a `registration.json`: pose, camera, covariance and verdict; its matches and steps are left behind.
+    """Read a `registration.json`: pose, camera, covariance and verdict, without its matches and steps.
 
     Raises:
-        FormatError: if it is no such file, or its numbers are none.
-        CameraError: if its camera is none.
+        FormatError: if it is not such a file, or a number in it is invalid.
+        CameraError: if its camera is invalid.
     """
     with reading(path) as file, parsed_once():
         pose = read_pose(path)
         fields = read_json_object(file, "a registration")
         if not isinstance(fields.get("camera"), dict) or not isinstance(fields.get("accepted"), bool):
-            raise FormatError("it has a pose, but neither camera nor verdict; give the registration.json of a result")
+            raise FormatError("it has a pose but lacks a camera or a verdict; give the registration.json of a result")
         sigma = fields.get("sigma") if isinstance(fields.get("sigma"), dict) else {}
         assert isinstance(sigma, dict)
         reasons = fields.get("reasons", [])
@@ -57,11 +57,11 @@ def read_registration(path: PathLike) -> Registration:
 def read_offset(path: PathLike) -> Offset:
     """Read the offset between two cameras of a mount.
 
-    It is a pose JSON whose `camera_from_scanner` means camera_b_from_camera_a (which is also a name for it), and may
-    hold `sigma_angle_rad` and `sigma_position_m`.
+    The file is a pose JSON with `camera_b_from_camera_a`, or with `camera_from_scanner` in that meaning, and optionally
+    `sigma_angle_rad` and `sigma_position_m`.
 
     Raises:
-        FormatError: if it holds no rigid transform, or a sigma that is no number.
+        FormatError: if it contains no rigid transform, or a sigma is not a number.
         OptionError: if a sigma is negative.
     """
     with reading(path) as file, parsed_once():
@@ -73,14 +73,14 @@ def read_offset(path: PathLike) -> Offset:
 
 
 def _covariance(rows: Any) -> FloatArray:
-    """Return a covariance (6, 6)."""
+    """Return a covariance (6, 6), checked for symmetry and non-negative variances."""
     square = isinstance(rows, list) and len(rows) == 6 and all(isinstance(row, list) and len(row) == 6 for row in rows)
     if not square:
         raise FormatError(f"the field 'covariance' is {one_line(repr(rows), 60)}; it must be 6 rows of 6 numbers")
     matrix = np.array([[number({"covariance": value}, "covariance") for value in row] for row in rows])
     scale = np.sqrt(np.abs(np.diag(matrix)))
     if (np.abs(matrix - matrix.T) > _ASYMMETRY * np.outer(scale, scale) + 1e-300).any():
-        raise FormatError("the field 'covariance' is not symmetric; give the registration.json as it was written")
+        raise FormatError("the field 'covariance' is not symmetric; give an unmodified registration.json")
     if (np.diag(matrix) < 0).any():
-        raise FormatError("the field 'covariance' has negative variances; give the registration.json as it was written")
+        raise FormatError("the field 'covariance' has negative variances; give an unmodified registration.json")
     return matrix

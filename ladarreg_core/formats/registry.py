@@ -1,33 +1,44 @@
-"""The one table of formats: how each is recognised, read and described."""
+"""The table of file formats: their extensions, and how each is recognised, read and described.
+
+This is the only place that knows extensions. Files are recognised by content; an extension is only used to list a
+folder without opening every file in it.
+"""
 
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from ladarreg_core.camera import Camera
-from ladarreg_core.errors import FormatError, ShapeError
-from ladarreg_core.formats import FileFormat, FileInfo, FileKind
-from ladarreg_core.formats.camera_file import describe_camera, read_camera, sniff_camera_yaml
-from ladarreg_core.formats.descriptor import KINDS, read_descriptor
+from ladarreg_core.errors import FormatError, LadarregError, OptionError
+from ladarreg_core.formats.camera_file import sniff_camera_yaml
+from ladarreg_core.formats.descriptor import KINDS as DESCRIPTOR_KINDS
+from ladarreg_core.formats.descriptor import read_descriptor
 from ladarreg_core.formats.e57 import read_e57
-from ladarreg_core.formats.e57_header import E57ImageInfo, E57ScanInfo, read_e57_info, sniff_e57
-from ladarreg_core.formats.e57_images import camera_of_image
-from ladarreg_core.formats.exif import exif_facts, focal_from_exif, orientation_of, upright
-from ladarreg_core.formats.image_file import image_format, read_image
-from ladarreg_core.formats.json_file import read_json_object
-from ladarreg_core.formats.matches_file import csv_rows
+from ladarreg_core.formats.e57_header import sniff_e57
+from ladarreg_core.formats.file_info import (
+    FileInfo,
+    FileKind,
+    describe_camera_file,
+    describe_e57,
+    describe_matches,
+    describe_photo,
+    describe_pose,
+    scan_describer,
+)
+from ladarreg_core.formats.image_file import image_format
+from ladarreg_core.formats.json_file import parsed_once, read_json_object
 from ladarreg_core.formats.npz import read_npz, sniff_npz
 from ladarreg_core.formats.pcd import read_pcd, sniff_pcd
-from ladarreg_core.formats.pose_file import POSE_FIELD, read_pose
-from ladarreg_core.formats.untrusted import one_line, reading, shown_name
-from ladarreg_core.frames import ThesisParameters
+from ladarreg_core.formats.pose_file import POSE_FIELD
+from ladarreg_core.formats.untrusted import PathLike, one_line, reading
+from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
 
-_FOREIGN = (
+_HEAD_BYTES = 4096
+_UNSUPPORTED = (
     (b"ply", "a PLY model"),
     (b"LASF", "a LAS or LAZ cloud"),
     (b"\x89HDF", "an HDF5 file"),
@@ -37,25 +48,37 @@ _FOREIGN = (
     (b"\x1f\x8b", "a gzip archive"),
     (b"7z\xbc\xaf", "a 7z archive"),
 )
+_DESCRIPTOR_FIELD = re.compile(rb'"kind"\s*:\s*"(' + "|".join(DESCRIPTOR_KINDS).encode() + rb')"')
 
 
-def foreign_format(head: bytes) -> str:
-    """Return what a file that cannot be read seems to be, in words."""
-    known = next((name for magic, name in _FOREIGN if head.startswith(magic)), None)
-    if known:
-        return f"it is {known}, which is not read"
-    start = one_line(head[:12].decode("latin-1"), 24)
-    return f"it is of no known format (it begins with {start!r})"
+@dataclass(frozen=True, slots=True)
+class FileFormat:
+    """One supported file format."""
+
+    name: str
+    """Name for users."""
+    kind: FileKind
+    """Kind of content."""
+    extensions: tuple[str, ...]
+    """Usual file name extensions, lower case, with their dot."""
+    sniff: Callable[[bytes, Path], bool]
+    """Returns whether a file has this format, from its first bytes or, where they are not enough, from the file."""
+    describe: Callable[[Path], FileInfo]
+    """Describes a file of this format."""
+    read_scan: Callable[[Path, int, int | None, Report | None], Scan] | None = None
+    """Reads the scan: path, scan index, memory that may be used (None: the default), report. Scan formats only."""
+    is_generic_text: bool = False
+    """Whether files of other programs commonly have the same extensions, so that a listing must check the content."""
 
 
 def _json_kind(head: bytes, file: Path) -> FileKind | None:
-    """Return what a JSON file is by its fields; the first bytes answer for most."""
+    """Return the kind of a JSON file by its fields; None where it is not JSON."""
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not start.startswith(b"{"):
         return None
     try:
         fields = read_json_object(file, "a JSON file")
-    except FormatError:  # damaged, or too large: by the words that it begins with, so that its reader tells why
+    except FormatError:  # damaged or too large: decide by the names in its first bytes, so that its reader says why
         fields = {word: True for word in ("kind", "matches", POSE_FIELD, "fx", "camera_matrix")
                   if json.dumps(word).encode() in head}  # fmt: skip
     if POSE_FIELD in fields:
@@ -69,174 +92,135 @@ def _json_kind(head: bytes, file: Path) -> FileKind | None:
     return "scan"  # the descriptor's reader says what is missing
 
 
-def _is_json(kind: FileKind) -> Any:
+def _sniff_json(kind: FileKind) -> Callable[[bytes, Path], bool]:
     return lambda head, file: _json_kind(head, file) == kind
 
 
-def _is_csv(head: bytes, file: Path) -> bool:
+def _sniff_csv(head: bytes, file: Path) -> bool:
     line = head.removeprefix(b"\xef\xbb\xbf").lstrip().partition(b"\n")[0].lower()
     return [cell.strip() for cell in line.split(b",")][-2:] == [b"u", b"v"]
 
 
-def _describe_scan(path: Path, scan: Scan, name: str, **more: Any) -> FileInfo:
-    ranges = scan.ranges[scan.valid]
-    strength = scan.intensity[scan.valid]
-    rows, columns = scan.shape
-    return FileInfo(
-        file=shown_name(path),
-        bytes=path.stat().st_size,
-        kind="scan",
-        format=name,
-        size=f"{rows} rows x {columns} columns",
-        returns=int(scan.valid.sum()),
-        range_m=(float(ranges.min()), float(ranges.max())),
-        median_range_m=float(np.median(ranges)),
-        intensity=(float(strength.min()), float(strength.max())),
-        step_deg=(float(np.degrees(scan.geometry.step_rad[0])), float(np.degrees(scan.geometry.step_rad[1]))),
-        color=scan.color is not None,
-        notes=scan.notes,
-        **more,
-    )
-
-
-def _describe_npz(path: Path) -> FileInfo:
-    return _describe_scan(path, read_npz(path), "NPZ")
-
-
-def _describe_pcd(path: Path) -> FileInfo:
-    return _describe_scan(path, read_pcd(path), "PCD")
-
-
-def _describe_descriptor(path: Path) -> FileInfo:
-    return _describe_scan(path, read_descriptor(path), f"descriptor ({' or '.join(KINDS)})")
-
-
-def _describe_e57(path: Path) -> FileInfo:
-    with reading(path) as file:
-        info = read_e57_info(file)
-    lists: dict[str, Any] = {
-        "scans": tuple(_scan_line(scan) for scan in info.scans),
-        "images": tuple(_image_line(image) for image in info.images),
-    }
-    # Files of pictures only, and scans that lack something, are still described.
-    notes: tuple[str, ...] = ()
-    if len(info.scans) == 1 and "intensity" in info.scans[0].field_names:
-        try:
-            return _describe_scan(path, read_e57(path), "E57", **lists)
-        except ShapeError as error:
-            notes = (str(error),)
-    return FileInfo(file=shown_name(path), bytes=path.stat().st_size, kind="scan", format="E57", notes=notes, **lists)
-
-
-def _scan_line(scan: E57ScanInfo) -> str:
-    grid = f"grid {scan.grid[0]} x {scan.grid[1]}" if scan.grid else "no grid"
-    has = [word for word, name in (("intensity", "intensity"), ("colour", "colorRed")) if name in scan.field_names]
-    return f"{scan.name}: {scan.points:,} points, {grid}, {' and '.join(has) or 'neither intensity nor colour'}"
-
-
-def _image_line(image: E57ImageInfo) -> str:
-    camera = camera_of_image(image)
-    focal = f", focal length {camera.focal_px:.1f} px" if camera else ""
-    pose = "with a pose" if image.world_from_image else "without a pose"
-    return f"{image.name}: {image.kind} {image.format.upper()} {image.width} x {image.height}{focal}, {pose}"
-
-
-def _describe_photo(path: Path) -> FileInfo:
-    with reading(path) as file:
-        image = read_image(file)
-        raw_height, raw_width = image.values.shape[:2]
-        height, width = upright(image.values, orientation_of(image.exif)).shape[:2]
-        focal = focal_from_exif(image.exif, raw_width, raw_height)
-        notes = () if focal else ("no focal length in EXIF: give a camera file or a focal length with it",)
-        camera: dict[str, Any] = {}
-        if focal:
-            camera = {**describe_camera(Camera.from_focal(width, height, focal.focal_px)), "source": focal.source}
-        return FileInfo(
-            file=shown_name(file),
-            bytes=file.stat().st_size,
-            kind="photo",
-            format=image.format,
-            size=f"{width} x {height} pixels",
-            color=image.values.ndim == 3,
-            camera=camera,
-            exif=exif_facts(image.exif),
-            notes=notes,
-        )
-
-
-def _describe_camera(path: Path) -> FileInfo:
-    camera = read_camera(path)
-    return FileInfo(
-        file=shown_name(path),
-        bytes=path.stat().st_size,
-        kind="camera",
-        format="JSON" if _begins_with_brace(path) else "YAML",
-        camera=describe_camera(camera),
-    )
-
-
-def _begins_with_brace(file: Path) -> bool:
-    with open(file, "rb") as stream:
-        return stream.read(64).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"{")
-
-
-def _describe_pose(path: Path) -> FileInfo:
-    pose = read_pose(path)
-    six = ThesisParameters.from_pose(pose)
-    angles = (np.degrees(angle) for angle in (six.alpha, six.beta, six.gamma))
-    return FileInfo(
-        file=shown_name(path),
-        bytes=path.stat().st_size,
-        kind="pose",
-        format="JSON",
-        pose={
-            "camera": six.in_words(),
-            "pan_tilt_roll_deg": ", ".join(f"{angle:.2f}" for angle in angles),
-        },
-    )
-
-
-def _describe_matches(path: Path) -> FileInfo:
-    with reading(path) as file:
-        is_csv = not _begins_with_brace(file)
-        if is_csv:
-            header, *rows = csv_rows(file)
-            count, coordinates = f"{len(rows)} points", ",".join(header)
-        else:
-            fields = read_json_object(file, "a matches file")
-            entries = fields["matches"] if isinstance(fields["matches"], list) else []
-            lines_ = sum(isinstance(entry, dict) and entry.get("kind") == "line" for entry in entries)
-            count, coordinates = f"{len(entries) - lines_} points, {lines_} lines", fields.get("scan_coordinates", "?")
-        return FileInfo(
-            file=shown_name(file),
-            bytes=file.stat().st_size,
-            kind="matches",
-            format="CSV" if is_csv else "JSON",
-            matches=f"{count} in {one_line(coordinates, 40)} coordinates",
-        )
-
-
 FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
-        "E57", "scan", lambda head, _: sniff_e57(head), _describe_e57,
+        "E57", "scan", (".e57",), lambda head, _: sniff_e57(head), describe_e57,
         lambda path, index, memory, report: read_e57(path, scan_index=index, memory_bytes=memory, report=report),
     ),
     FileFormat(
-        "NPZ", "scan", lambda head, _: sniff_npz(head), _describe_npz,
+        "NPZ", "scan", (".npz",), lambda head, _: sniff_npz(head), scan_describer(read_npz, "NPZ"),
         lambda path, _, memory, report: read_npz(path, memory_bytes=memory, report=report),
     ),
     FileFormat(
-        "PCD", "scan", lambda head, _: sniff_pcd(head), _describe_pcd,
+        "PCD", "scan", (".pcd",), lambda head, _: sniff_pcd(head), scan_describer(read_pcd, "PCD"),
         lambda path, _, memory, report: read_pcd(path, memory_bytes=memory, report=report),
     ),
     FileFormat(
-        "descriptor JSON", "scan", _is_json("scan"), _describe_descriptor,
+        "descriptor JSON", "scan", (".json",), _sniff_json("scan"),
+        scan_describer(read_descriptor, f"descriptor ({' or '.join(DESCRIPTOR_KINDS)})"),
         lambda path, _, memory, report: read_descriptor(path, memory_bytes=memory, report=report),
+        is_generic_text=True,
     ),
-    FileFormat("picture", "photo", lambda head, _: image_format(head) is not None, _describe_photo),
-    FileFormat("camera JSON", "camera", _is_json("camera"), _describe_camera),
-    FileFormat("camera YAML", "camera", lambda head, _: sniff_camera_yaml(head), _describe_camera),
-    FileFormat("pose JSON", "pose", _is_json("pose"), _describe_pose),
-    FileFormat("matches JSON", "matches", _is_json("matches"), _describe_matches),
-    FileFormat("matches CSV", "matches", _is_csv, _describe_matches),
+    FileFormat(
+        "image", "photo", (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"),
+        lambda head, _: image_format(head) is not None, describe_photo,
+    ),
+    FileFormat(
+        "camera JSON", "camera", (".json",), _sniff_json("camera"), describe_camera_file, is_generic_text=True
+    ),
+    FileFormat(
+        "camera YAML", "camera", (".yaml", ".yml"), lambda head, _: sniff_camera_yaml(head), describe_camera_file,
+        is_generic_text=True,
+    ),
+    FileFormat("pose JSON", "pose", (".json",), _sniff_json("pose"), describe_pose, is_generic_text=True),
+    FileFormat("matches JSON", "matches", (".json",), _sniff_json("matches"), describe_matches, is_generic_text=True),
+    FileFormat("matches CSV", "matches", (".csv",), _sniff_csv, describe_matches, is_generic_text=True),
 )  # fmt: skip
+"""All formats, in the order in which they are tried."""
+
+
+def recognise(path: PathLike, *, kinds: tuple[FileKind, ...] = ()) -> FileFormat:
+    """Return the format of a file, determined by its content.
+
+    Args:
+        path: the file.
+        kinds: the kinds of content that are wanted; empty: any.
+
+    Raises:
+        FormatError: if there is no such file, or its format is unknown or not of a wanted kind.
+    """
+    with reading(path) as file, parsed_once():
+        with open(file, "rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        found = next((f for f in FORMATS if (not kinds or f.kind in kinds) and f.sniff(head, file)), None)
+        if found is None:
+            other = next((f for f in FORMATS if f.sniff(head, file)), None)
+            what = f"it is a {other.kind} ({other.name})" if other else _unsupported(head)
+            wanted = sorted({f"{f.name}" for f in FORMATS if not kinds or f.kind in kinds})
+            raise FormatError(f"{what}; a {' or '.join(kinds) or 'file'} is one of {', '.join(wanted)}")
+        return found
+
+
+def _unsupported(head: bytes) -> str:
+    """Return a phrase that says what an unsupported file appears to be."""
+    known = next((name for magic, name in _UNSUPPORTED if head.startswith(magic)), None)
+    if known:
+        return f"it is {known}, which is not supported"
+    start = one_line(head[:12].decode("latin-1"), 24)
+    return f"its format is unknown (it begins with {start!r})"
+
+
+def listed_kind(path: Path) -> FileKind | None:
+    """Return the kind of a file for a listing of its folder; None where it cannot be opened.
+
+    Files with the extension of a binary format are not read. Text files are, since most JSON, YAML and CSV files belong
+    to other programs; a JSON object counts as a scan only if it says so itself.
+    """
+    suffix = path.suffix.lower()
+    candidates = [f for f in FORMATS if suffix in f.extensions]
+    if not candidates:
+        return None
+    if not any(f.is_generic_text for f in candidates):
+        return candidates[0].kind
+    try:
+        kind = recognise(path).kind
+        if kind == "scan":
+            with path.open("rb") as file:
+                return kind if _DESCRIPTOR_FIELD.search(file.read(_HEAD_BYTES)) else None
+    except (LadarregError, OSError):
+        return None
+    return kind
+
+
+def read_scan(
+    path: PathLike, *, scan_index: int = 0, memory_bytes: int | None = None, report: Report | None = None
+) -> Scan:
+    """Read a scan, its format recognised by content.
+
+    Args:
+        path: an E57, NPZ, PCD or descriptor file.
+        scan_index: index of the scan in files that hold several.
+        memory_bytes: memory that the read may use at its peak, bytes; None: 1 GB, or 64 times the file's size if that
+            is more.
+        report: receives the progress.
+
+    Raises:
+        FormatError: if it is not a scan, is damaged, has no intensity, or would need more memory than it may use.
+        ShapeError: if its arrays disagree, or there are no returns.
+        OptionError: if there is no scan of that index.
+    """
+    with parsed_once():
+        found = recognise(path, kinds=("scan",))
+        if scan_index != 0 and found.name != "E57":
+            raise OptionError(f"scan_index is {scan_index}, but a {found.name} file holds one scan; leave it out")
+        assert found.read_scan is not None, "every scan format has a reader"
+        return found.read_scan(Path(path), scan_index, memory_bytes, report)
+
+
+def describe(path: PathLike) -> FileInfo:
+    """Describe a file of any supported format: scan, photograph, camera, pose or matches.
+
+    Raises:
+        LadarregError: if it cannot be read.
+    """
+    with parsed_once():
+        return recognise(path).describe(Path(path))

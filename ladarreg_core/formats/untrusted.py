@@ -1,4 +1,4 @@
-"""Where files meet the program: what is no readable file, and what goes wrong inside one, become one line."""
+"""Guards for untrusted files: checks before reading, and one-line errors for whatever fails inside a file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ladarreg_core.errors import Cancelled, FormatError, LadarregError
 
 PathLike = str | os.PathLike[str]
 LARGEST_GRID_CELLS = 100_000_000
-"""A scan that claims more cells is refused before anything is allocated."""
+"""Largest grid that is read; a scan that claims more cells is refused before anything is allocated."""
 
 _logger = logging.getLogger(__name__)
 _LONGEST_LINE = 280
@@ -27,7 +27,7 @@ _SUSPICIOUS_MEDIAN_M = 200.0
 
 
 def one_line(text: object, longest: int = _LONGEST_LINE) -> str:
-    """Return a text on one line without control characters, cut in the middle where it is too long."""
+    """Return a text on one line without control characters, shortened in the middle if it is too long."""
     line = " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())
     if len(line) <= longest:
         return line
@@ -36,22 +36,22 @@ def one_line(text: object, longest: int = _LONGEST_LINE) -> str:
 
 
 def shown_name(path: PathLike) -> str:
-    """Return a file's name as an error may show it."""
+    """Return a file's name in a form that is safe to show in an error."""
     text = os.fspath(path)
     return one_line(os.path.basename(text.rstrip("/\\")) or text or "(no name)", _LONGEST_NAME)
 
 
 @contextmanager
 def reading(path: PathLike) -> Iterator[Path]:
-    """Yield a path that is a file with something in it; whatever fails inside becomes one line that names the file.
+    """Yield the path of a readable, non-empty file; any failure inside becomes a one-line error that names the file.
 
     Raises:
-        FormatError: if there is no such file, it is a folder, a device or empty, or what happened inside was no error
-            of ours.
-        LadarregError: of the kind raised inside, the file named.
+        FormatError: if there is no such file, if it is a folder, a device or empty, or if an exception that is not a
+            `LadarregError` was raised inside.
+        LadarregError: of the type raised inside, with the file's name in front.
     """
-    if not isinstance(path, str | os.PathLike):  # a number would be taken for an open file, bytes for no name at all
-        raise FormatError(f"{one_line(repr(path), 60)} is no path; give the name of a file")
+    if not isinstance(path, str | os.PathLike):  # an integer would be taken for a file descriptor
+        raise FormatError(f"{one_line(repr(path), 60)} is not a path; give the name of a file")
     try:
         yield _checked(path)
     except (Cancelled, AssertionError):
@@ -59,14 +59,14 @@ def reading(path: PathLike) -> Iterator[Path]:
     except LadarregError as error:
         raise type(error)(one_line(_named(path, error))) from error
     except MemoryError as error:
-        message = _named(path, "it needs more memory than there is; thin it out or split it")
+        message = _named(path, "it needs more memory than is available; thin it out or split it")
         raise FormatError(one_line(message)) from error
     except RecursionError as error:
-        raise FormatError(one_line(_named(path, "it is nested too deeply to be what it claims"))) from error
+        raise FormatError(one_line(_named(path, "it is nested too deeply"))) from error
     except Exception as error:  # the file's bytes decide which library fails, and how
         _logger.debug("reading %s failed", path, exc_info=True)
         reason = one_line(error, 120) or type(error).__name__
-        message = _named(path, f"it could not be read ({reason}); it is damaged or no file of its kind")
+        message = _named(path, f"it could not be read ({reason}); it is damaged or has another format than it seems to")
         raise FormatError(one_line(message)) from error
 
 
@@ -86,11 +86,11 @@ def _checked(path: PathLike) -> Path:
     if stat.S_ISDIR(status.st_mode):
         raise FormatError("it is a folder; give a file")
     if not stat.S_ISREG(status.st_mode):
-        raise FormatError("it is no regular file but a device or a pipe; give a file")
+        raise FormatError("it is a device or a pipe, not a regular file; give a file")
     if status.st_size == 0:
         raise FormatError("it is empty (0 bytes); copy or export it again")
     if not os.access(path, os.R_OK):
-        raise FormatError("it may not be read (permission denied); change its permissions")
+        raise FormatError("it cannot be read (permission denied); change its permissions")
     return Path(path)
 
 
@@ -98,25 +98,25 @@ def inside_folder(folder: Path, name: object, what: str) -> Path:
     """Return the file of that name inside a folder.
 
     Raises:
-        FormatError: if the name is no relative path, or leads out of the folder, also by a symbolic link.
+        FormatError: if the name is not a relative path, or leads out of the folder, be it through a symbolic link.
     """
     if not isinstance(name, str) or not name.strip() or "\0" in name:
-        raise FormatError(f"{what} is {one_line(repr(name), 60)}; it must be the name of a file beside this one")
+        raise FormatError(f"{what} is {one_line(repr(name), 60)}; it must be the name of a file next to this one")
     home = folder.resolve()
     target = (home / name).resolve()
     if Path(name).is_absolute() or not target.is_relative_to(home):
-        raise FormatError(f"{what} {one_line(repr(name), 60)} leads out of the folder; put the file beside this one")
+        raise FormatError(f"{what} {one_line(repr(name), 60)} leads out of the folder; put the file next to this one")
     return target
 
 
 def as_float32(values: Any) -> NDArray[np.float32]:
-    """Return numbers as float32; what is too large for it becomes infinite, which no scan keeps."""
+    """Return numbers as float32; values that are too large become infinite, which scans treat as no return."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(values, dtype=np.float32)
 
 
 def unit_notes(ranges: FloatArray) -> tuple[str, ...]:
-    """Return what is suspicious about ranges (m, NaN = no return): a median beyond 200 m looks like millimetres."""
+    """Return a note if ranges (m, NaN = no return) look like millimetres: if their median exceeds 200 m."""
     known = ranges[np.isfinite(ranges) & (ranges > 0)]
     if not known.size:
         return ()
@@ -130,10 +130,10 @@ def unit_notes(ranges: FloatArray) -> tuple[str, ...]:
 
 
 def require_cells(rows: int, columns: int) -> None:
-    """Refuse a grid of a size that no scan has.
+    """Refuse a grid of an implausible size.
 
     Raises:
-        FormatError: if a side is not positive, or the grid has more than 100 M cells.
+        FormatError: if a side is not positive, or the grid has more than 100 million cells.
     """
     if rows < 1 or columns < 1:
         raise FormatError(f"the grid is {rows} x {columns} cells; both must be positive")

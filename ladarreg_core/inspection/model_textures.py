@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.export.uncertainty_png import scale_end
+from ladarreg_core.export.images import scale_end
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan

@@ -1,1 +1,1 @@
-"""The work on one scan as it is kept: a frozen document, its edits, and the folder that holds it."""
+"""Projects: a frozen document with its edits and history, and the folder in which they are saved."""

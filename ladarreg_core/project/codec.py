@@ -1,4 +1,4 @@
-"""The document as text, its arrays beside it under their names."""
+"""Encoding of documents as JSON; arrays are referred to by name."""
 
 from __future__ import annotations
 
@@ -17,57 +17,57 @@ class _Versioned(msgspec.Struct):
 
 
 FindArrays = Callable[[str], StoredArrays]
-"""Returns the arrays of a name; raises FormatError where they are missing."""
+"""Returns arrays by name; raises FormatError if the name is invalid."""
 
 
 def encode(value: object) -> bytes:
-    """Return a document, or a part of one, as JSON; arrays are named only."""
+    """Return a document, or a part of one, as JSON with arrays replaced by their names."""
     return msgspec.json.encode(value, enc_hook=name_arrays)
 
 
 def decode_document(data: bytes, find: FindArrays) -> Document:
-    """Return the document that `encode` wrote.
+    """Decode a document written by `encode`.
 
     Args:
         data: JSON.
-        find: returns the arrays that it names.
+        find: returns arrays by name.
 
     Raises:
         NewerVersionError: if a newer version of the program wrote it.
-        FormatError: if it is no document of this version.
+        FormatError: if it is not a valid document of this version.
     """
     try:
         version = msgspec.json.decode(data, type=_Versioned).version
         if version > VERSION:
             raise NewerVersionError(
-                f"the project has version {version} and this program reads version {VERSION}; nothing in it was"
+                f"the project has version {version} and this program reads version {VERSION}; nothing was"
                 " changed: open it with a newer version of ladarreg"
             )
-        found = msgspec.json.decode(data, type=Document, dec_hook=_finding(find))
+        found = msgspec.json.decode(data, type=Document, dec_hook=_decoder_hook(find))
     except msgspec.DecodeError as error:
-        raise FormatError(f"it is no project of ladarreg, or damaged: {error}") from None
+        raise FormatError(f"it is not a ladarreg project, or it is damaged: {error}") from None
     except UnicodeDecodeError as error:
-        raise FormatError(f"it is no project of ladarreg, or damaged: {error.reason}") from None
+        raise FormatError(f"it is not a ladarreg project, or it is damaged: {error.reason}") from None
     if found.version != VERSION:
-        raise FormatError(f"there is no version {found.version} of projects; the file is damaged")
+        raise FormatError(f"there is no project version {found.version}; the file is damaged")
     for photo in found.photos:
         for pick in photo.picks:
-            pick.as_pick()  # it checks itself
+            pick.as_pick()  # validates
     return found
 
 
-def plain_as(kind: Any, value: object, find: FindArrays) -> Any:
-    """Return a part of a document of its type, from what JSON holds of it.
+def from_plain(kind: Any, value: object, find: FindArrays) -> Any:
+    """Convert plain JSON values to a part of a document.
 
     Args:
-        kind: the type.
-        value: numbers, words, lists and dictionaries.
-        find: returns the arrays that it names.
+        kind: type of the part.
+        value: numbers, strings, lists and dictionaries.
+        find: returns arrays by name.
 
     Raises:
-        ValueError: if it is none of that type.
+        ValueError: if the value does not have that type.
     """
-    return msgspec.convert(value, kind, dec_hook=_finding(find))
+    return msgspec.convert(value, kind, dec_hook=_decoder_hook(find))
 
 
 def arrays_of(document: Document) -> dict[str, StoredArrays]:
@@ -76,7 +76,7 @@ def arrays_of(document: Document) -> dict[str, StoredArrays]:
     return {pose.arrays.name: pose.arrays for pose in poses}
 
 
-def _finding(find: FindArrays) -> Callable[[type, Any], Any]:
+def _decoder_hook(find: FindArrays) -> Callable[[type, Any], Any]:
     def hook(wanted: type, value: Any) -> Any:
         if wanted is StoredArrays and isinstance(value, str):
             return find(value)
@@ -86,7 +86,7 @@ def _finding(find: FindArrays) -> Callable[[type, Any], Any]:
 
 
 def name_arrays(value: Any) -> Any:
-    """Return what stands for arrays in JSON; the `enc_hook` of msgspec."""
+    """Return the name that replaces arrays in JSON; the `enc_hook` of msgspec."""
     if isinstance(value, StoredArrays):
         return value.name
     raise NotImplementedError(f"cannot write a {type(value).__name__}")

@@ -1,6 +1,6 @@
-"""The document: a scan, its photographs, what was drawn on them and what was found. Frozen; edits make new ones.
+"""The document: a scan, its photographs, their picks and their poses. It is frozen; edits return a new one.
 
-Everything in it is plain and small, but for the arrays of a pose's matches, which successive documents share.
+Everything in it is plain and small except the arrays of a pose's matches, which successive documents share.
 """
 
 from __future__ import annotations
@@ -22,162 +22,162 @@ Rows = tuple[Numbers, ...]
 
 
 class Source(msgspec.Struct, frozen=True, kw_only=True):
-    """A file that was opened."""
+    """Reference to an opened file."""
 
     path: str
-    """Absolute, or relative to the project's folder where the file lies in it."""
+    """Absolute path, or relative to the project folder for files inside it."""
     name: str
-    """What the operator calls it."""
+    """File name for display."""
     size: int
-    """Bytes."""
+    """File size, bytes."""
     index: int = 0
-    """Which scan of a file with several."""
+    """Index of the scan in a file with several."""
 
 
 class CameraGiven(msgspec.Struct, frozen=True, kw_only=True):
-    """What is known of a photograph's camera beside its own file; nothing: its EXIF tells."""
+    """Camera data given by the operator; empty: the photograph's EXIF is used."""
 
     file: Source | None = None
-    """A camera file."""
+    """Camera file."""
     focal_px: float | None = None
     """Focal length, pixels."""
     focal_mm: float | None = None
     """Focal length, mm; with `sensor_mm`."""
     sensor_mm: float | None = None
-    """The sensor's width, mm."""
+    """Sensor width, mm."""
 
 
 class PickEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """A pick as it is kept."""
+    """A pick as saved in the document."""
 
     id: str
-    """Stable name."""
+    """Stable id."""
     number: int
-    """What it is called on the screen; never used twice for one photograph."""
+    """Number on the screen; never reused within a photograph."""
     kind: Literal["point", "line"]
     """`point` or `line`."""
     scan: Rows
     """Unit rays, scanner frame."""
     photo: Rows
-    """Pixels."""
+    """Photo pixels."""
     on: bool = True
-    """Whether a solver may use it."""
+    """Whether solvers use it."""
     weight: float = 1.0
     """Relative weight."""
     origin: str = "manual"
-    """Who put it down."""
+    """Who created it: the operator, a file or a detector."""
 
     def as_pick(self) -> Pick:
-        """Return what a solver eats.
+        """Return the input of the solvers.
 
         Raises:
-            ShapeError: if it is no sound pick.
+            ShapeError: if the pick is invalid.
         """
         return Pick(self.id, self.kind, self.scan, self.photo, self.on, self.weight, self.origin)  # type: ignore[arg-type]
 
 
 class PoseEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """What one estimator answered, whole; see `project.results`."""
+    """The complete result of one estimator; see `project.results`."""
 
     stage: StageId
-    """Which estimator."""
+    """Stage of the estimator."""
     method: str
-    """The registration method it belongs to."""
+    """Registration method."""
     arrays: StoredArrays
     """Matches, inliers and residuals."""
     camera_from_scanner: Rows
-    """(4, 4)."""
+    """Pose matrix (4, 4)."""
     camera: dict[str, Any]
     """Intrinsics used or estimated."""
     covariance: Rows
-    """(6, 6)."""
+    """Covariance (6, 6) of the pose."""
     chi2_per_dof: float | None
-    """None where there is none."""
+    """None if undefined."""
     sigma_px: float
-    """Pixel noise used."""
+    """Pixel noise used, px."""
     sigma_range_m: float
     """Range noise used, m."""
     camera_sigmas: dict[str, float] = {}
-    """Of the intrinsics that were estimated."""
+    """Standard deviations of the estimated intrinsics."""
     accepted: bool = False
-    """Whether it may be shown as registered."""
+    """Whether the pose is accepted as registered."""
     evidence: Literal["image", "statistics", "none"] = "none"
-    """By what."""
+    """Kind of evidence for it."""
     reasons: tuple[str, ...] = ()
-    """The verdict in sentences."""
+    """Reasons of the verdict, in sentences."""
     diagnostics: dict[str, Any] = {}
-    """JSON-ready."""
+    """Diagnostics, JSON-ready."""
     steps: tuple[StepEntry, ...] = ()
-    """How it was found."""
+    """Steps of the registration."""
     options: dict[str, Any] = {}
-    """The options used, JSON-ready."""
+    """Options used, JSON-ready."""
     seed: int = 0
-    """The seed used."""
+    """Random seed used."""
     seconds: float = 0.0
-    """How long it took."""
+    """Wall time."""
     note: str = ""
-    """A sentence of the estimator."""
+    """Remark of the estimator."""
 
 
 class StepEntry(msgspec.Struct, frozen=True, kw_only=True):
     """A step of a registration, without its matches."""
 
     name: str
-    """The step's name."""
+    """Name of the step."""
     seconds: float
     """Wall time."""
     detail: dict[str, Any] = {}
-    """JSON-ready."""
+    """Details, JSON-ready."""
 
 
 class PhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
     """A photograph with its own matches and poses."""
 
     id: str
-    """Stable name, made of letters and digits."""
+    """Stable id of letters and digits."""
     source: Source
-    """Its file."""
+    """Image file."""
     camera: CameraGiven = CameraGiven()
-    """What is known of its camera."""
+    """Camera data given by the operator."""
     picks: tuple[PickEntry, ...] = ()
-    """In the order in which they were put down."""
+    """Picks in the order of their creation."""
     numbered: int = 0
-    """The last number that a pick got."""
+    """Last number given to a pick."""
     poses: tuple[PoseEntry, ...] = ()
-    """The last answer of each stage."""
+    """Latest result of each stage."""
     shown_stage: StageId | None = None
-    """Which of them counts."""
+    """Stage whose pose is the current one."""
 
     @property
     def pose(self) -> PoseEntry | None:
-        """The answer that counts."""
+        """The current pose."""
         return self.stage(self.shown_stage) if self.shown_stage else None
 
     def stage(self, stage: str) -> PoseEntry | None:
-        """Return the answer of a stage."""
+        """Return the result of a stage; None where it has none."""
         return next((pose for pose in self.poses if pose.stage == stage), None)
 
     def pick(self, pick_id: str) -> PickEntry | None:
-        """Return a pick by its id."""
+        """Return a pick by its id; None if there is none."""
         return next((pick for pick in self.picks if pick.id == pick_id), None)
 
 
 class Document(msgspec.Struct, frozen=True, kw_only=True):
-    """All of the work."""
+    """Complete state of a project."""
 
     version: int = VERSION
-    """Of the file format."""
+    """Version of the file format."""
     name: str = "untitled"
-    """What the operator calls it."""
+    """Project name."""
     scan: Source | None = None
     """The scan."""
     photos: tuple[PhotoEntry, ...] = ()
-    """The photographs, in order."""
+    """The photographs in display order."""
     numbered: int = 0
-    """The last number that a photograph's id got."""
+    """Last number used in a photograph's id."""
     settings: Settings = Settings()
     """Thresholds and choices."""
 
     def photo(self, photo_id: str) -> PhotoEntry | None:
-        """Return a photograph by its id."""
+        """Return a photograph by its id; None if there is none."""
         return next((photo for photo in self.photos if photo.id == photo_id), None)

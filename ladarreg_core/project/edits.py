@@ -1,4 +1,4 @@
-"""Edits: each takes a document and returns another."""
+"""Edits of documents: functions that take a document or photograph and return a changed copy."""
 
 from __future__ import annotations
 
@@ -25,26 +25,28 @@ from ladarreg_core.project.document import (
 MOST_PHOTOS = 32
 MOST_PICKS = 5000
 MOST_PIXEL = 1e6
-"""A pixel of a match lies no farther than this from the picture's corner, along each side."""
+"""Largest absolute pixel coordinate of a match."""
 _LONGEST_LINE_RAD = math.radians(150)
 WEIGHTS = 1e-6, 1e6
-"""The least and the greatest weight of a match."""
+"""Smallest and largest weight of a match."""
 
 
 def with_scan(document: Document, scan: Source) -> Document:
-    """Return the document of another scan; what was drawn and found on the old one is gone from it."""
+    """Return the document with another scan, without the picks and poses that belong to the old one."""
     photos = tuple(replace(p, picks=(), poses=(), shown_stage=None) for p in document.photos)
     return replace(document, scan=scan, photos=photos)
 
 
 def with_photo(document: Document, source: Source, camera: CameraGiven | None = None) -> tuple[Document, str]:
-    """Return the document with one photograph more, and its id.
+    """Return the document with an additional photograph, and its id.
 
     Raises:
-        OptionError: if there are too many.
+        OptionError: if there are too many photographs.
     """
     if len(document.photos) >= MOST_PHOTOS:
-        raise OptionError(f"the project has {MOST_PHOTOS} photographs, which is the most; remove one, or begin another")
+        raise OptionError(
+            f"the project has {MOST_PHOTOS} photographs, which is the maximum; remove one, or start another project"
+        )
     number = document.numbered + 1
     photo = PhotoEntry(id=f"p{number}", source=source, camera=camera or CameraGiven())
     return replace(document, photos=(*document.photos, photo), numbered=number), photo.id
@@ -57,14 +59,14 @@ def without_photo(document: Document, photo_id: str) -> Document:
 
 
 def the_photo(document: Document, photo_id: object) -> PhotoEntry:
-    """Return a photograph.
+    """Return a photograph by its id.
 
     Raises:
-        OptionError: if there is none of that id.
+        OptionError: if there is none.
     """
     found = document.photo(photo_id) if isinstance(photo_id, str) else None
     if found is None:
-        raise OptionError("the photograph is not in the project any more; choose another")
+        raise OptionError("the photograph is no longer in the project; choose another")
     return found
 
 
@@ -75,15 +77,15 @@ def edited_photo(document: Document, photo_id: str, edit: Callable[[PhotoEntry],
 
 
 def with_camera(photo: PhotoEntry, camera: CameraGiven) -> PhotoEntry:
-    """Return the photograph with another camera; poses of the old one are gone."""
+    """Return the photograph with another camera, without the poses found with the old one."""
     return replace(photo, camera=camera, poses=(), shown_stage=None)
 
 
 def with_picks(photo: PhotoEntry, picks: Iterable[Pick]) -> tuple[PhotoEntry, tuple[str, ...]]:
-    """Return the photograph with picks more, under ids of its own, and these.
+    """Return the photograph with additional picks, and their new ids.
 
     Raises:
-        OptionError: if there would be too many, or one has a pixel or a weight beyond all bounds.
+        OptionError: if there would be too many, or a pixel or weight is out of range.
     """
     new: list[PickEntry] = []
     number = photo.numbered
@@ -112,7 +114,7 @@ def without_picks(photo: PhotoEntry, ids: Collection[str]) -> PhotoEntry:
 
 
 def without_origin(photo: PhotoEntry, origins: Collection[str]) -> PhotoEntry:
-    """Return the photograph without what some detectors put down."""
+    """Return the photograph without the picks of some origins."""
     return replace(photo, picks=tuple(p for p in photo.picks if p.origin not in origins))
 
 
@@ -121,7 +123,7 @@ def switched(photo: PhotoEntry, on: Mapping[str, bool]) -> PhotoEntry:
     return replace(
         photo,
         picks=tuple(
-            replace(p, on=on[p.id]) if p.id in on and on[p.id] != p.on else p  # the same object where nothing changed
+            replace(p, on=on[p.id]) if p.id in on and on[p.id] != p.on else p  # unchanged picks stay the same objects
             for p in photo.picks
         ),
     )
@@ -131,13 +133,12 @@ def changed_pick(photo: PhotoEntry, pick_id: str, fields: Mapping[str, Any]) -> 
     """Return the photograph with one pick changed.
 
     Raises:
-        OptionError: if there is no such pick.
-        OptionError: if a new pixel or weight is beyond all bounds.
-        ShapeError: if it would be no sound pick.
+        OptionError: if there is no such pick, or a new pixel or weight is out of range.
+        ShapeError: if the changed pick is invalid.
     """
     old = photo.pick(pick_id)
     if old is None:
-        raise OptionError("the match is not there any more: somebody removed it")
+        raise OptionError("the match no longer exists: it was removed")
     new = replace(old, **fields)
     sound = new.as_pick()
     new = replace(
@@ -150,22 +151,22 @@ def changed_pick(photo: PhotoEntry, pick_id: str, fields: Mapping[str, Any]) -> 
 
 
 def without_work(photo: PhotoEntry) -> PhotoEntry:
-    """Return the photograph as it was when it was opened."""
+    """Return the photograph without picks and poses."""
     return replace(photo, picks=(), poses=(), shown_stage=None)
 
 
 def with_pose(photo: PhotoEntry, pose: PoseEntry, *, shown: bool = True) -> PhotoEntry:
-    """Return the photograph with a stage's answer, in the place of its last one."""
+    """Return the photograph with the result of a stage, which replaces the stage's previous result."""
     poses = [*(p for p in photo.poses if p.stage != pose.stage), pose]
     poses.sort(key=lambda p: STAGES.index(p.stage))
     return replace(photo, poses=tuple(poses), shown_stage=pose.stage if shown else photo.shown_stage)
 
 
 def with_stage(photo: PhotoEntry, stage: object) -> PhotoEntry:
-    """Return the photograph with the answer of another stage as the one that counts.
+    """Return the photograph with the result of another stage as its current pose.
 
     Raises:
-        OptionError: if that stage has none.
+        OptionError: if that stage has no result.
     """
     found = photo.stage(stage) if isinstance(stage, str) else None
     if found is None:
@@ -177,33 +178,33 @@ def rows(values: object, columns: int) -> Rows:
     """Return rows of finite numbers.
 
     Raises:
-        OptionError: if they are none.
+        OptionError: if they are not one or two rows of that many finite numbers.
     """
     if not isinstance(values, Sequence) or isinstance(values, str | bytes) or not 1 <= len(values) <= 2:
-        raise OptionError("a match needs one coordinate on each side, a line two")
+        raise OptionError("a point needs one coordinate in each image, a line two")
     found = []
     for row in values:
         sound = isinstance(row, Sequence) and not isinstance(row, str | bytes) and len(row) == columns
         if not sound or any(finite(value) is None for value in row):
-            raise OptionError(f"a coordinate is no list of {columns} numbers")
+            raise OptionError(f"a coordinate is not a list of {columns} finite numbers")
         found.append(tuple(float(value) for value in row))
     return tuple(found)
 
 
 def rays(values: object) -> Rows:
-    """Return one or two unit rays of vectors of any length.
+    """Return one or two unit rays from vectors of any length.
 
     Raises:
-        OptionError: if they are no rows of three finite numbers, one has no length, or two are more than 150 degrees
-            apart.
+        OptionError: if they are not rows of three finite numbers, one has zero length, or two are more than 150
+            degrees apart.
     """
     vectors = np.array(rows(values, 3))
     if not vectors.any(axis=-1).all():
-        raise OptionError("a ray has no length; a ray is a direction [x, y, z]")
+        raise OptionError("a ray has zero length; a ray is a direction [x, y, z]")
     found = unit_rays(vectors)
     if len(found) == 2 and float(found[0] @ found[1]) < math.cos(_LONGEST_LINE_RAD):
         longest = math.degrees(_LONGEST_LINE_RAD)
-        raise OptionError(f"a line's ends are more than {longest:.0f} degrees apart; no picture shows such a line")
+        raise OptionError(f"a line's ends are more than {longest:.0f} degrees apart; draw a shorter line")
     return rows(found.tolist(), 3)
 
 
@@ -211,12 +212,12 @@ def pixels(values: object) -> Rows:
     """Return one or two pixels.
 
     Raises:
-        OptionError: if they are no rows of two finite numbers, or farther away than any picture reaches.
+        OptionError: if they are not rows of two finite numbers, or lie too far outside any image.
     """
     found = rows(values, 2)
     if any(abs(value) > MOST_PIXEL for row in found for value in row):
         raise OptionError(
-            f"a pixel lies more than {MOST_PIXEL:,.0f} px from the picture's corner; no picture is so large"
+            f"a pixel lies more than {MOST_PIXEL:,.0f} px from the image's corner, beyond the size of any image"
         )
     return found
 
@@ -225,12 +226,12 @@ def weight(value: object) -> float:
     """Return the weight of a match.
 
     Raises:
-        OptionError: if it is no number within `WEIGHTS`.
+        OptionError: if it is not a number within `WEIGHTS`.
     """
     least, most = WEIGHTS
     found = finite(value)
     if found is None or not least <= found <= most:
-        shown = "no number" if found is None else f"{found:g}"
+        shown = "not a number" if found is None else f"{found:g}"
         raise OptionError(
             f"the weight of a match is {shown}; it must be a positive number from {least:.6f} to {most:,.0f}"
         )
@@ -238,7 +239,7 @@ def weight(value: object) -> float:
 
 
 def finite(value: object) -> float | None:
-    """Return a number as a finite float; None for anything else, a switch or an integer beyond 1.8e308 among it."""
+    """Return a number as a finite float; None for anything else, including booleans and integers beyond 1.8e308."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return None
     try:

@@ -1,4 +1,4 @@
-"""The history of a document: every commit with its name; undo is a step back in a list."""
+"""The history of a document: a list of commits with labels; undo is a step back in the list."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Document
 
 MOST_STEPS = 10_000
-"""So many can be gone back: days of work, and a bound for what ten busy people leave in memory."""
+"""Limit of the undo steps: days of work, and a bound on the memory that ten busy clients use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,25 +17,25 @@ class Entry:
     """One commit."""
 
     number: int
-    """Counts up and is never used twice."""
+    """Increasing number, never reused."""
     label: str
-    """What was done."""
+    """Description of the edit."""
     author: str
-    """Who did it."""
+    """Name of the operator."""
     when: str
     """ISO 8601, local time with its offset."""
     document: Document
-    """What it led to."""
+    """Document after the edit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """All commits that can be gone back or forward to."""
+    """All commits that undo and redo can reach."""
 
     entries: tuple[Entry, ...]
-    """The first is where the work began."""
+    """Commits in order; the first is the initial document."""
     at: int
-    """Index of the present one."""
+    """Index of the current commit."""
 
     @staticmethod
     def begun(document: Document, *, label: str, author: str, when: str) -> History:
@@ -44,32 +44,32 @@ class History:
 
     @property
     def present(self) -> Entry:
-        """The entry that counts."""
+        """The current commit."""
         return self.entries[self.at]
 
     @property
     def document(self) -> Document:
-        """The document that counts."""
+        """The current document."""
         return self.present.document
 
     @property
     def undone(self) -> Entry | None:
-        """What undo would take back; None at the beginning."""
+        """The commit that undo would revert; None at the beginning."""
         return self.present if self.at > 0 else None
 
     @property
     def redone(self) -> Entry | None:
-        """What redo would bring again; None at the end."""
+        """The commit that redo would restore; None at the end."""
         return self.entries[self.at + 1] if self.at + 1 < len(self.entries) else None
 
     def committed(self, document: Document, *, label: str, author: str, when: str) -> History:
-        """Return the history with one entry more; what had been undone is left behind."""
+        """Return the history with an additional commit, without the commits that had been undone."""
         entry = Entry(self.next_number, label, author, when, document)
         entries = (*self.entries[: self.at + 1], entry)[-MOST_STEPS:]
         return History(entries, len(entries) - 1)
 
     def amended(self, document: Document, *, when: str) -> History:
-        """Return the history with another document for the present entry, as while one end is moved bit by bit."""
+        """Return the history with another document for the current commit, as while a point is being dragged."""
         entries = (*self.entries[: self.at], replace(self.present, document=document, when=when))
         return History(entries, self.at)
 
@@ -79,11 +79,11 @@ class History:
         return self.entries[-1].number + 1  # they are in order
 
     def moved(self, steps: int) -> History:
-        """Return the history gone back (negative) or forward, no further than it reaches."""
+        """Return the history moved back (negative) or forward, at most to its ends."""
         return History(self.entries, min(max(self.at + steps, 0), len(self.entries) - 1))
 
     def gone_to(self, number: int) -> History:
-        """Return the history at the commit of a number.
+        """Return the history at the commit with a given number.
 
         Raises:
             OptionError: if there is none.
@@ -94,17 +94,17 @@ class History:
         raise OptionError(f"there is no step {number} in the history; choose one that is listed")
 
     def shortened(self, most: int) -> History:
-        """Return the last entries, the present one among them."""
+        """Return the last `most` commits, and earlier ones back to the current commit if necessary."""
         first = max(0, min(len(self.entries) - most, self.at))
         return History(self.entries[first:], self.at - first)
 
 
 def entries_from(entries: Sequence[Entry], at: int) -> History:
-    """Return a history of given entries.
+    """Return a history with given commits.
 
     Raises:
-        OptionError: if there are none, or `at` is not one of them.
+        OptionError: if `at` is not the index of one of them.
     """
     if not 0 <= at < len(entries):
-        raise OptionError(f"the history has {len(entries)} steps and stands at {at}; the file is damaged")
+        raise OptionError(f"the history has {len(entries)} steps and its position is {at}; the file is damaged")
     return History(tuple(entries), at)

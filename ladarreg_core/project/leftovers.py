@@ -1,4 +1,4 @@
-"""Unfinished files that a killed process left in a project."""
+"""Removal of unfinished files that a killed process left in a project."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import shutil
 from pathlib import Path
 
 _PART = re.compile(r"\..+\.[0-9a-f]{8}\.part|.+\.zip\.part")
-"""Names under which files are written before they are renamed: `.NAME.RANDOM.part`, and zips by earlier versions."""
+"""Temporary names of files that are being written: `.NAME.RANDOM.part`, and zips of earlier versions."""
 
 
 def remove_leftovers(project: Path) -> list[Path]:
-    """Remove what was being written in a project when its process was killed.
+    """Remove files that were being written in a project when its process was killed.
 
-    Only names of our own pattern are removed, and what cannot be removed stays.
+    Only temporary names as written by this program are removed; files that cannot be removed stay.
 
     Args:
-        project: the project's folder; this process must hold its lock, so that nobody else writes there.
+        project: the project folder; this process must hold its lock, so that no other process writes there.
 
     Returns:
-        The files and folders that were removed.
+        The removed files and folders.
     """
     removed: list[Path] = []
     for folder in (project, project / "arrays", project / "exports"):

@@ -1,4 +1,4 @@
-"""The lock of a project's folder: one program at a time, and none after a crash."""
+"""Lock of a project folder: held by one program at a time, and released by a crash."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from ladarreg_core.export.atomic_write import cannot_write
 
 
 class FolderLock:
-    """Holds a folder for as long as the process lives.
+    """Lock on a folder, held until it is released or the process ends.
 
-    A file in the folder is locked, and the folder itself where the system can lock one: a file can be removed while it
-    is locked, and another of the same name would not be.
+    A file in the folder is locked, and also the folder itself where the system supports it: the locked file can be
+    removed, and a new file of the same name would not be locked.
     """
 
     def __init__(self, folder: Path, name: str) -> None:
         """Take the lock.
 
         Args:
-            folder: what is held.
-            name: of the file in it.
+            folder: the folder to lock.
+            name: name of the lock file.
 
         Raises:
-            ExportError: if another program holds it, or the file cannot be made.
+            ExportError: if another program holds it, or the file cannot be created.
         """
         self._descriptors: list[int] = []
         try:
@@ -34,17 +34,17 @@ class FolderLock:
             raise cannot_write(folder / name, error) from None
         try:
             _lock(self._descriptors[0])
-            if os.name != "nt":  # there a file that is open cannot be removed
+            if os.name != "nt":  # open files cannot be removed there
                 self._descriptors.append(os.open(folder, os.O_RDONLY))
                 _lock_folder(self._descriptors[1])
         except OSError:
             self.release()
             raise ExportError(
-                f"the project {folder} is open in another program; close that, or open a copy of the folder"
+                f"the project {folder} is open in another program; close it there, or open a copy of the folder"
             ) from None
 
     def release(self) -> None:
-        """Let others have the folder."""
+        """Release the lock."""
         descriptors, self._descriptors = self._descriptors, []
         for descriptor in descriptors:
             with contextlib.suppress(OSError):
@@ -63,7 +63,7 @@ def _lock(descriptor: int) -> None:
 
 
 def _lock_folder(descriptor: int) -> None:
-    """Lock a folder; file systems of other machines may lock files only."""
+    """Lock a folder where possible; network file systems may support locks on files only."""
     try:
         _lock(descriptor)
     except BlockingIOError:

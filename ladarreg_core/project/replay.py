@@ -1,8 +1,8 @@
-"""Makes a history of what the two files of a project hold, each of which may be damaged or missing.
+"""Rebuilds the history from the two files of a project, each of which may be damaged or missing.
 
-The history's records are replayed in order. `project.json` says of which record it holds the document: where that
-document is not what the replay came to, because records before it are lost, it becomes a step 'Recovered', and the
-replay goes on from there. A change whose predecessor is lost is made to what there is, as far as that is possible.
+The records of the history are replayed in order. `project.json` states after which record its document was saved. If
+the replay arrives at another document there, because records are lost, the saved document becomes a step 'Recovered'
+and the replay continues from it. A change whose predecessor is lost is applied to the document at hand if possible.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ladarreg_core.errors import FormatError, LadarregError, NewerVersionError
-from ladarreg_core.project.changes import changed
 from ladarreg_core.project.codec import FindArrays, decode_document, encode
+from ladarreg_core.project.delta import apply_change
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import Entry, History
 from ladarreg_core.project.records import Record
@@ -24,48 +24,48 @@ RECOVERED = "Recovered"
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What `project.json` holds."""
+    """Contents of `project.json`."""
 
     document: Document
     """The document."""
     seq: int | None
-    """Which record led to it; None where that is not known, as with files of older versions."""
+    """Number of the record that led to it; None if unknown, as in files of older versions."""
     when: str
-    """When it was written, ISO 8601."""
+    """Time of writing, ISO 8601."""
 
 
 @dataclass(frozen=True, slots=True)
 class Replayed:
-    """What came of it."""
+    """Result of a replay."""
 
     history: History
-    """The history, which stands at the newest document."""
+    """The history, positioned at the newest document."""
     seq: int
-    """The last record's number."""
+    """Number of the last record."""
     lost: int
-    """How many stretches of records were lost, or could not be made."""
+    """Number of gaps: records that were lost or could not be applied."""
     recovered: bool
     """Whether the snapshot became a step of its own."""
     unknown: Unknown
-    """Fields of whole documents that this version does not know."""
+    """Fields of the documents that this version does not know."""
 
 
-def replayed(records: Sequence[Record | None], snapshot: Snapshot | None, find: FindArrays) -> Replayed:
-    """Return the history of the records and the snapshot.
+def replay(records: Sequence[Record | None], snapshot: Snapshot | None, find: FindArrays) -> Replayed:
+    """Rebuild the history from its records and the snapshot.
 
     Args:
-        records: in order, None for what is lost.
-        snapshot: what `project.json` holds; None where it is missing or damaged.
-        find: returns the arrays of a name.
+        records: records in order; None for lost ones.
+        snapshot: contents of `project.json`; None if it is missing or damaged.
+        find: returns arrays by name.
 
     Raises:
         NewerVersionError: if a newer version of the program wrote them.
-        FormatError: if there is no document in any of them.
+        FormatError: if none of them contains a document.
     """
-    replay = _Replay(snapshot, find)
+    state = _Replay(snapshot, find)
     for record in records:
-        replay.take(record)
-    return replay.ended()
+        state.apply(record)
+    return state.finish()
 
 
 class _Replay:
@@ -82,14 +82,14 @@ class _Replay:
         self._recovered = False
         self._unknown: Unknown = {}
 
-    def take(self, record: Record | None) -> None:
-        """Make the next record."""
+    def apply(self, record: Record | None) -> None:
+        """Apply the next record."""
         if record is None:
             self._lost += 1
             self._after_gap = True
             return
         try:
-            self._count(record)
+            self._follow_sequence(record)
             self._after_gap = False
             if "at" in record:
                 self._at = self._index(self._numbers[record["at"]])
@@ -100,33 +100,33 @@ class _Replay:
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, LadarregError):
             self._lost += 1
 
-    def ended(self) -> Replayed:
-        """Return what came of all records."""
+    def finish(self) -> Replayed:
+        """Return the result after all records."""
         if self._waiting is not None:
-            self._meet(self._waiting)
-        elif self._snapshot is not None and self._snapshot.seq is None and self._not_passed(self._snapshot.document):
-            self._meet(self._snapshot)
+            self._insert_snapshot(self._waiting)
+        elif self._snapshot is not None and self._snapshot.seq is None and self._is_new(self._snapshot.document):
+            self._insert_snapshot(self._snapshot)
         if not self._entries:
-            raise FormatError("no document in it can be read any more")
+            raise FormatError("it contains no readable document")
         seq = max(self._seq or 0, (self._snapshot.seq or 0) if self._snapshot is not None else 0)
         history = History(tuple(self._entries), self._at)
         return Replayed(history, seq, self._lost, self._recovered, self._unknown)
 
-    def _count(self, record: Record) -> None:
-        """Look where the record stands: after which others, and before or after the snapshot."""
+    def _follow_sequence(self, record: Record) -> None:
+        """Detect gaps before the record, and whether the snapshot comes before it."""
         seq = record.get("seq")
         if not isinstance(seq, int):
             return
         if self._waiting is not None and self._waiting.seq is not None and seq > self._waiting.seq:
-            if self._seq is not None or self._lost:  # otherwise the history was written anew after it
-                self._meet(self._waiting)
+            if self._seq is not None or self._lost:  # otherwise the history was rewritten after it
+                self._insert_snapshot(self._waiting)
             self._waiting = None
         if self._seq is not None and seq > self._seq + 1 and not self._after_gap:
             self._lost += 1
         self._seq = seq
 
-    def _meet(self, snapshot: Snapshot) -> None:
-        """Go on from the snapshot where the replay did not come to the same."""
+    def _insert_snapshot(self, snapshot: Snapshot) -> None:
+        """Continue from the snapshot where the replay arrived at another document."""
         if self._entries and self._entries[self._at].document == snapshot.document:
             return
         self._recovered = True
@@ -149,7 +149,7 @@ class _Replay:
 
     def _document_after(self, record: Record) -> Document:
         if "change" in record:
-            return changed(self._entries[self._at].document, record["change"], self._find)
+            return apply_change(self._entries[self._at].document, record["change"], self._find)
         document = decode_document(encode(record["document"]), self._find)
         self._unknown |= unknown_fields(record["document"], document)
         return document
@@ -164,7 +164,7 @@ class _Replay:
                 return index
         raise KeyError(number)
 
-    def _not_passed(self, document: Document) -> bool:
+    def _is_new(self, document: Document) -> bool:
         return document not in reversed(self._passed)
 
 

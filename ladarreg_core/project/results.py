@@ -1,4 +1,4 @@
-"""Between a registration and how a document keeps it: nothing is lost, but for the matches of its single steps."""
+"""Conversion between registrations and their entries in a document; only the matches of single steps are dropped."""
 
 from __future__ import annotations
 
@@ -17,32 +17,30 @@ from ladarreg_core.project.document import PoseEntry, StepEntry
 from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.results import PoseResult, Registration, StageId
 
-_OF_MATCHES = ("rays", "ranges", "uv", "fractions", "weights", "range_weights", "directions", "across")
-_OF_RESULT = ("inliers", "residuals_px", "residuals_m", "stereo_depth_error_m")
+_MATCH_ARRAYS = ("rays", "ranges", "uv", "fractions", "weights", "range_weights", "directions", "across")
+_RESULT_ARRAYS = ("inliers", "residuals_px", "residuals_m", "stereo_depth_error_m")
 
 
 def pose_entry(
     stage: StageId, result: PoseResult, *, method: str = "manual", seconds: float = 0.0, note: str = ""
 ) -> PoseEntry:
-    """Return how a document keeps an answer.
+    """Return the document entry of a result.
 
     Args:
-        stage: which estimator gave it.
-        result: the answer.
-        method: the registration method, where the result does not tell it.
-        seconds: how long it took, where its steps do not tell it.
-        note: a sentence of the estimator.
+        stage: stage of the estimator.
+        result: the result.
+        method: registration method, for results that do not carry it.
+        seconds: wall time, for results without steps.
+        note: remark of the estimator.
 
     Raises:
-        DegenerateGeometryError: if its covariance or a noise is not finite: the file of a project holds numbers only.
+        DegenerateGeometryError: if the covariance or a noise level is not finite, which project files cannot store.
     """
     sigmas = [result.sigma_px, result.sigma_range_m, *result.camera_sigmas.values()]
     if not (np.isfinite(result.covariance).all() and np.isfinite(sigmas).all()):
-        raise DegenerateGeometryError(
-            "the matches leave the pose undetermined, so that the answer is not kept; add more"
-        )
-    arrays: dict[str, Any] = {name: getattr(result.matches, name) for name in _OF_MATCHES}
-    arrays |= {name: getattr(result, name) for name in _OF_RESULT}
+        raise DegenerateGeometryError("the matches do not determine the pose, so the result was not kept; add matches")
+    arrays: dict[str, Any] = {name: getattr(result.matches, name) for name in _MATCH_ARRAYS}
+    arrays |= {name: getattr(result, name) for name in _RESULT_ARRAYS}
     arrays["pick_ids"] = np.array(result.matches.pick_ids, dtype=np.str_)
     steps: tuple[Step, ...] = result.steps if isinstance(result, Registration) else ()
     return PoseEntry(
@@ -69,13 +67,10 @@ def pose_entry(
 
 
 def pose_of(entry: PoseEntry) -> Rigid:
-    """Return the pose of an answer, which is there even where its matches are missing.
-
-    Returns:
-        camera_from_scanner.
+    """Return the pose (camera_from_scanner) of an entry, which is available even if its matches are missing.
 
     Raises:
-        FormatError: if it is no pose.
+        FormatError: if it is not a valid pose.
     """
     try:
         return Rigid.from_matrix(np.array(entry.camera_from_scanner))
@@ -84,10 +79,10 @@ def pose_of(entry: PoseEntry) -> Rigid:
 
 
 def registration_of(entry: PoseEntry) -> Registration:
-    """Return the answer that a document keeps.
+    """Return the registration stored in an entry.
 
     Raises:
-        FormatError: if what is kept is damaged.
+        FormatError: if the stored data are missing or damaged.
     """
     arrays = cast(dict[str, Any], entry.arrays.arrays())
     try:
@@ -112,7 +107,7 @@ def registration_of(entry: PoseEntry) -> Registration:
             steps=tuple(Step(s.name, s.seconds, detail=s.detail) for s in entry.steps),
             options=entry.options,
             seed=entry.seed,
-            **{name: arrays[name] for name in _OF_RESULT},
+            **{name: arrays[name] for name in _RESULT_ARRAYS},
         )
     except (KeyError, LadarregError) as error:
         raise FormatError(f"the pose of the stage '{entry.stage}' is damaged ({error}); solve again") from None

@@ -1,4 +1,4 @@
-"""The thresholds and choices that an operator may set, and the core's options that they make."""
+"""Settings of a project, and the core options derived from them."""
 
 from __future__ import annotations
 
@@ -21,54 +21,54 @@ _SIMPLEX = SimplexOptions()
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
-    """What the options of the core start from; a name means what it means there."""
+    """Settings that an operator can change; they are named like the core options that they set."""
 
     corners: int = _MATCHING.scan_corners.count or 0
-    """Corners looked for in each picture."""
+    """Number of corners detected in each image."""
     window_px: int = _MATCHING.window_px
-    """Side of the correlated neighbourhoods."""
+    """Side of the correlated windows, px."""
     t1: float = _MATCHING.t1
-    """C1 - C2 must exceed it."""
+    """Least difference C1 - C2 of the best and second-best correlation."""
     mutual: bool = _MATCHING.mutual
-    """Whether a corner must be the best of its partner, too."""
+    """Whether a match must be the best one of both corners (mutual best match)."""
     depth_edges: Literal["foreground", "left_out"] = _MATCHING.depth_edges
-    """What becomes of corners at depth edges."""
+    """Treatment of corners at depth edges."""
     t2_px: float = _MATCHING.t2_px
-    """Largest deviation of a disparity from the median."""
+    """Largest deviation of a disparity from the median, px."""
     culling: Literal["one_sided", "two_sided"] = _MATCHING.culling
-    """One-sided is the thesis's Step 5 to the letter."""
+    """Filter of disparities; one-sided is Step 5 of the thesis to the letter."""
     search_px: float = _MATCHING.search_px
-    """Half the side of the window of the second search."""
+    """Half the side of the search area of guided matching, px."""
     constrained_t1: float = _MATCHING.constrained_t1
-    """T1 of the second search."""
+    """T1 of guided matching."""
     lines: Literal["ends", "equal", "kappa"] = "ends"
-    """What of a drawn line is used."""
+    """Constraint derived from a drawn line."""
     samples_per_line: int = SAMPLES_PER_LINE
-    """Points along a drawn line where it is sampled."""
+    """Number of points at which a drawn line is sampled."""
     residual: Literal["stereo", "epipolar"] = "epipolar"
-    """What the simplex minimises: Eq 2.21, or the same geometry without its poles."""
+    """Residual that the simplex minimises: Eq 2.21, or the same geometry without its poles."""
     start_from: Literal["shown", "linear", "robust", "scanner"] = "linear"
-    """Where the simplex starts."""
+    """Starting pose of the simplex."""
     step_m: float | None = None
-    """Side of the start simplex along T, m; None: a tenth of the depth."""
+    """Side of the initial simplex along T, m; None: a tenth of the depth."""
     step_rad: float = _SIMPLEX.step_rad
-    """Side of the start simplex along the angles, rad."""
+    """Side of the initial simplex along the angles, rad."""
     reject_sigma: float = _SIMPLEX.reject_sigma
-    """Outliers lie beyond so many robust standard deviations."""
+    """Outlier threshold, in robust standard deviations."""
     restarts: int = _SIMPLEX.restarts
-    """Starts elsewhere, at most."""
+    """Largest number of restarts from other starting poses."""
     intrinsics: Literal["auto", "fixed", "focal", "focal_k1"] = "auto"
-    """What of the camera may be estimated too."""
+    """Intrinsics that are estimated together with the pose."""
     sigma_px: float | None = None
-    """Pixel noise; None: from the data."""
+    """Pixel noise, px; None: estimated from the data."""
     sigma_range_m: float | None = None
-    """Range noise, m; None: from the data."""
+    """Range noise, m; None: estimated from the data."""
     seed: int = 0
-    """Of every draw."""
+    """Random seed."""
 
     @property
     def match_options(self) -> ThesisMatchOptions:
-        """Those of the thesis's matching."""
+        """Options of the thesis's matching."""
         corners = CornerOptions(count=self.corners or None)
         return replace(
             _MATCHING,
@@ -86,7 +86,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def simplex_options(self) -> SimplexOptions:
-        """Those of the simplex."""
+        """Options of the simplex."""
         return replace(
             _SIMPLEX,
             residual=self.residual,
@@ -98,7 +98,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def pose_options(self) -> PoseOptions:
-        """Those of the robust estimator."""
+        """Options of the robust estimator."""
         return PoseOptions(
             sigma_px=self.sigma_px,
             sigma_range_m=self.sigma_range_m,
@@ -109,12 +109,12 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def register_options(self) -> RegisterOptions:
-        """Those of a whole registration.
+        """Options of a complete registration.
 
         Raises:
-            OptionError: if a value has no meaning.
+            OptionError: if a value is invalid.
         """
-        # What only opens a project waits for none of these.
+        # Imported late: opening a project needs none of these.
         from ladarreg_core.matching.auto import AutoOptions
         from ladarreg_core.matching.thesis.chain import ThesisOptions
         from ladarreg_core.registration import RegisterOptions
@@ -132,10 +132,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def changed(self, values: dict[str, Any]) -> Settings:
-        """Return the settings with other values, checked as the core checks its options.
+        """Return the settings with other values, validated like the core options.
 
         Raises:
-            OptionError: if there is no such setting, or a value has no meaning.
+            OptionError: if there is no such setting, or a value is invalid.
         """
         from ladarreg_core.errors import OptionError
 
@@ -145,6 +145,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         try:
             found = msgspec.convert({**msgspec.to_builtins(self), **values}, Settings)
         except msgspec.ValidationError as error:
-            raise OptionError(f"the setting has no meaning: {error}") from None
-        _ = found.register_options  # they check themselves
+            raise OptionError(f"the setting is invalid: {error}") from None
+        _ = found.register_options  # validates
         return found

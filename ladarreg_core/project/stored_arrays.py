@@ -1,4 +1,4 @@
-"""Arrays that a document refers to by their content: kept once, however many documents share them."""
+"""Content-addressed arrays: stored once, however many documents share them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _NAME_CHARACTERS = 40
 
 
 class StoredArrays:
-    """Named arrays, frozen, with a name made of their content.
+    """Frozen set of named arrays, identified by a hash of their content.
 
     Args:
-        data: as `of` stores them.
-        lost: the name of arrays that are missing; they keep their place in the document, and come back with their file.
+        data: serialised arrays, as written by `of`.
+        lost: name of missing arrays; the document keeps referring to them, and they return with their file.
     """
 
     __slots__ = ("data", "lost", "name")
@@ -37,7 +37,7 @@ class StoredArrays:
 
     @staticmethod
     def of(arrays: Mapping[str, NDArray[np.generic]]) -> StoredArrays:
-        """Return the arrays, stored."""
+        """Serialise arrays."""
         buffer = io.BytesIO()
         np.savez(buffer, **{name: np.ascontiguousarray(value) for name, value in sorted(arrays.items())})  # type: ignore[arg-type]
         return StoredArrays(buffer.getvalue())

@@ -1,4 +1,4 @@
-"""Fields that this version of the program does not know: they are kept, and written again where they stood."""
+"""Preservation of fields from newer versions of the program: they are kept and written back to their objects."""
 
 from __future__ import annotations
 
@@ -10,50 +10,52 @@ import msgspec
 from ladarreg_core.project.codec import name_arrays
 from ladarreg_core.project.document import Document, PoseEntry, Source
 
-Place = tuple[str, ...]
-Unknown = dict[Place, dict[str, Any]]
-"""What is unknown, by the place of the object that it stands in."""
-_OF_THE_FILE = {"seq", "crc"}
+ObjectPath = tuple[str, ...]
+Unknown = dict[ObjectPath, dict[str, Any]]
+"""Unknown fields by the path of their object."""
+_FILE_FIELDS = {"seq", "crc"}
 
 
 def unknown_fields(fields: Any, document: Document) -> Unknown:
-    """Return what a document was read from and does not hold.
+    """Return the fields of a document's JSON that are not part of the decoded document.
 
     Args:
-        fields: the document as JSON holds it.
-        document: the same, decoded.
+        fields: the document as plain JSON values.
+        document: the decoded document.
     """
     found: Unknown = {}
-    for place, raw, thing in _things((), fields, document):
+    for path, raw, thing in _objects((), fields, document):
         more = {name: raw[name] for name in raw.keys() - set(thing.__struct_fields__)}
-        if place == ():
-            more = {name: value for name, value in more.items() if name not in _OF_THE_FILE}
+        if path == ():
+            more = {name: value for name, value in more.items() if name not in _FILE_FIELDS}
         if more:
-            found[place] = more
+            found[path] = more
     return found
 
 
 def encoded_with(document: Document, unknown: Unknown) -> bytes:
-    """Return a document as JSON, with unknown fields where the objects still are that they stood in."""
+    """Return a document as JSON, with unknown fields added to those of their objects that still exist."""
     fields = msgspec.to_builtins(document, enc_hook=name_arrays)
-    for place, raw, _ in list(_things((), fields, document)):
-        raw.update(unknown.get(place, {}))
+    for path, raw, _ in list(_objects((), fields, document)):
+        raw.update(unknown.get(path, {}))
     return msgspec.json.encode(fields)
 
 
-def _things(place: Place, raw: Any, thing: msgspec.Struct) -> Iterator[tuple[Place, dict[str, Any], msgspec.Struct]]:
-    """Yield all objects of a document, each with its JSON and a place that stays as long as the object is the same."""
-    yield place, raw, thing
+def _objects(
+    path: ObjectPath, raw: Any, thing: msgspec.Struct
+) -> Iterator[tuple[ObjectPath, dict[str, Any], msgspec.Struct]]:
+    """Yield all objects of a document, each with its JSON and a path that is stable as long as the object exists."""
+    yield path, raw, thing
     for name in thing.__struct_fields__:
         value = getattr(thing, name)
         if name not in raw:
             continue
         if isinstance(value, msgspec.Struct):
-            yield from _things((*place, name, _name(value, 0)), raw[name], value)
+            yield from _objects((*path, name, _name(value, 0)), raw[name], value)
         elif isinstance(value, tuple):
             for index, (part, inner) in enumerate(zip(raw[name], value, strict=True)):
                 if isinstance(inner, msgspec.Struct):
-                    yield from _things((*place, name, _name(inner, index)), part, inner)
+                    yield from _objects((*path, name, _name(inner, index)), part, inner)
 
 
 def _name(thing: msgspec.Struct, index: int) -> str:

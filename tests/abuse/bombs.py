@@ -1,4 +1,4 @@
-"""Small files that claim, or grow into, very large scans and pictures; and what reading one costs."""
+"""Small files that claim, or expand to, very large scans and images; measurement of the cost of reading them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _E57_PAGE, _E57_PAGE_DATA = 1024, 1020
 
 
 def camera_fields(width: int, height: int) -> dict[str, float]:
-    """Return a pinhole camera of that size."""
+    """Return a pinhole camera of a given size."""
     return {"width": width, "height": height, "fx": width, "fy": width, "cx": width / 2, "cy": height / 2}
 
 
 def e57_of_constants(path: Path, *, points: int, grid: bool = False, padding: int = 0) -> Path:
-    """Write an E57 whose fields all have one possible value, so that its points take no bits at all."""
+    """Write an E57 whose fields all have a single possible value, so that its points take no bits."""
     from pye57 import libe57
 
     names = ["cartesianX", "cartesianY", "cartesianZ", "intensity", *(["rowIndex", "columnIndex"] if grid else [])]
@@ -67,7 +67,7 @@ def e57_of_constants(path: Path, *, points: int, grid: bool = False, padding: in
 
 
 def e57_with_xml(path: Path, change: Callable[[bytes], bytes]) -> Path:
-    """Replace the XML of an E57 file, with the check sums of its pages."""
+    """Replace the XML of an E57 file, with the checksums of its pages."""
     pages = np.frombuffer(path.read_bytes(), np.uint8).reshape(-1, _E57_PAGE)
     data = pages[:, :_E57_PAGE_DATA].tobytes()
     xml_at, xml_length = struct.unpack_from("<QQ", data, 24)
@@ -83,13 +83,13 @@ def e57_with_xml(path: Path, change: Callable[[bytes], bytes]) -> Path:
 
 
 def e57_of_many_elements(path: Path, *, children: int) -> Path:
-    """Write an E57 whose XML has one element with very many others in it."""
+    """Write an E57 whose XML has one element with very many children."""
     flood = b"".join(b'<a%d type="Integer"/>' % k for k in range(children))
     return e57_with_xml(e57_of_constants(path, points=10), lambda xml: xml.replace(b"<data3D", flood + b"<data3D"))
 
 
 def e57_of_one_picture(path: Path, *, times: int, length: int) -> Path:
-    """Write an E57 that lists the same bytes as a picture many times over."""
+    """Write an E57 that lists the same bytes as an image many times."""
     blob = b'<jpegImage type="Blob" fileOffset="48" length="%d"/>' % length
     shape = b'<visualReferenceRepresentation type="Structure">' + blob + b"</visualReferenceRepresentation>"
     entries = (b'<vectorChild type="Structure">' + shape + b"</vectorChild>") * times
@@ -135,7 +135,7 @@ def blank_png(path: Path, width: int, height: int, *, bits: int = 8, colors: int
 
 
 def jpeg_of_many_passes(path: Path, *, side: int, passes: int) -> Path:
-    """Write a progressive JPEG that refines a gray picture again and again, in passes of a few bytes each."""
+    """Write a progressive JPEG that refines a gray image many times, in passes of a few bytes each."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -178,7 +178,7 @@ def xyz_npz(path: Path, rows: int, columns: int) -> Path:
 
 
 def npz_of_long_header(path: Path, *, header_bytes: int) -> Path:
-    """Write an NPZ whose first array has a header of that length."""
+    """Write an NPZ whose first array has a header of a given length."""
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive,
         archive.open("intensity.npy", "w", force_zip64=True) as stream,
@@ -193,10 +193,10 @@ def npz_of_long_header(path: Path, *, header_bytes: int) -> Path:
 
 
 def compressed_pcd(path: Path, *, width: int, height: int) -> Path:
-    """Write a PCD cloud whose compressed body is one long repetition: 3 bytes stand for 264."""
+    """Write a PCD cloud whose compressed body is one long repetition: 3 bytes expand to 264."""
     count = width * height
     size = 16 * count
-    # A first value of 1.0 as a float, then copies of what lies 4 bytes back.
+    # A first value of 1.0 as a float, then copies from 4 bytes back.
     body = bytearray(b"\x03" + struct.pack("<f", 1.0))
     left = size - 4
     body += (bytes([7 << 5, 255, 3])) * (left // 264)
@@ -213,7 +213,7 @@ def compressed_pcd(path: Path, *, width: int, height: int) -> Path:
 
 
 def depth_image(folder: Path, width: int, height: int) -> Path:
-    """Write a descriptor of a depth picture, with two blank pictures."""
+    """Write a descriptor of a depth image, with two blank images."""
     folder.mkdir(exist_ok=True)
     blank_png(folder / "depth.png", width, height, bits=16)
     blank_png(folder / "intensity.png", width, height)
@@ -236,26 +236,26 @@ def long_camera_yaml(path: Path, *, size: int) -> Path:
 
 
 def matches_json(path: Path, *, count: int) -> Path:
-    """Write a matches file of that many points."""
+    """Write a matches file with a given number of points."""
     entry = '{"scan": [1.0, 0.01, 0.02], "photo": [10.25, 20.5]}'
     path.write_text('{"version": 1, "scan_coordinates": "ray", "matches": [' + ",\n".join([entry] * count) + "]}")
     return path
 
 
 def matches_csv(path: Path, *, count: int) -> Path:
-    """Write a matches file of that many points as CSV."""
+    """Write a CSV matches file with a given number of points."""
     path.write_text("x,y,z,u,v\n" + "1.0,0.01,0.02,10.25,20.5\n" * count)
     return path
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What reading took in a process of its own."""
+    """Cost of reading a file in a separate process."""
 
     seconds: float
     """Processor time."""
     peak_bytes: int
-    """Most memory beyond what the process had before."""
+    """Peak memory in addition to that of the idle process."""
     outcome: str
     """The error's text, or `read`."""
 
@@ -322,7 +322,7 @@ for code, path in jobs:
 
 
 def costs_of(jobs: Sequence[tuple[str, Path]], *, most_bytes: int = 12 << 30, most_seconds: int = 120) -> list[Cost]:
-    """Read files, each in a process of its own, and return what it cost; not on Windows.
+    """Read files, each in a separate process, and return the cost; not on Windows.
 
     Args:
         jobs: (one of `READERS`, the file).
@@ -337,5 +337,5 @@ def costs_of(jobs: Sequence[tuple[str, Path]], *, most_bytes: int = 12 << 30, mo
 
 
 def cost_of(reader: str, path: Path) -> Cost:
-    """Read one file in a process of its own, and return what it cost."""
+    """Read one file in a separate process, and return the cost."""
     return costs_of([(reader, path)])[0]

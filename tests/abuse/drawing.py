@@ -1,4 +1,4 @@
-"""Somebody who draws, in a process of its own that is killed."""
+"""Simulated drawing in a separate process that is killed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def begin(place: Path) -> Session:
 
 
 def draw(session: Session, k: int) -> bool:
-    """Put down a pick, and return whether the disk has it, as a page is answered."""
+    """Add a pick, and return whether it was reported as saved."""
     pick = Pick("new", "point", np.array([[1.0, k / 20, 0.1]]), np.array([[100.0 + k, 50.0]]))
     session.commit(
         f"Draw {k}", lambda d: edits.edited_photo(d, "p1", lambda p: edits.with_picks(p, [pick])[0]), author=""
@@ -39,7 +39,7 @@ def draw(session: Session, k: int) -> bool:
 
 
 def work_until_killed(place: str, seed: int, answers: Connection) -> None:
-    """Draw on a disk that is full for a while, telling each answer, until somebody kills this process."""
+    """Draw on a disk that is temporarily full, reporting each reply, until this process is killed."""
     ladarreg.session.session.RETRY_S = 0.05
     rng = random.Random(seed)
     session = begin(Path(place))

@@ -1,4 +1,4 @@
-"""Disks that fill up in the middle of a record: what was answered as saved must be on them."""
+"""Disks that become full in the middle of a record: edits reported as saved must be on them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.abuse.server_process import Editor, Server, ServerGone, matches_of, s
 
 _DISK_MB = 8
 _RETRIED_S = 8.0
-"""A server that waits for room looks again within this time."""
+"""Time within which a server that waits for free space tries again."""
 
 
 class Disk(Protocol):
@@ -27,24 +27,24 @@ class Disk(Protocol):
     folder: Path
 
     def fill(self, server: Server, left: int) -> None:
-        """Leave so many bytes to the server."""
+        """Leave a number of free bytes."""
 
     def is_at_end(self) -> bool:
-        """Tell whether the last record was torn: whether the history ends where the room ended."""
+        """Return whether the last record was truncated: whether the history ends where the disk was full."""
 
     def make_room(self, server: Server) -> None:
-        """Give the room back."""
+        """Free the disk again."""
 
 
 class MountedDisk:
-    """A small disk of its own, filled by a file beside the project."""
+    """A small separate disk, filled by a file next to the project."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._ballast = folder / "ballast"
 
     def fill(self, server: Server, left: int) -> None:
-        """Leave so many bytes, whole pages of them."""
+        """Leave a number of free bytes, in whole pages."""
         with self._ballast.open("wb", buffering=0) as file:
             block = b"\0" * 4096
             try:
@@ -56,7 +56,7 @@ class MountedDisk:
             file.truncate(max(0, size - left))
 
     def is_at_end(self) -> bool:
-        """Tell whether the history ends with a page."""
+        """Return whether the history ends at a page boundary."""
         return (self.folder / "project" / "history.jsonl").stat().st_size % 4096 == 0
 
     def make_room(self, server: Server) -> None:
@@ -65,23 +65,23 @@ class MountedDisk:
 
 
 class LimitedDisk:
-    """No disk but a limit of file sizes, which tears a record at any byte: Linux, without being root."""
+    """A limit of file sizes instead of a disk, which truncates a record at any byte: Linux, without root."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._most = -1
 
     def fill(self, server: Server, left: int) -> None:
-        """Let no file of the server grow beyond its history by more than so many bytes."""
+        """Limit the size of the server's files to that of its history plus a number of bytes."""
         self._most = (self.folder / "project" / "history.jsonl").stat().st_size + left
         self._limit(server, self._most)
 
     def is_at_end(self) -> bool:
-        """Tell whether the history has the largest size."""
+        """Return whether the history has reached the limit."""
         return (self.folder / "project" / "history.jsonl").stat().st_size == self._most
 
     def make_room(self, server: Server) -> None:
-        """Take the limit away."""
+        """Remove the limit."""
         self._limit(server, -1)
 
     def _limit(self, server: Server, most: int) -> None:
@@ -92,19 +92,19 @@ class LimitedDisk:
 
 @dataclass
 class DiskRound:
-    """What one full disk cost."""
+    """Outcome of one full disk."""
 
     disk: str
     saved: int
-    """Edits that were answered as saved."""
+    """Edits reported as saved."""
     unsaved: int
-    """Edits that were answered while the disk was full, and said not to be saved."""
+    """Edits reported as not saved while the disk was full."""
     lost: list[str] = field(default_factory=list)
 
 
 @contextmanager
 def mounted_disk() -> Iterator[MountedDisk | None]:
-    """Mount a small disk in memory; None where that is not allowed or not known."""
+    """Mount a small disk in memory; None where that is not permitted or not supported."""
     if sys.platform != "linux":
         yield None
         return
@@ -125,7 +125,7 @@ def mounted_disk() -> Iterator[MountedDisk | None]:
 
 
 def full_disk(room: Path, disk: Disk, *, seed: int, ends: str) -> DiskRound:
-    """Edit, fill the disk in the middle of a record, edit on, and end.
+    """Edit, fill the disk in the middle of a record, continue to edit, and stop.
 
     Args:
         room: an empty folder with room.
@@ -138,7 +138,7 @@ def full_disk(room: Path, disk: Disk, *, seed: int, ends: str) -> DiskRound:
     """
     rng = random.Random(seed)
     project = disk.folder / "project"
-    server = with_photo(room, project, scan=True)  # its files lie elsewhere: nothing large is uploaded
+    server = with_photo(room, project, scan=True)  # its files are outside the project: nothing large is uploaded
     found = DiskRound(type(disk).__name__, 0, 0)
     try:
         page = server.page()
@@ -146,7 +146,7 @@ def full_disk(room: Path, disk: Disk, *, seed: int, ends: str) -> DiskRound:
         editor = Editor(photo, rng)
         for _ in range(rng.randrange(3, 20)):
             editor.edit(page)
-        # A record has some 200 bytes: what is left holds none, one and a half, or a few of them.
+        # A record has about 200 bytes: the free space is enough for none, one and a half, or a few of them.
         disk.fill(server, rng.choice((rng.randrange(1, 150), rng.randrange(1, 1500))))
         for _ in range(60):
             editor.edit(page)
@@ -182,7 +182,7 @@ def full_disk(room: Path, disk: Disk, *, seed: int, ends: str) -> DiskRound:
 
 
 def _saved_by_itself(server: Server, editor: Editor) -> list[str]:
-    """Wait until the page says that all is saved; then all must be there, whatever was answered."""
+    """Wait until the page reports that everything is saved; then all edits must be on disk."""
     page, until = server.page(), time.monotonic() + _RETRIED_S
     try:
         while page.slices["project"]["unsaved"] and time.monotonic() < until:
@@ -200,7 +200,7 @@ def _saved_by_itself(server: Server, editor: Editor) -> list[str]:
 
 
 def _stopped_while_full(server: Server, editor: Editor) -> list[str]:
-    """Stop the server; it must say that something is not saved, or have saved it elsewhere and say so."""
+    """Stop the server; it must report unsaved edits, or that it has saved them in another folder."""
     try:
         code = server.stop()
     except subprocess.TimeoutExpired:

@@ -1,4 +1,4 @@
-"""Disks that are full, as far as one can have them without harm."""
+"""Harmless simulations of full disks."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
-class DiskNotMounted(Exception):  # noqa: N818 - it is no error
-    """There is no small disk to be had."""
+class DiskNotMounted(Exception):  # noqa: N818 - it is not an error
+    """No small disk can be mounted."""
 
 
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
-    """Let no file of this process grow beyond a size: a piece that does not fit is written in part, then refused."""
-    import resource  # there is none on Windows
+    """Limit the size of this process's files: a piece that does not fit is written in part, then refused."""
+    import resource  # not available on Windows
 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
@@ -29,7 +29,7 @@ def largest_file(size: int) -> Iterator[None]:
 
 @contextmanager
 def small_disk(place: Path, size: int) -> Iterator[Path]:
-    """Mount a disk of so many bytes in memory.
+    """Mount a disk of a given size in memory.
 
     Raises:
         DiskNotMounted: if that is not permitted.
@@ -49,7 +49,7 @@ def small_disk(place: Path, size: int) -> Iterator[Path]:
 
 
 def fill(disk: Path) -> Path:
-    """Fill a disk to the last byte, and return the file that does."""
+    """Fill a disk to the last byte, and return the file that fills it."""
     ballast = disk / "ballast"
     with open(ballast, "wb", buffering=0) as file:
         for piece in (4096, 1):
@@ -63,6 +63,6 @@ def fill(disk: Path) -> Path:
 
 
 def free(ballast: Path, room: int) -> None:
-    """Give some bytes of a full disk back."""
+    """Free some bytes of a full disk."""
     with suppress(FileNotFoundError), open(ballast, "r+b") as file:
         file.truncate(max(ballast.stat().st_size - room, 0))

@@ -1,4 +1,4 @@
-"""Kills without warning while people edit: what was answered as saved must be there afterwards."""
+"""Kills without warning while clients edit: edits reported as saved must be there afterwards."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _MOST_EDITS = 60
 
 @dataclass
 class KillRound:
-    """What one kill cost."""
+    """Outcome of one kill."""
 
     answered: int
-    """Edits that were answered as saved before it."""
+    """Edits reported as saved before the kill."""
     lost: list[str] = field(default_factory=list)
-    """Those that were not there afterwards, or why the project could not be opened."""
+    """Edits missing afterwards, or the reason why the project could not be opened."""
 
 
 def with_photo(room: Path, project: Path, *, scan: bool) -> Server:
@@ -41,7 +41,7 @@ def with_photo(room: Path, project: Path, *, scan: bool) -> Server:
 
 
 def kill_rounds(room: Path, count: int, *, seed: int, scan: bool) -> Iterator[KillRound]:
-    """Edit, kill, open again and compare, so many times on one project.
+    """Edit, kill, reopen and compare, several times on one project.
 
     Args:
         room: an empty folder.
@@ -81,7 +81,7 @@ def kill_rounds(room: Path, count: int, *, seed: int, scan: bool) -> Iterator[Ki
 
 
 def _edit_and_kill(server: Server, editors: list[Editor], rng: random.Random) -> None:
-    """Let all edit at once, and kill the server at some moment."""
+    """Let all clients edit at once, and kill the server at a random moment."""
     ready = threading.Barrier(len(editors) + 1)
     failures: list[BaseException] = []
     begun = sum(editor.answered for editor in editors)

@@ -1,4 +1,4 @@
-"""Damaged copies of files, deterministic; a container's checksums are computed anew, so that damage gets past them."""
+"""Deterministically damaged copies of files; checksums of containers are recomputed, so that the damage passes them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Callable
 
 LARGEST = 1_000_000
-"""Bytes of a damaged copy, at most."""
+"""Size limit of a damaged copy."""
 Damage = Callable[[bytes, random.Random], bytes]
 
 _HEADER_BYTES = 1024
@@ -38,7 +38,7 @@ def mutated(data: bytes, *, seed: str) -> bytes:
     if inside is not None and rng.random() < 0.75:
         try:
             return inside(data, rng)[:LARGEST]
-        except (ValueError, zlib.error, zipfile.BadZipFile):  # the seed is no sound container
+        except (ValueError, zlib.error, zipfile.BadZipFile):  # the seed is not a valid container
             pass
     return _damaged(data, rng)[:LARGEST]
 
@@ -51,7 +51,7 @@ def _damaged(data: bytes, rng: random.Random) -> bytes:
 
 
 def _place(data: bytes, rng: random.Random) -> int:
-    """Return a place to damage; every second one lies in the header."""
+    """Return a position to damage; every second one is in the header."""
     most = min(len(data), _HEADER_BYTES) if rng.random() < 0.5 else len(data)
     return rng.randrange(max(most, 1))
 
@@ -104,7 +104,7 @@ def _move(data: bytes, rng: random.Random) -> bytes:
 
 
 def _replace_number(data: bytes, rng: random.Random) -> bytes:
-    """Replace a number that stands in the text by a hostile one."""
+    """Replace a number in the text by a hostile one."""
     found = list(_NUMBER.finditer(data[: 1 << 16]))
     if not found:
         return _set_whole_number(data, rng)
@@ -141,7 +141,7 @@ def _zip_inside(data: bytes, rng: random.Random) -> bytes:
 
 
 def _png_inside(data: bytes, rng: random.Random) -> bytes:
-    """Damage a chunk of a PNG picture; every second time the pixels' own stream."""
+    """Damage a chunk of a PNG image; every second time the pixel stream."""
     chunks, at = [], len(_PNG_SIGNATURE)
     while at + 12 <= len(data):
         length = int.from_bytes(data[at : at + 4], "big")
@@ -161,10 +161,10 @@ def _png_inside(data: bytes, rng: random.Random) -> bytes:
 
 
 def _e57_inside(data: bytes, rng: random.Random) -> bytes:
-    """Damage an E57 file below the checksums of its pages; most often its XML, whose length is put right."""
+    """Damage an E57 file below the checksums of its pages; most often its XML, whose length is corrected."""
     plain = b"".join(data[k : k + _E57_PAGE - _E57_SUM] for k in range(0, len(data), _E57_PAGE))
     at = int.from_bytes(plain[24:32], "little")
-    at -= _E57_SUM * (at // _E57_PAGE)  # where the XML stands without the checksums before it
+    at -= _E57_SUM * (at // _E57_PAGE)  # position of the XML without the checksums before it
     length = int.from_bytes(plain[32:40], "little")
     if not 48 <= at < len(plain):
         raise ValueError("the XML does not lie in the file")

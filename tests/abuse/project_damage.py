@@ -1,4 +1,4 @@
-"""Projects of which one bit is flipped or one file is gone: what is there when they are opened again."""
+"""Projects with one flipped bit or one missing file, and their content when they are reopened."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _NEVER_DAMAGED = ("lock",)
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """A sound project and what it holds."""
+    """An intact project and its content."""
 
     folder: Path
     document: Document
@@ -40,14 +40,14 @@ class Reference:
 
 @dataclass
 class Damaged:
-    """What one damage cost beyond what it hit."""
+    """Losses beyond the damaged part."""
 
     what: str
     losses: list[str] = field(default_factory=list)
 
 
 def make_project(folder: Path, *, picks: int = 20) -> Reference:
-    """Write a project with two photographs, matches that were moved, and two answers of estimators."""
+    """Write a project with two photographs, matches that were moved, and two results of estimators."""
     kept = ProjectFolder(folder)
     picture = next(sample_folder().glob("photo.*"))
     for name in ("first.png", "second.png"):
@@ -65,12 +65,12 @@ def make_project(folder: Path, *, picks: int = 20) -> Reference:
     for k in range(picks):
         photo = session.document.photos[k % 2].id
         commit(f"Draw point {k} of the test", partial(_drawn, photo=photo, k=k))
-        if k % 5 == 4:  # a movement, kept as amendments of one step
+        if k % 5 == 4:  # a drag, saved as amendments of one step
             for u in range(3):
                 commit(f"Move match {k} of the test", partial(_moved, photo=photo, u=float(u)), merge_key=f"{k}")
         if k in (picks // 2, picks - 1):
             commit(f"Solve {k} of the test", partial(with_an_answer, seed=k))
-    # The second answer takes the place of the first, whose arrays only the history knows.
+    # The second result replaces the first, whose arrays are only referenced by the history.
     document, labels = session.document, tuple(entry.label for entry in session.history.entries)
     session.close()
     return Reference(folder, document, labels)
@@ -85,17 +85,17 @@ def _drawn(document: Document, *, photo: str, k: int) -> Document:
 
 
 def _moved(document: Document, *, photo: str, u: float) -> Document:
-    """Return the document with the photograph's last match elsewhere."""
+    """Return the document with the photograph's last match moved."""
     return edits.edited_photo(
         document, photo, lambda entry: edits.changed_pick(entry, entry.picks[-1].id, {"photo": ((u, 7.0),)})
     )
 
 
 def flipped(reference: Reference, room: Path, *, seed: str) -> Damaged:
-    """Flip one bit of a copy, open it, and say what is missing."""
+    """Flip one bit of a copy, open it, and return what is missing."""
     rng = random.Random(seed)
     files = reference.files()
-    # Most of the bytes are pixels and arrays; the records are what matters.
+    # Most of the bytes are pixels and arrays, but the records matter most.
     name = rng.choice(files if rng.random() < 0.3 else ["history.jsonl", "project.json"])
     data = bytearray((reference.folder / name).read_bytes())
     at, bit = rng.randrange(len(data)), rng.randrange(8)
@@ -109,7 +109,7 @@ def flipped(reference: Reference, room: Path, *, seed: str) -> Damaged:
 
 
 def missing(reference: Reference, room: Path, name: str, *, emptied: bool = False) -> Damaged:
-    """Take a file away from a copy, or all that is in it, open it, and say what is missing."""
+    """Remove or empty a file of a copy, open it, and return what is missing."""
 
     def damage(copy: Path) -> None:
         (copy / name).write_bytes(b"") if emptied else (copy / name).unlink()
@@ -181,7 +181,7 @@ def _edit(folder: Path, name: str) -> None:
 
 
 def opened_by_the_workbench(reference: Reference, room: Path, name: str) -> Document:
-    """Return the document that the workbench shows of a copy without a file."""
+    """Return the document that the workbench shows for a copy without a file."""
     copy = room / "copy"
     shutil.copytree(reference.folder, copy)
     (copy / name).unlink()
@@ -194,7 +194,7 @@ def opened_by_the_workbench(reference: Reference, room: Path, name: str) -> Docu
 
 
 def _without_pose(document: Document, arrays: str) -> Document:
-    """Return the document without the answer whose arrays have a name."""
+    """Return the document without the result whose arrays have a given name."""
     if not arrays:
         return document
     photos = []

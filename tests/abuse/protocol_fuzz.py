@@ -14,11 +14,11 @@ from tests.abuse.mutations import mutated
 from tests.abuse.server_process import Page, Server, ServerGone
 
 MOST_SECONDS = 5.0
-"""That a message may take to be answered."""
+"""Time limit of a reply."""
 _NEVER = {"export_folder"}
-"""What is not asked for at random: it writes to folders of this machine. It has tests of its own."""
+"""Commands that are not sent at random because they write to local folders; they have separate tests."""
 _RARE = {"remove_photo", "go_to", "set_camera", "run"}
-"""What takes away much of what the other commands need, or takes long."""
+"""Commands that remove what the other commands need, or take long."""
 _FAULTS = ("Internal error", "The program failed")
 _CHEAP_JOBS = ("find_corners", "linear", "robust", "simplex", "reject_outliers", "cull", "nonsense")
 _HOSTILE: tuple[str, ...] = (
@@ -37,20 +37,20 @@ _OTHER_FRAMES: tuple[str | bytes, ...] = (
 
 @dataclass
 class ProtocolFindings:
-    """What became of hostile messages."""
+    """Outcome of hostile messages."""
 
     messages: int = 0
     done: int = 0
     refused: int = 0
     closed: int = 0
-    """Connections that the server closed, as it should for what is too long."""
+    """Connections closed by the server, as it should for messages that are too long."""
     seconds: float = 0.0
-    """Of the slowest answer."""
+    """Time of the slowest reply."""
     faults: list[str] = field(default_factory=list)
 
 
 def fuzz_protocol(server: Server, count: int, *, seed: int) -> ProtocolFindings:
-    """Send hostile messages, each after the answer to the one before it.
+    """Send hostile messages, each after the reply to the previous one.
 
     Args:
         server: with a photograph at least.
@@ -93,7 +93,7 @@ def fuzz_protocol(server: Server, count: int, *, seed: int) -> ProtocolFindings:
 
 
 def shown_state(page: Page) -> dict[str, Any]:
-    """Return what must be the same after a kill: the document and its history as a page is shown them."""
+    """Return what must be unchanged after a kill: the document and its history as shown to a page."""
     kept = {
         name: page.slices[name] for name in page.slices if name.startswith("picks:") or name in ("settings", "scan")
     }
@@ -139,7 +139,7 @@ def _message(rng: random.Random, page: Page) -> str:
     do = rng.choice(sorted(set(COMMANDS) - _NEVER))
     if do in _RARE and rng.random() < 0.9:
         do = "add_pick"
-    if not page.slices["photos"]:  # back to where there was something to edit
+    if not page.slices["photos"]:  # back to a state that can be edited
         steps = [entry["n"] for entry in page.slices["history"]["entries"]]
         return json.dumps({"id": 0, "do": "go_to", "n": rng.choice(steps)})
     likely = _likely(rng, page)
@@ -147,7 +147,7 @@ def _message(rng: random.Random, page: Page) -> str:
     if do == "set_settings":
         names = tuple(rng.sample(sorted(page.slices["settings"]), rng.choice((1, 1, 2))))
     parts = [f'"id": {rng.randrange(10**6)}', f'"do": {json.dumps(do)}']
-    mode = rng.random()  # all fields sound, one of them hostile, or every second one
+    mode = rng.random()  # all fields valid, one of them hostile, or every second one
     hostile = set() if mode < 0.35 or not names else {rng.choice(names)}
     if mode > 0.75:
         hostile = {name for name in names if rng.random() < 0.5}
@@ -209,4 +209,4 @@ _FIELDS: dict[str, tuple[str, ...]] = {
     "open_served": ("path", "what", "photo"),
     "probe": ("at", "scan"),
 }  # fmt: skip
-"""What the commands take that are asked for most; others get any field at all."""
+"""Fields of the most frequent commands; others get arbitrary fields."""

@@ -1,4 +1,4 @@
-"""A process that reads damaged files and reports what each cost.
+"""A process that reads damaged files and reports the cost of each.
 
 `python -m tests.abuse.reader_child FOLDER FORMAT FIRST LAST ...` prints one JSON line per damaged file. Whoever starts
 it concludes from a missing line that the file killed it.
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.formats import describe, extract_images, formats, read_photo, read_scan
+from ladarreg_core.formats import FORMATS, describe, extract_images, read_photo, read_scan
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.formats.pose_file import read_pose
@@ -27,15 +27,15 @@ from tests.abuse.mutations import mutated
 from tests.abuse.seed_files import REFERENCE_SCAN, seeds_in
 
 MOST_SECONDS, MOST_MB = 5.0, 1024.0
-"""What a file of less than 1 MB may cost."""
+"""Limits for files of less than 1 MB."""
 LONGEST_SENTENCE = 300
 _ADDRESS_SPACE = 5 << 30
-"""Beyond what the process has when it begins: a file that asks for more is found out, and the machine lives on. Less
-would find fault with libraries that reserve what a 32-bit length claims, and never touch it."""
+"""Memory limit beyond that of the idle process: a file that needs more is detected without harming the machine. Less
+would reject libraries that reserve the size that a 32-bit length claims without ever using it."""
 
 
 def readers_of(kind: str, name: str, folder: Path) -> dict[str, Callable[[Path], object]]:
-    """Return all that the program does with files of a format."""
+    """Return all readers of a format."""
     found: dict[str, Callable[[Path], object]] = {"describe": describe}
     if kind == "scan":
         found["read_scan"] = read_scan
@@ -67,9 +67,9 @@ def main(folder: str, name: str, first: str, last: str, patience_s: str, keep: s
     """
     home = Path(folder)
     seeds = [seed for seed in seeds_in(home) if seed.format == name]
-    kind = next(known.kind for known in formats() if known.name == name)
+    kind = next(known.kind for known in FORMATS if known.name == name)
     readers = readers_of(kind, name, home)
-    for seed in seeds:  # whatever the readers import is imported now, and the sound files must be read
+    for seed in seeds:  # imports everything that the readers need; valid files must be readable
         for reader in readers.values():
             with contextlib.suppress(LadarregError):
                 reader(seed.file)
@@ -92,7 +92,7 @@ def main(folder: str, name: str, first: str, last: str, patience_s: str, keep: s
 
 
 def _read(path: Path, readers: dict[str, Callable[[Path], object]], patience_s: float) -> dict[str, Any]:
-    """Return what all readers made of a file."""
+    """Return the outcome of all readers for a file."""
     faults: list[str] = []
     seconds = megabytes = 0.0
     refused: set[str] = set()
@@ -100,7 +100,7 @@ def _read(path: Path, readers: dict[str, Callable[[Path], object]], patience_s: 
         before, began = _processor_s(), time.perf_counter()
         with _peak() as peak_mb:
             error = _tried(reader, path, patience_s)
-        spent = min(_processor_s() - before, time.perf_counter() - began)  # another program's load is not the file's
+        spent = min(_processor_s() - before, time.perf_counter() - began)  # excludes the load of other programs
         seconds, megabytes = max(seconds, spent), max(megabytes, peak_mb())
         if isinstance(error, LadarregError):
             refused.add(name)
@@ -114,7 +114,7 @@ def _read(path: Path, readers: dict[str, Callable[[Path], object]], patience_s: 
 
 
 def _tried(reader: Callable[[Path], object], path: Path, patience_s: float) -> BaseException | None:
-    faulthandler.dump_traceback_later(patience_s, exit=True)  # also from inside a library that holds the interpreter
+    faulthandler.dump_traceback_later(patience_s, exit=True)  # also from inside a library that holds the GIL
     try:
         reader(path)
     except Exception as error:
@@ -125,7 +125,7 @@ def _tried(reader: Callable[[Path], object], path: Path, patience_s: float) -> B
 
 
 def _faults(error: BaseException | None) -> Iterator[str]:
-    """Return what is wrong with how a file was refused."""
+    """Return what is wrong with the refusal of a file."""
     if error is None:
         return
     if not isinstance(error, LadarregError):
@@ -143,17 +143,17 @@ def _faults(error: BaseException | None) -> Iterator[str]:
 
 
 def _processor_s() -> float:
-    """Return the processor time of this process and of those that it started and saw end, s."""
+    """Return the processor time of this process and of its finished children, s."""
     children = os.times()
     return time.process_time() + children.children_user + children.children_system
 
 
 @contextlib.contextmanager
 def _peak() -> Iterator[Callable[[], float]]:
-    """Yield what returns the peak of resident memory above that at the beginning, MB; 0 where it is not known."""
+    """Yield a function that returns the peak resident memory above that at the beginning, MB; 0 where unknown."""
     before = _resident_mb("VmRSS")
     with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # forgets the peak
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # resets the peak
     found = 0.0
 
     def value() -> float:
@@ -172,7 +172,7 @@ def _resident_mb(field: str) -> float:
 
 
 def _limit_address_space() -> None:
-    if sys.platform != "linux":  # elsewhere the limit is not heeded, or there is none
+    if sys.platform != "linux":  # elsewhere there is no such limit, or it is ignored
         return
     import resource
 

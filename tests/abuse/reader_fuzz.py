@@ -1,4 +1,4 @@
-"""Damaged files read in child processes: what each format's readers made of them, and what that cost."""
+"""Damaged files read in child processes: outcome and cost for the readers of each format."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 @dataclass
 class Readings:
-    """What became of a number of damaged files of one format."""
+    """Outcome for a number of damaged files of one format."""
 
     format: str
     files: int = 0
     refused: int = 0
     """By the reader of the format."""
     seconds: float = 0.0
-    """Processor time of the dearest."""
+    """Largest processor time of a file."""
     mb: float = 0.0
-    """Peak of memory above the process's own, of the dearest."""
+    """Largest peak memory of a file above that of the idle process."""
     faults: list[str] = field(default_factory=list)
-    """What must not be: other exceptions than our own, too much memory or time, processes that died."""
+    """Failures: exceptions other than `LadarregError`, too much memory or time, processes that died."""
 
 
 def read_damaged(
     folder: Path, name: str, first: int, last: int, *, patience_s: float = 30.0, keep: Path | None = None
 ) -> Readings:
-    """Read damaged files in a child process, and in another from the next file on where it dies.
+    """Read damaged files in a child process; if it dies, another continues with the next file.
 
     Args:
         folder: holds the seeds.
@@ -54,7 +54,7 @@ def read_damaged(
             _add(found, row)
         first += len(rows)
         if first < last:
-            if not rows and done.returncode == 1 and "Timeout" not in done.stderr:  # it is the harness that fails
+            if not rows and done.returncode == 1 and "Timeout" not in done.stderr:  # the harness itself failed
                 raise RuntimeError(done.stderr[-2000:])
             found.files += 1
             found.faults.append(f"file {first}: {_death(done.returncode, done.stderr, patience_s)}")

@@ -1,4 +1,4 @@
-"""One small sound file, at least, of every format that is read: what the mutations start from."""
+"""At least one small valid file of every format, from which mutations are made."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ladarreg_core.simulate.sample import sample_folder
 from tests.formats.conftest import depth_image, e57_fields, e57_file, make_scan, pcd_bytes
 
 REFERENCE_SCAN = "reference-scan.npz"
-"""What matches files are read against; sound, and never damaged."""
+"""The scan for matches files; it is valid and never damaged."""
 _LIST = "seeds.json"
 _ROS = """\
 image_width: 1280
@@ -41,24 +41,24 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.001, 0.002, 0.05
 
 @dataclass(frozen=True, slots=True)
 class Seed:
-    """A sound file and what to do with it."""
+    """A valid file and its use."""
 
     format: str
-    """The format that it is recognised as; its readers get the copies."""
+    """Format that it is recognised as; the copies are given to its readers."""
     file: Path
-    """What is read."""
+    """The file that is read."""
     damaged: Path
-    """What is damaged: the file itself, or one beside it that it names."""
+    """The file that is damaged: the same one, or one that it refers to."""
 
     @property
     def name(self) -> str:
-        """How a report names it."""
+        """Name in reports."""
         folder = self.file.parent.name
         return f"{folder}/{self.file.name}" + (f" ({self.damaged.name})" if self.damaged != self.file else "")
 
 
 def write_seeds(folder: Path) -> list[Seed]:
-    """Write the files, each in a folder of its own, and a list of them that `seeds_in` reads.
+    """Write the files, each into a separate folder, and a list of them that `seeds_in` reads.
 
     A new format takes part as soon as a sound file of it is written here.
     """
@@ -142,7 +142,7 @@ def _is_read(file: Path) -> bool:
 
     try:
         return recognise(file).kind == "photo"
-    except FormatError:  # a kind of picture that this version does not read
+    except FormatError:  # a kind of image that is not supported
         return False
 
 
@@ -173,7 +173,7 @@ def _texts(folder: Path) -> list[tuple[Path, Path]]:
 
 
 def _registration(camera: Any) -> dict[str, Any]:
-    """Return what an earlier result holds, as `formats.registration_file` reads it."""
+    """Return the fields of an earlier result, as read by `formats.registration_file`."""
     pose = Rigid.from_rotvec([0.1, -0.2, 0.3], (0.5, 0.25, -1.0))
     return {
         "version": 1, "camera_from_scanner": pose.matrix.tolist(), "camera": camera.as_fields(),

@@ -1,4 +1,4 @@
-"""The real server in a process of its own: started, asked, edited by several people, interrupted and killed."""
+"""The real server in a separate process: started, queried, edited by several clients, interrupted and killed."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _ANSWERS_S = 60.0
 _OPEN_FILES = 1024
 
 
-class ServerGone(Exception):  # noqa: N818 - it is the event that is waited for
-    """The server, or its connection, ended while something was asked of it."""
+class ServerGone(Exception):  # noqa: N818 - it is an expected event
+    """The server or its connection ended during a request."""
 
 
 @dataclass
@@ -38,7 +38,7 @@ class Server:
     process: subprocess.Popen[str]
     port: int
     said: Path
-    """The file of what it says on stderr."""
+    """File with its stderr."""
     cookie: str = ""
 
     @property
@@ -60,14 +60,14 @@ class Server:
             connection.close()
 
     def enter(self) -> None:
-        """Show the token and keep the cookie."""
+        """Log in with the token and keep the cookie."""
         status, headers, _ = self.ask("GET", f"/?token={TOKEN}")
         if status != 200:
             raise ServerGone(f"the token was answered by {status}")
         self.cookie = headers["set-cookie"].partition(";")[0]
 
     def upload(self, what: str, path: Path, *, photo: str = "", timeout_s: float = _ANSWERS_S) -> dict[str, Any]:
-        """Upload a file and return the answer."""
+        """Upload a file and return the reply."""
         query = f"what={what}" + (f"&photo={photo}" if photo else "")
         _, _, body = self.ask(
             "POST", f"/upload?{query}", path.read_bytes(), {"X-File-Name": quote(path.name)}, timeout_s=timeout_s
@@ -81,12 +81,12 @@ class Server:
         return Page(self)
 
     def memory_mb(self, field_: str = "VmRSS") -> float:
-        """Return the memory of the server and of the processes that it started, MB; nan where it cannot be known."""
+        """Return the memory of the server and of its child processes, MB; NaN where unknown."""
         known = [_status_mb(pid, field_) for pid in (self.process.pid, *_below(self.process.pid))]
         return sum(known) if known[0] == known[0] else float("nan")
 
     def kill(self) -> None:
-        """End it without warning."""
+        """Kill it without warning."""
         self.process.kill()
         self.process.wait(30)
         self._close()
@@ -112,7 +112,7 @@ class Server:
             self._close()
 
     def stderr(self) -> str:
-        """Return what it has said."""
+        """Return its stderr so far."""
         return self.said.read_text(encoding="utf-8", errors="replace")
 
     def _close(self) -> None:
@@ -173,7 +173,7 @@ def start_server(
 
 
 def _as_from_a_shell() -> None:
-    """Give a new process what it has in a terminal: signals that are heard, and 1,024 open files."""
+    """Set up a new process as in a terminal: signals are not ignored, and 1,024 open files."""
     import resource
 
     for sent in (signal.SIGINT, signal.SIGHUP):
@@ -183,7 +183,7 @@ def _as_from_a_shell() -> None:
 
 
 class Page:
-    """A websocket as a page has it, and the slices that it was sent."""
+    """A websocket like that of a page, and the slices received."""
 
     def __init__(self, server: Server, *, timeout_s: float = _ANSWERS_S) -> None:
         try:
@@ -216,7 +216,7 @@ class Page:
         return message
 
     def take(self, message: dict[str, Any]) -> dict[str, Any]:
-        """Note what a message changes."""
+        """Apply the changes in a message."""
         self.slices.update(message.get("slices", {}))
         for name, change in message.get("changes", {}).items():
             self.slices[name] = apply_change(self.slices[name], change)
@@ -234,25 +234,25 @@ class Page:
             raise ServerGone(str(error)) from None
 
     def ask(self, do: str, **fields: Any) -> dict[str, Any]:
-        """Ask, and return the reply; what is told before it is noted."""
+        """Send a request and return the reply; changes received before it are applied."""
         self.number += 1
         self.send(json.dumps({"id": self.number, "do": do, **fields}))
         return self.reply()
 
     def reply(self, timeout_s: float | None = None) -> dict[str, Any]:
-        """Return the next reply, whatever it answers."""
+        """Return the next reply to any request."""
         while "reply" not in (message := self.take(self.hear(timeout_s))):
             pass
         return message
 
     def is_saved(self, reply: Mapping[str, Any]) -> bool:
-        """Tell whether a reply says, alone or with what the header shows, that the edit is on the disk."""
+        """Return whether a reply, by itself or with the header's state, reports the edit as saved."""
         if not reply.get("ok"):
             return False
         return bool(reply.get("saved", not self.slices["project"]["unsaved"]))
 
     def close(self) -> None:
-        """Go."""
+        """Close the connection."""
         with suppress(Exception):
             self.socket.close()
 
@@ -262,21 +262,21 @@ Spot = tuple[float, float]
 
 @dataclass
 class Editor:
-    """One person who puts down, moves and removes matches of one photograph, and remembers what was answered."""
+    """A client that adds, moves and removes matches of one photograph, and records the replies."""
 
     photo: str
     rng: random.Random
     saved: dict[str, Spot | None] = field(default_factory=dict)
-    """Matches whose last edit was answered as saved; None: removed."""
+    """Matches whose last edit was reported as saved; None: removed."""
     open: dict[str, list[Spot | None]] = field(default_factory=dict)
-    """What may have become of matches whose later edits were not answered as saved."""
+    """Possible states of matches whose later edits were not reported as saved."""
     answered: int = 0
-    """Edits that were answered as saved."""
+    """Edits reported as saved."""
     unsaved: int = 0
-    """Edits that were answered, but not as saved."""
+    """Edits with a reply that did not report them as saved."""
 
     def edit(self, page: Page, *, most: int = 30) -> bool:
-        """Do something at random; return whether it was answered as saved."""
+        """Make a random edit; return whether it was reported as saved."""
         there = [name for name, spot in self._newest().items() if spot is not None]
         spot = (round(self.rng.uniform(5, 700), 3), round(self.rng.uniform(5, 500), 3))
         what = self.rng.random()
@@ -306,13 +306,13 @@ class Editor:
             self.unsaved += 1
             return False
         self.answered += 1
-        # A project is saved whole: with this edit all that was answered before is on the disk.
+        # A project is saved as a whole: with this edit all earlier ones are on disk.
         self.saved |= {other: spots[-1] for other, spots in self.open.items()}
         self.open.clear()
         return True
 
     def lost(self, there: Mapping[str, Spot]) -> list[str]:
-        """Return what was answered as saved and is not there; then go on from what is there.
+        """Return edits reported as saved that are missing; then continue from the actual state.
 
         Args:
             there: all matches of the photograph, found after opening the project again.
@@ -328,12 +328,12 @@ class Editor:
 
 
 def matches_of(page: Page, photo: str) -> dict[str, Spot]:
-    """Return the matches of a photograph as a page shows them: where each stands in it."""
+    """Return the matches of a photograph as shown to a page: the position of each."""
     return {pick["id"]: tuple(pick["photo"][0]) for pick in page.slices[f"picks:{photo}"]}
 
 
 def _below(pid: int) -> list[int]:
-    """Return the processes that a process started, and they."""
+    """Return the descendants of a process."""
     found: list[int] = []
     for task in Path("/proc").glob(f"{pid}/task/*/children"):
         with suppress(OSError, ValueError):

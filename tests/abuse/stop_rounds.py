@@ -1,4 +1,4 @@
-"""Stop signals, one or two, while somebody edits: an orderly end that loses nothing."""
+"""One or two stop signals while a client edits: an orderly end without losses."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from tests.abuse.server_process import Editor, ServerGone, matches_of, start_ser
 
 _FIRST_EDITS = 20
 ORDERLY = (0, 130)
-"""Exit codes of a server that was asked to stop."""
+"""Exit codes of a server stopped by a signal."""
 
 
 @dataclass
 class StopRound:
-    """What became of a server that was asked to stop."""
+    """Outcome of stopping a server."""
 
     signals: str
     answered: int
-    """Edits that were answered as saved."""
+    """Edits reported as saved."""
     faults: list[str] = field(default_factory=list)
 
 

@@ -1,4 +1,4 @@
-"""A sweep over a project: flipped bits, missing files, emptied files; all else must be there."""
+"""A sweep over a project: flipped bits, missing files, emptied files; everything else must remain."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LADARREG_HOME", str(tmp_path / "home"))
 
 
-def test_one_flipped_bit_costs_nothing_but_what_it_hit(reference: Reference, tmp_path: Path) -> None:
+def test_one_flipped_bit_loses_only_what_it_hit(reference: Reference, tmp_path: Path) -> None:
     damaged = [flipped(reference, tmp_path, seed=str(k)) for k in range(_FLIPS)]
     assert [f"{found.what}: {text}" for found in damaged for text in found.losses] == []
 
 
 @pytest.mark.parametrize("emptied", [False, True])
-def test_one_missing_file_costs_nothing_but_what_it_held(reference: Reference, tmp_path: Path, emptied: bool) -> None:
+def test_one_missing_file_loses_only_its_content(reference: Reference, tmp_path: Path, emptied: bool) -> None:
     damaged = [missing(reference, tmp_path, name, emptied=emptied) for name in reference.files()]
     assert len(damaged) >= 5
     assert [f"{found.what}: {text}" for found in damaged for text in found.losses] == []

@@ -1,4 +1,4 @@
-"""Projects with flipped bits, missing files and torn records: what is not damaged comes back, whole."""
+"""Projects with flipped bits, missing files and truncated records: undamaged parts are recovered completely."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ladarreg_core.project.history import History
 from ladarreg_core.project.results import pose_entry, registration_of
 
 WHEN = "2026-01-02T03:04:05+00:00"
-OLD = Path(__file__).resolve().parents[1] / "unit" / "project_without_checksums"
+OLD = Path(__file__).resolve().parents[1] / "unit" / "project" / "without_checksums"
 Files = dict[str, bytes]
 
 
@@ -43,7 +43,7 @@ def an_answer(stage: str, seed: int) -> PoseEntry:
 
 
 class Work:
-    """Somebody who works on a project."""
+    """A simulated operator of a project."""
 
     def __init__(self, place: Path) -> None:
         self.folder = ProjectFolder(place)
@@ -74,7 +74,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Kept:
-    """A project on the disk, and what it was when it was written."""
+    """A project on disk, and its state when it was written."""
 
     files: Files
     history: History
@@ -118,13 +118,13 @@ def written(place: Path, files: Files) -> Path:
 def opened(place: Path) -> tuple[History, tuple[str, ...]]:
     folder = ProjectFolder(place)
     try:
-        return folder.read(), folder.said
+        return folder.read(), folder.remarks
     finally:
         folder.close()
 
 
 def opened_twice(place: Path) -> tuple[History, tuple[str, ...]]:
-    """Open a damaged project, and again: it is mended by then, but for what is gone for good."""
+    """Open a damaged project twice: by then it is repaired, except for what is lost permanently."""
     history, said = opened(place)
     again, said_again = opened(place)
     assert steps(again) == steps(history)
@@ -137,7 +137,7 @@ def flipped(data: bytes, index: int, bit: int) -> bytes:
 
 
 def places_to_flip(data: bytes, count: int) -> list[tuple[int, int]]:
-    """Bits all over a file, those at the ends of its lines among them."""
+    """Bits all over a file, including those at the ends of its lines."""
     rng = random.Random(len(data))
     ends = [index for index, byte in enumerate(data) if byte == ord("\n")]
     indices = {rng.randrange(len(data)) for _ in range(count)} | set(rng.sample(ends, min(len(ends), count // 4)))
@@ -150,7 +150,7 @@ def aside(place: Path, name: str) -> list[bytes]:
 
 
 @pytest.mark.parametrize("name", ["history.jsonl", "project.json"])
-def test_a_flipped_bit_costs_nothing(kept: Kept, tmp_path: Path, name: str) -> None:
+def test_a_flipped_bit_loses_nothing(kept: Kept, tmp_path: Path, name: str) -> None:
     for index, bit in places_to_flip(kept.files[name], 60):
         damaged = flipped(kept.files[name], index, bit)
         place = written(tmp_path / "p", kept.files | {name: damaged})
@@ -160,7 +160,7 @@ def test_a_flipped_bit_costs_nothing(kept: Kept, tmp_path: Path, name: str) -> N
         assert aside(place, name) == [damaged], "and the damaged file is kept"
 
 
-def test_a_flipped_bit_in_arrays_costs_the_matches_in_them(kept: Kept, tmp_path: Path) -> None:
+def test_a_flipped_bit_in_arrays_loses_only_their_matches(kept: Kept, tmp_path: Path) -> None:
     for name in [name for name in kept.files if name.startswith("arrays/")]:
         for index, bit in places_to_flip(kept.files[name], 8):
             damaged = flipped(kept.files[name], index, bit)
@@ -200,9 +200,7 @@ def test_any_single_file_can_be_missing(kept: Kept, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["history.jsonl", "project.json"])
 @pytest.mark.parametrize("damage", ["cut to nothing", "cut", "zeros", "a line", "other bytes"])
-def test_worse_damage_of_one_file_costs_no_more_than_steps_back(
-    kept: Kept, tmp_path: Path, name: str, damage: str
-) -> None:
+def test_worse_damage_of_one_file_loses_only_undo_steps(kept: Kept, tmp_path: Path, name: str, damage: str) -> None:
     data = kept.files[name]
     for at in range(0, len(data), max(len(data) // 12, 1)):
         cut = {
@@ -224,8 +222,8 @@ def test_worse_damage_of_one_file_costs_no_more_than_steps_back(
             assert [entry for entry in whole if entry[0] in numbers and entry not in sound] == [], "the sound prefix"
 
 
-def test_what_follows_on_project_json_is_not_lost_with_what_was_before_it(tmp_path: Path) -> None:
-    """Records are lost before a kill that left project.json behind: both it and what came after it count."""
+def test_records_after_project_json_survive_the_loss_of_earlier_ones(tmp_path: Path) -> None:
+    """Records are lost before a kill after which project.json is outdated: it and the records after it are used."""
     work = Work(tmp_path / "work")
     for k in range(6):
         work.draw(k)
@@ -243,8 +241,8 @@ def test_what_follows_on_project_json_is_not_lost_with_what_was_before_it(tmp_pa
     assert json.loads(files["project.json"])["seq"] < json.loads(lines[-2])["seq"]
 
 
-def test_a_record_that_was_torn_within_the_file_costs_itself(kept: Kept, tmp_path: Path) -> None:
-    """As versions left it that took half a record for a whole one when the disk was full."""
+def test_a_truncated_record_within_the_file_loses_only_itself(kept: Kept, tmp_path: Path) -> None:
+    """As left by versions that treated a truncated record as complete when the disk was full."""
     lines = kept.files["history.jsonl"].split(b"\n")
     for torn in range(1, len(lines) - 2):
         joined = [*lines[:torn], lines[torn][: len(lines[torn]) // 2] + lines[torn + 1], *lines[torn + 2 :]]
@@ -252,7 +250,7 @@ def test_a_record_that_was_torn_within_the_file_costs_itself(kept: Kept, tmp_pat
         assert history.document == kept.history.document
 
 
-def test_both_files_beyond_help_are_left_alone(kept: Kept, tmp_path: Path) -> None:
+def test_two_unreadable_files_are_left_unchanged(kept: Kept, tmp_path: Path) -> None:
     place = written(tmp_path / "p", {**kept.files, "history.jsonl": b"#" * 50, "project.json": b""})
     before = files_of(place)
     with pytest.raises(FormatError, match="both damaged"):
@@ -261,7 +259,7 @@ def test_both_files_beyond_help_are_left_alone(kept: Kept, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["project.json", "history.jsonl"])
-def test_a_project_of_a_newer_version_says_so_and_is_left_alone(kept: Kept, tmp_path: Path, name: str) -> None:
+def test_a_project_of_a_newer_version_is_refused_and_left_unchanged(kept: Kept, tmp_path: Path, name: str) -> None:
     newer = json.dumps({"version": 2, "name": "newer", "photos": {"of another": "shape"}}).encode()
     line = json.dumps({"commit": {"number": 0, "label": "", "author": "", "when": WHEN}, "document": json.loads(newer)})
     files = {"project.json": newer} if name == "project.json" else {"history.jsonl": line.encode() + b"\n"}
@@ -272,8 +270,8 @@ def test_a_project_of_a_newer_version_says_so_and_is_left_alone(kept: Kept, tmp_
 
 
 @pytest.mark.parametrize("left", ["both", "project.json", "history.jsonl"])
-def test_fields_that_are_not_known_are_written_again(kept: Kept, tmp_path: Path, left: str) -> None:
-    """A version that adds fields without changing what the others mean."""
+def test_unknown_fields_are_preserved(kept: Kept, tmp_path: Path, left: str) -> None:
+    """A version that adds fields without changing the meaning of others."""
     place = written(tmp_path / "p", kept.files)
 
     def more(fields: dict) -> dict:
@@ -309,7 +307,7 @@ def test_a_project_without_checksums_opens_with_its_history(tmp_path: Path) -> N
     place = shutil.copytree(OLD, tmp_path / "p")
     folder = ProjectFolder(place)
     read = folder.read()
-    assert folder.said == ()
+    assert folder.remarks == ()
     assert [entry.label for entry in read.entries] == ["Begin", "Solve", "Draw point 4", "Rename to third"]
     assert (read.at, read.document.name) == (2, "test")
     assert len(registration_of(read.document.photos[0].poses[0]).matches) == 40
@@ -348,7 +346,7 @@ def test_a_lock_that_was_removed_still_holds(tmp_path: Path) -> None:
     ProjectFolder(tmp_path / "p").close()
 
 
-def test_a_history_that_somebody_removes_or_replaces_is_written_again(tmp_path: Path) -> None:
+def test_a_removed_or_replaced_history_is_rewritten(tmp_path: Path) -> None:
     work = Work(tmp_path / "p")
     log = tmp_path / "p" / "history.jsonl"
     log.unlink()
@@ -365,7 +363,7 @@ def test_a_history_that_somebody_removes_or_replaces_is_written_again(tmp_path: 
     assert said == ()
 
 
-def test_nothing_but_a_sentence_comes_of_a_folder_without_a_project(tmp_path: Path) -> None:
+def test_a_folder_without_a_project_is_refused(tmp_path: Path) -> None:
     folder = ProjectFolder(tmp_path / "p")
     assert not folder.begun
     with pytest.raises(LadarregError, match="no project"):

@@ -59,7 +59,7 @@ FEW = {
         (("set_settings", name) for name in Settings.__struct_fields__), (*NUMBERS, *OTHERS[:6], *WORDS[:6])
     ),
 }
-"""By command and argument: where there are many, or much is done with them."""
+"""Limits by command and argument, for long lists and expensive commands."""
 
 LINE = {"scan": [[1, 0.05, 0.0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
 SOUND: dict[str, list[dict[str, Any]]] = {
@@ -114,18 +114,18 @@ SOUND: dict[str, list[dict[str, Any]]] = {
     "job_control": [{"action": "speed", "value": 3}],
     "export_folder": [{"photo": "p1", "folder": "FOLDER", "force": False}],
 }  # fmt: skip
-"""What each command takes: each argument is exchanged for hostile ones, one at a time."""
+"""Arguments of each command; each is replaced by hostile ones, one at a time."""
 
 
 class Page:
-    """A page that sends any text, and a second reader that opens the project after whatever changed it."""
+    """A page that sends arbitrary text, and a second reader that opens the project after every change."""
 
     def __init__(self, bench: WorkbenchDriver, aside: Path) -> None:
         self.bench, self._aside = bench, aside
         self._read: History | None = None
 
     def ask(self, text: str) -> dict[str, Any] | None:
-        """Send a text as the websocket takes it; return the reply, or None where it is no JSON."""
+        """Send a text like the websocket; return the reply, or None if the text is not JSON."""
         try:
             message = decode_object(text)
         except InvalidMessageError:
@@ -135,7 +135,7 @@ class Page:
         return json.loads(encode(reply), parse_constant=pytest.fail)  # type: ignore[no-any-return]
 
     def try_it(self, text: str) -> bool:
-        """Send a text, check the reply and what is on the disk; return whether it was done."""
+        """Send a text, check the reply and the files; return whether the command succeeded."""
         before = self.bench.workbench.session.history
         reply = self.ask(text)
         history = self.bench.workbench.session.history
@@ -213,7 +213,7 @@ def test_the_sweep_knows_every_command() -> None:
 
 
 @pytest.mark.parametrize("do", sorted(SOUND))
-def test_a_command_is_refused_or_kept(page: Page, tmp_path: Path, do: str) -> None:
+def test_a_command_is_refused_or_saved(page: Page, tmp_path: Path, do: str) -> None:
     page.bench.do("go_to", n=max(entry["n"] for entry in page.bench.slice("history")["entries"]))
     last = page.bench.workbench.session.history.present.number
     for sound in SOUND[do]:
@@ -226,7 +226,7 @@ def test_a_command_is_refused_or_kept(page: Page, tmp_path: Path, do: str) -> No
                 page.try_it(message(do, {**fields, name: hostile}))
             page.try_it(message(do, {k: v for k, v in fields.items() if k != name}))
     page.try_it(message(do, dict.fromkeys(["photo", "pick", "picks", "n", "at", "scan", "name", "path"], DEEP)))
-    page.bench.workbench._slow_slices()  # whatever was let in can be judged
+    page.bench.workbench._slow_slices()  # whatever was accepted can be assessed
     page.bench.do("go_to", n=last)
     assert page.bench.slice("scan")["views"]
 

@@ -1,4 +1,4 @@
-"""Exports that are asked to replace what is not theirs, that are killed, and that get into each other's way."""
+"""Exports onto folders that are not theirs, killed exports, and concurrent exports."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ import pytest
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export import replacement, staging
 from ladarreg_core.export.folder import FileJob, check_folder, write_folder
-from ladarreg_core.export.json import write_document
-from ladarreg_core.export.registration_json import registration_document
+from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.export.zip_file import write_zip
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.folder import ProjectFolder
@@ -33,7 +32,7 @@ PARTS = ("registered.png", "labels.png", "model.glb")
 
 
 def results(generation: object) -> list[FileJob]:
-    """The files of a run, which all name it."""
+    """The files of a run, each of which contains its number."""
 
     def document(path: Path) -> None:
         write_document(path, {**DOCUMENT, "seed": generation})
@@ -45,7 +44,7 @@ def results(generation: object) -> list[FileJob]:
 
 
 def generation_of(folder: Path) -> object:
-    """The run that a folder is of, as a whole."""
+    """The run that wrote all files of a folder."""
     (found,) = {json.loads((folder / "registration.json").read_text())["seed"]} | {
         int((folder / name).read_text()) for name in PARTS
     }
@@ -63,7 +62,7 @@ def tree(folder: Path) -> dict[str, bytes | str]:
 
 
 def refused(folder: Path | str, **options: object) -> str:
-    """The sentence by which a folder is refused, the same with and without force, before and after the work."""
+    """The error for a folder, the same with and without force, before and after the computation."""
     said = set()
     for force in (True, False):
         for write in (check_folder, partial(write_folder, files=lambda: results(0))):
@@ -105,7 +104,7 @@ def test_photographs_are_never_replaced(tmp_path: Path, spelled: Callable[[Path]
     folder = photographs(tmp_path / "holiday")
     (folder / "raw").mkdir()
     before = tree(tmp_path)
-    assert "holds IMG_0000.jpg, IMG_0001.jpg, IMG_0002.jpg and 3 more, which" in refused(spelled(folder))
+    assert "contains IMG_0000.jpg, IMG_0001.jpg, IMG_0002.jpg and 3 more, which" in refused(spelled(folder))
     assert tree(tmp_path) == before
 
 
@@ -150,19 +149,19 @@ def test_a_document_that_is_not_ours_opens_nothing(tmp_path: Path, document: byt
 def test_a_document_of_ours_among_other_files_opens_nothing(tmp_path: Path) -> None:
     folder = photographs(tmp_path / "holiday")
     (folder / "registration.json").write_text(TEXT)
-    assert "holds IMG_0000.jpg, IMG_0001.jpg, IMG_0002.jpg and 2 more beside registration.json" in refused(folder)
+    assert "contains IMG_0000.jpg, IMG_0001.jpg, IMG_0002.jpg and 2 more next to registration.json" in refused(folder)
     comparison = tmp_path / "comparison"
     comparison.mkdir()
     pictures = ["IMG_0001.jpg", "../holiday/IMG_0001.jpg", "registered_a.png", 3, None]
     columns = [{"picture": name} for name in pictures]
     (comparison / "comparison.json").write_text(json.dumps({**DOCUMENT, "columns": [*columns, 5]}))
     (comparison / "IMG_0001.jpg").write_bytes(b"mine")
-    assert "holds IMG_0001.jpg beside comparison.json" in refused(comparison)
+    assert "contains IMG_0001.jpg next to comparison.json" in refused(comparison)
     case = tmp_path / "case"
     case.mkdir()
     (case / "registration.json").write_text(TEXT)
-    (case / "scan.npz").write_bytes(b"measured")  # ours by its name, but not the name of a result
-    assert "holds scan.npz beside registration.json" in refused(case)
+    (case / "scan.npz").write_bytes(b"measured")  # ours by name, but not the name of a result
+    assert "contains scan.npz next to registration.json" in refused(case)
 
 
 @pytest.mark.parametrize("odd", ["link", "folder", "pipe"])
@@ -183,7 +182,7 @@ def test_names_of_ours_that_are_no_files_are_not_ours(tmp_path: Path, odd: str) 
             pytest.skip("this system has no pipes with names")
         else:
             os.mkfifo(folder / name)
-        assert f"holds {name}" in refused(folder)
+        assert f"contains {name}" in refused(folder)
     assert real.read_text() == TEXT
 
 
@@ -206,7 +205,7 @@ def test_the_open_project_is_never_replaced(
             said = refused(Path(spelled(project.path)) / inside, apart_from=known)
             assert "lies in the project project" in said
     for above in (tmp_path, project.path / "..", tmp_path / "above" / "project" / "inputs" / ".." / ".."):
-        assert "holds the project project" in refused(above, apart_from=[project.path])
+        assert "contains the project project" in refused(above, apart_from=[project.path])
         assert "which ladarreg did not write" in refused(above)
     assert tree(tmp_path) == before
 
@@ -229,7 +228,7 @@ def test_a_mounted_project_is_a_project(tmp_path: Path, project: ProjectFolder) 
         "except Exception as error: print(error)"
     )
     mounted = 'mount --bind "$1" "$3" && exec "$0" -c "$4" "$3" "$2"'
-    for source, said in ((tmp_path, "holds the project"), (project.path, "is a project")):
+    for source, said in ((tmp_path, "contains the project"), (project.path, "is a project")):
         done = subprocess.run(
             ["unshare", "-rm", "sh", "-c", mounted, sys.executable, source, project.path, there, code],
             capture_output=True, text=True,
@@ -243,13 +242,13 @@ def test_an_input_is_never_replaced(tmp_path: Path, spelled: Callable[[Path], Pa
     out = tmp_path / "out"
     write_folder(out, lambda: results(1))
     for given in (out / "model.glb", tmp_path / "above" / "out" / "model.glb"):
-        assert "holds the input model.glb" in refused(spelled(out), inputs=[given])
+        assert "contains the input model.glb" in refused(spelled(out), inputs=[given])
     assert "lies in the input" in refused(spelled(out), inputs=[tmp_path])
     assert generation_of(out) == 1
 
 
 @pytest.mark.parametrize("name", ["a\0b", "x" * 300, "/" * 5000 + "x" * 300, "\udcff\n" + "y" * 400, "/", "/proc/x/y"])
-def test_odd_names_are_refused_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_odd_names_are_refused_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ExportError) as caught:
         write_folder(name, lambda: results(1), force=True)
@@ -300,14 +299,14 @@ MOMENTS = {
 
 
 def export_and_die(out: Path, what: str, at: object, after: bool) -> None:
-    """Replace results, and die on the way."""
+    """Replace results, and die meanwhile."""
     files = results(2)
     if what == "write":
         files = [(name, dying_at(1, write, after=after) if name == at else write) for name, write in files]
     elif what == "exchange":
-        staging._exchanged = dying_at(1, staging._exchanged, after=after)
+        staging._exchange = dying_at(1, staging._exchange, after=after)
     elif what == "rename":
-        staging._exchanged = lambda first, second: False
+        staging._exchange = lambda first, second: False
         os.rename = dying_at(at, os.rename, after=after)
     elif at == 5:
         os.rmdir = dying_at(1, os.rmdir, after=after)
@@ -325,11 +324,11 @@ def test_killed_at_any_moment_the_old_or_the_new_is_whole(tmp_path: Path, what: 
     write_folder(out, lambda: results(1))
     killed(PROCESSES.Process(target=export_and_die, args=(out, what, at, after)))
     if what != "rename":
-        assert generation_of(out) in (1, 2)  # the place is never empty where folders can be exchanged
+        assert generation_of(out) in (1, 2)  # the target always exists where folders can be exchanged
     elif not out.exists():
         (aside,) = tmp_path.glob(".out.*.old")
         assert generation_of(aside) == 1
-    check_folder(tmp_path / "beside")  # as the next run there does
+    check_folder(tmp_path / "beside")  # like the next run
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     late = what == "remove" or (what == "exchange" and after) or (what == "rename" and (at, after) >= (2, True))
     assert generation_of(out) == (2 if late else 1)
@@ -346,7 +345,7 @@ def killed(process: multiprocessing.process.BaseProcess) -> None:
 
 def export_for_ever(out: Path, exchange: bool) -> None:
     if not exchange:
-        staging._exchanged = lambda first, second: False
+        staging._exchange = lambda first, second: False
     for k in range(1, 10**9):
         write_folder(out, lambda k=k: results(k), force=True)
 
@@ -369,7 +368,7 @@ def test_killed_again_and_again_nothing_is_lost_and_nothing_stays(tmp_path: Path
 
 def export_beside_others(out: Path, seconds: float, exchange: bool) -> None:
     if not exchange:
-        staging._exchanged = lambda first, second: False
+        staging._exchange = lambda first, second: False
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         try:
@@ -379,7 +378,7 @@ def export_beside_others(out: Path, seconds: float, exchange: bool) -> None:
 
 
 @pytest.mark.parametrize("exchange", [True, False])
-def test_several_programs_at_one_place_leave_one_whole_result(tmp_path: Path, exchange: bool) -> None:
+def test_concurrent_programs_leave_one_complete_result(tmp_path: Path, exchange: bool) -> None:
     out = tmp_path / "out"
     write_folder(out, lambda: results(0))
     processes = [PROCESSES.Process(target=export_beside_others, args=(out, 0.7, exchange)) for _ in range(3)]
@@ -411,10 +410,10 @@ def test_a_zip_that_was_killed_leaves_the_old_one(tmp_path: Path) -> None:
     assert target.read_bytes() != before
 
 
-def test_what_only_looks_like_a_leftover_stays(tmp_path: Path) -> None:
+def test_folders_that_only_look_like_leftovers_stay(tmp_path: Path) -> None:
     for name in (".out.123-0123456z.part", ".out.part", "out.123-01234567.part", "..123-01234567.part"):
         photographs(tmp_path / name)
-    photographs(tmp_path / ".out.999999-01234567.part")  # ours by its name, but not by what it holds
+    photographs(tmp_path / ".out.999999-01234567.part")  # ours by name, but not by content
     (tmp_path / ".out.999999-01234568.part").write_bytes(b"a file")
     (tmp_path / ".out.999999-01234569.part").symlink_to(tmp_path / "out.123-01234567.part")
     before = tree(tmp_path)

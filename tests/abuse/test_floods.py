@@ -1,4 +1,4 @@
-"""Floods of connections against a real server that may open few files: newcomers get in, and every edit is saved."""
+"""Floods of connections against a real server that may open few files: new clients get in, and every edit is saved."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def flooded(found: Served, kind: str, count: int) -> Iterator[Held]:
 
 
 @pytest.mark.parametrize(("kind", "count"), [("idle", 400), ("loris", 300), ("cookie", 100), ("document", 100)])
-def test_a_flood_neither_shuts_newcomers_out_nor_stops_saving(
+def test_a_flood_neither_locks_out_new_clients_nor_stops_saving(
     found: Served, page: Page, project: Path, kind: str, count: int
 ) -> None:
     saved = (project / "history.jsonl").read_bytes().count(b"\n")
@@ -105,7 +105,7 @@ def test_a_flood_neither_shuts_newcomers_out_nor_stops_saving(
     assert sorted(spent)[len(spent) // 2] < 250
 
 
-def test_views_that_take_nothing_have_a_limit_and_leave_their_memory(found: Served, page: Page) -> None:
+def test_idle_views_are_limited_and_release_their_memory(found: Served, page: Page) -> None:
     page.ask("run", photo="p1", job="auto")
     page.until(lambda slices: slices["job"] and slices["job"]["state"] not in ("running", "paused"))
     before = found.memory_mb()

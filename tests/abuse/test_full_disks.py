@@ -1,4 +1,4 @@
-"""Disks that run full in the middle of a record, and programs that are killed or stopped then."""
+"""Disks that become full in the middle of a record, and programs that are killed or stopped then."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from benchmarks.workbench import Page, Served
 from ladarreg_core.errors import ExportError, UnsavedError
 from ladarreg_core.export.atomic_write import AppendedFile
 from ladarreg_core.project.document import Source
-from ladarreg_core.project.elsewhere import write_elsewhere
 from ladarreg_core.project.folder import ProjectFolder
+from ladarreg_core.project.rescue import write_rescue_copy
 from ladarreg_core.simulate.sample import sample_folder
 from tests.abuse.drawing import begin, draw, work_until_killed
 from tests.abuse.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
@@ -37,21 +37,21 @@ TOKEN = "a-token-for-full-disks"
 
 
 def drawn(place: Path) -> list[int]:
-    """What a project on the disk holds, by the numbers that `draw` was given."""
+    """Content of a project on disk, as the numbers given to `draw`."""
     folder = ProjectFolder(place)
     try:
         history = folder.read()
         assert [entry.label for entry in history.entries[1:]] == [
             f"Draw {round(pick.photo[0][0]) - 100}" for pick in history.document.photos[0].picks
         ], "every one is a step of the history"
-        assert folder.said == ()
+        assert folder.remarks == ()
         return [round(pick.photo[0][0]) - 100 for pick in history.document.photos[0].picks]
     finally:
         folder.close()
 
 
 @POSIX
-def test_a_piece_that_does_not_fit_leaves_no_part_of_itself(tmp_path: Path) -> None:
+def test_a_failed_append_leaves_no_partial_piece(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"sound\n")
     file = AppendedFile(path)
@@ -66,7 +66,7 @@ def test_a_piece_that_does_not_fit_leaves_no_part_of_itself(tmp_path: Path) -> N
 
 
 @POSIX
-def test_what_could_not_be_cut_off_is_cut_off_before_the_next_piece(
+def test_remains_of_a_failed_append_are_truncated_before_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "file"
@@ -90,7 +90,7 @@ def test_what_could_not_be_cut_off_is_cut_off_before_the_next_piece(
 
 
 @POSIX
-def test_full_disks_and_kills_lose_no_edit_that_was_answered_as_saved(tmp_path: Path) -> None:
+def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path) -> None:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["tests.abuse.drawing"])
     rng = random.Random(1)
@@ -119,9 +119,7 @@ def test_full_disks_and_kills_lose_no_edit_that_was_answered_as_saved(tmp_path: 
 
 
 @POSIX
-def test_what_a_full_disk_did_not_take_is_saved_as_soon_as_it_can_be(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_queued_edits_are_saved_once_the_disk_has_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.session.session.RETRY_S", 0.1)
     session = begin(tmp_path / "p")
     told = []
@@ -173,7 +171,7 @@ def drawn_at_all(place: Path) -> list[int]:
 
 
 @POSIX
-def test_at_the_end_the_project_is_written_where_there_is_room(tmp_path: Path) -> None:
+def test_at_exit_a_rescue_copy_is_written_where_there_is_space(tmp_path: Path) -> None:
     session = begin(tmp_path / "p")
     (tmp_path / "p" / "inputs" / "scan.npz").write_bytes(b"scan")
     session.commit(
@@ -200,14 +198,14 @@ def test_at_the_end_the_project_is_written_where_there_is_room(tmp_path: Path) -
     assert read.document.scan.path == str(tmp_path / "p" / "inputs" / "scan.npz"), "what lay there is not elsewhere"
 
 
-def test_where_no_place_has_room_that_is_said_and_nothing_is_left(tmp_path: Path) -> None:
+def test_without_space_anywhere_the_loss_is_reported(tmp_path: Path) -> None:
     session = begin(tmp_path / "p")
     (tmp_path / "file").write_bytes(b"no folder")
-    with pytest.raises(ExportError, match="no other place"):
-        write_elsewhere(session.folder, session.history, [tmp_path / "file" / "x"], name="work")
+    with pytest.raises(ExportError, match="no other folder could be written"):
+        write_rescue_copy(session.folder, session.history, [tmp_path / "file" / "x"], name="work")
     if os.name != "nt":
-        with largest_file(64), pytest.raises(ExportError, match="no other place"):
-            write_elsewhere(session.folder, session.history, [tmp_path / "other"], name="work")
+        with largest_file(64), pytest.raises(ExportError, match="no other folder could be written"):
+            write_rescue_copy(session.folder, session.history, [tmp_path / "other"], name="work")
         assert list((tmp_path / "other").iterdir()) == []
     session.close()
 
@@ -221,7 +219,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
         pytest.skip(str(error))
 
 
-def test_a_disk_that_is_really_full(disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk(disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.session.session.RETRY_S", 0.1)
     rng = random.Random(3)
     session = begin(disk / "p")

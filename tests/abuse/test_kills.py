@@ -1,4 +1,4 @@
-"""Ten kills while three people edit."""
+"""Ten kills while three clients edit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.abuse.kill_rounds import KillRound, kill_rounds
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no kill -9 to send")
 
 
-def test_ten_kills_lose_no_answered_edit(tmp_path: Path) -> None:
+def test_ten_kills_lose_no_saved_edit(tmp_path: Path) -> None:
     def five(k: int) -> list[KillRound]:
         return list(kill_rounds(tmp_path / str(k), 5, seed=k, scan=k == 0))
 

@@ -1,4 +1,4 @@
-"""Hostile messages to a real server: each is answered by a sentence, and what was accepted survives a kill."""
+"""Hostile messages to a real server: each gets a one-sentence reply, and accepted edits survive a kill."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.abuse.server_process import start_server
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no kill -9 to send")
 
 
-def test_hostile_messages_are_refused_in_a_sentence_and_what_was_accepted_is_read_back(tmp_path: Path) -> None:
+def test_hostile_messages_are_refused_and_accepted_edits_read_back(tmp_path: Path) -> None:
     served = tmp_path / "served"
     served.mkdir()
     shutil.copy(sample_folder() / "camera.json", served)

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="no limit of fil
 
 
 @pytest.mark.parametrize(("seed", "ends"), [(1, "torn"), (2, "stop")])
-def test_what_was_answered_as_saved_outlives_a_torn_record(tmp_path: Path, seed: int, ends: str) -> None:
+def test_edits_reported_as_saved_survive_a_truncated_record(tmp_path: Path, seed: int, ends: str) -> None:
     (tmp_path / "disk").mkdir()
     found = full_disk(tmp_path / "room", LimitedDisk(tmp_path / "disk"), seed=seed, ends=ends)
     assert found.lost == []

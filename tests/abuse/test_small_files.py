@@ -1,4 +1,4 @@
-"""Small files that claim, or grow into, very large ones: none may cost more than a gigabyte or five seconds."""
+"""Small files that claim, or expand to, very large ones: none may take more than a gigabyte or five seconds."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_claims_are_refused_before_anything_is_allocated(tmp_path: Path) -> None
         assert cost.seconds < _QUICKLY_SECONDS, (name, cost)
 
 
-def test_the_most_that_small_files_are_let_grow_into(tmp_path: Path) -> None:
+def test_the_largest_permitted_expansion_of_small_files(tmp_path: Path) -> None:
     largest = [
         ("scan", bombs.compressed_pcd(tmp_path / "a.pcd", width=1_900_000, height=1)),
         ("scan", bombs.xyz_npz(tmp_path / "a.npz", 1000, 2000)),

@@ -1,4 +1,4 @@
-"""Two stop signals shortly after each other, while somebody edits."""
+"""Two stop signals in quick succession while a client edits."""
 
 from __future__ import annotations
 

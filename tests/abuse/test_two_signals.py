@@ -1,4 +1,4 @@
-"""Two different stop signals in quick succession, at a real server: a clean end, whatever the signals and the gap."""
+"""Two different stop signals in quick succession, to a real server: a clean end for all signals and gaps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOGETHER = 2
 
 
 def try_once(project: Path, first: signal.Signals, second: signal.Signals, gap_s: float) -> tuple[int | None, str, str]:
-    """Return the exit code, what stands on stderr and the project's name after two signals."""
+    """Return the exit code, stderr and the project's name after two signals."""
     with serving(project) as server, server.there.socket() as page:
         assert ask(page, "rename", name=project.parent.name)["ok"]
         server.process.send_signal(first)

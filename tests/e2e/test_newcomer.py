@@ -126,7 +126,7 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         row.nth(1).get_by_role("combobox").select_option("scan")
         files.get_by_role("button", name="Open 4 files").click()
         for number, said in enumerate(
-            ["no picture", "a scan is one of", "larger than the 2.0 MB", "no picture|damaged|cut"]
+            ["not an image", "a scan is one of", "larger than the 2.0 MB", "not an image|damaged|truncated"]
         ):
             row.nth(number).locator(".file-status[role=status]").filter(has_text=re.compile(said)).wait_for()
         assert row.nth(3).locator(f"[title='{HOSTILE}']").inner_text() == HOSTILE

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, Route
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill -9 to send")]
-WRONG = re.compile("damaged|truncated|cut short|incomplete|cannot be read|no picture", re.IGNORECASE)
+WRONG = re.compile("damaged|truncated|cut short|incomplete|cannot be read|not an image|no picture", re.IGNORECASE)
 EXPECTED_ERRORS = {
     "test_a_bad_file_is_reported_in_the_dialog": "400 (Bad Request)",
     "test_a_lost_connection_comes_back_with_the_present_state": "ERR_INTERNET_DISCONNECTED",  # loading a picture

@@ -73,7 +73,7 @@ def pcd_bytes(
 
 
 def lzf_compress(data: bytes) -> bytes:
-    """A plain LZF encoder: the latest place of each three bytes, greedy copies, literals otherwise."""
+    """A simple LZF encoder: latest position of every three bytes, greedy copies, literals otherwise."""
     out, literals, at = bytearray(), bytearray(), 0
     seen: dict[bytes, int] = {}
 
@@ -108,7 +108,7 @@ def lzf_compress(data: bytes) -> bytes:
 
 
 def e57_file(path: Path, fields: dict[str, np.ndarray], *, rotation: Any = None, translation: Any = None) -> Path:
-    """An E57 file with one scan, or one scan more in a file of several given as a list."""
+    """An E57 file with one scan, or with several given as a list."""
     pye57 = pytest.importorskip("pye57")
     with pye57.E57(str(path), mode="w") as file:
         for scan in fields if isinstance(fields, list) else [fields]:
@@ -180,7 +180,7 @@ def make() -> Any:
 
 
 def depth_image(folder: Path, **changes: Any) -> Path:
-    """A descriptor with its two pictures: a plane 2 m ahead, seen through a lens with distortion."""
+    """A descriptor with its two images: a plane 2 m ahead, seen through a lens with distortion."""
     from PIL import Image
 
     camera = {"width": 40, "height": 30, "fx": 38.0, "fy": 37.0, "cx": 19.0, "cy": 15.0, "distortion": [0.1, 0, 0, 0]}

@@ -76,7 +76,7 @@ def returns_code(path: Path) -> Any:
 
 
 def writes_nonsense(path: Path) -> None:
-    """Do what a decoder that was taken over could do: write to everything that is open."""
+    """Act like a compromised decoder: write to every open file."""
     for descriptor in range(3, 20):
         try:
             os.write(descriptor, b"\xff" * 4096)
@@ -93,7 +93,7 @@ def goes_on(path: Path, steps: int, step_s: float, report: Report | None = None)
 
 
 def marks_time(path: Path, report: Report | None = None) -> None:
-    """Hang, but report the same again and again."""
+    """Hang while repeating the same progress report."""
     while True:
         time.sleep(0.02)
         if report is not None:
@@ -113,13 +113,13 @@ def environment() -> list[str]:
 
 
 def read_photo(path: Path, **options: Any) -> Photo:
-    """Read a photograph, unless its name says what happens instead."""
+    """Read a photograph, unless its name requests misbehaviour."""
     _misbehave(path)
     return photo_file.read_photo(path, **options)
 
 
 def read_scan_or_misbehave(path: Path, *, scan_index: int = 0, report: Report | None = None) -> Scan:
-    """Read a scan, unless its name says what happens instead."""
+    """Read a scan, unless its name requests misbehaviour."""
     _misbehave(path)
     return read_scan(path, scan_index=scan_index, report=report)
 

@@ -1,4 +1,4 @@
-"""The memory that a read may use: what readers reckon is what they need, and large honest files still open."""
+"""Memory limits of reading: the readers' estimates match their needs, and large valid files still open."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ladarreg_core.scanner.grids import AzimuthElevation
 from tests.abuse import bombs
 
 ROWS, COLUMNS = 400, 600
-_LIBRARIES = 25_000_000  # what the first use of some functions loads
+_LIBRARIES = 25_000_000  # loaded by the first use of some functions
 
 
 def _large_files(folder: Path, make: Any) -> dict[str, Path]:
@@ -52,7 +52,7 @@ def _large_files(folder: Path, make: Any) -> dict[str, Path]:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs os.fork and the resource module")
-def test_readers_use_what_they_reckon(tmp_path: Path, make: Any) -> None:
+def test_readers_use_the_memory_they_estimate(tmp_path: Path, make: Any) -> None:
     files = _large_files(tmp_path, make)
     assert len(files) == 7
     costs = bombs.costs_of([("scan", path) for path in files.values()])
@@ -68,7 +68,7 @@ def test_readers_use_what_they_reckon(tmp_path: Path, make: Any) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs os.fork and the resource module")
-def test_photographs_use_what_is_reckoned(tmp_path: Path) -> None:
+def test_photographs_use_the_memory_they_estimate(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (1500, 2000, 3), dtype=np.uint8)
     image = Image.fromarray(pixels)
     image.save(tmp_path / "a.jpg")
@@ -79,7 +79,7 @@ def test_photographs_use_what_is_reckoned(tmp_path: Path) -> None:
     Image.fromarray(pixels[..., 0].astype(np.float32)).save(tmp_path / "float.tif")
     files = sorted(tmp_path.iterdir())
     for path, cost in zip(files, bombs.costs_of([("photo", path) for path in files]), strict=True):
-        with pytest.raises(FormatError, match="the picture of 2,000 x 1,500 pixels would need") as caught:
+        with pytest.raises(FormatError, match="the image of 2,000 x 1,500 pixels would need") as caught:
             read_photo(path, focal_px=2000, memory_bytes=1)
         found = re.search(r"would need ([0-9.]+) GB", str(caught.value))
         assert found is not None
@@ -87,7 +87,7 @@ def test_photographs_use_what_is_reckoned(tmp_path: Path) -> None:
         assert cost.peak_bytes < 1e9 * float(found[1]) + _LIBRARIES, (path.name, found[1], cost)
 
 
-def test_large_honest_files_have_room() -> None:
+def test_large_valid_files_are_within_the_budget() -> None:
     ReadBudget.of(98_000_000).require(10_000_000 * 432, "10 million points of an E57")
     ReadBudget.of(8_000_000).require_pixels(12_240, 8_160, 10.3)  # 100 Mpixel, progressive
     ReadBudget.of(40_000_000).require_cells(2500, 4000, 218)
@@ -105,12 +105,12 @@ def test_the_budget_is_an_option_and_named(tmp_path: Path, wall: Scan) -> None:
             read_scan(tmp_path / "a.npz", memory_bytes=wrong)  # type: ignore[arg-type]
 
 
-def test_nothing_is_read_at_the_length_that_a_header_claims(tmp_path: Path) -> None:
+def test_claimed_header_lengths_are_not_trusted(tmp_path: Path) -> None:
     path = bombs.npz_of_long_header(tmp_path / "a.npz", header_bytes=30 << 20)
     with pytest.raises(FormatError, match="damaged header"):
         read_npz(path)
     np.savez(tmp_path / "b.npz", intensity=np.ones((3, 3)), counts=np.ones((3, 3), int), intensity_is="raw" * 2000)
-    with pytest.raises(FormatError, match="must be one short word"):
+    with pytest.raises(FormatError, match="must be one short string"):
         read_npz(tmp_path / "b.npz")
     with zipfile.ZipFile(tmp_path / "c.npz", "w", zipfile.ZIP_LZMA) as archive:
         buffer = io.BytesIO()
@@ -163,7 +163,7 @@ def test_json_is_parsed_once(tmp_path: Path, wall: Scan, make: Any, monkeypatch:
         describe(tmp_path / "bad.json")
     assert len(parsed) == 1
     (tmp_path / "bad.json").write_text('{"matches": []}')
-    with pytest.raises(FormatError, match="scan_coordinates"):  # what was parsed before is not remembered
+    with pytest.raises(FormatError, match="scan_coordinates"):  # earlier parses are not cached
         read_matches(tmp_path / "bad.json", wall)
 
 

@@ -129,7 +129,7 @@ def test_ros_message(tmp_path: Path) -> None:
         ("a: " + "[" * 500 + "]" * 500, FormatError, "nested"),
         ("\n".join(" " * k + "a:" for k in range(300)), FormatError, "nested"),
         ("just words", FormatError, "name: value"),
-        ("# nothing", FormatError, "nothing"),
+        ("# nothing", FormatError, "is empty"),
         ("<?xml version='1.0'?>", FormatError, "XML"),
         (json.dumps({"width": 4}), FormatError, "fx"),
         (json.dumps({"width": 4, "height": 3, "fx": 0, "fy": 1, "cx": 1, "cy": 1}), CameraError, "fx is 0"),
@@ -141,7 +141,7 @@ def test_ros_message(tmp_path: Path) -> None:
         ('{"width": 4, "height": 3, "fx": ' + "9" * 6000 + "}", FormatError, ""),
         ('{"a":' * 100_000, FormatError, "nested"),
         ("[1, 2]", FormatError, ""),
-        ('{"width": 4,', FormatError, "no JSON"),
+        ('{"width": 4,', FormatError, "not valid JSON"),
     ],
 )
 def test_a_bad_camera_is_one_clear_error(tmp_path: Path, text: str, kind: type[LadarregError], word: str) -> None:

@@ -1,4 +1,4 @@
-"""Descriptors: depth pictures and raw counts."""
+"""Descriptors: depth images and raw counts."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ CAMERA = {"width": 40, "height": 30, "fx": 38.0, "fy": 37.0, "cx": 19.0, "cy": 1
     ("changes", "word"),
     [
         ({"kind": "hologram"}, "'kind'"),
-        ({"kind": None}, "no scan"),
+        ({"kind": None}, "not a scan"),
         ({"depth": None}, "'depth' is None"),
         ({"depth": "/etc/passwd"}, "leads out"),
         ({"depth": "../secret.png"}, "leads out"),
@@ -58,7 +58,7 @@ CAMERA = {"width": 40, "height": 30, "fx": 38.0, "fy": 37.0, "cx": 19.0, "cy": 1
         ({"depth": "."}, "folder"),
         ({"depth": ["depth.png"]}, "must be the name"),
         ({"depth": "depth\0.png"}, "must be the name"),
-        ({"depth": "scan.json"}, "no picture"),
+        ({"depth": "scan.json"}, "not an image"),
         ({"depth": "rgb.png"}, "one channel"),
         ({"depth": "empty.png"}, "empty"),
         ({"intensity": None}, "'intensity' is missing"),
@@ -109,7 +109,7 @@ def counts_descriptor(folder: Path, raw: bytes, **changes: Any) -> Path:
     dtype=st.sampled_from(["<u4", ">u4", ">i4", "<u8", "uint32"]),
     header=st.integers(0, 40),
 )
-def test_packed_words_are_taken_apart(
+def test_packed_words_are_unpacked(
     tmp_path_factory: pytest.TempPathFactory, counts: list[int], strength: list[int], dtype: str, header: int
 ) -> None:
     folder = tmp_path_factory.mktemp("counts")
@@ -127,7 +127,7 @@ def test_packed_words_are_taken_apart(
     assert scan.geometry == AzimuthElevation(3, 4, 0.01, 0.01, 0.005, 0.0)
 
 
-def test_intensity_from_a_file_of_its_own(tmp_path: Path) -> None:
+def test_intensity_from_a_separate_file(tmp_path: Path) -> None:
     (tmp_path / "ir.raw").write_bytes(np.arange(12, dtype=">f4").tobytes())
     raw = np.arange(1, 13, dtype=">u2").tobytes() + b"tail"
     scan = read_scan(counts_descriptor(tmp_path, raw, dtype=">u2", intensity_file="ir.raw", intensity_dtype=">f4"))
@@ -147,7 +147,7 @@ def test_intensity_from_a_file_of_its_own(tmp_path: Path) -> None:
         ({"columns": None}, "'columns' is missing"),
         ({"dtype": "O"}, "'dtype'"),
         ({"dtype": "V9999999"}, "'dtype'"),
-        ({"dtype": "<f4"}, "whole numbers"),
+        ({"dtype": "<f4"}, "counts are integers"),
         ({"dtype": 16}, "'dtype'"),
         ({"header_bytes": 5}, "need 29"),
         ({"header_bytes": -1}, "header_bytes"),

@@ -1,4 +1,4 @@
-"""E57 scans and pictures."""
+"""E57 scans and images."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAGE = 1024
 
 
 def castagnoli(data: bytes) -> int:
-    """CRC-32C, the check sum of E57 pages."""
+    """CRC-32C, the checksum of E57 pages."""
     value = 0xFFFFFFFF
     for byte in data:
         value ^= byte
@@ -34,7 +34,7 @@ def castagnoli(data: bytes) -> int:
 
 
 def forged(path: Path, old: bytes, new: bytes) -> Path:
-    """The file with a text replaced by one of equal length, its check sums made right again."""
+    """The file with a text replaced by one of equal length, its checksums recomputed."""
     assert len(old) == len(new)
     data = path.read_bytes()
     pages = [data[k : k + PAGE - 4] for k in range(0, len(data), PAGE)]
@@ -62,7 +62,7 @@ def test_a_grid_stored_from_the_bottom_is_read_upright(tmp_path: Path, make: Any
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_columns_that_run_from_the_right_are_turned(tmp_path: Path, make: Any, wall: Scan, mirrored: bool) -> None:
+def test_columns_from_the_right_are_reversed(tmp_path: Path, make: Any, wall: Scan, mirrored: bool) -> None:
     fields = make.e57_fields(wall)
     if mirrored:
         fields["columnIndex"] = (wall.shape[1] - 1 - fields["columnIndex"]).astype("u2")
@@ -97,7 +97,7 @@ def test_pose_and_several_scans(tmp_path: Path, make: Any, wall: Scan) -> None:
     np.testing.assert_allclose(first.world_from_scanner.matrix, expected.matrix, atol=1e-12)
     np.testing.assert_allclose(second.points, other.points, atol=1e-5)
     for index in (2, -1):
-        with pytest.raises(OptionError, match="holds 2"):
+        with pytest.raises(OptionError, match="contains 2"):
             read_scan(path, scan_index=index)
 
 
@@ -111,10 +111,10 @@ def test_files_without_indices_are_gridded(tmp_path: Path, make: Any) -> None:
     np.testing.assert_array_equal(read_e57(make.e57(tmp_path / "b.e57", useless)).ranges, scan.ranges)
 
 
-def test_what_lacks_intensity_or_returns_says_so(tmp_path: Path, make: Any, wall: Scan) -> None:
+def test_missing_intensity_or_returns_are_reported(tmp_path: Path, make: Any, wall: Scan) -> None:
     fields = make.e57_fields(wall, color=True)
     del fields["intensity"]
-    with pytest.raises(FormatError, match=r"no intensity.*colours are a camera's"):
+    with pytest.raises(FormatError, match=r"no intensity.*colours come from a camera"):
         read_e57(make.e57(tmp_path / "a.e57", fields))
     blind = make.e57_fields(wall)
     blind["cartesianInvalidState"] = np.full(len(blind["intensity"]), 2, "i1")
@@ -152,7 +152,7 @@ def test_a_flipped_bit_anywhere_is_noticed(tmp_path: Path, make: Any, wall: Scan
         assert "\n" not in str(caught.value)
 
 
-def test_claims_with_right_check_sums_are_refused(tmp_path: Path, make: Any, wall: Scan) -> None:
+def test_claims_with_valid_checksums_are_refused(tmp_path: Path, make: Any, wall: Scan) -> None:
     count = b'recordCount="%d"' % wall.valid.sum()
     for old, new, word in (
         (count, b'recordCount="%s"' % (b"9" * (len(count) - 14)), None),
@@ -166,7 +166,7 @@ def test_claims_with_right_check_sums_are_refused(tmp_path: Path, make: Any, wal
     data = path.read_bytes()
     plain = b"".join(data[k : k + PAGE - 4] for k in range(0, len(data), PAGE))
     text = plain[plain.index(b"<temperature") : plain.index(count) + len(count)]
-    # The longer number takes its room from an element that nobody reads.
+    # The longer number takes its space from an element that is not read.
     claim = text.replace(b'<temperature type="Float"/>', b"", 1).replace(count, b'recordCount="200000000"')
     padded = claim.replace(b"<relativeHumidity", b" " * (len(text) - len(claim)) + b"<relativeHumidity", 1)
     with pytest.raises(FormatError, match="claims 200,000,000 points"):
@@ -174,7 +174,7 @@ def test_claims_with_right_check_sums_are_refused(tmp_path: Path, make: Any, wal
 
 
 def picture_e57(path: Path, make: Any, wall: Scan) -> tuple[Path, Rigid]:
-    """A scan with a pose, and a pinhole picture with one: E57 cameras look along -Z, Y up."""
+    """A scan with a pose, and a pinhole image with one: E57 cameras look along -Z, Y up."""
     import io
 
     import pye57
@@ -221,7 +221,7 @@ def quaternion_of(rotation: np.ndarray) -> np.ndarray:
     return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
 
 
-def test_pictures_are_listed_and_extracted_with_camera_and_pose(tmp_path: Path, make: Any, wall: Scan) -> None:
+def test_images_are_listed_and_extracted_with_camera_and_pose(tmp_path: Path, make: Any, wall: Scan) -> None:
     path, world_from_image = picture_e57(tmp_path / "a.e57", make, wall)
     assert describe(path).images == ("../front door: pinhole JPEG 64 x 48, focal length 70.7 px, with a pose",)
     (written,) = extract_images(path, tmp_path / "out")
@@ -238,7 +238,7 @@ def test_pictures_are_listed_and_extracted_with_camera_and_pose(tmp_path: Path, 
         extract_images(path, tmp_path / "out")
 
 
-def test_a_file_of_pictures_only_is_no_scan(real_data: Path, tmp_path: Path) -> None:
+def test_a_file_with_images_only_is_not_a_scan(real_data: Path, tmp_path: Path) -> None:
     path = real_data / "e57_fixtures" / "PinholeImageWithDistortionParameters.e57"
     with pytest.raises(FormatError, match="no scan"):
         read_scan(path)
@@ -248,7 +248,7 @@ def test_a_file_of_pictures_only_is_no_scan(real_data: Path, tmp_path: Path) -> 
     assert json.loads(written[0].camera.read_text())["distortion"][2:4] == pytest.approx([11.11, 12.12], abs=1e-4)
 
 
-def test_the_fixtures_of_others_are_read_or_refused_in_words(real_data: Path) -> None:
+def test_foreign_fixtures_are_read_or_refused_with_a_reason(real_data: Path) -> None:
     for path in sorted((real_data / "e57_fixtures").glob("*.e57")):
         describe(path)
         with pytest.raises(LadarregError) as caught:

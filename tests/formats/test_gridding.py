@@ -1,4 +1,4 @@
-"""Clouds laid onto a grid: points are kept, rings stay rings, nothing is mirrored."""
+"""Gridding of clouds: points are kept, rings stay rings, nothing is mirrored."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ UNEVEN = np.concatenate([[-25, -19, -14, -13, -12, -11, -10, -9, -8, -7], np.ara
 
 
 def cells_of_points(cloud: Any, points: np.ndarray) -> np.ndarray:
-    """Which cells (K, 2) hold a return, checked to be points that went in, unmoved."""
+    """Cells (K, 2) with a return, after checking that their points are input points, unmoved."""
     valid = np.isfinite(cloud.ranges)
     found = cloud.geometry.rays[valid] * cloud.ranges[valid][:, None].astype(np.float64)
     known = {tuple(p) for p in np.round(points, 3).tolist()}
     near = sum(tuple(p) in known for p in np.round(found, 3).tolist())
-    assert near > 0.97 * len(found), "points moved"  # rounding at the last digit parts a few
+    assert near > 0.97 * len(found), "points moved"  # rounding of the last digit separates a few
     return np.argwhere(valid)
 
 
@@ -53,7 +53,7 @@ def test_rings_become_rows_and_keep_their_points(
     assert np.quantile(off, 0.99) < 0.2
 
 
-def test_lying_ring_numbers_are_not_believed(make: Any) -> None:
+def test_wrong_ring_numbers_are_ignored(make: Any) -> None:
     points, intensity, ring = make.spinning(np.linspace(-15, 15, 16), 200)
     lies = np.random.default_rng(0).permutation(ring)
     assert grid_points(points, intensity, ring=lies).points_kept == len(points)
@@ -61,7 +61,7 @@ def test_lying_ring_numbers_are_not_believed(make: Any) -> None:
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 50), aspect=st.floats(0.3, 3), jitter=st.floats(0, 0.1))
-def test_a_slanted_lattice_is_laid_out_by_its_own_steps(seed: int, aspect: float, jitter: float) -> None:
+def test_a_slanted_lattice_is_gridded_by_its_own_steps(seed: int, aspect: float, jitter: float) -> None:
     generator = np.random.default_rng(seed)
     row, column = np.mgrid[:60, :80]
     step = np.radians(0.3)
@@ -140,7 +140,7 @@ def test_the_nearest_of_several_points_stays_with_its_own_values() -> None:
     assert (cloud.color[valid] == [200, 100, 50]).all()
 
 
-def test_a_cloud_in_an_optical_frame_is_not_laid_around_the_pole(wall: Scan) -> None:
+def test_a_cloud_in_an_optical_frame_is_not_gridded_around_the_pole(wall: Scan) -> None:
     points = wall.points[wall.valid]
     forward = grid_points(points, np.ones(len(points)))
     for turn in (np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]), np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0]])):

@@ -1,4 +1,4 @@
-"""Files that are missing, cut off, random or not what they say: one line, quickly, whatever the format."""
+"""Files that are missing, truncated, random or mislabelled: a one-line error, quickly, for every format."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
-from ladarreg_core.formats import describe, extract_images, formats, read_photo, read_scan, recognise
+from ladarreg_core.formats import FORMATS, describe, extract_images, read_photo, read_scan, recognise
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.formats.npz import write_npz_xyz
@@ -36,7 +36,7 @@ def assert_one_line(error: BaseException) -> None:
 
 
 def refusals(read: Reader, path: Path, contents: list[bytes]) -> int:
-    """How many of the contents are refused; anything but one of our errors ends the test."""
+    """Number of refused contents; any exception other than `LadarregError` fails the test."""
     count = 0
     for content in contents:
         path.write_bytes(content)
@@ -67,7 +67,7 @@ def good_files(tmp_path_factory: pytest.TempPathFactory, make: Any, wall: Scan) 
     return {name: (folder / name, reader) for name, reader in readers.items()}
 
 
-def test_cut_off_at_fifty_places(good_files: dict[str, tuple[Path, Reader]]) -> None:
+def test_truncated_at_fifty_lengths(good_files: dict[str, tuple[Path, Reader]]) -> None:
     for name, (path, read) in good_files.items():
         read(path)
         data = path.read_bytes()
@@ -105,7 +105,7 @@ def test_random_bytes_after_any_beginning(
     assert not (tmp_path / "out").exists()
 
 
-def test_what_is_no_file(tmp_path: Path, wall: Scan) -> None:
+def test_paths_that_are_not_files_are_refused(tmp_path: Path, wall: Scan) -> None:
     (tmp_path / "empty.npz").touch()
     os.mkfifo(tmp_path / "pipe.npz")
     paths = {
@@ -134,7 +134,7 @@ def test_odd_names_do_not_break_the_line(tmp_path: Path) -> None:
         assert_one_line(caught.value)
 
 
-def test_formats_are_told_by_content_alone(
+def test_formats_are_recognised_by_content_alone(
     tmp_path: Path, good_files: dict[str, tuple[Path, Reader]], wall: Scan
 ) -> None:
     for name, (path, read) in good_files.items():
@@ -142,7 +142,7 @@ def test_formats_are_told_by_content_alone(
         target.write_bytes(path.read_bytes())
         read(target)
     assert {recognise(path).kind for path, _ in good_files.values()} == {"scan", "photo"}
-    assert len({f.name for f in formats()}) == len(formats())
+    assert len({f.name for f in FORMATS}) == len(FORMATS)
 
 
 def test_the_wrong_kind_of_file_is_named(good_files: dict[str, tuple[Path, Reader]], tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Matches and poses: what is written is read back; nonsense is refused by name."""
+"""Matches and poses: files are read back as written; invalid fields are named in errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""NPZ scans: what is written is read back, and nothing hostile gets through."""
+"""NPZ scans: files are read back as written, and hostile ones are refused."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_written_points_are_read_back_to_the_bit(tmp_path: Path, wall: Scan) -> 
     scan = read_npz(tmp_path / "a.npz")
     np.testing.assert_allclose(scan.points, wall.points, atol=1e-6)
     np.testing.assert_array_equal(scan.color, colour)
-    # Cells without a return have a ray too, close to where the scanner looked.
+    # Cells without a return have a ray too, close to the scanner's direction.
     assert np.abs(scan.rays - wall.rays).max() < 0.25 * 0.01
 
 
@@ -82,7 +82,7 @@ def test_zero_nan_and_infinite_points_are_no_returns(tmp_path: Path, wall: Scan)
     np.testing.assert_array_equal(scan.valid, expected)
 
 
-def test_intensity_that_is_not_finite_costs_its_return(tmp_path: Path) -> None:
+def test_cells_without_finite_intensity_are_no_returns(tmp_path: Path) -> None:
     fields = good_counts()
     fields["intensity"] = fields["intensity"].astype(np.float64)
     fields["intensity"][2, 3:6] = [np.nan, np.inf, 1e300]
@@ -98,7 +98,7 @@ def test_millimetres_are_suspected_and_not_converted(tmp_path: Path, wall: Scan)
     assert read_npz(save(tmp_path / "b.npz", xyz=wall.points, intensity=wall.intensity)).notes == ()
 
 
-def test_a_mirrored_grid_is_told_and_kept(tmp_path: Path, wall: Scan) -> None:
+def test_a_mirrored_grid_is_noted_and_kept(tmp_path: Path, wall: Scan) -> None:
     scan = read_npz(save(tmp_path / "a.npz", xyz=wall.points[:, ::-1], intensity=wall.intensity))
     assert "mirrored" in scan.notes[0]
     np.testing.assert_allclose(scan.points, wall.points[:, ::-1], atol=1e-6)
@@ -110,7 +110,7 @@ class Explosive:
 
 
 def bad_files(folder: Path) -> dict[str, Path]:
-    """Every way to be wrong, by the word that its error must hold."""
+    """Invalid files, by a phrase that the error must contain."""
     objects = np.empty((6, 8), dtype=object)
     objects[:] = Explosive()
     good = good_counts()
@@ -126,8 +126,8 @@ def bad_files(folder: Path) -> dict[str, Path]:
         "'dr_m' is 0": save(folder / "zero.npz", **good | {"dr_m": 0.0}),
         "d_azimuth_rad": save(folder / "degrees.npz", **good | {"d_azimuth_rad": 5.0}),
         "one number": save(folder / "vector.npz", **good | {"dr_m": [0.1, 0.2]}),
-        "whole numbers": save(folder / "float.npz", **good | {"counts": good["counts"] * 1.0}),
-        "not negative": save(folder / "negative.npz", **good | {"counts": -good["counts"].astype(int)}),
+        "must contain integers": save(folder / "float.npz", **good | {"counts": good["counts"] * 1.0}),
+        "must not be negative": save(folder / "negative.npz", **good | {"counts": -good["counts"].astype(int)}),
         "numbers": save(folder / "text.npz", **good | {"intensity": np.full((6, 8), "a")}),
         "'intensity_is'": save(folder / "word.npz", **good, intensity_is="cooked"),
         "no returns": save(folder / "blind.npz", **good | {"counts": good["counts"] * 0}),
@@ -155,13 +155,13 @@ def npy_claiming(shape: tuple[int, ...], body: bytes) -> bytes:
     return stream.getvalue() + body
 
 
-def test_claims_without_data_are_refused_before_memory_is_asked_for(tmp_path: Path) -> None:
+def test_claims_without_data_are_refused_before_allocation(tmp_path: Path) -> None:
     for shape in ((20_000, 10_000), (2**40, 2**22), (6, 8)):
         path = tmp_path / "claim.npz"
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("intensity.npy", npy_claiming(shape, b"\0" * 100))
             archive.writestr("counts.npy", npy_claiming(shape, b"\0" * 100))
-        with pytest.raises(FormatError, match=r"claims .* but 100 bytes are there"):
+        with pytest.raises(FormatError, match=r"claims .* but 100 bytes are present"):
             read_npz(path)
 
 

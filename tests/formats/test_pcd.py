@@ -1,4 +1,4 @@
-"""PCD clouds: three encodings, one scan; headers are judged before they are believed."""
+"""PCD clouds: three encodings, one scan; headers are checked before they are used."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from ladarreg_core.errors import FormatError, LadarregError, ShapeError
 from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
-from ladarreg_core.formats.lzf import lzf_decompress
-from ladarreg_core.formats.pcd import read_pcd
+from ladarreg_core.formats.pcd import lzf_decompress, read_pcd
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.scan import Scan
 
@@ -36,12 +35,12 @@ def test_lzf_gives_back_what_was_compressed(make: Any, data: bytes) -> None:
 
 
 @given(st.binary(min_size=1, max_size=400), st.integers(0, 2000))
-def test_lzf_of_nonsense_is_an_error_or_of_the_size_asked(data: bytes, size: int) -> None:
+def test_random_lzf_is_an_error_or_has_the_requested_size(data: bytes, size: int) -> None:
     with contextlib.suppress(FormatError):
         assert len(lzf_decompress(data, size)) == size
 
 
-def test_three_encodings_hold_one_organised_scan(tmp_path: Path, make: Any, wall: Scan) -> None:
+def test_three_encodings_give_the_same_organised_scan(tmp_path: Path, make: Any, wall: Scan) -> None:
     points, intensity = cloud_of(wall)
     for encoding in ENCODINGS:
         data = make.pcd(points, intensity, encoding=encoding, width=wall.shape[1], height=wall.shape[0])
@@ -54,7 +53,7 @@ def test_three_encodings_hold_one_organised_scan(tmp_path: Path, make: Any, wall
 @pytest.mark.parametrize("flip_rows", [False, True])
 @pytest.mark.parametrize("flip_columns", [False, True])
 @pytest.mark.parametrize("transpose", [False, True])
-def test_organised_clouds_are_turned_the_right_way_up(
+def test_organised_clouds_are_put_upright(
     tmp_path: Path, make: Any, wall: Scan, flip_rows: bool, flip_columns: bool, transpose: bool
 ) -> None:
     def changed(grid: np.ndarray) -> np.ndarray:
@@ -86,13 +85,13 @@ def test_a_depth_cameras_optical_frame_keeps_its_grid(tmp_path: Path, make: Any,
     np.testing.assert_allclose(scan.points.reshape(-1, 3), optical, atol=1e-6)
 
 
-def test_a_header_that_lies_about_the_order_is_found_out(tmp_path: Path, make: Any, wall: Scan) -> None:
+def test_a_header_with_a_wrong_order_is_detected(tmp_path: Path, make: Any, wall: Scan) -> None:
     stored_by_column = wall.points.swapaxes(0, 1).reshape(-1, 3)
     intensity = wall.intensity.swapaxes(0, 1).ravel()
     data = make.pcd(stored_by_column, intensity, width=wall.shape[1], height=wall.shape[0])
     scan = read_pcd(write(tmp_path / "a.pcd", data))
     assert not is_scan_grid(unit_rays(stored_by_column.reshape(*wall.shape, 3)))
-    assert "another order" in scan.notes[0]
+    assert "not in this order" in scan.notes[0]
     kept = scan.points[scan.valid]
     assert len(kept) > 0.8 * wall.valid.sum()
     distance = np.linalg.norm(kept[:, None] - wall.points[wall.valid][None], axis=-1)
@@ -141,7 +140,7 @@ def bad_headers(make: Any, wall: Scan) -> dict[str, bytes]:
         "50,000,000 points of 19 bytes": many,
         "50,000,000 points of 7 numbers": many.replace(b"DATA binary", b"DATA ascii"),
         "would need 18.9 GB of memory": huge_body,
-        "more than they can": swollen,
+        "which is impossible": swollen,
         "compressed bytes": compressed[:at] + b"\xff\xff\xff\x7f" + compressed[at + 4 :],
         "but the header claims": compressed[: at + 4] + b"\xff\xff\xff\x7f" + compressed[at + 8 :],
         "none is an intensity": make.pcd(points, None),

@@ -1,4 +1,4 @@
-"""Photographs: which way up, which focal length, which pixels."""
+"""Photographs: orientation, focal length and pixel formats."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_where_the_focal_length_comes_from(tmp_path: Path) -> None:
 
 
 @given(focal=st.floats(5, 200), crop=st.floats(1, 6), unit=st.sampled_from([2, 3, 4]), shrink=st.integers(1, 8))
-def test_the_focal_plane_gives_the_focal_length_of_a_resized_picture(
+def test_the_focal_plane_gives_the_focal_length_of_a_resized_image(
     focal: float, crop: float, unit: int, shrink: int
 ) -> None:
     width, height = 6000 // shrink, 4000 // shrink
@@ -105,7 +105,7 @@ def test_the_focal_plane_gives_the_focal_length_of_a_resized_picture(
 
 
 @pytest.mark.parametrize("value", [0, -5, float("nan"), float("inf"), (0, 0), "wide", None, 1e-9, 1e12, b"x"])
-def test_absurd_tags_tell_nothing(value: Any) -> None:
+def test_invalid_tags_give_no_focal_length(value: Any) -> None:
     assert focal_from_exif({0x920A: value, 0xA20E: 100.0, 0xA210: 2, 0xA405: value}, 600, 400) is None
     assert focal_from_exif({0x920A: 50.0, 0xA20E: value, 0xA210: value}, 600, 400) is None
 
@@ -127,12 +127,12 @@ def test_options_that_contradict_each_other_are_refused(tmp_path: Path, options:
 
 
 @pytest.mark.parametrize("options", [{"focal_px": 2.9}, {"focal_px": 6001}, {"focal_mm": 1, "sensor_mm": 36}])
-def test_a_focal_length_that_no_lens_has_is_refused(tmp_path: Path, options: dict[str, Any]) -> None:
+def test_an_implausible_focal_length_is_refused(tmp_path: Path, options: dict[str, Any]) -> None:
     with pytest.raises(CameraError, match=r"60 x 40 pixels, where most lenses have 30 to 600 px"):
         read_photo(save(tmp_path / "a.png", picture()), **options)
 
 
-def test_gray_deep_and_transparent_pictures_become_rgb(tmp_path: Path) -> None:
+def test_gray_16_bit_and_transparent_images_become_rgb(tmp_path: Path) -> None:
     gray = picture()[..., 0]
     cases = {
         "gray.png": (Image.fromarray(gray), gray),
@@ -155,7 +155,7 @@ def test_gray_deep_and_transparent_pictures_become_rgb(tmp_path: Path) -> None:
             np.testing.assert_array_equal(photo.pixels, expected, name)
 
 
-def test_a_truncated_picture_is_an_error_at_any_length(tmp_path: Path) -> None:
+def test_a_truncated_image_is_an_error_at_any_length(tmp_path: Path) -> None:
     big = np.random.default_rng(1).integers(0, 256, (200, 300, 3), dtype=np.uint8)
     for suffix in (".jpg", ".png"):
         Image.fromarray(big).save(tmp_path / f"whole{suffix}")
@@ -166,7 +166,7 @@ def test_a_truncated_picture_is_an_error_at_any_length(tmp_path: Path) -> None:
                 read_photo(tmp_path / f"cut{suffix}", focal_px=50)
 
 
-def test_a_picture_that_claims_a_huge_size_is_refused_at_once(tmp_path: Path) -> None:
+def test_an_image_that_claims_a_huge_size_is_refused_at_once(tmp_path: Path) -> None:
     Image.fromarray(picture()).save(tmp_path / "a.png")
     data = bytearray((tmp_path / "a.png").read_bytes())
     import zlib
@@ -179,9 +179,9 @@ def test_a_picture_that_claims_a_huge_size_is_refused_at_once(tmp_path: Path) ->
             read_photo(tmp_path / "b.png", focal_px=50)
 
 
-def test_what_is_no_picture_is_refused(tmp_path: Path) -> None:
+def test_files_that_are_not_images_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_text("%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n")
-    with pytest.raises(FormatError, match="no picture"):
+    with pytest.raises(FormatError, match="not an image"):
         read_photo(tmp_path / "a.jpg", focal_px=50)
     (tmp_path / "b.jpg").write_bytes(b"\0\0\0\x18ftypheic" + bytes(100))
     with pytest.raises(FormatError, match="HEIC"):

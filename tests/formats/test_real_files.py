@@ -1,4 +1,4 @@
-"""Real scans: upright, not mirrored, and where their surveys say."""
+"""Real scans: upright, not mirrored, and at their surveyed positions."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_pump(real_data: Path, tmp_path: Path) -> None:
     assert read_photo(picture.picture, focal_px=3000).pixels.shape == (2304, 3072, 3)
 
 
-def test_garage_whose_header_lies(real_data: Path) -> None:
+def test_garage_with_a_wrong_header(real_data: Path) -> None:
     cloud, grid = read_scan(real_data / "garage" / "pointcloud9.pcd"), read_scan(real_data / "garage" / "scan.npz")
     assert cloud.shape == grid.shape == (64, 1024)
     for scan in (cloud, grid):

@@ -89,9 +89,9 @@ def test_whole_numbers_of_another_type_are_pixels() -> None:
 
 
 @pytest.mark.parametrize("path", [None, 0, 3.5, b"scan.npz", ["scan.npz"]])
-def test_what_is_no_path_is_said_so(path: Any) -> None:
+def test_invalid_paths_are_named_in_the_error(path: Any) -> None:
     for read in (lr.read_scan, lambda p: lr.read_photo(p, focal_px=500)):
-        with pytest.raises(FormatError, match="is no path"):
+        with pytest.raises(FormatError, match="is not a path"):
             read(path)
 
 
@@ -137,7 +137,7 @@ def test_lost_points_of_many_picks_are_counted_by_pick(room: PaintedRoom) -> Non
 
 def test_a_place_under_a_file_is_refused_before_any_work(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    with pytest.raises(ExportError, match="is no folder"):
+    with pytest.raises(ExportError, match="is not a folder"):
         check_folder(tmp_path / "file" / "deep" / "out")
     check_folder(tmp_path / "new" / "deep" / "out")
     assert [entry.name for entry in tmp_path.iterdir()] == ["file"]

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import ladarreg_core as lr
 from ladarreg_core.carry import carry_over
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
-from ladarreg_core.export.registration_json import registration_document
+from ladarreg_core.export.json import registration_document
 from ladarreg_core.formats.registration_file import read_offset, read_registration
 from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.matches import Matches

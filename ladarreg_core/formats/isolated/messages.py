@@ -1,8 +1,8 @@
-"""The messages between a reader process and its parent: JSON, with the arrays as raw bytes behind it.
+"""Messages between a reader process and its parent: JSON followed by the raw bytes of the arrays.
 
-Nothing is unpickled on either side. What a message can hold is a closed list: plain values, paths, arrays of numbers
-and the data types that readers return. A reader process whose decoder was taken over by a hostile file can therefore
-send wrong numbers, but no code; fields of the wrong type, and values that the data types refuse, are errors.
+Nothing is unpickled on either side. The permitted types are a closed list: plain values, paths, arrays of numbers and
+the data types that readers return. A reader process that a hostile file has taken over can therefore send wrong
+numbers, but no code; fields of the wrong type, and values that the data types refuse, are errors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _UNIT_TOLERANCE = 1e-6
 
 
 class MessageError(ValueError):
-    """A message that is not one of ours."""
+    """An invalid message."""
 
 
 def write_message(stream: IO[bytes], value: Any) -> None:
@@ -38,10 +38,10 @@ def write_message(stream: IO[bytes], value: Any) -> None:
         value: plain values, paths, arrays of numbers, and the records of `ladarreg_core` that readers return.
 
     Raises:
-        TypeError: if the value holds anything else.
+        TypeError: if the value contains anything else.
     """
     arrays: list[NDArray[Any]] = []
-    text = json.dumps(_encoded(value, arrays)).encode()
+    text = json.dumps(_encode(value, arrays)).encode()
     stream.write(len(text).to_bytes(_LENGTH_BYTES, "little"))
     stream.write(text)
     for array in arrays:
@@ -54,28 +54,28 @@ def read_message(stream: IO[bytes], *, largest_bytes: int) -> Any:
 
     Args:
         stream: a buffered binary stream.
-        largest_bytes: what all arrays together may hold.
+        largest_bytes: size limit of all arrays together.
 
     Raises:
         EOFError: if the stream ends before or inside the message.
-        MessageError: if it is no message, or larger than allowed.
+        MessageError: if it is invalid or larger than allowed.
     """
     length = int.from_bytes(_exactly(stream, _LENGTH_BYTES), "little")
     if length > _LONGEST_TEXT:
-        raise MessageError(f"a message of {length:,} bytes of text; at most {_LONGEST_TEXT:,} are read")
+        raise MessageError(f"the message has {length:,} bytes of text; at most {_LONGEST_TEXT:,} are allowed")
     text = _exactly(stream, length)
     try:
-        return _Decoder(stream, largest_bytes).decoded(json.loads(text))
+        return _Decoder(stream, largest_bytes).decode(json.loads(text))
     except EOFError:
         raise
-    except Exception as error:  # whatever the other side sent
+    except Exception as error:  # the other side may have sent anything
         raise MessageError(f"the message cannot be read: {error}") from error
 
 
 def _exactly(stream: IO[bytes], length: int) -> bytes:
     data = stream.read(length)
     if len(data) != length:
-        raise EOFError("the other side has gone")
+        raise EOFError("the other process has ended")
     return data
 
 
@@ -84,11 +84,11 @@ def _bytes_of(array: NDArray[Any]) -> memoryview:
     return array.reshape(-1).view(np.uint8).data
 
 
-def _encoded(value: Any, arrays: list[NDArray[Any]]) -> Any:
+def _encode(value: Any, arrays: list[NDArray[Any]]) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.generic):
-        return _encoded(value.item(), arrays)
+        return _encode(value.item(), arrays)
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in "biuf":
             raise TypeError(f"an array of {value.dtype} cannot be sent; only arrays of numbers can")
@@ -96,67 +96,67 @@ def _encoded(value: Any, arrays: list[NDArray[Any]]) -> Any:
         arrays.append(array)
         return {_MARK: "array", "dtype": array.dtype.str, "shape": list(array.shape)}
     if isinstance(value, list):
-        return [_encoded(item, arrays) for item in value]
+        return [_encode(item, arrays) for item in value]
     if isinstance(value, tuple):
-        return {_MARK: "tuple", "items": [_encoded(item, arrays) for item in value]}
+        return {_MARK: "tuple", "items": [_encode(item, arrays) for item in value]}
     if isinstance(value, Path):
         return {_MARK: "path", "path": str(value)}
     if isinstance(value, Mapping):
-        items = [[_encoded(key, arrays), _encoded(item, arrays)] for key, item in value.items()]
+        items = [[_encode(key, arrays), _encode(item, arrays)] for key, item in value.items()]
         return {_MARK: "dict", "items": items}
     name = type(value).__name__
     if _records().get(name) is not type(value):
         raise TypeError(f"a {name} cannot be sent between a reader process and its parent")
-    fields = {f.name: _encoded(getattr(value, f.name), arrays) for f in dataclasses.fields(value)}
+    fields = {f.name: _encode(getattr(value, f.name), arrays) for f in dataclasses.fields(value)}
     return {_MARK: name, "fields": fields}
 
 
 class _Decoder:
-    """Rebuilds a value, its arrays read from the stream in the order in which they are met."""
+    """Decodes a value; its arrays follow in the stream in the order of their occurrence."""
 
     def __init__(self, stream: IO[bytes], largest_bytes: int) -> None:
         self._stream, self._left = stream, largest_bytes
 
-    def decoded(self, value: Any) -> Any:
-        """Return what was encoded."""
+    def decode(self, value: Any) -> Any:
+        """Return the decoded value."""
         if isinstance(value, list):
-            return [self.decoded(item) for item in value]
+            return [self.decode(item) for item in value]
         if not isinstance(value, dict):
             return value
         kind = value[_MARK]
         if kind == "array":
             return self._array(np.dtype(value["dtype"]), value["shape"])
         if kind == "tuple":
-            return tuple(self.decoded(item) for item in value["items"])
+            return tuple(self.decode(item) for item in value["items"])
         if kind == "path":
             return Path(value["path"])
         if kind == "dict":
-            return {self.decoded(key): self.decoded(item) for key, item in value["items"]}
+            return {self.decode(key): self.decode(item) for key, item in value["items"]}
         record = _records()[kind]
-        return _rebuilt(record, {name: self.decoded(field) for name, field in value["fields"].items()})
+        return _rebuild(record, {name: self.decode(field) for name, field in value["fields"].items()})
 
     def _array(self, dtype: np.dtype[Any], shape: list[int]) -> NDArray[Any]:
         if dtype.kind not in "biuf" or not all(isinstance(side, int) and side >= 0 for side in shape):
-            raise MessageError(f"an array of {dtype} and shape {shape}")
+            raise MessageError(f"an array has the type {dtype} and the shape {shape}")
         size = math.prod(shape) * dtype.itemsize
         if size > self._left:
-            raise MessageError(f"arrays of more than was agreed: {size:,} bytes where {self._left:,} are left")
+            raise MessageError(f"an array has {size:,} bytes; only {self._left:,} are left of the limit")
         self._left -= size
         array = np.empty(shape, dtype)
         rest = _bytes_of(array)
         while rest:
             count = self._stream.readinto(rest)  # type: ignore[attr-defined]  # buffered streams have it
             if not count:
-                raise EOFError("the other side has gone")
+                raise EOFError("the other process has ended")
             rest = rest[count:]
         return array
 
 
 @cache
 def _records() -> dict[str, type[Any]]:
-    """Return the data types that a message can hold, by name."""
+    """Return the data types that a message can contain, by name."""
     from ladarreg_core.camera import Camera
-    from ladarreg_core.formats import FileInfo
+    from ladarreg_core.formats.file_info import FileInfo
     from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
@@ -178,11 +178,11 @@ def _geometries() -> tuple[type[Any], ...]:
     return AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid, RingGrid, RotatedGrid
 
 
-def _rebuilt(record: type[Any], values: dict[str, Any]) -> Any:
-    """Return a record of the values of its fields, each of the type that the field is annotated with."""
+def _rebuild(record: type[Any], values: dict[str, Any]) -> Any:
+    """Return a record with the given field values, each checked against the field's annotation."""
     fields = dataclasses.fields(record)
     if values.keys() != {f.name for f in fields}:
-        raise MessageError(f"a {record.__name__} with the fields {sorted(values)}")
+        raise MessageError(f"a {record.__name__} has the fields {sorted(values)}")
     for f in fields:
         annotation = str(f.type)
         optional = annotation.endswith(" | None")
@@ -193,14 +193,14 @@ def _rebuilt(record: type[Any], values: dict[str, Any]) -> Any:
 
 
 def _ray_table(record: type[Any], values: dict[str, Any]) -> Any:
-    """Return a tabulated grid as it was: its constructor would complete and normalise the whole table once more."""
+    """Return a tabulated grid without calling its constructor, which would complete and normalise the table again."""
     table, law = values["table"], values["law"]
     if table.dtype != np.float64 or table.ndim != 3 or table.shape[2] != 3:
-        raise ShapeError(f"a ray table of {table.dtype} and shape {table.shape}")
+        raise ShapeError(f"a ray table has the type {table.dtype} and the shape {table.shape}")
     if not np.abs(np.einsum("ijk,ijk->ij", table, table) - 1).max(initial=0) < _UNIT_TOLERANCE:
-        raise ShapeError("a ray table whose rays are not of length 1")
+        raise ShapeError("a ray table has rays that are not of length 1")
     if law is not None and law.shape != table.shape[:2]:
-        raise ShapeError("a ray table and a law of different shapes")
+        raise ShapeError("a ray table and its angle law differ in shape")
     table.flags.writeable = False
     grid = object.__new__(record)
     object.__setattr__(grid, "table", table)
@@ -210,7 +210,7 @@ def _ray_table(record: type[Any], values: dict[str, Any]) -> Any:
 
 @cache
 def _field_types() -> dict[str, Callable[[Any], bool]]:
-    """Return, by the annotation of a field, the test that its values pass."""
+    """Return the type check of a field by its annotation."""
     from ladarreg_core.camera import Camera
     from ladarreg_core.frames import Rigid
 

@@ -1,4 +1,4 @@
-"""The reader process: runs one function after another for its parent, and ends with it."""
+"""The reader process: runs one function at a time for its parent, and ends with it."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ _PRELOADED = (
     "pye57.libe57",
 )
 _LARGEST_REQUEST = 1 << 40
-_TOLD_EVERY_S = 0.05
-_KEPT_BYTES = 512 << 20
-"""A process that has held more is not used again: it may not give all of it back."""
+_REPORT_INTERVAL_S = 0.05
+_REUSE_LIMIT_BYTES = 512 << 20
+"""A process whose memory has exceeded this is not reused, since it may not return all of it to the system."""
 _LONGEST_TRACE = 4000
 _ALARM_MARGIN_S = 5.0
 
 
 def main() -> None:
-    """Serve the parent at the other end of standard input and output until it goes."""
-    incoming, outgoing = _taken_streams()
-    _settle_in()
+    """Serve the parent process through standard input and output until it closes them."""
+    incoming, outgoing = _claim_streams()
+    _set_up_process()
     requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(incoming, requests), name="requests", daemon=True).start()
     for name in _PRELOADED:
-        if not requests.empty():  # what it needs is imported on the way
+        if not requests.empty():  # it imports what it needs
             break
         with suppress(ImportError):
             importlib.import_module(name)
@@ -49,8 +49,8 @@ def main() -> None:
         _serve(requests.get(), incoming, outgoing)
 
 
-def _taken_streams() -> tuple[IO[bytes], IO[bytes]]:
-    """Return standard input and output for the messages alone: native libraries print there."""
+def _claim_streams() -> tuple[IO[bytes], IO[bytes]]:
+    """Reserve standard input and output for messages, since native libraries print there, and return them."""
     incoming, outgoing = os.dup(0), os.dup(1)
     with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), 0)
@@ -58,18 +58,18 @@ def _taken_streams() -> tuple[IO[bytes], IO[bytes]]:
     return os.fdopen(incoming, "rb"), os.fdopen(outgoing, "wb")
 
 
-def _settle_in() -> None:
-    """Leave Ctrl-C to the parent, and leave no core file behind."""
+def _set_up_process() -> None:
+    """Ignore Ctrl-C, which the parent handles, and disable core files."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform != "win32":
         import resource
 
-        # Linux hands a core to a program even where the limit is 0, but never where it is 1.
+        # With a limit of 0 Linux still pipes a core to a handler; with 1 it does not.
         resource.setrlimit(resource.RLIMIT_CORE, (1, 1) if sys.platform == "linux" else (0, 0))
 
 
 def _receive(incoming: IO[bytes], requests: queue.SimpleQueue[Any]) -> None:
-    """Queue the parent's requests; end the process when the parent has gone."""
+    """Queue the parent's requests; exit when the parent has ended."""
     from ladarreg_core.formats.isolated.messages import read_message
 
     try:
@@ -86,17 +86,17 @@ def _serve(request: dict[str, Any], incoming: IO[bytes], outgoing: IO[bytes]) ->
         write_message(outgoing, message)
 
     def answer(message: dict[str, Any]) -> None:
-        limits.lift(incoming)
-        send(message | {"worn": _peak_bytes() > _KEPT_BYTES})
+        limits.remove(incoming)
+        send(message | {"worn": _peak_bytes() > _REUSE_LIMIT_BYTES})
 
     limits = _Limits(request["memory_bytes"], request["silent_s"])
     try:
         function = _function(request)
-        limits.set(incoming)
-        send({"progress": None})  # all is loaded; from now on it is the file's time
+        limits.apply(incoming)
+        send({"progress": None})  # everything is loaded; from now on the time limits of the file apply
         kwargs = dict(request["kwargs"])
         if "report" in inspect.signature(function).parameters:
-            kwargs["report"] = _Teller(send, limits.go_on)
+            kwargs["report"] = _ProgressSender(send, limits.restart_alarm)
         answer({"answer": function(*request["args"], **kwargs)})
     except LadarregError as error:
         answer({"error": type(error).__name__, "text": str(error)})
@@ -108,45 +108,45 @@ def _serve(request: dict[str, Any], incoming: IO[bytes], outgoing: IO[bytes]) ->
 
 
 def _function(request: dict[str, Any]) -> Callable[..., Any]:
-    """Return the function that is asked for, with the parent's working folder set."""
+    """Return the requested function, after changing to the parent's working folder."""
     with suppress(OSError):
         os.chdir(request["folder"])
     found: Callable[..., Any] = getattr(importlib.import_module(request["module"]), request["name"])
     return found
 
 
-class _Teller:
-    """The `report` of a reader: passes on what advances, but not too often."""
+class _ProgressSender:
+    """The `report` of a reader: forwards progress to the parent at a limited rate."""
 
-    def __init__(self, send: Callable[[Any], None], go_on: Callable[[], None]) -> None:
-        self._send, self._go_on = send, go_on
+    def __init__(self, send: Callable[[Any], None], restart_alarm: Callable[[], None]) -> None:
+        self._send, self._restart_alarm = send, restart_alarm
         self._last = Progress(-1, 0, "")
-        self._told = 0.0
+        self._sent_at = 0.0
 
     def __call__(self, progress: Progress) -> None:
         new_label = progress.label != self._last.label
         if not new_label and progress.done <= self._last.done:
             return
         self._last = progress
-        self._go_on()
+        self._restart_alarm()
         now = time.monotonic()
-        if new_label or now - self._told >= _TOLD_EVERY_S:
-            self._told = now
+        if new_label or now - self._sent_at >= _REPORT_INTERVAL_S:
+            self._sent_at = now
             self._send({"progress": [int(progress.done), int(progress.total), str(progress.label)]})
 
 
 class _Limits:
-    """The limits of one read that the operating system keeps, so that they hold in native code too.
+    """Limits of one read that the operating system enforces, so that they also apply to native code.
 
-    The parent watches the time as well; these hold where the parent has gone.
+    The parent watches the time as well; the alarm here is for the case that the parent has ended.
     """
 
     def __init__(self, memory_bytes: int, silent_s: float) -> None:
         self._memory_bytes, self._silent_s = memory_bytes, silent_s
 
-    def set(self, incoming: IO[bytes]) -> None:
-        """Set them; from now on the process also ends with its parent inside native code."""
-        self.go_on()
+    def apply(self, incoming: IO[bytes]) -> None:
+        """Apply the limits; from now on the end of the parent ends this process even inside native code."""
+        self.restart_alarm()
         if sys.platform == "linux":
             import fcntl
             import resource
@@ -155,23 +155,23 @@ class _Limits:
             _, hard = resource.getrlimit(resource.RLIMIT_DATA)
             wanted = _data_bytes() + self._memory_bytes
             resource.setrlimit(resource.RLIMIT_DATA, (wanted if hard < 0 else min(wanted, hard), hard))
-            # The thread that reads requests cannot run while native code holds the interpreter. The parent sends
-            # nothing during a read, so that any event on its pipe is its end: SIGIO, whose default is to end.
+            # The thread that reads requests cannot run while native code holds the GIL. The parent sends nothing
+            # during a read, so any event on its pipe means that it has ended: SIGIO, which ends this process.
             descriptor = incoming.fileno()
             fcntl.fcntl(descriptor, fcntl.F_SETOWN, os.getpid())
             fcntl.fcntl(descriptor, fcntl.F_SETFL, fcntl.fcntl(descriptor, fcntl.F_GETFL) | os.O_ASYNC)
             poll = select.poll()
             poll.register(descriptor, 0)
-            if poll.poll(0):  # it went just before
+            if poll.poll(0):  # the parent ended just before
                 os._exit(0)
 
-    def go_on(self) -> None:
-        """Begin the time of silence anew."""
+    def restart_alarm(self) -> None:
+        """Restart the time limit without progress."""
         if hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, self._silent_s + _ALARM_MARGIN_S)
 
-    def lift(self, incoming: IO[bytes]) -> None:
-        """Lift them: the answer is sent, and requests come again."""
+    def remove(self, incoming: IO[bytes]) -> None:
+        """Remove the limits before the answer is sent."""
         if hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, 0)
         if sys.platform == "linux":
@@ -185,13 +185,13 @@ class _Limits:
 
 
 def _data_bytes() -> int:
-    """Return what counts towards RLIMIT_DATA now."""
+    """Return the current memory that counts towards RLIMIT_DATA, bytes."""
     with open("/proc/self/status", encoding="ascii") as status:
         return next(int(line.split()[1]) << 10 for line in status if line.startswith("VmData"))
 
 
 def _peak_bytes() -> int:
-    """Return the largest resident memory so far; 0 where the system does not tell it."""
+    """Return the peak resident memory, bytes; 0 where the system does not report it."""
     if sys.platform == "win32":
         return 0
     import resource

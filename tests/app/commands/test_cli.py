@@ -259,7 +259,7 @@ def test_an_existing_folder_is_refused_before_any_work(tmp_path: Path, capsys: p
     (mine / "notes.txt").write_text("mine")
     for force in ([], ["--force"]):
         assert main(sample("-o", str(mine), *force)) == ExitCode.BAD_INPUT
-        assert "holds notes.txt, which ladarreg did not write" in complaint(capsys)
+        assert "contains notes.txt, which ladarreg did not write" in complaint(capsys)
     assert (mine / "notes.txt").read_text() == "mine"
 
 

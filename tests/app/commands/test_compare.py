@@ -149,7 +149,7 @@ def test_an_existing_folder_is_refused_before_any_work(
     (tmp_path / "notes.txt").write_text("mine")
     for force in ([], ["--force"]):
         assert main(words("-o", str(tmp_path), *force)) == ExitCode.BAD_INPUT
-        assert "holds notes.txt, which ladarreg did not write" in capsys.readouterr().err
+        assert "contains notes.txt, which ladarreg did not write" in capsys.readouterr().err
     assert not calls
     assert (tmp_path / "notes.txt").read_text() == "mine"
 

@@ -119,12 +119,12 @@ def test_only_changed_slices_are_published(bench: WorkbenchDriver) -> None:
     ("do", "fields", "says"),
     [
         ("nonsense", {}, "no command"),
-        ("add_pick", {"photo": "p9", **LINE}, "not in the project"),
+        ("add_pick", {"photo": "p9", **LINE}, "no longer in the project"),
         ("add_pick", {"photo": "p1", "kind": "curve"}, "'point' or a 'line'"),
         ("add_pick", {"photo": "p1", "kind": "line", "scan": [[1, 0, 0]], "photo_uv": [[1, 2]]}, "must be 2 x 3"),
-        ("add_pick", {"photo": "p1", "kind": "point", "scan": [[0, 0, 0]], "photo_uv": [[1, 2]]}, "no length"),
+        ("add_pick", {"photo": "p1", "kind": "point", "scan": [[0, 0, 0]], "photo_uv": [[1, 2]]}, "zero length"),
         ("add_pick", {"photo": "p1", "kind": "point", "scan": "abc", "photo_uv": [[1, 2]]}, "coordinate"),
-        ("set_pick", {"photo": "p1", "pick": "77", "on": True}, "somebody removed it"),
+        ("set_pick", {"photo": "p1", "pick": "77", "on": True}, "no longer exists"),
         ("set_pick", {"photo": "p1", "pick": "1", "weight": -1}, "positive"),
         ("remove_picks", {"photo": "p1", "picks": []}, "no matches are selected"),
         ("switch_picks", {"photo": "p1", "picks": ["1"], "on": "yes"}, "on or off"),
@@ -313,7 +313,7 @@ def test_an_export_replaces_a_folder_of_results_only_by_force(registered: Workbe
     registered.do("export_folder", photo="p1", folder=str(folder))
     registered.workbench.runner.wait(120)
     assert (folder / "registration.json").is_file()
-    assert "holds earlier results" in registered.refused("export_folder", photo="p1", folder=str(folder))
+    assert "contains earlier results" in registered.refused("export_folder", photo="p1", folder=str(folder))
     (folder / "model.glb").write_bytes(b"old")
     registered.do("export_folder", photo="p1", folder=str(folder), force=True)
     registered.workbench.runner.wait(120)
@@ -330,9 +330,9 @@ def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(
     (photographs / "IMG_0001.jpg").write_bytes(b"precious")
     (tmp_path / "link").symlink_to(project.parent)
     for folder, said in (
-        (photographs, "holds IMG_0001.jpg, which"),
+        (photographs, "contains IMG_0001.jpg, which"),
         (project, "is a project"),
-        (project.parent, "holds the project"),
+        (project.parent, "contains the project"),
         (project / "exports", "lies in the project"),
         (tmp_path / "link" / "project", "is a project"),
         (project / "arrays" / "..", "is a project"),

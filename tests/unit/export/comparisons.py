@@ -23,7 +23,7 @@ NOTE = "The linear solution refuses: 28 matches lie within 2 cm of one plane."
 
 
 def seen_matches(scan: Scan, photo: Photo, truth: Rigid, count: int, rng: np.random.Generator) -> Matches:
-    """Return true matches with some noise, each fifth of them wrong."""
+    """Return true matches with some noise, every fifth of them wrong."""
     points = scan.points[scan.valid].astype(float)
     uv = photo.camera.project(truth @ points)
     chosen = rng.choice(np.flatnonzero(photo.camera.contains(uv)), count)

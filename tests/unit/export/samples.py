@@ -1,4 +1,4 @@
-"""A small registration of everything that an export must cope with."""
+"""A small registration with every case that exports must handle."""
 
 from __future__ import annotations
 

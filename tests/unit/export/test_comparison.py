@@ -1,4 +1,4 @@
-"""The folder of a comparison: its numbers, its table, and that nothing is written as registered that is not."""
+"""The exported comparison: its numbers and table, and that only accepted stages are written as registered."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def strict(text):
     return json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
 
 
-def test_the_folder_holds_everything_under_its_true_name(tmp_path, comparison, scan, photo) -> None:
+def test_the_folder_contains_everything_under_its_name(tmp_path, comparison, scan, photo) -> None:
     source = tmp_path / "elsewhere" / "scan.npz"
     source.parent.mkdir()
     source.write_bytes(b"123")
@@ -62,7 +62,7 @@ def test_the_folder_holds_everything_under_its_true_name(tmp_path, comparison, s
     assert str(tmp_path) not in json.dumps(document)
 
 
-def test_every_column_says_its_numbers(comparison, scan) -> None:
+def test_every_column_has_its_numbers(comparison, scan) -> None:
     document = comparison_document(comparison, scan)
     for column, told in zip(comparison.columns, document["columns"], strict=True):
         result = column.stage.result
@@ -142,7 +142,7 @@ def test_the_text_keeps_its_lines(comparison, scan) -> None:
     assert sum(line.startswith("- ") for line in wild.splitlines()) == 5
 
 
-def test_an_unaccepted_default_is_no_measure(scan, photo) -> None:
+def test_an_unaccepted_default_is_cautioned_about(scan, photo) -> None:
     refused = comparison_of(scan, photo, POSE, accepted=())
     assert "default itself is not accepted" in table_text(refused, scan)
     assert comparison_document(refused, scan)["cautions"]
@@ -162,7 +162,7 @@ def test_figures_leave_out_what_is_not_a_number(comparison) -> None:
     assert np.isnan([rms_px(nothing), rms_depth_m(nothing)]).all()
 
 
-def test_what_solvers_can_bring_is_written(tmp_path, scan, photo) -> None:
+def test_extreme_results_are_written(tmp_path, scan, photo) -> None:
     export_comparison(tmp_path / "out", hostile(comparison_of(scan, photo, POSE)), scan, photo)
     document = strict((tmp_path / "out" / "comparison.json").read_text(encoding="utf-8"))
     assert document["columns"][0]["rms_px"] is None
@@ -191,7 +191,7 @@ def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, comparison, scan, p
     assert names(out) == written
     assert (out / "table.md").read_text(encoding="utf-8") != "old"
     (out / "registered_by_hand.png").write_bytes(b"mine")
-    with pytest.raises(ExportError, match=r"holds registered_by_hand\.png beside comparison\.json"):
+    with pytest.raises(ExportError, match=r"contains registered_by_hand\.png next to comparison\.json"):
         export_comparison(out, comparison, scan, photo, force=True)
 
 
@@ -199,7 +199,7 @@ def test_a_folder_with_an_input_is_kept_and_nothing_is_left_of_nothing(tmp_path,
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "comparison.json").write_bytes(b"precious")
     inputs = [tmp_path / "data" / "comparison.json"]
-    with pytest.raises(ExportError, match="holds the input"):
+    with pytest.raises(ExportError, match="contains the input"):
         export_comparison(tmp_path / "data", comparison, scan, photo, inputs=inputs, force=True)
     with pytest.raises(ShapeError, match="no columns"):
         export_comparison(tmp_path / "new", Comparison(columns=()), scan, photo)

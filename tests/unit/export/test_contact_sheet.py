@@ -1,4 +1,4 @@
-"""The contact sheet: what stands on it, that nothing is cut or claimed too much, and any size of scan and photo."""
+"""The contact sheet: its content, that nothing is clipped or overstated, for any size of scan and photo."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_the_colours_are_the_pages(checkout) -> None:
 
 
 def flat_case(rows: int, columns: int, step_deg: tuple[float, float], size: tuple[int, int]) -> tuple[Scan, Photo]:
-    """Return a wall with a block before it, and a photo of noise."""
+    """Return a wall with a block in front of it, and a photo of noise."""
     geometry = AzimuthElevation(rows, columns, *np.deg2rad(step_deg))
     ranges = 4.0 / geometry.rays[..., 0]
     ranges[rows // 3 : rows // 2, columns // 3 : columns // 2] *= 0.7
@@ -119,7 +119,7 @@ def test_any_case_fits_the_sheet(case, stages, no_pose) -> None:
 
 
 def hostile(comparison: Comparison) -> Comparison:
-    """Return the comparison with what solvers and file names can bring."""
+    """Return the comparison with extreme results and file names."""
     first, second, *rest = comparison.columns
     result = first.stage.result
     count = len(result.matches)
@@ -150,13 +150,13 @@ def hostile(comparison: Comparison) -> Comparison:
     )
 
 
-def test_what_solvers_can_bring_is_drawn(scan, photo) -> None:
+def test_extreme_results_are_drawn(scan, photo) -> None:
     comparison = hostile(comparison_of(scan, photo, POSE))
     sheet = contact_sheet(comparison, scan, photo)
     np.testing.assert_array_equal(sheet, contact_sheet(comparison, scan, photo))
 
 
-def test_accepted_and_not_are_told_apart_by_their_colours(scan, photo) -> None:
+def test_accepted_and_not_accepted_differ_in_colour(scan, photo) -> None:
     sheets = [
         contact_sheet(comparison_of(scan, photo, POSE, stages=("simplex", "default"), accepted=names), scan, photo)
         for names in ((), ("default",), ("simplex", "default"))
@@ -172,7 +172,7 @@ def test_accepted_and_not_are_told_apart_by_their_colours(scan, photo) -> None:
     assert refused[2] < 50
 
 
-def test_a_comparison_of_nothing_is_refused(scan, photo, tmp_path) -> None:
+def test_an_empty_comparison_is_refused(scan, photo, tmp_path) -> None:
     with pytest.raises(ShapeError, match="no columns"):
         contact_sheet(Comparison(columns=()), scan, photo)
     other = comparison_of(scan, photo, POSE, stages=("default",))
@@ -213,7 +213,7 @@ def test_the_detail_shows_the_depth_edge_that_is_seen() -> None:
 
 
 @given(st.integers(0, 2**31), st.floats(0, 1))
-def test_windows_hold_what_is_seen_and_stay_on_the_grid(seed: int, share: float) -> None:
+def test_windows_contain_the_coloured_cells_and_stay_on_the_grid(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     shape = tuple(rng.integers(2, 60, 2).tolist())
     geometry = AzimuthElevation(*shape, 0.01, 0.01)
@@ -292,7 +292,7 @@ def test_the_enlargement_makes_the_typical_residual_show(lengths: list[float]) -
 
 
 def test_a_texture_made_by_the_default_is_what_the_tile_shows(scan, photo) -> None:
-    """Two sheets differ where their textures do: the tile is the column's own picture."""
+    """Two sheets differ where their textures do: the tile is the column's own texture."""
     one = comparison_of(scan, photo, POSE, stages=("linear", "default"))
     column = one.columns[0]
     black = texture_scan(scan, Photo(np.zeros_like(photo.pixels), photo.camera), POSE)

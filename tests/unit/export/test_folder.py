@@ -9,8 +9,7 @@ from PIL import Image
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export import staging
 from ladarreg_core.export.folder import FILE_NAMES, export_registration, write_folder
-from ladarreg_core.export.json import write_document
-from ladarreg_core.export.registration_json import registration_document
+from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.quality.smoothed_scan import SmoothedScan
 from tests.unit.export.samples import sample_registration
 
@@ -20,7 +19,7 @@ def names(path):
 
 
 def earlier(out, *, accepted=True, **more):
-    """Write what an earlier run left, with something in it that no later one writes."""
+    """Write the results of an earlier run, with content that no later run writes."""
     out.mkdir(parents=True)
     write_document(out / "registration.json", registration_document(sample_registration(accepted=accepted)))
     for name in FILE_NAMES[1:] if accepted else ():
@@ -47,7 +46,7 @@ def test_what_is_not_accepted_is_never_written_as_registered(tmp_path, scan, pho
     assert json.loads((tmp_path / "out" / "registration.json").read_text(encoding="utf-8"))["accepted"] is False
 
 
-def test_the_uncertainty_stands_on_the_scan_beside_the_labels(tmp_path, registration, scan, photo):
+def test_the_uncertainty_is_on_the_scan_grid_like_the_labels(tmp_path, registration, scan, photo):
     export_registration(tmp_path / "out", registration, scan, photo)
     picture = np.asarray(Image.open(tmp_path / "out" / "uncertainty.png"))[: scan.shape[0], : scan.shape[1]]
     points = registration.camera_from_scanner @ np.nan_to_num(scan.points, nan=-1.0)
@@ -92,7 +91,7 @@ def test_results_are_refused_or_replaced(tmp_path, registration, scan, photo):
     assert names(tmp_path) == ["out"]
 
 
-def test_results_that_were_refused_are_replaced_without_being_asked(tmp_path, registration, scan, photo):
+def test_refused_results_are_replaced_without_force(tmp_path, registration, scan, photo):
     earlier(tmp_path / "alone", accepted=False)
     export_registration(tmp_path / "alone", registration, scan, photo)
     assert names(tmp_path / "alone") == sorted(FILE_NAMES)
@@ -103,10 +102,10 @@ def test_results_that_were_refused_are_replaced_without_being_asked(tmp_path, re
     assert held(tmp_path / "beside") == {**old, "labels.png": b"mine"}
 
 
-def test_files_of_ones_own_choice_belong_to_the_results(tmp_path, registration, scan, photo):
+def test_additional_files_belong_to_the_results(tmp_path, registration, scan, photo):
     more = [(name, lambda path: path.write_text("new")) for name in ("matches.json", "my matches.csv")]
     export_registration(tmp_path / "out", registration, scan, photo, more=more)
-    with pytest.raises(ExportError, match=r"holds my matches\.csv beside registration\.json, which"):
+    with pytest.raises(ExportError, match=r"contains my matches\.csv next to registration\.json, which"):
         export_registration(tmp_path / "out", registration, scan, photo, force=True)
     export_registration(tmp_path / "out", registration, scan, photo, more=more, force=True)
     assert names(tmp_path / "out") == sorted([*FILE_NAMES, "matches.json", "my matches.csv"])
@@ -114,9 +113,9 @@ def test_files_of_ones_own_choice_belong_to_the_results(tmp_path, registration, 
 
 @pytest.fixture(params=["exchanged", "set aside"])
 def way(request, monkeypatch):
-    """Both ways of putting a folder into the place of another, on every system that has both."""
+    """Both ways of replacing a folder, on every system that supports both."""
     if request.param == "set aside":
-        monkeypatch.setattr(staging, "_exchanged", lambda first, second: False)
+        monkeypatch.setattr(staging, "_exchange", lambda first, second: False)
     return request.param
 
 
@@ -151,7 +150,7 @@ def test_a_rename_that_fails_restores_the_old_folder(tmp_path, registration, sca
             raise OSError(28, "No space left on device")
         real(source, target)
 
-    monkeypatch.setattr(staging, "_exchanged", lambda first, second: False)
+    monkeypatch.setattr(staging, "_exchange", lambda first, second: False)
     monkeypatch.setattr(staging.os, "rename", rename)
     with pytest.raises(ExportError, match="no space left"):
         export_registration(out, registration, scan, photo, force=True)
@@ -171,7 +170,7 @@ def test_an_interruption_just_after_the_last_rename_keeps_the_new_folder(
         if target == out:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(staging, "_exchanged", lambda first, second: False)
+    monkeypatch.setattr(staging, "_exchange", lambda first, second: False)
     monkeypatch.setattr(staging.os, "rename", rename)
     with pytest.raises(KeyboardInterrupt):
         export_registration(out, registration, scan, photo, force=True)
@@ -189,7 +188,7 @@ def test_a_file_that_appears_at_the_last_moment_is_kept(tmp_path, registration, 
         real(new, target, verify)
 
     monkeypatch.setattr("ladarreg_core.export.folder.put_in_place", put_in_place)
-    with pytest.raises(ExportError, match=r"holds IMG_0001\.jpg beside registration\.json"):
+    with pytest.raises(ExportError, match=r"contains IMG_0001\.jpg next to registration\.json"):
         export_registration(out, registration, scan, photo, force=True)
     assert names(tmp_path) == ["out"]
     assert held(out) == {**old, "IMG_0001.jpg": b"just saved"}
@@ -211,7 +210,7 @@ def test_two_at_once_replace_one_after_the_other_or_are_refused(tmp_path, way):
     assert held(out)["labels.png"] == b"inner"
 
 
-def test_places_that_cannot_be_are_refused_in_one_line(tmp_path, registration, scan, photo, monkeypatch):
+def test_impossible_folders_are_refused_in_one_line(tmp_path, registration, scan, photo, monkeypatch):
     (tmp_path / "file").write_text("mine", encoding="utf-8")
     (tmp_path / "link").symlink_to(tmp_path)
     for place in ("file", "link", "file/below"):
@@ -221,10 +220,10 @@ def test_places_that_cannot_be_are_refused_in_one_line(tmp_path, registration, s
     data = tmp_path / "data"
     data.mkdir()
     (data / "scan.npz").write_bytes(b"precious")
-    with pytest.raises(ExportError, match=r"holds the input scan\.npz"):
+    with pytest.raises(ExportError, match=r"contains the input scan\.npz"):
         export_registration(data, registration, scan, photo, inputs=[data / "scan.npz"], force=True)
     monkeypatch.chdir(data)
-    with pytest.raises(ExportError, match="work in"):
+    with pytest.raises(ExportError, match="current working folder"):
         export_registration(".", registration, scan, photo, force=True)
     assert names(data) == ["scan.npz"]
     assert names(tmp_path) == ["data", "file", "link"]

@@ -67,7 +67,7 @@ def test_another_reader_finds_vertices_uv_and_texture(tmp_path, scan, texture):
     np.testing.assert_allclose(read.visual.uv, np.stack([uv[:, 0], 1 - uv[:, 1]], axis=-1), atol=1e-6)
     picture = np.asarray(read.visual.material.baseColorTexture.convert("RGB"))
     np.testing.assert_array_equal(picture, texture.image)
-    # One root node turns the scanner frame: its forward goes where viewers look, its up to their up.
+    # One root node rotates the scanner frame: its forward axis is the viewers' direction, its up is their up.
     (node,) = scene.graph.nodes_geometry
     turn = scene.graph[node][0][:3, :3]
     np.testing.assert_allclose(turn @ np.eye(3), np.array([[0, -1, 0], [0, 0, 1], [-1, 0, 0]]), atol=1e-6)
@@ -87,12 +87,12 @@ def test_a_texture_too_large_is_reduced(scan):
     assert read.visual.material.baseColorTexture.size == (8192, 2)
 
 
-def test_a_model_of_nothing_is_refused_in_words():
+def test_an_empty_model_is_refused_with_a_reason():
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), (4, 4))
     with pytest.raises(ExportError, match="no surface"):
         glb_bytes(empty, np.zeros((4, 4, 3), np.uint8))
     one = Mesh(np.eye(3), np.array([[0, 1, 2]]), np.array([[0, 0], [0, 1], [1, 0]]), (2, 2))
-    with pytest.raises(ShapeError, match="picture"):
+    with pytest.raises(ShapeError, match="texture"):
         glb_bytes(one, np.zeros((4, 4), np.uint8))
 
 
@@ -107,11 +107,11 @@ def test_a_colour_is_shown_to_within_3_levels_wherever_the_curve_can_make_it(rgb
     texture = texture_for_viewer(np.array([rgb]))
     error = np.abs(shown_colours(texture).astype(int) - rgb)
     inside = ((texture > 0) & (texture < 255)).all()
-    # Where a channel of the texture is at its end the colour lies at or beyond the rim of what can be shown.
+    # Where a channel of the texture is saturated, the colour is at or beyond the limit of the displayable range.
     assert error.max() <= 3 or not inside
 
 
-def test_what_photographs_are_made_of_can_be_shown():
+def test_muted_colours_can_be_displayed():
     """Muted colours, of at most half saturation and up to 90 % bright."""
     rng = np.random.default_rng(0)
     value, saturation = rng.uniform(10, 230, 4000), rng.uniform(0, 0.5, 4000)

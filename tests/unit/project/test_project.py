@@ -1,4 +1,4 @@
-"""The document, its edits, its history and the folder that keeps it."""
+"""The document, its edits, its history and the project folder."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.matches import Matches, Pick, unit_rays
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.project import edits
-from ladarreg_core.project.changes import change_between, changed, check_readable
 from ladarreg_core.project.codec import decode_document, encode
+from ladarreg_core.project.delta import apply_change, change_between, check_readable
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
@@ -74,7 +74,7 @@ def test_what_is_written_is_read_again() -> None:
     assert reading(document) == document
 
 
-def test_an_answer_comes_back_whole() -> None:
+def test_a_result_is_read_back_completely() -> None:
     result = a_result()
     back = registration_of(pose_entry("robust", result))
     assert back.camera_from_scanner.matrix == pytest.approx(result.camera_from_scanner.matrix, abs=0)
@@ -112,13 +112,13 @@ def test_numbers_and_ids_are_never_used_twice() -> None:
     assert edits.with_photo(document, SOURCE)[1] == "p2"
 
 
-def test_another_scan_takes_away_what_was_drawn_on_the_old_one() -> None:
+def test_another_scan_removes_the_picks_of_the_old_one() -> None:
     document = edits.with_scan(with_an_answer(a_document()), Source(path="other.npz", name="other.npz", size=1))
     assert document.photos[0].picks == ()
     assert document.photos[0].poses == ()
 
 
-def test_another_camera_takes_away_poses_and_keeps_picks() -> None:
+def test_another_camera_removes_poses_and_keeps_picks() -> None:
     photo = edits.with_camera(with_an_answer(a_document()).photos[0], CameraGiven(focal_px=500))
     assert photo.poses == ()
     assert len(photo.picks) == 3
@@ -136,7 +136,7 @@ def test_another_camera_takes_away_poses_and_keeps_picks() -> None:
         {"step_m": 0},
     ],
 )
-def test_settings_without_meaning_are_refused(values: dict[str, object]) -> None:
+def test_invalid_settings_are_refused(values: dict[str, object]) -> None:
     with pytest.raises(OptionError):
         Settings().changed(values)
 
@@ -185,18 +185,18 @@ def test_usual_rays_are_normalised_to_the_same_digits_as_by_their_norm() -> None
 @pytest.mark.parametrize(
     ("check", "value", "says"),
     [
-        (edits.rays, [[10**400, 0, 0]], "list of 3 numbers"),
-        (edits.rays, [[0, 0, 0]], "no length"),
+        (edits.rays, [[10**400, 0, 0]], "list of 3 finite numbers"),
+        (edits.rays, [[0, 0, 0]], "zero length"),
         (edits.rays, [[1, 0, 0], [-1, 0, 1e-3]], "150 degrees"),
         (edits.pixels, [[1000001, 0]], "1,000,000 px"),
         (edits.pixels, [[-1e308, 0]], "1,000,000 px"),
-        (edits.pixels, [[10**400, 0]], "list of 2 numbers"),
+        (edits.pixels, [[10**400, 0]], "list of 2 finite numbers"),
         (edits.weight, 1e-7, "from 0.000001 to 1,000,000"),
-        (edits.weight, 10**400, "no number"),
-        (edits.weight, True, "no number"),
+        (edits.weight, 10**400, "not a number"),
+        (edits.weight, True, "not a number"),
     ],
 )
-def test_what_enters_a_document_is_within_bounds(check: Callable[[object], object], value: object, says: str) -> None:
+def test_values_out_of_range_are_refused(check: Callable[[object], object], value: object, says: str) -> None:
     with pytest.raises(OptionError, match=says):
         check(value)
 
@@ -208,7 +208,7 @@ def test_picks_of_a_file_are_within_the_same_bounds(field: str, value: object) -
         edits.with_picks(a_document().photos[0], [pick])
 
 
-def test_what_could_not_be_read_again_is_not_kept() -> None:
+def test_edits_that_cannot_be_read_again_are_refused() -> None:
     document = a_document()
     check_readable(document, with_an_answer(document))
     for name in ("\ud800", "a\udcffb"):
@@ -219,10 +219,10 @@ def test_what_could_not_be_read_again_is_not_kept() -> None:
         check_readable(document, edits.edited_photo(document, "p1", lambda p: edits.with_pose(p, blank)))
 
 
-def test_an_answer_that_is_not_finite_is_not_kept() -> None:
+def test_results_that_are_not_finite_are_refused() -> None:
     for field in ("covariance", "sigma_px"):
         answer = replace(a_result(), **{field: getattr(a_result(), field) * np.nan})
-        with pytest.raises(DegenerateGeometryError, match="undetermined"):
+        with pytest.raises(DegenerateGeometryError, match="do not determine the pose"):
             pose_entry("robust", answer)
 
 
@@ -255,7 +255,7 @@ def test_undo_and_redo_walk_along_what_was_committed(moves: list[str]) -> None:
     assert history.gone_to(history.entries[0].number).at == 0
 
 
-def test_so_many_steps_can_be_gone_back_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_undo_steps_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg_core.project.history.MOST_STEPS", 5)
     history = History.begun(Document(name="0"), label="Begin", author="", when=WHEN)
     for k in range(1, 9):
@@ -273,7 +273,7 @@ def test_so_many_steps_can_be_gone_back_and_no_more(monkeypatch: pytest.MonkeyPa
     moves=st.lists(st.sampled_from(["commit", "undo", "redo", "amend", "solve", "settle"]), max_size=12),
     cut=st.integers(0, 60),
 )
-def test_a_folder_gives_back_what_was_saved_and_bears_a_torn_history(
+def test_a_saved_project_survives_a_truncated_history(
     tmp_path_factory: pytest.TempPathFactory, moves: list[str], cut: int
 ) -> None:
     place = tmp_path_factory.mktemp("project")
@@ -324,7 +324,7 @@ def test_a_folder_gives_back_what_was_saved_and_bears_a_torn_history(
         left, settled_size = [named(read.document, "after")], 0
 
 
-def test_a_long_history_is_shortened_and_stands_where_it_stood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_history_is_shortened_and_keeps_its_position(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg_core.project.folder._MOST_ENTRIES", 8)
     folder = ProjectFolder(tmp_path / "p")
     history = History.begun(a_document(), label="Begin", author="", when=WHEN)
@@ -342,7 +342,7 @@ def test_a_long_history_is_shortened_and_stands_where_it_stood(tmp_path: Path, m
 
 
 def reading_of(place: Path) -> Document:
-    """What project.json holds."""
+    """Content of project.json."""
     return decode_document(
         (place / "project.json").read_bytes(), lambda name: StoredArrays((place / f"arrays/{name}.npz").read_bytes())
     )
@@ -387,7 +387,7 @@ def test_a_change_that_was_written_makes_one_document_of_the_other(seeds: list[i
     for seed in seeds:
         after = edited_at_random(before, seed)
         change = json.loads(encode(change_between(before, after)))
-        mine = changed(mine, change, stored.__getitem__)
+        mine = apply_change(mine, change, stored.__getitem__)
         assert mine == after
         assert (change == {}) == (after == before)
         before = after
@@ -400,7 +400,7 @@ def test_a_change_is_small_and_shares_what_stays() -> None:
     ((name, fields),) = change["photos"]["in"]["p1"]["picks"].pop("in").items()
     assert (name, fields["photo"]) == ("7", ((1.0, 2.0),))
     assert len(encode(change_between(before, after))) < 200
-    again = changed(before, json.loads(encode(change_between(before, after))), lambda name: StoredArrays(b""))
+    again = apply_change(before, json.loads(encode(change_between(before, after))), lambda name: StoredArrays(b""))
     assert all(a is b for a, b in zip(before.photos[0].picks, again.photos[0].picks, strict=True) if a.id != "7")
 
 
@@ -421,7 +421,7 @@ def test_a_change_is_small_and_shares_what_stays() -> None:
 )
 def test_a_damaged_change_is_refused_in_one_line(change: object) -> None:
     with pytest.raises(FormatError) as caught:
-        changed(a_document(), change, lambda name: StoredArrays(b""))
+        apply_change(a_document(), change, lambda name: StoredArrays(b""))
     assert "\n" not in str(caught.value)
 
 
@@ -465,7 +465,7 @@ def test_sources_inside_move_with_the_folder(tmp_path: Path) -> None:
     folder.close()
 
 
-def test_missing_and_exchanged_arrays_cost_only_the_matches_in_them(tmp_path: Path) -> None:
+def test_missing_and_exchanged_arrays_lose_only_their_matches(tmp_path: Path) -> None:
     document = with_an_answer(a_document())
     folder = ProjectFolder(tmp_path / "p")
     folder.begin(History.begun(document, label="Begin", author="", when=WHEN))
@@ -479,7 +479,7 @@ def test_missing_and_exchanged_arrays_cost_only_the_matches_in_them(tmp_path: Pa
         assert read.document == document
         with pytest.raises(FormatError, match="solve again"):
             registration_of(read.document.photos[0].poses[0])
-        assert [sentence for sentence in again.said if "one answer" in sentence]
+        assert [sentence for sentence in again.remarks if "one result" in sentence]
         read = read.committed(named(read.document, "work goes on"), label="Rename", author="", when=WHEN)
         again.save_commit(read)
         again.settle()
@@ -490,11 +490,11 @@ def test_missing_and_exchanged_arrays_cost_only_the_matches_in_them(tmp_path: Pa
     stored.write_bytes(whole)
     again = ProjectFolder(tmp_path / "p")
     assert len(registration_of(again.read().document.photos[0].poses[0]).matches) == 40, "put back, it is found"
-    assert again.said == ()
+    assert again.remarks == ()
     again.close()
 
 
-def test_an_answer_that_was_stored_damaged_is_told() -> None:
+def test_a_damaged_stored_result_is_reported() -> None:
     entry = msgspec.structs.replace(pose_entry("robust", a_result()), arrays=StoredArrays(b"no arrays"))
     with pytest.raises(FormatError, match="solve again"):
         registration_of(entry)
@@ -506,7 +506,7 @@ def test_nothing_is_pickled() -> None:
         evil.arrays()
 
 
-def test_a_photo_without_matches_keeps_its_answer() -> None:
+def test_a_photo_without_matches_keeps_its_result() -> None:
     empty = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
     from ladarreg_core.pose.result import describe_pose
 

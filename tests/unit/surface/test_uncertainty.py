@@ -1,12 +1,10 @@
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError, ExportError, LadarregError, OptionError, ShapeError
-from ladarreg_core.export.uncertainty_png import scale_end, uncertainty_picture, write_uncertainty_png
+from ladarreg_core.errors import CameraError, OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.pose.covariance import pose_jacobian
 from ladarreg_core.scan import Scan
@@ -140,51 +138,3 @@ def test_hostile_arguments_are_named():
             picture_sigma(scan, camera, pose, good, **option)
     with pytest.raises(CameraError):
         picture_sigma(scan, None, pose, good)
-
-
-def test_the_png_shows_every_cell_and_a_scale(tmp_path):
-    sigma = np.tile(np.linspace(0, 2, 300, dtype=np.float32), (90, 1))
-    sigma[10:20, 50:80] = np.nan
-    sigma[40, 40] = 1e6
-    write_uncertainty_png(tmp_path / "u.png", sigma, most_px=2.0)
-    read = cv2.imread(str(tmp_path / "u.png"))[..., ::-1]
-    np.testing.assert_array_equal(read, uncertainty_picture(sigma, most_px=2.0))
-    cells = read[:90, :300].astype(int)
-    assert (cells[10:20, 50:80] == 48).all()
-    light = cells[0].sum(axis=-1)
-    assert (np.diff(light) >= -2).all()
-    assert light[-1] > 2.5 * light[0]
-    np.testing.assert_array_equal(cells[40, 40], cells[0, -1])
-    assert read.shape[0] > 90 + 40
-    # The bar holds the very colours of the cells, so that it can be read off.
-    bar = {tuple(colour) for row in read[90:] for colour in row.tolist()}
-    assert len({tuple(c) for c in cells[0].tolist()} - bar) < 60
-    capped = uncertainty_picture(np.minimum(sigma, 2), most_px=2.0)
-    assert not np.array_equal(capped[90:], read[90:]), "a scale that is exceeded says so"
-
-
-@given(st.lists(st.one_of(st.floats(1e-5, 1e7), st.just(np.nan)), min_size=1, max_size=60))
-@settings(max_examples=40, deadline=None)
-def test_the_scale_ends_at_a_round_number_just_above_nearly_all(values):
-    sigma = np.array([values], dtype=np.float32)
-    end = scale_end(sigma)
-    known = sigma[np.isfinite(sigma)]
-    if known.size:
-        high = np.percentile(known.astype(float), 98)
-        assert high * 0.99999 <= end <= 1.51 * high
-    assert uncertainty_picture(sigma).shape[0] > 1
-
-
-def test_what_cannot_be_drawn_is_named(tmp_path):
-    sigma = np.ones((4, 5))
-    for bad in (0, -1, np.nan, np.inf, "2", True):
-        with pytest.raises(OptionError, match="most_px"):
-            uncertainty_picture(sigma, most_px=bad)
-    for bad in (np.ones(5), np.ones((2, 2, 2)), np.ones((0, 5)), "picture"):
-        with pytest.raises(ShapeError):
-            uncertainty_picture(bad)
-    with pytest.raises(ExportError):
-        write_uncertainty_png(tmp_path / "no such folder" / "u.png", sigma)
-    for empty in (sigma * np.nan, sigma * np.inf, sigma * 0, -sigma):
-        assert uncertainty_picture(empty)[:4, :5].shape == (4, 5, 3)
-    assert issubclass(OptionError, LadarregError)

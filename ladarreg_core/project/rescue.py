@@ -1,4 +1,4 @@
-"""Another place for a project whose own disk has no room."""
+"""Rescue copies: a project that cannot be saved in its own folder is written to another one."""
 
 from __future__ import annotations
 
@@ -18,19 +18,22 @@ from ladarreg_core.project.history import History
 _MOST_OF_ONE_NAME = 1000
 
 
-def write_elsewhere(folder: ProjectFolder, history: History, places: Iterable[Path], *, name: str) -> Path:
-    """Write a whole project, with its history and arrays, to the first place that takes it, and return where that is.
+def write_rescue_copy(folder: ProjectFolder, history: History, places: Iterable[Path], *, name: str) -> Path:
+    """Write a complete project, with its history and arrays, below the first folder that can be written.
 
     Args:
-        folder: where the project belongs; files that lie in it are referred to where they are.
-        history: the project.
+        folder: the project's own folder; the copy refers to the input files in it.
+        history: history of the project.
         places: folders to try, in order.
-        name: what the folder of the project is called, with a number where that is taken.
+        name: name of the new project folder; a number is appended if it exists.
+
+    Returns:
+        The new project folder.
 
     Raises:
-        ExportError: if no place takes it; nothing is left in any of them.
+        ExportError: if none can be written; nothing is left behind in any of them.
     """
-    entries = tuple(replace(entry, document=_from_outside(folder, entry.document)) for entry in history.entries)
+    entries = tuple(replace(entry, document=_with_absolute_paths(folder, entry.document)) for entry in history.entries)
     whole = History(entries, history.at)
     reasons = []
     for place in places:
@@ -46,7 +49,7 @@ def write_elsewhere(folder: ProjectFolder, history: History, places: Iterable[Pa
             shutil.rmtree(target, ignore_errors=True)
             continue
         return target
-    raise ExportError(f"there is no other place that takes the project ({'; '.join(reasons)})")
+    raise ExportError(f"no other folder could be written either ({'; '.join(reasons)})")
 
 
 def _write(target: Path, history: History) -> None:
@@ -58,7 +61,7 @@ def _write(target: Path, history: History) -> None:
 
 
 def _new_folder(place: Path, name: str) -> Path:
-    """Make a folder of a name that is not taken.
+    """Create a folder with an unused name.
 
     Raises:
         OSError: if that fails.
@@ -69,21 +72,21 @@ def _new_folder(place: Path, name: str) -> Path:
         with contextlib.suppress(FileExistsError):
             target.mkdir()
             return target
-    raise FileExistsError(f"{name} and {_MOST_OF_ONE_NAME - 2:,} more are there")
+    raise FileExistsError(f"{name} and {_MOST_OF_ONE_NAME - 2:,} numbered folders exist")
 
 
-def _from_outside(folder: ProjectFolder, document: Document) -> Document:
-    """Return the document with the whole path of every file."""
+def _with_absolute_paths(folder: ProjectFolder, document: Document) -> Document:
+    """Return the document with absolute paths of all files."""
 
-    def whole(source: Source) -> Source:
+    def absolute(source: Source) -> Source:
         return changed(source, path=str(folder.source_path(source.path)))
 
     photos = tuple(
         changed(
             photo,
-            source=whole(photo.source),
-            camera=changed(photo.camera, file=whole(photo.camera.file)) if photo.camera.file else photo.camera,
+            source=absolute(photo.source),
+            camera=changed(photo.camera, file=absolute(photo.camera.file)) if photo.camera.file else photo.camera,
         )
         for photo in document.photos
     )
-    return changed(document, scan=whole(document.scan) if document.scan else None, photos=photos)
+    return changed(document, scan=absolute(document.scan) if document.scan else None, photos=photos)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.json import write_document
-from ladarreg_core.export.registration_json import registration_document
+from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.frames import Rigid
 from ladarreg_core.results import Registration
 
@@ -27,7 +26,7 @@ def document(tmp_path, registration):
     return json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
 
 
-def test_the_document_says_all_that_was_promised(document, registration):
+def test_the_document_has_all_documented_fields(document, registration):
     assert document.keys() >= PROMISED
     assert document["inputs"] == [
         {"name": "scan.npz", "size": 3_000_000, "sha256": hashlib.sha256(b"123" * 1_000_000).hexdigest()}
@@ -63,7 +62,7 @@ def test_numbers_come_back_exactly_and_absent_ones_as_null(document, registratio
     assert thesis["alpha"] == registration.thesis_parameters.alpha
 
 
-def test_what_there_is_to_say_of_it_is_said(scan, registration, tmp_path):
+def test_the_assessment_is_in_the_document(scan, registration, tmp_path):
     from ladarreg_core.quality.assessment import assess
 
     inliers = np.array([True] * 5)  # five rays at random places, some behind the camera
@@ -85,7 +84,7 @@ def test_what_there_is_to_say_of_it_is_said(scan, registration, tmp_path):
     assert document["smoothing"] is None
 
 
-def test_influence_stands_in_every_match(tmp_path):
+def test_every_match_has_an_influence(tmp_path):
     from ladarreg_core.quality.assessment import assess
     from tests.unit.quality.test_next_match import clustered
 
@@ -100,6 +99,6 @@ def test_influence_stands_in_every_match(tmp_path):
         }
 
 
-def test_an_input_that_is_gone_is_named(tmp_path, registration):
+def test_a_missing_input_is_named_in_the_error(tmp_path, registration):
     with pytest.raises(ExportError, match=r"gone\.npz"):
         registration_document(registration, inputs=[tmp_path / "gone.npz"])

@@ -1,0 +1,200 @@
+"""Descriptions of files for the user: kind, format, size and what the header or the data show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.errors import ShapeError
+from ladarreg_core.formats.camera_file import describe_camera, read_camera
+from ladarreg_core.formats.e57 import read_e57
+from ladarreg_core.formats.e57_header import E57ImageInfo, E57ScanInfo, read_e57_info
+from ladarreg_core.formats.e57_images import camera_of_image
+from ladarreg_core.formats.exif import exif_facts, focal_from_exif, orientation_of, upright
+from ladarreg_core.formats.image_file import read_image
+from ladarreg_core.formats.json_file import begins_with_brace, read_json_object
+from ladarreg_core.formats.matches_file import csv_rows
+from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.untrusted import one_line, reading, shown_name
+from ladarreg_core.frames import ThesisParameters
+from ladarreg_core.scan import Scan
+
+FileKind = Literal["scan", "photo", "camera", "pose", "matches"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileInfo:
+    """Description of one file; what does not apply is None or empty."""
+
+    file: str
+    """File name."""
+    bytes: int
+    """File size."""
+    kind: FileKind
+    """Kind of content."""
+    format: str
+    """Name of the file format."""
+    size: str | None = None
+    """Rows and columns, or width and height."""
+    returns: int | None = None
+    """Number of cells with a range."""
+    range_m: tuple[float, float] | None = None
+    """Smallest and largest range, m."""
+    median_range_m: float | None = None
+    """Median range, m."""
+    intensity: tuple[float, float] | None = None
+    """Smallest and largest intensity, in the sensor's unit."""
+    step_deg: tuple[float, float] | None = None
+    """Angle between rows and between columns, degrees."""
+    color: bool | None = None
+    """Whether the scanner recorded colour."""
+    scans: tuple[str, ...] = ()
+    """Scans of a file that can hold several."""
+    images: tuple[str, ...] = ()
+    """Embedded images."""
+    camera: Mapping[str, Any] = field(default_factory=dict)
+    """Camera intrinsics."""
+    exif: Mapping[str, Any] = field(default_factory=dict)
+    """EXIF facts."""
+    pose: Mapping[str, Any] = field(default_factory=dict)
+    """Pose, formatted."""
+    matches: str | None = None
+    """Number of points and lines."""
+    notes: tuple[str, ...] = ()
+    """Remarks that the operator should read."""
+
+
+def scan_describer(read: Callable[[Path], Scan], format_name: str) -> Callable[[Path], FileInfo]:
+    """Return the `describe` function of a format that holds one scan."""
+    return lambda path: _describe_scan(path, read(path), format_name)
+
+
+def _describe_scan(path: Path, scan: Scan, format_name: str, **more: Any) -> FileInfo:
+    ranges = scan.ranges[scan.valid]
+    intensity = scan.intensity[scan.valid]
+    rows, columns = scan.shape
+    return FileInfo(
+        file=shown_name(path),
+        bytes=path.stat().st_size,
+        kind="scan",
+        format=format_name,
+        size=f"{rows} rows x {columns} columns",
+        returns=int(scan.valid.sum()),
+        range_m=(float(ranges.min()), float(ranges.max())),
+        median_range_m=float(np.median(ranges)),
+        intensity=(float(intensity.min()), float(intensity.max())),
+        step_deg=(float(np.degrees(scan.geometry.step_rad[0])), float(np.degrees(scan.geometry.step_rad[1]))),
+        color=scan.color is not None,
+        notes=scan.notes,
+        **more,
+    )
+
+
+def describe_e57(path: Path) -> FileInfo:
+    """Describe an E57 file: all its scans and images, and its scan in detail where it holds just one."""
+    with reading(path) as file:
+        info = read_e57_info(file)
+    lists: dict[str, Any] = {
+        "scans": tuple(_scan_line(scan) for scan in info.scans),
+        "images": tuple(_image_line(image) for image in info.images),
+    }
+    # Files with images only, and scans that cannot be used, are still described.
+    notes: tuple[str, ...] = ()
+    if len(info.scans) == 1 and "intensity" in info.scans[0].field_names:
+        try:
+            return _describe_scan(path, read_e57(path), "E57", **lists)
+        except ShapeError as error:
+            notes = (str(error),)
+    return FileInfo(file=shown_name(path), bytes=path.stat().st_size, kind="scan", format="E57", notes=notes, **lists)
+
+
+def _scan_line(scan: E57ScanInfo) -> str:
+    grid = f"grid {scan.grid[0]} x {scan.grid[1]}" if scan.grid else "no grid"
+    has = [word for word, name in (("intensity", "intensity"), ("colour", "colorRed")) if name in scan.field_names]
+    return f"{scan.name}: {scan.points:,} points, {grid}, {' and '.join(has) or 'neither intensity nor colour'}"
+
+
+def _image_line(image: E57ImageInfo) -> str:
+    camera = camera_of_image(image)
+    focal = f", focal length {camera.focal_px:.1f} px" if camera else ""
+    pose = "with a pose" if image.world_from_image else "without a pose"
+    return f"{image.name}: {image.kind} {image.format.upper()} {image.width} x {image.height}{focal}, {pose}"
+
+
+def describe_photo(path: Path) -> FileInfo:
+    """Describe an image file: its size, its EXIF facts and the camera that they give."""
+    with reading(path) as file:
+        image = read_image(file)
+        raw_height, raw_width = image.values.shape[:2]
+        height, width = upright(image.values, orientation_of(image.exif)).shape[:2]
+        focal = focal_from_exif(image.exif, raw_width, raw_height)
+        notes = () if focal else ("no focal length in EXIF: give a camera file or a focal length with it",)
+        camera: dict[str, Any] = {}
+        if focal:
+            camera = {**describe_camera(Camera.from_focal(width, height, focal.focal_px)), "source": focal.source}
+        return FileInfo(
+            file=shown_name(file),
+            bytes=file.stat().st_size,
+            kind="photo",
+            format=image.format,
+            size=f"{width} x {height} pixels",
+            color=image.values.ndim == 3,
+            camera=camera,
+            exif=exif_facts(image.exif),
+            notes=notes,
+        )
+
+
+def describe_camera_file(path: Path) -> FileInfo:
+    """Describe a camera file."""
+    camera = read_camera(path)
+    return FileInfo(
+        file=shown_name(path),
+        bytes=path.stat().st_size,
+        kind="camera",
+        format="JSON" if begins_with_brace(path) else "YAML",
+        camera=describe_camera(camera),
+    )
+
+
+def describe_pose(path: Path) -> FileInfo:
+    """Describe a pose file."""
+    pose = read_pose(path)
+    six = ThesisParameters.from_pose(pose)
+    angles = (np.degrees(angle) for angle in (six.alpha, six.beta, six.gamma))
+    return FileInfo(
+        file=shown_name(path),
+        bytes=path.stat().st_size,
+        kind="pose",
+        format="JSON",
+        pose={
+            "camera": six.in_words(),
+            "pan_tilt_roll_deg": ", ".join(f"{angle:.2f}" for angle in angles),
+        },
+    )
+
+
+def describe_matches(path: Path) -> FileInfo:
+    """Describe a matches file without the scan that its cells belong to."""
+    with reading(path) as file:
+        is_csv = not begins_with_brace(file)
+        if is_csv:
+            header, *rows = csv_rows(file)
+            count, coordinates = f"{len(rows)} points", ",".join(header)
+        else:
+            fields = read_json_object(file, "a matches file")
+            entries = fields["matches"] if isinstance(fields["matches"], list) else []
+            lines = sum(isinstance(entry, dict) and entry.get("kind") == "line" for entry in entries)
+            count, coordinates = f"{len(entries) - lines} points, {lines} lines", fields.get("scan_coordinates", "?")
+        return FileInfo(
+            file=shown_name(file),
+            bytes=file.stat().st_size,
+            kind="matches",
+            format="CSV" if is_csv else "JSON",
+            matches=f"{count} in {one_line(coordinates, 40)} coordinates",
+        )
