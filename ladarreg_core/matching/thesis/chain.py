@@ -384,7 +384,7 @@ def _credible(result: PoseResult) -> bool:
 def _beyond_chance(result: PoseResult) -> bool:
     """Return whether a pose has more inliers than mismatches would give by chance."""
     agreeing = result.matches.subset(result.inliers)
-    different = distinct(agreeing.points, agreeing.uv)  # several scan corners may match one corner of the photo
+    different = distinct(agreeing.points, agreeing.uv)  # several scan corners may have matched one corner of the photo
     return different >= _MIN_AGREEING and result.diagnostics["log10_chance"] <= _MAX_LOG10_CHANCE
 
 
