@@ -131,7 +131,7 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
             row.nth(number).locator(".file-status[role=status]").filter(has_text=re.compile(said)).wait_for()
         assert row.nth(3).locator(f"[title='{HOSTILE}']").inner_text() == HOSTILE
         for _ in bad:
-            row.first.get_by_role("button", name="Leave").click()
+            row.first.get_by_role("button", name="Remove").click()
 
         # two at once on a pane, and one more during their upload
         drop(page, "#photo-pane .pane-body", {"ä photo.png": photo, "scan.npz": scan})
@@ -145,7 +145,7 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         form.wait_for()  # it opens by itself
         film, mm, _, px = form.get_by_role("textbox").all()
         for field, text, said in (
-            (film, "wide", "is no number"),
+            (film, "wide", "is not a number"),
             (mm, "5", "Sensor width is missing"),
             (px, "3", "most lenses"),
         ):
