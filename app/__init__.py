@@ -1,1 +1,1 @@
-"""What a person sees of the core: the command line and the viewer. No mathematics lives here."""
+"""The command line and the browser workbench, around the library `ladarreg_core`; no mathematics here."""

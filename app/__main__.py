@@ -1,4 +1,4 @@
-"""`python -m ladarreg` is the command line."""
+"""Entry point of `python -m ladarreg`."""
 
 from .cli import entry_point
 

@@ -1,4 +1,4 @@
-"""From words to a command's frozen `Arguments`, by tyro; what it cannot parse is told in one line."""
+"""Command-line arguments: parsing by tyro, and the arguments that the registering commands share."""
 
 from __future__ import annotations
 
@@ -7,34 +7,44 @@ import io
 import re
 import sys
 from collections.abc import Sequence
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 
 from .exit_codes import ExitCode
 
+if TYPE_CHECKING:
+    from ladarreg_core.registration import RegisterOptions
+
 T = TypeVar("T")
 _ARGUMENT = re.compile(r"((?:-[a-z] [A-Z]+, )?--[a-z-]+|[A-Z]{3,})(?= |$)")
 _FRAME = re.compile(r"^[\s│|╭╰╮╯─┌└┐┘+]*(?:-{3,})?|[\s│|╮╯─+]*$")
+_THESIS_ONLY = ("t1", "t2_px", "culling", "first_pose", "residual", "reject_depth_m")
 
 
 def parse(kind: type[T], words: Sequence[str], *, prog: str, description: str) -> T:
-    """Return the arguments, or leave by `SystemExit`: 0 after help, 2 after one line on stderr."""
-    said = io.StringIO()
+    """Parse words into a frozen `Arguments`.
+
+    Raises:
+        SystemExit: 0 after help, 2 after a one-line error on stderr.
+    """
+    errors = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(errors):
             return tyro.cli(
                 kind, args=list(words), prog=prog, description=description, config=(tyro.conf.FlagCreatePairsOff,)
             )
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
-        print(f"ladarreg: {condensed(said.getvalue())}; see {prog} --help", file=sys.stderr)
+        print(f"ladarreg: {condense(errors.getvalue())}; see {prog} --help", file=sys.stderr)
         raise SystemExit(int(ExitCode.BAD_INPUT)) from None
 
 
-def condensed(box: str) -> str:
-    """Return the first paragraph inside a box drawn around an error, as one line."""
+def condense(box: str) -> str:
+    """Return the first paragraph of a boxed error message as one line."""
     title, *lines = (_FRAME.sub("", line) for line in box.splitlines())
     if "Required" in title or any(line.startswith("Missing from") for line in lines):
         names = [match.group(1) for line in lines if (match := _ARGUMENT.match(line))]
@@ -45,4 +55,115 @@ def condensed(box: str) -> str:
             break
         if line:
             paragraph.append(line)
-    return " ".join(paragraph).rstrip(".:") or "the arguments could not be understood"
+    return " ".join(paragraph).rstrip(".:") or "the arguments could not be parsed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputArguments:
+    """Scan, photo, and what is known about them; output folder."""
+
+    scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
+    """Scan: E57, PCD, NPZ or a descriptor JSON."""
+    photo: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTO")]
+    """Photo: JPEG, PNG, TIFF."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
+    """Output folder; an existing one is refused, but see --force."""
+    matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Manual matches: JSON, or CSV of points."""
+    initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Initial pose: a pose JSON or an earlier registration.json."""
+    camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Camera of the photo: JSON, OpenCV YAML or ROS camera_info."""
+    focal_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
+    """Focal length of the photo in pixels, if there is no camera file."""
+    focal_mm: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None
+    """Focal length of the photo in mm; needs --sensor-mm."""
+    sensor_mm: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None
+    """Sensor width in mm."""
+    scan_index: int = 0
+    """Index of the scan in a file with several."""
+    seed: int = 0
+    """Random seed; equal seeds give equal results."""
+    force: bool = False
+    """Replace OUT if it holds results of an earlier run and nothing else; any other folder is never touched."""
+    quiet: bool = False
+    """Print no progress, and the verdict in one line."""
+    debug: bool = False
+    """Print a log, and a traceback on failure."""
+
+    @property
+    def input_files(self) -> list[Path]:
+        """Every file that was given."""
+        given = (self.scan, self.photo, self.camera, self.matches, self.initial)
+        return [path for path in given if path is not None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterArguments(InputArguments):
+    """The inputs, and the thresholds of the thesis; an omitted flag leaves the default."""
+
+    t1: Annotated[float | None, tyro.conf.arg(metavar="C")] = None
+    """Thesis: minimum lead of the best correlation over the second best (.2)."""
+    t2_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
+    """Thesis: maximum deviation of a disparity from the median (20)."""
+    culling: Literal["two-sided", "one-sided"] | None = None
+    """Thesis: filter disparities on both sides, or on one as in its Step 5."""
+    first_pose: Literal["linear", "robust", "linear-only"] | None = None
+    """Thesis: the pose that predicts positions for guided matching."""
+    residual: Literal["epipolar", "stereo"] | None = None
+    """Thesis: the residual that the simplex minimises; stereo is Eq 2.21."""
+    reject_depth_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    """Thesis: stereo depth error above which a match is an outlier; default: estimated from the data."""
+    samples_per_line: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Thesis: sample points per manual line (9)."""
+    intrinsics: Literal["auto", "fixed", "focal", "focal-k1", "focal-k1-centre"] | None = None
+    """Camera parameters to estimate; auto: those that the image, or held-out matches, support."""
+
+
+def check_method(arguments: RegisterArguments, method: str) -> None:
+    """Refuse thresholds that the chosen method does not use.
+
+    Raises:
+        OptionError: naming the flag.
+    """
+    from ladarreg_core.errors import OptionError
+
+    given = [f"--{name.replace('_', '-')}" for name in _THESIS_ONLY if getattr(arguments, name) is not None]
+    if given and method != "thesis":
+        raise OptionError(f"{', '.join(given)} can only be used with --method thesis; the method is {method}")
+    if arguments.intrinsics is not None and method == "thesis":
+        raise OptionError("--intrinsics cannot be used with --method thesis, which takes the camera as calibrated")
+    if arguments.intrinsics == "focal-k1-centre" and arguments.matches is None:
+        raise OptionError("--intrinsics focal-k1-centre needs manual matches (--matches)")
+
+
+def register_options(arguments: RegisterArguments) -> RegisterOptions:
+    """Return the options of a registration."""
+    from ladarreg_core.matching.thesis.chain import ThesisOptions
+    from ladarreg_core.registration import RegisterOptions
+
+    default = ThesisOptions()
+    culling = _option_name(arguments.culling)
+    thesis = replace(
+        default,
+        matching=replace(default.matching, **_given(t1=arguments.t1, t2_px=arguments.t2_px, culling=culling)),
+        pose=replace(
+            default.pose, simplex=replace(default.pose.simplex, **_given(reject_depth_m=arguments.reject_depth_m))
+        ),
+        **_given(first_pose=_option_name(arguments.first_pose), residual=arguments.residual),
+    )
+    intrinsics = _option_name(arguments.intrinsics)
+    options = RegisterOptions()
+    pose = replace(options.pose, **_given(intrinsics=intrinsics))
+    auto = options.auto if intrinsics == "focal_k1_centre" else replace(options.auto, **_given(intrinsics=intrinsics))
+    return RegisterOptions(
+        seed=arguments.seed, thesis=thesis, pose=pose, auto=auto, **_given(samples_per_line=arguments.samples_per_line)
+    )
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _option_name(flag: str | None) -> str | None:
+    return flag.replace("-", "_") if flag else None

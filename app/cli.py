@@ -1,6 +1,6 @@
 """The command line: `ladarreg COMMAND ...`.
 
-Only the chosen command's module is imported, and for `--help` none at all: tyro alone takes a fifth of a second.
+Only the module of the chosen command is imported, and none for `--help`: tyro alone takes a fifth of a second.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from .exit_codes import ExitCode
 from .stop_signals import interrupt_on_stop_signals
 
 COMMANDS = {
-    "register": "Register a scan with a photograph: pose, registered picture, textured model.",
-    "compare": "Set the thesis's stages and the default side by side: table and contact sheet.",
-    "info": "Tell what a scan, photograph or camera file holds.",
-    "selftest": "Try what to expect of a scan and a camera, on photographs made from the scan itself.",
-    "simulate": "Write a synthetic scan and photograph with their true pose.",
-    "serve": "Open the workbench in the browser: on a project, on a scan and photographs, or on the last project.",
+    "register": "Register a scan with a photo: pose, registered image, textured model.",
+    "compare": "Compare the thesis's stages with the default method: table and contact sheet.",
+    "info": "Describe a scan, photo, camera, pose or matches file.",
+    "selftest": "Estimate, before fieldwork, how well a scan and a camera will register.",
+    "simulate": "Write a synthetic scan and photo with their true pose.",
+    "serve": "Open the workbench in the browser: on a project, a scan and photos, or the last project.",
     "demo": "Open the workbench on the embedded sample.",
 }
-"""Every command and its summary; its code is `commands/<name>.py`."""
+"""Summary of each command; its code is `commands/<name>.py`."""
 
-_ANSWERS = "Exit codes: 0 done and accepted, 2 bad input, 3 ran but not accepted, 130 interrupted."
+_EXIT_CODES = "Exit codes: 0 success, accepted; 1 failure; 2 bad input; 3 not accepted; 130 interrupted."
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -41,7 +41,7 @@ def main(args: Sequence[str] | None = None) -> int:
         return ExitCode.ACCEPTED
     if words[0] not in COMMANDS:
         return _fail(
-            f"{words[0]!r} is no command; use one of {', '.join(COMMANDS)} (see ladarreg --help)", ExitCode.BAD_INPUT
+            f"{words[0]!r} is not a command; use one of {', '.join(COMMANDS)} (see ladarreg --help)", ExitCode.BAD_INPUT
         )
     debug = "--debug" in words
     interrupt_on_stop_signals()
@@ -58,12 +58,12 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def entry_point() -> NoReturn:
-    """Start the process: `main`, and a quiet end where the reader of the output has gone."""
+    """Run `main` and exit; a closed output pipe is not an error."""
     try:
         code = main()
         sys.stdout.flush()
     except BrokenPipeError:
-        # The interpreter flushes once more on its way out.
+        # The interpreter flushes once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = ExitCode.ACCEPTED
     sys.exit(code)
@@ -79,11 +79,11 @@ def _run(name: str, words: list[str], *, debug: bool) -> int:
 
 
 def _explain(error: BaseException) -> tuple[str, ExitCode]:
-    """Return one line for a person and the exit code of an error."""
+    """Return the message and the exit code of an error."""
     from ladarreg_core.errors import Cancelled, LadarregError, UnsavedError
 
     if isinstance(error, KeyboardInterrupt | Cancelled):
-        return "interrupted; nothing half-made is left", ExitCode.INTERRUPTED
+        return "interrupted; no incomplete files are left", ExitCode.INTERRUPTED
     if isinstance(error, UnsavedError):
         return str(error), ExitCode.FAILED
     if isinstance(error, LadarregError):
@@ -95,8 +95,8 @@ def _explain(error: BaseException) -> tuple[str, ExitCode]:
         return f"{where}{error.strerror or error}; check the path, its permissions and the space", ExitCode.BAD_INPUT
     if isinstance(error, MemoryError):
         return "not enough memory; use a smaller scan or photo, or a machine with more", ExitCode.FAILED
-    what = f"unexpected {type(error).__name__}: {error}"
-    return f"{what}; this is a fault of the program: run again with --debug to see where", ExitCode.FAILED
+    what = f"internal error ({type(error).__name__}: {error})"
+    return f"{what}; run again with --debug for a traceback", ExitCode.FAILED
 
 
 def _fail(text: str, code: ExitCode) -> ExitCode:
@@ -113,13 +113,13 @@ def _help() -> str:
         [
             "usage: ladarreg [-h] [--version] COMMAND ...",
             "",
-            "Register laser scans with photographs taken from somewhere else, and know how good the result is.",
+            "Register laser scans with photos taken from another position, and assess the result.",
             "",
             "commands:",
             *lines,
             "",
-            "ladarreg COMMAND --help tells a command's options.",
-            _ANSWERS,
+            "ladarreg COMMAND --help lists the options of a command.",
+            _EXIT_CODES,
         ]
     )
 

@@ -1,18 +1,18 @@
-"""What the command line answers to a script."""
+"""The exit codes of the command line."""
 
 from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """The process's exit codes."""
+    """Exit codes of the process."""
 
     ACCEPTED = 0
-    """Done; a registration was accepted."""
+    """Success; a registration was accepted."""
     FAILED = 1
-    """A fault of the program, or work that could not be saved."""
+    """A bug, or work that could not be saved."""
     BAD_INPUT = 2
-    """Input or arguments that cannot be used."""
+    """Unusable input or arguments."""
     NOT_ACCEPTED = 3
-    """The registration ran to its end, and its evidence is not enough."""
+    """The registration finished, but its evidence is insufficient."""
     INTERRUPTED = 130
-    """Stopped by the user; nothing half-made is left."""
+    """Interrupted by the user; no incomplete files are left."""

@@ -1,4 +1,4 @@
-"""A registration in an operator's words."""
+"""Texts of the command line and the workbench: verdicts, reports and tables."""
 
 from __future__ import annotations
 
@@ -15,51 +15,53 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
     from ladarreg_core.self_test.report import SelfTest
 
-EVIDENCE = {
-    "image": "verified on the picture itself",
-    "statistics": "by the statistics of its matches",
-    "none": "no evidence",
+ACCEPTED = {
+    "image": "Accepted: verified against the image.",
+    "statistics": "Accepted on match statistics only, not image-verified.",
+    "given": "Accepted: carried over from a given pose.",
+    "none": "Accepted without evidence.",
 }
+"""The verdict on an accepted pose, by its evidence."""
 _HEAD_WIDTH = 16
 _MOST_FINDINGS = 4
-_IN_THE_VERDICT = {"matches", "inliers", "residuals"}
-_IN_THE_CAUTIONS = {"matches", "spread", "relief", "baseline", "disparity"}
+_IN_REASONS = {"matches", "inliers", "residuals"}
+"""Findings that the reasons of a refusal already state."""
+_IN_CAUTIONS = {"matches", "spread", "relief", "baseline", "disparity"}
+"""Findings that the cautions of the thesis's methods already state."""
 _CAUSES = {"spread", "depth", "relief"}
-"""Whose consequence the finding `conditioning` is."""
+"""Findings that cause the finding `conditioning`."""
 
 
 def one_line(text: str) -> str:
-    """Return the text on one line, with control characters (of file names, say) made visible."""
+    """Return the text on one line, with control characters (of file names, for example) escaped."""
     words = " ".join(text.split())
     return "".join(c if unicodedata.category(c)[0] != "C" else c.encode("unicode_escape").decode() for c in words)
 
 
 def verdict(result: PoseResult) -> str:
-    """Return accepted or not, and by which evidence."""
-    if result.accepted:
-        return f"Accepted, {EVIDENCE[result.evidence]}."
-    return "Not accepted: the evidence is not enough to call this registered."
+    """Return whether a pose is accepted, and on what evidence."""
+    return ACCEPTED[result.evidence] if result.accepted else "Not accepted: the evidence is insufficient."
 
 
 def position(result: PoseResult) -> str:
-    """Return where the camera stood, seen from the scanner, with its standard deviation."""
+    """Return the camera position relative to the scanner, with its standard deviation."""
     return f"{result.thesis_parameters.in_words()} (sigma {1000 * result.sigma_position_m:.1f} mm)"
 
 
-def turn(result: PoseResult) -> str:
-    """Return how the camera was turned against the scanner's X, with its standard deviation."""
+def orientation(result: PoseResult) -> str:
+    """Return the camera orientation relative to the scanner, with its standard deviation."""
     return f"{result.thesis_parameters.turn_in_words()} (sigma {sigma_angle(result)})"
 
 
 def sigma_angle(result: PoseResult) -> str:
-    """Return the standard deviation of the turn, in degrees."""
+    """Return the standard deviation of the orientation, in degrees."""
     return f"{57.29577951308232 * result.sigma_angle_rad:.3f} deg"
 
 
 def matches(result: PoseResult) -> str:
-    """Return how many matches hold, and how well."""
+    """Return the number of inliers and their residual."""
     inliers = int(result.inliers.sum())
-    text = f"{inliers} of {len(result.matches)} hold"
+    text = f"{inliers} of {len(result.matches)} inliers"
     if inliers:
         squares = (result.residuals_px[result.inliers] ** 2).sum(axis=-1)
         text += f", {float(squares.mean()) ** 0.5:.2f} px rms"
@@ -67,23 +69,23 @@ def matches(result: PoseResult) -> str:
 
 
 def report(result: PoseResult) -> str:
-    """Return the whole verdict, several lines."""
+    """Return the verdict with its reasons and, if accepted, the pose; several lines."""
     lines = [verdict(result), *(f"  {one_line(reason)}" for reason in result.reasons)]
     if result.accepted:
         lines += [
             f"Camera   {position(result)}",
-            f"Turned   {turn(result)}",
+            f"Rotation {orientation(result)}",
             f"Matches  {matches(result)}",
         ]
     return "\n".join(lines)
 
 
-def assessed(assessment: Assessment, result: Registration) -> list[str]:
-    """Return what an operator should know or do beside the verdict, a few lines: all of it is in registration.json."""
+def assessment_lines(assessment: Assessment, result: Registration) -> list[str]:
+    """Return the main findings and suggestions, a few lines; registration.json has all of them."""
     lines = []
     if result.accepted and assessment.uncertainty is not None:
-        lines.append(f"Picture  {assessment.uncertainty.in_words()}")
-    shown = worth_telling(assessment, result)
+        lines.append(f"Image    {assessment.uncertainty.in_words()}")
+    shown = notable_findings(assessment, result)
     for finding in shown[:_MOST_FINDINGS]:
         lines.append(f"{finding.level.capitalize():<8} {one_line(f'{finding.sentence} {finding.what_to_do}')}")
     if len(shown) > _MOST_FINDINGS:
@@ -96,35 +98,35 @@ def assessed(assessment: Assessment, result: Registration) -> list[str]:
     return lines
 
 
-def worth_telling(assessment: Assessment, result: Registration) -> list[Finding]:
-    """Return the findings that an operator can act on and that the verdict's reasons do not tell, the worst first."""
+def notable_findings(assessment: Assessment, result: Registration) -> list[Finding]:
+    """Return the findings that a user can act on and that the verdict does not state, the worst first."""
     found = [finding for finding in assessment.findings or () if finding.level != "good"]
     if result.method == "manual":
-        told = set() if result.accepted else _IN_THE_VERDICT
+        known = set() if result.accepted else _IN_REASONS
     elif not result.accepted:
-        return []  # of a pose that was not found
-    else:  # nobody put these matches down
-        told = {finding.name for finding in found if finding.level == "fair"}
-        told |= _IN_THE_CAUTIONS if result.method == "thesis" else set()
-    found = [finding for finding in found if finding.name not in told]
+        return []  # findings on a pose that was not found are of no use
+    else:  # fair findings on automatic matches call for no action
+        known = {finding.name for finding in found if finding.level == "fair"}
+        known |= _IN_CAUTIONS if result.method == "thesis" else set()
+    found = [finding for finding in found if finding.name not in known]
     if any(finding.name in _CAUSES for finding in found):
         found = [finding for finding in found if finding.name != "conditioning"]
     return sorted(found, key=lambda finding: finding.level != "poor")
 
 
 def comparison_verdict(comparison: Comparison) -> str:
-    """Return the default's verdict, which is the comparison's."""
+    """Return the verdict of a comparison, which is that of the default method."""
     from ladarreg_core.export.comparison_table import default_of
 
     default = default_of(comparison)
     if default is not None and default.stage.result is not None:
         return verdict(default.stage.result)
     note = "" if default is None else one_line(default.stage.note)
-    return f"Not accepted: the default gave no pose. {note}".rstrip()
+    return f"Not accepted: the default method found no pose. {note}".rstrip()
 
 
 def comparison_report(comparison: Comparison, scan: Scan) -> str:
-    """Return the table with what was foreseen above it, and why each stage is judged as it is below."""
+    """Return the cautions, the table of all stages, and each stage's verdict with its reasons."""
     from ladarreg_core.export.comparison_table import cautions_of, comparison_table, title_of, verdict_of
 
     lines = [f"Caution  {one_line(caution)}" for caution in cautions_of(comparison)]
@@ -138,10 +140,10 @@ def comparison_report(comparison: Comparison, scan: Scan) -> str:
 
 
 def aligned(table: Table) -> str:
-    """Return a table for a terminal: names at the left, cells at the right of their columns."""
+    """Return a table for a terminal: row names left-aligned, cells right-aligned."""
     heads = [textwrap.wrap(head, _HEAD_WIDTH) or [""] for head in table.heads]
     deepest = max(map(len, heads), default=0)
-    raised = [[""] * (deepest - len(head)) + head for head in heads]  # they all end on the lowest line
+    raised = [[""] * (deepest - len(head)) + head for head in heads]  # heads are aligned at the bottom
     rows = [("", *line) for line in zip(*raised, strict=True)]
     cells = [*rows, *table.rows]
     widths = [max(len(row[k]) for row in cells) for k in range(len(table.heads) + 1)]
@@ -155,27 +157,27 @@ def aligned(table: Table) -> str:
 
 
 def self_test_report(found: SelfTest) -> str:
-    """Return what to expect, what was tried, and what to do."""
+    """Return the expectation, the trials and the advice of a self-test."""
     lines = [found.in_words()]
     right, wrong = found.of("right"), found.of("wrong")
     if right:
         missed = sum(not t.accepted for t in right)
-        astray = sum(t.accepted and not t.right for t in right)
+        false = sum(t.accepted and not t.right for t in right)
         lines.append(
-            f"  {len(right)} photographs made from the scan, without a guess: {sum(t.right for t in right)} right "
-            f"(median {found.picture_px:.2g} px), {missed} not accepted, {astray} accepted and wrong"
+            f"  {len(right)} photos rendered from the scan, no initial pose: {sum(t.right for t in right)} correct "
+            f"(median {found.picture_px:.2g} px), {missed} not accepted, {false} accepted with a wrong pose"
         )
     by_level: dict[float, list[bool]] = {}
     for trial in found.of("start"):
         by_level.setdefault(trial.off_deg, []).append(trial.right)
-    levels = [f"{sum(ends)} of {len(ends)} from {level:g} deg off" for level, ends in sorted(by_level.items())]
+    levels = [f"{sum(ends)} of {len(ends)} from {level:g} deg" for level, ends in sorted(by_level.items())]
     if levels:
-        lines.append(f"  looked for near a start that is off: {', '.join(levels)} found")
+        lines.append(f"  from an inaccurate initial pose: {', '.join(levels)} correct")
     if wrong:
-        lines.append(f"  pictures of other places: {sum(t.accepted for t in wrong)} of {len(wrong)} accepted")
+        lines.append(f"  photos of other scenes: {sum(t.accepted for t in wrong)} of {len(wrong)} accepted")
     if found.trials:
         lines.append(f"  {sum(t.seconds for t in found.trials) / len(found.trials):.1f} s each")
     if found.advice():
         lines.append(found.advice())
-    lines.append("Real photographs, of a scene in which things have moved, do no better than this.")
+    lines.append("Real photos, of a scene that may have changed, will not do better than this.")
     return "\n".join(lines)

@@ -1,7 +1,7 @@
-"""What the system gives this process: more file descriptors than it starts with, and memory that goes back when unused.
+"""Resources of this process: raises the limit of file descriptors, and returns unused memory to the system.
 
-glibc keeps what was freed: each of its arenas, one for every few threads, stays as large as it ever was. Two arenas are
-enough where one interpreter lock lets one thread allocate at a time, and trimming returns what lies free in them.
+glibc keeps freed memory: each of its arenas, one for every few threads, stays as large as it ever was. Two arenas are
+enough, because the interpreter lock lets one thread allocate at a time, and trimming returns their free memory.
 """
 
 from __future__ import annotations
@@ -15,76 +15,76 @@ import threading
 from pathlib import Path
 from typing import Any
 
-_WANTED_DESCRIPTORS = 4096
+_DESCRIPTORS = 4096
 _M_ARENA_MAX = -8
-"""Of `mallopt`, from glibc's malloc.h."""
+"""Parameter of `mallopt`, from glibc's malloc.h."""
 _ARENAS = 2
-_RETURN_AFTER_S = 1.0
-_WORTH_WHILE = 32 << 20
-"""Bytes of growth from which on it is done again: everybody waits while it is."""
-_pending = threading.Lock()
-_resident_before = 0
+_TRIM_DELAY_S = 1.0
+_MIN_GROWTH_BYTES = 32 << 20
+"""Growth of the process that makes another trim worthwhile: all threads wait for it."""
+_trim_pending = threading.Lock()
+_resident_after_trim = 0
 
 
-def raised_descriptor_limit() -> int | None:
-    """Raise the soft limit of file descriptors and return it; None where sockets do not count towards one."""
+def raise_descriptor_limit() -> int | None:
+    """Raise the soft limit of file descriptors and return it; None if sockets are not limited by one."""
     if sys.platform == "win32":
         return None
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = _WANTED_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, _WANTED_DESCRIPTORS)
+    wanted = _DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, _DESCRIPTORS)
     if soft == resource.RLIM_INFINITY or soft >= wanted:
         return None if soft == resource.RLIM_INFINITY else soft
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
-    except (OSError, ValueError):  # macOS has a limit of its own, too
+    except (OSError, ValueError):  # macOS has an additional limit
         return soft
     return wanted
 
 
 def limit_arenas() -> None:
-    """Have glibc make few arenas; to be called before there are threads, elsewhere it does nothing."""
+    """Limit the arenas of glibc; call it before threads are started. Without glibc it does nothing."""
     if (libc := _glibc()) is not None:
         libc.mallopt(_M_ARENA_MAX, _ARENAS)
 
 
-def keep_what_is_loaded() -> None:
-    """Take what is in memory now for what stays: the garbage collector need not look at it again."""
+def freeze_loaded_objects() -> None:
+    """Exempt all present objects from garbage collection: they are modules, and stay until the end."""
     gc.collect()
     gc.freeze()
 
 
-def return_memory_soon(*, surely: bool = False) -> None:
-    """Give freed memory back to the system in a moment; many calls at once are one.
+def return_memory_soon(*, force: bool = False) -> None:
+    """Return freed memory to the system shortly; several calls at once have the effect of one.
 
     Args:
-        surely: even if the process has not grown since that was last done.
+        force: even if the process has not grown since the last time.
     """
-    global _resident_before
+    global _resident_after_trim
     if _glibc() is None:
         return
-    resident = _resident()
-    if not surely and resident < _resident_before + _WORTH_WHILE:
-        _resident_before = min(_resident_before, resident)
-    elif _pending.acquire(blocking=False):
-        timer = threading.Timer(_RETURN_AFTER_S, _return_memory)
+    resident = _resident_bytes()
+    if not force and resident < _resident_after_trim + _MIN_GROWTH_BYTES:
+        _resident_after_trim = min(_resident_after_trim, resident)
+    elif _trim_pending.acquire(blocking=False):
+        timer = threading.Timer(_TRIM_DELAY_S, _trim)
         timer.daemon = True
         timer.start()
 
 
-def _return_memory() -> None:
-    global _resident_before
-    _pending.release()
-    gc.collect()  # closed connections hold their last message in circles of references
+def _trim() -> None:
+    global _resident_after_trim
+    _trim_pending.release()
+    gc.collect()  # closed connections keep their last message in reference cycles
     libc = _glibc()
     assert libc is not None
     libc.malloc_trim(0)
-    _resident_before = _resident()
+    _resident_after_trim = _resident_bytes()
 
 
-def _resident() -> int:
-    """Return the resident memory, bytes."""
+def _resident_bytes() -> int:
+    """Return the resident memory of the process, bytes."""
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 

@@ -1,4 +1,4 @@
-"""Progress on stderr: a bar on a terminal, plain lines elsewhere, nothing where quiet is wanted."""
+"""Progress on stderr: a bar on a terminal, plain lines elsewhere, nothing if quiet."""
 
 from __future__ import annotations
 
@@ -37,59 +37,59 @@ _MILESTONES = {
     "assess": 0.6,
     "smooth": 0.6,
 }
-"""How far the work has come after a step, as a share of the usual time; a search may take many climbs."""
+"""Share of the usual time that has passed after each step; some steps may occur several times."""
 _EXPORTS_FROM = 0.6
 
 
-class StepBar(Protocol):
-    """What a command tells its progress to; a context manager."""
+class ProgressBar(Protocol):
+    """A context manager that receives the progress of a command."""
 
-    def __enter__(self) -> StepBar:
-        """Start."""
+    def __enter__(self) -> ProgressBar:
+        """Show the bar."""
         ...
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        """Take the bar off the screen."""
+        """Remove the bar."""
         ...
 
     def step(self, step: Step) -> None:
-        """Tell a finished step."""
+        """Report a finished step."""
         ...
 
     def progress(self, progress: Progress) -> None:
-        """Tell how far loading or writing has come."""
+        """Report the progress of loading or writing."""
         ...
 
 
-def step_bar(*, quiet: bool, stream: TextIO | None = None) -> StepBar:
-    """Return the bar that suits the stream (stderr)."""
+def progress_bar(*, quiet: bool, stream: TextIO | None = None) -> ProgressBar:
+    """Return the kind of progress display that suits the stream; None: stderr."""
     out = stream or sys.stderr
     if quiet:
-        return _Silence()
+        return _Silent()
     return _Bar() if out.isatty() else _Lines(out)
 
 
-class _Silence:
-    def __enter__(self) -> StepBar:
+class _Silent:
+    def __enter__(self) -> ProgressBar:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         return None
 
     def step(self, step: Step) -> None:
-        """Tell nothing."""
+        """Ignore it."""
 
     def progress(self, progress: Progress) -> None:
-        """Tell nothing."""
+        """Ignore it."""
 
 
-class _Lines(_Silence):
+class _Lines(_Silent):
     def __init__(self, out: TextIO) -> None:
         self._out = out
         self._label = ""
 
     def step(self, step: Step) -> None:
-        """Print the step, its time and its numbers."""
+        """Print the step with its time and figures."""
         detail = "  ".join(
             f"{key} {value}"
             for key, value in step.detail.items()
@@ -104,7 +104,7 @@ class _Lines(_Silence):
             print(progress.label, file=self._out, flush=True)
 
 
-class _Bar(_Silence):
+class _Bar(_Silent):
     def __init__(self) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
@@ -121,7 +121,7 @@ class _Bar(_Silence):
         self._task = self._bar.add_task("starting", total=1.0, note="")
         self._steps = 0
 
-    def __enter__(self) -> StepBar:
+    def __enter__(self) -> ProgressBar:
         self._bar.start()
         return self
 
@@ -129,12 +129,12 @@ class _Bar(_Silence):
         self._bar.stop()
 
     def step(self, step: Step) -> None:
-        """Move the bar to the step."""
+        """Advance the bar to the step's milestone."""
         self._steps += 1
         self._show(step.name, _MILESTONES.get(step.name, 0.0), f"{self._steps} steps")
 
     def progress(self, progress: Progress) -> None:
-        """Move the bar through the exports."""
+        """Advance the bar within the exports."""
         share = progress.done / progress.total if progress.total else 0.0
         self._show(progress.label, _EXPORTS_FROM + (1 - _EXPORTS_FROM) * share, f"{self._steps} steps")
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ladarreg_core as lr
+from benchmarks.nid import NidPair
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.features.correlation import edge_picture
+from ladarreg_core.features.correlation import edge_image
 from ladarreg_core.frames import look_along
-from ladarreg_core.matching.nid import NidPair
 from ladarreg_core.matching.thesis.chain import ThesisOptions
 from ladarreg_core.matching.thesis.densify import DensifyOptions
 from ladarreg_core.matching.thesis.matcher import ThesisMatchOptions
@@ -61,7 +61,7 @@ def _by_sift(case: SimulatedCase, *, of_gradients: bool) -> lr.Rigid | None:
     gray = np.sqrt(np.maximum(view.intensity, 0))
     pictures = [_stretched(gray), cv2.cvtColor(case.photo.pixels, cv2.COLOR_RGB2GRAY)]
     if of_gradients:
-        pictures = [_stretched(edge_picture(np.asarray(picture, np.float32))) for picture in pictures]
+        pictures = [_stretched(edge_image(np.asarray(picture, np.float32))) for picture in pictures]
     sift = cv2.SIFT_create()
     (scan_keys, scan_features), (photo_keys, photo_features) = (sift.detectAndCompute(p, None) for p in pictures)
     if scan_features is None or photo_features is None or len(photo_features) < 2:

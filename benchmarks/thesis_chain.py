@@ -13,8 +13,8 @@ import numpy as np
 import ladarreg_core as lr
 from ladarreg_core.matching.thesis.chain import ThesisOptions, solve_thesis
 from ladarreg_core.pose.estimate import solve_pose
+from ladarreg_core.progress import StepLog
 from ladarreg_core.simulate import SCENES, SimulatedCase, simulate_case
-from ladarreg_core.steps import StepLog
 
 
 def apart_px(case: SimulatedCase, first: lr.Rigid, second: lr.Rigid) -> float:

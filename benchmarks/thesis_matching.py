@@ -17,14 +17,14 @@ import numpy as np
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.thesis.culling import CullingSide
 from ladarreg_core.matching.thesis.matcher import FoundMatches, ThesisMatchOptions, ThesisSearch
+from ladarreg_core.matching.thesis.search import FilterSide
 from ladarreg_core.simulate import SCENES, SimulatedCase, simulate_case
 
 RIGHT_PX = 3.0
 LEAST_RATIO = 0.9
 T1 = (0.05, 0.1, 0.15, 0.2)
-SIDES: tuple[CullingSide, ...] = ("two_sided", "one_sided")
+SIDES: tuple[FilterSide, ...] = ("two_sided", "one_sided")
 OFF = ((0.0, 0.0), (1.0, 0.05), (2.0, 0.1), (3.0, 0.2))
 """Degrees and metres by which the pose that constrains the second search is wrong."""
 
@@ -65,10 +65,10 @@ def with_options(search: ThesisSearch, options: ThesisMatchOptions) -> ThesisSea
     return other
 
 
-def first_pass(case: SimulatedCase, search: ThesisSearch, t1: float, side: CullingSide) -> Score:
+def first_pass(case: SimulatedCase, search: ThesisSearch, t1: float, side: FilterSide) -> Score:
     """Score the unconstrained search after culling."""
     here = with_options(search, replace(search.options, t1=t1, culling=side))
-    return scored(case, here.culled(here.unconstrained()))
+    return scored(case, here.filtered(here.unconstrained()))
 
 
 def off_by(pose: Rigid, degrees: float, metres: float, rng: np.random.Generator) -> Rigid:
@@ -107,7 +107,7 @@ def measure(seeds: range) -> dict[str, list[Score]]:
             for degrees, metres in OFF:
                 pose = off_by(case.camera_from_scanner, degrees, metres, np.random.default_rng([seed, 7]))
                 started = time.perf_counter()
-                found = search.culled(search.constrained(pose))
+                found = search.filtered(search.constrained(pose))
                 seconds["second search"].append(time.perf_counter() - started)
                 name = f"{degrees:g} deg, {100 * metres:g} cm off"
                 scores[f"second, {name}"].append(scored(case, found))
@@ -117,7 +117,7 @@ def measure(seeds: range) -> dict[str, list[Score]]:
                     seconds["lines"].append(time.perf_counter() - started)
                     scores[f"lines {spacing}, {name}"].append(scored(case, dense))
             started = time.perf_counter()
-            turn = search.seems_turned()
+            turn = search.detect_roll()
             seconds["turned"].append(time.perf_counter() - started)
             if turn is not None:
                 print(f"{scene} {seed}: an upright photo was called turned: {turn.in_words()}")
@@ -131,7 +131,7 @@ def turned(seeds: range) -> None:
     for scene in SCENES:
         for seed in seeds:
             case = simulate_case(scene, set_name="rotated", seed=seed)
-            turn = searched(case, ThesisMatchOptions()).seems_turned()
+            turn = searched(case, ThesisMatchOptions()).detect_roll()
             truth = np.degrees(lr.ThesisParameters.from_pose(case.camera_from_scanner).gamma)
             said = "nothing" if turn is None else f"{np.degrees(turn.angle_rad):.1f} deg by {turn.agreeing} matches"
             print(f"{scene:8}{seed:4}  true roll {truth:7.1f} deg   said: {said}")

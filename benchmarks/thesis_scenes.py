@@ -13,7 +13,7 @@ from benchmarks.register import errors as scene_errors
 from benchmarks.thesis_apple import PARAMETERS, markdown, simplex_options, six
 from benchmarks.thesis_descents import Convergence, convergence
 from ladarreg_core.comparison import Column, Comparison, compare
-from ladarreg_core.export.comparison_table import NOTHING, TITLES, comparison_table
+from ladarreg_core.export.comparison_table import NOTHING, comparison_table, title_of
 from ladarreg_core.simulate import SimulatedCase, simulate_case
 
 
@@ -64,7 +64,7 @@ def scenes_text(runs: dict[str, list[SceneRun]]) -> str:
             missing = f", {len(px) - len(known)} without a pose" if len(known) < len(px) else ""
             cells.append(f"{np.median(known):.2f} / {max(known):.2f}{missing}" if known else "no pose")
         rows.append([scene, *cells])
-    heads = [TITLES[column.stage.name] for column in next(iter(runs.values()))[0].comparison.columns]
+    heads = [title_of(column) for column in next(iter(runs.values()))[0].comparison.columns]
     return markdown(heads, rows)
 
 

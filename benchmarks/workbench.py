@@ -23,7 +23,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
-from ladarreg.gateway.delta import changed
+from ladarreg.gateway.delta import apply_change
 from websockets.sync.client import ClientConnection, connect
 
 from benchmarks.model_drawn import model_drawn
@@ -39,7 +39,7 @@ new PerformanceObserver((list) => {
 _EDIT_IN_PAGE = """
 async ([photo, times]) => {
   const module = (name) => import(new URL(`js/${name}.js`, location.href).href);
-  const [{ ask }, { store }] = await Promise.all([module('connection'), module('store')]);
+  const [{ ask }, { store }] = await Promise.all([module('net/connection'), module('net/store')]);
   const spent = [];
   for (let k = 0; k < times; k += 1) {
     const picks = store.picksOf(photo);
@@ -122,7 +122,7 @@ class Page:
     def take(self, message: dict[str, Any]) -> dict[str, Any]:
         self.slices.update(message.get("slices", {}))
         for name, change in message.get("changes", {}).items():
-            self.slices[name] = changed(self.slices[name], change)
+            self.slices[name] = apply_change(self.slices[name], change)
         return message
 
     def ask(self, do: str, **fields: Any) -> dict[str, Any]:

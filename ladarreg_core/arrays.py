@@ -1,4 +1,4 @@
-"""Array types, and the one way in which data from outside becomes a read-only array."""
+"""Array types, and the conversion of outside data to read-only arrays."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ IntArray = NDArray[np.integer[Any]]
 
 
 def read_only(values: ArrayLike, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
-    """Return `values` as a contiguous read-only array of `dtype` and `shape`; the caller's array is never frozen.
+    """Return `values` as a contiguous read-only array of `dtype` and `shape`; the caller's array stays writable.
 
     Args:
         values: anything array-like.
-        dtype: the NumPy type wanted.
-        shape: the shape wanted, `None` where any length will do.
-        name: what to call the array in the error.
+        dtype: the NumPy type required.
+        shape: the shape required, with `None` for any length.
+        name: the subject of the error's sentence.
 
     Raises:
-        ShapeError: if it is not numeric or has another shape.
+        ShapeError: if the values are not numeric, would lose their meaning in `dtype`, or have another shape.
     """
     try:
         given = np.asarray(values)
-        _refuse_what_would_be_cut(given, np.dtype(dtype), name)
+        _check_conversion(given, np.dtype(dtype), name)
         with np.errstate(over="ignore"):  # too large for float32: infinite
             array = np.ascontiguousarray(values, dtype=dtype)
     except (TypeError, ValueError, OverflowError) as error:
@@ -45,14 +45,16 @@ def read_only(values: ArrayLike, dtype: Any, shape: tuple[int | None, ...], name
     return array
 
 
-def _refuse_what_would_be_cut(given: NDArray[Any], wanted: np.dtype[Any], name: str) -> None:
-    """Refuse complex numbers, and numbers that a type of whole numbers would silently turn into others."""
+def _check_conversion(given: NDArray[Any], wanted: np.dtype[Any], name: str) -> None:
+    """Refuse complex numbers, and numbers that a conversion to integers would silently change."""
     if given.dtype.kind == "c":
-        raise ShapeError(f"{name} holds complex numbers; it must hold real ones")
+        raise ShapeError(f"{name} contains complex numbers; it must contain real ones")
     if wanted.kind not in "iu" or given.dtype.kind not in "iuf" or np.can_cast(given.dtype, wanted):
         return
     low, high = np.iinfo(wanted).min, np.iinfo(wanted).max
     with np.errstate(invalid="ignore"):
         fits = (given >= low) & (given <= high) & (given == np.rint(given))
     if not fits.all():
-        raise ShapeError(f"{name} holds {given[~fits].flat[0]:g}; it must hold whole numbers from {low} to {high}")
+        raise ShapeError(
+            f"{name} contains {given[~fits].flat[0]:g}; it must contain whole numbers from {low} to {high}"
+        )

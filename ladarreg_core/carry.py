@@ -1,4 +1,4 @@
-"""A pose carried over to a second camera on the same mount, where that camera's own picture cannot be matched."""
+"""Transfers a pose to a second camera on the same mount, whose own image cannot be matched."""
 
 from __future__ import annotations
 
@@ -7,36 +7,36 @@ from dataclasses import replace
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.formatting import format_angle, format_length
 from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.matches import Matches
-from ladarreg_core.mount import Offset
 from ladarreg_core.photo import Photo
-from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M
+from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.progress import Step
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results import Offset, PoseResult, Registration
 
 
 def carry_over(registration: Registration, offset: Offset | Rigid, photo_b: Photo) -> Registration:
-    """Return the registration of a second camera's photo, from that of the first camera and the mount between them.
+    """Return the registration of a second camera's photo, from that of the first camera and the offset between them.
 
-    Nothing of the second photo is looked at: gamma pictures, for one, show too little to be matched.
+    The second photo itself is not used: gamma images, for example, show too little to be matched.
 
     Args:
-        registration: of the first camera's photo, to the same scan, taken at the same moment.
-        offset: `camera_b_from_camera_a`, with how well it is known; a bare transform has the stated uncertainties.
+        registration: of the first camera's photo, taken at the same moment, to the same scan.
+        offset: `camera_b_from_camera_a` with its uncertainty; a bare transform gets the assumed one.
         photo_b: the second camera's photo.
 
     Returns:
-        a registration by `carried`, without matches. It is accepted where the first one is, by `statistics`: its
-        covariance is the first one's and the offset's, propagated.
+        a registration by the method `carried`, without matches. It is accepted if the first one is, with the evidence
+        `statistics`; its covariance is propagated from the first pose's and the offset's.
     """
     mount = Offset(offset) if isinstance(offset, Rigid) else offset
     between = mount.camera_b_from_camera_a
     pose = between @ registration.camera_from_scanner
     described = describe_pose(
         pose,
-        Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))),
+        Matches.none(),
         np.zeros(0, np.bool_),
         photo_b.camera,
         sigma_px=STATED_SIGMA_PX,
@@ -65,29 +65,28 @@ def carry_over(registration: Registration, offset: Offset | Rigid, photo_b: Phot
 def _propagated(registration: Registration, mount: Offset) -> FloatArray:
     """Return the covariance (6, 6) of camera b's (w, c), to first order.
 
-    With p the place of b in camera a's frame and R_a, R_o the turns of a and of the offset: w_b = R_o w_a + w_o and
-    c_b = c_a + R_a^T (p x w_a) + R_a^T dp.
+    With p the position of b in camera a's frame and R_a, R_o the rotations of a and of the offset:
+    w_b = R_o w_a + w_o and c_b = c_a + R_a^T (p x w_a) + R_a^T dp.
     """
-    between, turn_a = mount.camera_b_from_camera_a, registration.camera_from_scanner.rotation
+    between, rotation_a = mount.camera_b_from_camera_a, registration.camera_from_scanner.rotation
     J = np.eye(6)
     J[:3, :3] = between.rotation
-    J[3:, :3] = turn_a.T @ skew(between.centre)
+    J[3:, :3] = rotation_a.T @ skew(between.centre)
     own = np.diag([mount.sigma_angle_rad**2] * 3 + [mount.sigma_position_m**2] * 3)
     total: FloatArray = J @ np.asarray(registration.covariance) @ J.T + own
     return (total + total.T) / 2
 
 
 def _reasons(registration: Registration, mount: Offset, result: PoseResult) -> tuple[str, ...]:
-    turn, shift = np.degrees(mount.sigma_angle_rad), 1000 * mount.sigma_position_m
     if not registration.accepted:
         return (
-            "The registration that this pose would be carried over from is not accepted; accept that one first.",
+            "The registration of the first camera is not accepted, so neither is this pose; register that photo first.",
             *registration.reasons,
         )
     return (
-        "Carried over from a camera on the same mount; nothing of this photo was compared with the scan.",
-        f"The offset between the cameras is taken as known to {turn:.2g} deg and {shift:.2g} mm about and along each "
-        f"axis; with the first pose's own uncertainty that gives {np.degrees(result.sigma_angle_rad):.2g} deg and "
-        f"{1000 * result.sigma_position_m:.2g} mm.",
-        *(f"Of the first camera: {reason}" for reason in registration.reasons),
+        "Pose carried over from a camera on the same mount; this photo was not compared with the scan.",
+        f"Uncertainty of the offset between the cameras (1 sigma per axis): {format_angle(mount.sigma_angle_rad)} and "
+        f"{format_length(mount.sigma_position_m)}; together with that of the first pose: "
+        f"{format_angle(result.sigma_angle_rad)} and {format_length(result.sigma_position_m)}.",
+        *(f"First camera: {reason}" for reason in registration.reasons),
     )

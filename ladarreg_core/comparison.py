@@ -1,4 +1,4 @@
-"""The thesis's stages and the default side by side, as in its Figure 2.22 and Tables 3.2-3.5."""
+"""The stages of the thesis and the default method side by side, as in its Figure 2.22 and Tables 3.2-3.5."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.matching.thesis.chain import thesis_stages
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import StepReport
+from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.results import Stage
 from ladarreg_core.scan import Scan
-from ladarreg_core.steps import StepLog
 from ladarreg_core.surface.texture import RegisteredTexture, texture_scan
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Column:
-    """One estimator's answer with the picture that it makes."""
+    """The result of one estimator with the image that it registers."""
 
     stage: Stage
     """Pose, matches and residuals, or why there are none."""
     texture: RegisteredTexture | None
-    """The photograph on the scan's grid by this pose; None where there is no pose."""
+    """The photograph on the scan's grid by this pose; None without a pose."""
     seconds: float
     """Wall time of the estimator."""
 
@@ -38,7 +37,7 @@ class Comparison:
     columns: tuple[Column, ...]
     """`linear`, `constrained_linear`, `simplex`, `simplex_outliers_removed`, `default`."""
     cautions: tuple[str, ...] = ()
-    """What was foreseen before solving (thesis 3.4), in sentences."""
+    """Warnings given before solving (thesis 3.4), as sentences."""
     seed: int = 0
     """The seed used."""
 
@@ -57,13 +56,13 @@ def compare(
     Args:
         scan: the scan.
         photo: the photograph.
-        picks: points and lines drawn by hand; all estimators then solve these.
-        initial: a first guess of `camera_from_scanner`, given to all.
-        options: as of `register`.
-        report: receives every finished step of all; may raise `Cancelled`.
+        picks: points and lines drawn by hand; all estimators then use these.
+        initial: a starting pose, `camera_from_scanner`, for all estimators.
+        options: as for `register`.
+        report: receives every finished step of all estimators; may raise `Cancelled`.
 
     Returns:
-        Five columns. One without a pose tells why; none is left out.
+        Five columns; one without a pose says why.
 
     Raises:
         LadarregError: as `register`.
@@ -76,7 +75,7 @@ def compare(
     with threadpool_limits(limits=1, user_api="blas"):
         found = thesis_stages(
             scan, photo, steps,
-            picks=picks, initial=initial, options=o.of_thesis, samples_per_line=o.samples_per_line,
+            picks=picks, initial=initial, options=o.seeded_thesis, samples_per_line=o.samples_per_line,
         )  # fmt: skip
     spent = {step.detail["stage"]: step.seconds for step in steps.steps if "stage" in step.detail}
     known = default.method == "manual" or default.diagnostics.get("verification") is not None

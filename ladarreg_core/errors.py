@@ -1,48 +1,48 @@
-"""The errors that a caller can act on: what was found, what is needed, what to do."""
+"""Exceptions that a caller can act on; each text says what was found, what is needed and what to do."""
 
 
 class LadarregError(Exception):
-    """Base of every error that is the input's fault and not the program's; its text is one line for an operator."""
+    """Base of all errors caused by the input and not by the program; the text is one line for an operator."""
 
 
 class ShapeError(LadarregError):
-    """Arrays that disagree with each other or with what they should be."""
+    """Arrays of a wrong shape or type, or that do not match each other."""
 
 
 class DegenerateGeometryError(LadarregError):
-    """Geometry from which the answer cannot be computed: too few, coplanar, collinear or coincident."""
+    """Geometry that does not determine the result: too few points, or coplanar, collinear or coincident ones."""
 
 
 class FormatError(LadarregError):
-    """A file that is missing, damaged, hostile or of an unknown kind."""
+    """A file that is missing, damaged, hostile or of an unknown format."""
 
 
 class CameraError(LadarregError):
-    """Camera parameters that are absent or impossible."""
+    """Camera parameters that are missing or impossible."""
 
 
 class OptionError(LadarregError):
-    """An option with a value that has no meaning."""
+    """An option or argument with an invalid value."""
 
 
 class DependencyError(LadarregError):
-    """An optional package that this function needs is not installed."""
+    """An optional package that is required here but not installed."""
 
 
 class DeviceError(LadarregError):
-    """A scanner or a pan/tilt unit that does not answer as its protocol says."""
+    """A scanner or pan/tilt unit that does not respond as its protocol specifies."""
 
 
 class ExportError(LadarregError):
-    """A result that could not be written where it was asked for."""
+    """A result that could not be written to its destination."""
 
 
 class NewerVersionError(FormatError):
-    """A file that a newer version of the program wrote, and that is left as it is."""
+    """A file written by a newer version of the program; it is left unchanged."""
 
 
 class UnsavedError(ExportError):
-    """Work that could not be saved where it belongs; its text says where it is, if anywhere."""
+    """Work that could not be saved to its project; the text says where it was saved instead, if anywhere."""
 
 
 class Cancelled(Exception):  # noqa: N818 - it is no error

@@ -1,4 +1,4 @@
-"""Rigid transforms, the two frames, and the thesis's six numbers.
+"""Rigid transforms, the two coordinate frames, and the thesis's six pose parameters.
 
 | frame | axes |
 |---|---|
@@ -29,11 +29,11 @@ _ORTHONORMAL_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rigid:
-    """A rotation followed by a translation: `to_from_from @ point = rotation @ point + translation`.
+    """A rotation followed by a translation: `transform @ point = rotation @ point + translation`.
 
     Raises:
-        DegenerateGeometryError: if the rotation is mirrored, not finite, or off orthonormal by more than 1e-3; smaller
-            errors (files are often printed to six digits) are projected away.
+        DegenerateGeometryError: if the rotation is a reflection, not finite, or off orthonormal by more than 1e-3;
+            smaller errors (files often have six digits) are removed by projection.
     """
 
     rotation: FloatArray
@@ -45,14 +45,14 @@ class Rigid:
         rotation = read_only(self.rotation, np.float64, (3, 3), "rotation")
         translation = read_only(self.translation, np.float64, (3,), "translation")
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
-            raise DegenerateGeometryError("the transform holds NaN or infinity; it needs 12 finite numbers")
+            raise DegenerateGeometryError("the transform contains NaN or infinity; it needs 12 finite numbers")
         error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
         if error > _ORTHONORMAL_TOLERANCE:
             raise DegenerateGeometryError(
-                f"the rotation is off orthonormal by {error:.2g}; it may be off by {_ORTHONORMAL_TOLERANCE:g} at most"
+                f"the rotation is off orthonormal by {error:.2g}; at most {_ORTHONORMAL_TOLERANCE:g} is allowed"
             )
         if np.linalg.det(rotation) < 0:
-            raise DegenerateGeometryError("the rotation mirrors (determinant -1); it needs a right-handed one")
+            raise DegenerateGeometryError("the rotation is a reflection (determinant -1); it must be right-handed")
         if error > 1e-14:
             u, _, vt = np.linalg.svd(rotation)
             rotation = read_only(u @ vt, np.float64, (3, 3), "rotation")
@@ -61,7 +61,7 @@ class Rigid:
 
     @staticmethod
     def identity() -> Rigid:
-        """Return the transform that moves nothing."""
+        """Return the identity transform."""
         return Rigid(np.eye(3), np.zeros(3))
 
     @staticmethod
@@ -70,7 +70,7 @@ class Rigid:
 
         Raises:
             ShapeError: if it is not (4, 4).
-            DegenerateGeometryError: if its last row is not 0 0 0 1 or its rotation is none.
+            DegenerateGeometryError: if its last row is not 0 0 0 1, or its rotation is invalid.
         """
         m = read_only(matrix, np.float64, (4, 4), "the transform")
         if not np.allclose(m[3], [0, 0, 0, 1], atol=1e-9):
@@ -84,7 +84,7 @@ class Rigid:
 
     @staticmethod
     def from_centre(rotation: ArrayLike, centre: ArrayLike) -> Rigid:
-        """Return the transform into a frame whose origin lies at `centre` (3,) of the other frame."""
+        """Return the transform into a frame whose origin is at `centre` (3,) in the source frame."""
         R = np.asarray(rotation, dtype=np.float64)
         return Rigid(R, -R @ np.asarray(centre, dtype=np.float64))
 
@@ -98,7 +98,7 @@ class Rigid:
 
     @property
     def inverse(self) -> Rigid:
-        """The transform the other way."""
+        """The inverse transform."""
         return Rigid(self.rotation.T, -self.rotation.T @ self.translation)
 
     @property
@@ -111,7 +111,7 @@ class Rigid:
     @overload
     def __matmul__(self, other: FloatArray) -> FloatArray: ...
     def __matmul__(self, other: Rigid | FloatArray) -> Rigid | FloatArray:
-        """Compose with another transform, or map points (..., 3); the points keep their floating type."""
+        """Compose with another transform, or map points (..., 3); points keep their floating-point type."""
         if isinstance(other, Rigid):
             return Rigid(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
         points = np.asarray(other)
@@ -138,7 +138,7 @@ def rotation_from_rotvec(rotvec: ArrayLike) -> NDArray[np.float64]:
 
 
 def rotvec_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
-    """Return the rotation vector (3,), rad, of length at most pi, of a rotation matrix (3, 3)."""
+    """Return the rotation vector (3,), rad, of length pi at most, of a rotation matrix (3, 3)."""
     R = np.asarray(rotation, dtype=np.float64)
     axis_sin = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
     sine, cosine = float(np.linalg.norm(axis_sin)), float((np.trace(R) - 1) / 2)
@@ -153,8 +153,13 @@ def rotvec_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(axis / np.linalg.norm(axis) * angle, dtype=np.float64)
 
 
+def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return angles, rad, of any shape, as the equal ones in [-pi, pi)."""
+    return np.asarray((np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi)
+
+
 def look_along(direction: ArrayLike) -> NDArray[np.float64]:
-    """Return the rotation (3, 3), view from scanner, of a camera that looks along `direction` (3,) without roll."""
+    """Return the rotation (3, 3), view from scanner, of a camera facing along `direction` (3,) without roll."""
     forward = np.asarray(direction, dtype=np.float64)
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -172,10 +177,10 @@ def skew(vector: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class ThesisParameters:
-    """The six numbers of the thesis's tables: the camera's centre and its turn, in the thesis's stereo frame.
+    """Camera position and orientation as the six parameters of the thesis's tables, in its stereo frame.
 
     In scanner axes (Tx, Ty, Tz) are (Y, Z, X): Tx positive is left, Ty up, Tz forward; alpha > 0 turns right,
-    beta > 0 looks down, gamma is roll. Q = Ry(-alpha) Rx(beta) Rz(gamma) turns camera into LADAR axes.
+    beta > 0 looks down, gamma is roll. Q = Ry(-alpha) Rx(beta) Rz(gamma) rotates camera axes into LADAR axes.
 
     Source: thesis 2.4.2, Eq 2.13, with the sign of its y'c corrected.
     """
@@ -218,15 +223,15 @@ class ThesisParameters:
         centre = CAMERA_AXES_FROM_SCANNER.T @ _STEREO_AXES @ np.array([self.Tx, self.Ty, self.Tz])
         return Rigid.from_centre(Q_cv.T @ CAMERA_AXES_FROM_SCANNER, centre)
 
-    def in_words(self) -> str:
-        """Return the position as an operator says it: '0.61 m left, 0.05 m down, 0.12 m forward'."""
+    def describe_position(self) -> str:
+        """Return the camera position as text: '0.61 m left, 0.05 m down, 0.12 m forward'."""
         pairs = ((self.Tx, "left", "right"), (self.Ty, "up", "down"), (self.Tz, "forward", "back"))
         return ", ".join(f"{abs(value):.2f} m {plus if value >= 0 else minus}" for value, plus, minus in pairs)
 
-    def turn_in_words(self) -> str:
-        """Return the turn as an operator says it: '7.31 deg right, 1.20 deg up, rolled 0.94 deg clockwise'.
+    def describe_orientation(self) -> str:
+        """Return the camera orientation as text: '7.31 deg right, 1.20 deg up, rolled 0.94 deg clockwise'.
 
-        Clockwise as seen from behind the camera.
+        Clockwise is as seen from behind the camera.
         """
         pan, tilt, roll = np.degrees([self.alpha, self.beta, self.gamma])
         return (
@@ -234,6 +239,8 @@ class ThesisParameters:
             f"{abs(tilt):.2f} deg {'down' if tilt >= 0 else 'up'}, "
             f"rolled {abs(roll):.2f} deg {'clockwise' if roll >= 0 else 'counter-clockwise'}"
         )
+
+    in_words, turn_in_words = describe_position, describe_orientation
 
 
 def rotation_about(axis: str, angle_rad: float) -> NDArray[np.float64]:

@@ -1,8 +1,10 @@
-"""What long work tells while it runs: one stream for the command line, the benchmarks and the workbench."""
+"""Progress reports of long-running work, and the log of a registration's steps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -13,14 +15,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far loading, an export or a job has come."""
+    """Progress of loading, of an export or of a job."""
 
     done: int
-    """Units finished."""
+    """Units done."""
     total: int
-    """Units in all; 0 where that is not known."""
+    """Total units; 0 if unknown."""
     label: str
-    """What is being done, for a person."""
+    """The current activity, for people."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,18 +30,48 @@ class Step:
     """One finished step of a registration."""
 
     name: str
-    """The step's name, e.g. `channels` or `climb`."""
+    """Name, e.g. `channels` or `climb`."""
     seconds: float
-    """Wall time that it took."""
+    """Wall time, s."""
     matches: Matches | None = None
-    """The matches as they stood after it, where it made any."""
+    """The matches after it, if it produced any."""
     pose: Rigid | None = None
-    """`camera_from_scanner` after it, where it had one."""
+    """`camera_from_scanner` after it, if there is one."""
     detail: Mapping[str, Any] = field(default_factory=dict)
-    """Counts and figures of the step, JSON-ready."""
+    """Counts and figures, JSON-ready."""
 
 
 Report = Callable[[Progress], None]
-"""Receives `Progress`; raises `Cancelled` to stop the work."""
+"""Callback for `Progress`; raises `Cancelled` to stop the work."""
 StepReport = Callable[[Step], None]
-"""Receives `Step`s; raises `Cancelled` to stop the work."""
+"""Callback for `Step`s; raises `Cancelled` to stop the work."""
+
+
+class StepLog:
+    """Collects the `Step`s of a registration in order and reports each.
+
+    The code of a step sets `matches` and `pose` while it runs; a pose is kept for the steps that follow.
+    """
+
+    def __init__(self, report: StepReport | None = None) -> None:
+        self._report = report
+        self._steps: list[Step] = []
+        self.matches: Matches | None = None
+        self.pose: Rigid | None = None
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """All finished steps."""
+        return tuple(self._steps)
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[dict[str, Any]]:
+        """Time a step; the yielded dict becomes its detail."""
+        detail: dict[str, Any] = {}
+        self.matches = None
+        started = time.perf_counter()
+        yield detail
+        step = Step(name, time.perf_counter() - started, self.matches, self.pose, detail)
+        self._steps.append(step)
+        if self._report is not None:
+            self._report(step)

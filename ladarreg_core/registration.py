@@ -1,4 +1,4 @@
-"""The facade: a scan and a photograph in, a registration out."""
+"""The facade: registers a photograph with a scan by one of three methods."""
 
 from __future__ import annotations
 
@@ -17,45 +17,44 @@ from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.thesis.chain import ThesisOptions, ThesisResult, thesis_stages
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE, LineUse, check_line_use, check_samples, matches_from_picks
-from ladarreg_core.pose.confirm import confirm
-from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
-from ladarreg_core.progress import StepReport
+from ladarreg_core.pose.multistart import confirm
+from ladarreg_core.pose.result import describe_pose
+from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.steps import StepLog
+from ladarreg_core.validation import LARGEST_INT, require_choice, require_int, require_type
 
-_TOLD_LOSSES = 3
-_KAPPA_ROUNDS = 2  # where samples lie along a line in the photo depends on the pose, and settles at once
+_LOSSES_SHOWN = 3
+_KAPPA_ROUNDS = 2  # positions of samples along a line in the photo depend on the pose, and converge at once
 
 RegistrationMethod = Literal["auto", "thesis", "manual"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegisterOptions:
-    """How a registration works; saved with its result."""
+    """Options of a registration; saved with its result."""
 
     seed: int = 0
-    """Of every random draw: the same inputs, options and seed give the same answer."""
+    """Random seed; equal seeds give equal results."""
     auto: AutoOptions = field(default_factory=AutoOptions)
-    """Of the method `auto`."""
+    """Options of the method `auto`."""
     pose: PoseOptions = field(default_factory=PoseOptions)
-    """Of the estimator that solves given matches."""
+    """Options of the estimator for given matches."""
     thesis: ThesisOptions = field(default_factory=ThesisOptions)
-    """Of the method `thesis`."""
+    """Options of the method `thesis`."""
     lines: LineUse = "ends"
-    """What of a line drawn by hand `manual` uses; `thesis` samples it at equal intervals."""
+    """Use of lines drawn by hand in `manual`; `thesis` samples them at equal intervals."""
     samples_per_line: int = SAMPLES_PER_LINE
-    """Points taken along every line drawn by hand, where it is sampled."""
+    """Number of samples along a line drawn by hand, if it is sampled."""
 
     @property
-    def of_thesis(self) -> ThesisOptions:
-        """Those of `thesis`, with the seed."""
+    def seeded_thesis(self) -> ThesisOptions:
+        """`thesis` with the seed of this registration."""
         return replace(self.thesis, pose=replace(self.thesis.pose, seed=self.seed))
 
     def __post_init__(self) -> None:
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**31:
-            raise OptionError(f"the seed is {self.seed!r}; it must be a whole number of at least 0")
+        require_int(self.seed, "the seed", least=0, most=LARGEST_INT)
         check_samples(self.samples_per_line)
         check_line_use(self.lines)
 
@@ -70,54 +69,50 @@ def register(
     options: RegisterOptions | None = None,
     report: StepReport | None = None,
 ) -> Registration:
-    """Find where a photograph was taken, relative to a scan, and say how good the answer is.
+    """Estimate the camera pose of a photograph relative to a scan, with its uncertainty and a verdict.
 
     Args:
-        scan: what the laser scanner saw.
+        scan: the laser scan.
         photo: the photograph with its camera.
-        method: `auto` matches the pictures; `thesis` does so by the chain of the thesis; `manual` solves `picks`. Given
-            picks, `auto` becomes `manual` and `thesis` solves them by its own estimators: what a person put down is
-            not overruled.
-        picks: matching points and lines.
-        initial: a first guess of `camera_from_scanner`, tried before all others.
-        options: seeds and thresholds.
+        method: `auto` matches the images; `thesis` does so by the chain of the thesis; `manual` solves `picks`. With
+            picks, `auto` becomes `manual`, and `thesis` solves them by its own estimators: picks take precedence over
+            automatic matching.
+        picks: corresponding points and lines.
+        initial: a starting pose, `camera_from_scanner`, tried before all others.
+        options: seed, methods and thresholds.
         report: receives every finished `Step`; may raise `Cancelled`.
 
     Returns:
-        The registration. Not being accepted is a result, told by `accepted` and `reasons`; the pose is then only the
-        best guess and must not be shown as registered.
+        The registration. A refused pose is a result, too, with `accepted` False and `reasons`; it is then only the best
+        candidate and must not be shown as registered.
 
     Raises:
-        OptionError: if the method is unknown, `manual` has no picks, or an argument is of another type.
-        DegenerateGeometryError: if the picks cannot determine a pose.
+        OptionError: if the method is unknown, `manual` has no picks, or an argument is of a wrong type.
+        DegenerateGeometryError: if the picks do not determine a pose.
     """
     o = RegisterOptions() if options is None else options
     _check_types(scan, photo, picks, initial, o)
-    if method not in get_args(RegistrationMethod):
-        raise OptionError(f"the method is {method!r}; it must be one of {', '.join(get_args(RegistrationMethod))}")
+    require_choice(method, get_args(RegistrationMethod), "the method")
     if method == "manual" and not picks:
-        raise OptionError("the method 'manual' has no matches; give points or lines, or take the method 'auto'")
+        raise OptionError("the method 'manual' has no picks; give points or lines, or use the method 'auto'")
     steps = StepLog(report)
-    # On several threads BLAS adds up in another order, and the last digits of a pose would depend on the machine.
+    # With several threads BLAS sums in another order, and the last digits of a pose would depend on the machine.
     with threadpool_limits(limits=1, user_api="blas"):
         return _register(scan, photo, steps, method, picks, initial, o)
 
 
 def _check_types(scan: object, photo: object, picks: object, initial: object, options: object) -> None:
-    """Refuse a path where its content is wanted, a matrix where a pose is, and the like, before any work."""
-    wanted: list[tuple[str, object, type]] = [
-        ("scan", scan, Scan),
-        ("photo", photo, Photo),
-        ("options", options, RegisterOptions),
-        *([("initial", initial, Rigid)] if initial is not None else []),
-    ]
+    """Refuse arguments of wrong types before any work, e.g. a path instead of a scan or a matrix instead of a pose."""
+    require_type(scan, Scan, "'scan'")
+    require_type(photo, Photo, "'photo'")
+    require_type(options, RegisterOptions, "'options'")
+    if initial is not None:
+        require_type(initial, Rigid, "'initial'")
     if picks is not None:
         if not isinstance(picks, Sequence) or isinstance(picks, str):
-            raise OptionError(f"the picks are a {type(picks).__name__}; give a list of Pick")
-        wanted += [("picks", pick, Pick) for pick in picks]
-    for name, value, kind in wanted:
-        if not isinstance(value, kind):
-            raise OptionError(f"'{name}' holds a {type(value).__name__}; it must be a {kind.__name__}")
+            raise OptionError(f"'picks' is a {type(picks).__name__}; give a list of Pick")
+        for pick in picks:
+            require_type(pick, Pick, "an element of 'picks'")
 
 
 def _register(
@@ -132,19 +127,19 @@ def _register(
     if method == "thesis":
         chain = thesis_stages(
             scan, photo, steps,
-            picks=picks, initial=initial, options=options.of_thesis, samples_per_line=options.samples_per_line,
+            picks=picks, initial=initial, options=options.seeded_thesis, samples_per_line=options.samples_per_line,
         )  # fmt: skip
-        return _registration(_of_thesis(chain, scan, photo), "thesis", steps, options)
+        return _registration(_thesis_result(chain, scan, photo), "thesis", steps, options)
     if picks:
-        return _registration(_solved(scan, photo, steps, picks, initial, options), "manual", steps, options)
+        return _registration(_manual_result(scan, photo, steps, picks, initial, options), "manual", steps, options)
     found = register_by_modality(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
     with steps.step("result"):
-        result = _of_auto(found, scan, photo)
+        result = _auto_result(found, scan, photo)
         steps.pose, steps.matches = result.camera_from_scanner, result.matches
     return _registration(result, "auto", steps, options)
 
 
-def _solved(
+def _manual_result(
     scan: Scan, photo: Photo, steps: StepLog, picks: Sequence[Pick], initial: Rigid | None, options: RegisterOptions
 ) -> PoseResult:
     def matched(pose: Rigid | None) -> tuple[Matches, tuple[str, ...]]:
@@ -159,7 +154,7 @@ def _solved(
     with steps.step("pose") as note:
         how = replace(options.pose, seed=options.seed)
         try:
-            # a pose that somebody gave had nothing to do with these matches, and can be judged by them
+            # a given starting pose was not fitted to these matches, so they can be used to test it
             result = solve_pose(matches, photo.camera, replace(how, keep_better_start=True), initial=initial)
             for _ in range(_KAPPA_ROUNDS if options.lines == "kappa" else 0):
                 matches, losses = matched(result.camera_from_scanner)
@@ -173,7 +168,7 @@ def _solved(
 
 
 def _confirmed(result: PoseResult, steps: StepLog, how: PoseOptions, photo: Photo) -> PoseResult:
-    """Return the result as many starts see it; from a better pose that one of them found, once more."""
+    """Return the result checked from many starting poses; if one of them leads to a better pose, solve from there."""
     with steps.step("starts") as note:
         confirmed = confirm(result, seed=how.seed)
         if confirmed.better is not None:
@@ -185,33 +180,33 @@ def _confirmed(result: PoseResult, steps: StepLog, how: PoseOptions, photo: Phot
 
 
 def _with_losses(text: str, losses: Sequence[str]) -> DegenerateGeometryError:
-    """Return an error that also tells what of the drawn matches was lost before."""
-    more = f" (and {len(losses) - _TOLD_LOSSES} more)" if len(losses) > _TOLD_LOSSES else ""
+    """Return an error that also lists which picks were left out before."""
+    more = f" (and {len(losses) - _LOSSES_SHOWN} more)" if len(losses) > _LOSSES_SHOWN else ""
     return DegenerateGeometryError(
-        " ".join([text.rstrip(".") + ("." if losses else ""), *losses[:_TOLD_LOSSES]]) + more
+        " ".join([text.rstrip(".") + ("." if losses else ""), *losses[:_LOSSES_SHOWN]]) + more
     )
 
 
-def _of_thesis(found: ThesisResult, scan: Scan, photo: Photo) -> PoseResult:
-    """Return the last stage's answer, with what was foreseen."""
+def _thesis_result(found: ThesisResult, scan: Scan, photo: Photo) -> PoseResult:
+    """Return the result of the last stage, with the warnings given before solving."""
     result = found.answer
     if result is None:
         if found.drawn:
             raise _with_losses(found.stages[-1].note, found.losses)
         notes = tuple(dict.fromkeys(stage.note for stage in found.stages))
-        return replace(_nowhere(scan, photo), reasons=(*notes, *found.cautions))
-    return replace(result, reasons=(*result.reasons, *found.left_behind, *found.cautions, *found.losses))
+        return replace(_no_pose(scan, photo), reasons=(*notes, *found.cautions))
+    return replace(result, reasons=(*result.reasons, *found.fallback_note, *found.cautions, *found.losses))
 
 
-def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
-    """Return an automatic result with the figures that every pose has."""
+def _auto_result(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
+    """Return an automatic result with the residuals and diagnostics that every pose has."""
     if found.camera_from_scanner is None:
-        return replace(_nowhere(scan, photo), reasons=found.reasons)
+        return replace(_no_pose(scan, photo), reasons=found.reasons)
     evidence, blocks = found.evidence, found.blocks
     scatter = blocks.scatter_px if blocks and np.isfinite(blocks.scatter_px) else STATED_SIGMA_PX
     described = describe_pose(
         found.camera_from_scanner,
-        blocks.matches if blocks else _NO_MATCHES,
+        blocks.matches if blocks else Matches.none(),
         blocks.inliers if blocks else np.zeros(0, np.bool_),
         found.camera or photo.camera,
         sigma_px=scatter,
@@ -233,15 +228,14 @@ def _of_auto(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
     )
 
 
-_NO_MATCHES = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
 _UNKNOWN = np.diag([np.pi**2] * 3 + [100.0**2] * 3)
 
 
-def _nowhere(scan: Scan, photo: Photo) -> PoseResult:
-    """Return what stands in where nothing was found: the scanner's own place, unaccepted and known not at all."""
+def _no_pose(scan: Scan, photo: Photo) -> PoseResult:
+    """Return a refused placeholder pose at the scanner, with a covariance that says it is unknown."""
     return describe_pose(
         Rigid(look_along(scan.mean_direction), np.zeros(3)),
-        _NO_MATCHES,
+        Matches.none(),
         np.zeros(0, np.bool_),
         photo.camera,
         sigma_px=STATED_SIGMA_PX,

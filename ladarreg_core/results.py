@@ -1,4 +1,4 @@
-"""What a solver and a registration answer, and how good it is."""
+"""Results of solvers and registrations, and the offset between two cameras on one mount."""
 
 from __future__ import annotations
 
@@ -13,28 +13,49 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
+from ladarreg_core.validation import require_number
 
 Evidence = Literal["image", "statistics", "none"]
-StageName = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed", "default"]
-"""The columns of thesis Tables 3.2-3.5, and the default method beside them."""
+ThesisStage = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
+"""The columns of thesis Tables 3.2-3.5."""
+StageName = Literal[ThesisStage, "default"]
+"""The columns of a comparison: those of the thesis, and the default method beside them."""
+StageId = Literal[ThesisStage, "robust", "auto", "thesis", "carried"]
+"""The poses that a project keeps of a photograph."""
+STAGE_LABELS: dict[StageId | StageName, str] = {
+    "linear": "Linear",
+    "constrained_linear": "Constrained linear",
+    "simplex": "Simplex",
+    "simplex_outliers_removed": "Simplex, outliers removed",
+    "robust": "Robust",
+    "auto": "Automatic",
+    "thesis": "Thesis chain",
+    "carried": "Carried over",
+    "default": "Default",
+}
+"""Labels of all stages, in the order in which they are listed."""
+STATED_OFFSET_SIGMA_RAD = float(np.radians(0.2))
+"""Standard deviation assumed for the rotation of an offset if none is given."""
+STATED_OFFSET_SIGMA_M = 0.005
+"""Standard deviation assumed for the translation of an offset if none is given."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseResult:
-    """A pose that explains itself."""
+    """A pose with its evidence, residuals and uncertainty."""
 
     camera_from_scanner: Rigid
     """The pose."""
     camera: Camera
-    """Intrinsics used or estimated."""
+    """Intrinsics, given or estimated."""
     matches: Matches
-    """All M matches that went in."""
+    """All M matches given to the solver."""
     inliers: BoolArray
     """(M,) bool."""
     residuals_px: FloatArray
     """(M, 2) photo pixels, observed minus predicted from the measured range; NaN behind the camera.
 
-    Of what is known across a line only, the part across it."""
+    Matches known only across a line have only that component."""
     residuals_m: FloatArray
     """(M,) errors-in-variables range residual, measured minus adjusted, m; finite at zero baseline."""
     stereo_depth_error_m: FloatArray
@@ -42,22 +63,22 @@ class PoseResult:
     covariance: FloatArray
     """(6, 6) of (w, c): R_true = exp([w]x) R_estimated (rad), c = C_true - C_estimated in the scanner frame (m)."""
     chi2_per_dof: float
-    """Over the inliers, with 2n - 6 degrees of freedom, less what is known across lines only and what
-    of the camera is estimated; NaN: none."""
+    """Over the inliers, with 2n - 6 degrees of freedom, minus one for each match known only across a line and
+    for each intrinsic estimated; NaN: none."""
     sigma_px: float
-    """Pixel noise used, given or estimated."""
+    """Pixel noise, given or estimated."""
     sigma_range_m: float
-    """Range noise used, given or estimated."""
+    """Range noise, given or estimated."""
     camera_sigmas: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviations of the intrinsics that were estimated: `focal_px`, `k1`, `cx`, `cy`; empty: all as given."""
+    """Standard deviations of the estimated intrinsics: `focal_px`, `k1`, `cx`, `cy`; empty: all as given."""
     accepted: bool = False
-    """Whether there is enough evidence to show this as registered."""
+    """Whether the evidence suffices to present the pose as registered."""
     evidence: Evidence = "none"
-    """`image`: verified on pixels; `statistics`: by the matches' own residuals; `none`."""
+    """`image`: verified against the image; `statistics`: accepted on match statistics only; `none`."""
     reasons: tuple[str, ...] = ()
-    """The verdict in sentences."""
+    """Reasons of the verdict, as sentences."""
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
-    """Planarity, baseline, spread and the reason the solver stopped, JSON-ready."""
+    """Planarity, baseline, spread, why the solver stopped, and more; JSON-ready."""
 
     @property
     def thesis_parameters(self) -> ThesisParameters:
@@ -66,9 +87,9 @@ class PoseResult:
 
     @property
     def thesis_sigmas(self) -> ThesisParameters:
-        """Standard deviations of the thesis's parameters (m, rad), by the covariance's first-order propagation."""
+        """Standard deviations of the thesis's parameters (m, rad), propagated from the covariance to first order."""
         pose, steps = self.camera_from_scanner, 1e-6 * np.eye(6)
-        columns = [_parameters(_moved(pose, d)) - _parameters(_moved(pose, -d)) for d in steps]
+        columns = [_parameters(_perturbed(pose, d)) - _parameters(_perturbed(pose, -d)) for d in steps]
         J = np.stack(columns, axis=1) / 2e-6
         return ThesisParameters(*np.sqrt(np.diag(J @ self.covariance @ J.T)).tolist())
 
@@ -85,10 +106,10 @@ class PoseResult:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Registration(PoseResult):
-    """A pose with the story of how it was found."""
+    """A pose with the steps that led to it."""
 
     method: str
-    """`auto`, `thesis` or `manual`."""
+    """`auto`, `thesis`, `manual` or `carried`."""
     steps: tuple[Step, ...] = ()
     """Every step, in order."""
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -99,18 +120,38 @@ class Registration(PoseResult):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stage:
-    """One column of the thesis's tables: what an estimator answered, or why it gave nothing."""
+    """One column of the thesis's tables: the result of an estimator, or why there is none."""
 
     name: StageName
-    """Which estimator on which matches."""
+    """Estimator and matches used."""
     result: PoseResult | None
-    """Its answer with the matches it used; None where it gave none."""
+    """Its result with the matches used; None if there is none."""
     note: str = ""
-    """A sentence on what happened, or why there is no answer."""
+    """A sentence on the outcome, or on why there is no result."""
 
 
-def _moved(pose: Rigid, change: FloatArray) -> Rigid:
-    """Return the pose turned by exp([w]x) and with its centre moved by c."""
+@dataclass(frozen=True, slots=True)
+class Offset:
+    """Pose of a second camera relative to the first one on the same mount, with its uncertainty.
+
+    Raises:
+        OptionError: if a standard deviation is negative or not finite.
+    """
+
+    camera_b_from_camera_a: Rigid
+    """From a calibration of the mount."""
+    sigma_angle_rad: float = STATED_OFFSET_SIGMA_RAD
+    """Standard deviation of its rotation about each axis."""
+    sigma_position_m: float = STATED_OFFSET_SIGMA_M
+    """Standard deviation of the position of camera b in the frame of camera a, along each axis."""
+
+    def __post_init__(self) -> None:
+        for name in ("sigma_angle_rad", "sigma_position_m"):
+            require_number(getattr(self, name), f"the offset's {name}", least=0)
+
+
+def _perturbed(pose: Rigid, change: FloatArray) -> Rigid:
+    """Return the pose rotated by exp([w]x) and with its centre moved by c."""
     return Rigid.from_centre(rotation_from_rotvec(change[:3]) @ pose.rotation, pose.centre + change[3:])
 
 

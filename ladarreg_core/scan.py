@@ -1,18 +1,19 @@
-"""The scan: what a laser scanner saw, on its own grid."""
+"""The scan: ranges and intensities of a laser scanner, on its own grid."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
-from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grids import ScanGeometry
+from ladarreg_core.validation import require_choice
 
 IntensityKind = Literal["raw", "range_normalised"]
 _SMALLEST_SIDE = 2
@@ -21,36 +22,35 @@ _DIRECTION_SAMPLES = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """Range and intensity on a grid whose cells each have a ray; read-only.
+    """Range and intensity on a grid with a ray for every cell; read-only.
 
     Raises:
-        ShapeError: if the arrays disagree, the grid is smaller than 2 x 2 cells, or there is no return at all.
+        ShapeError: if the arrays do not match the grid, it is smaller than 2 x 2 cells, or there is no return at all.
         OptionError: if `intensity_is` is unknown.
     """
 
     geometry: ScanGeometry
-    """Which ray each cell looks along."""
+    """The ray of each cell."""
     ranges: FloatArray
-    """(H, W) float32, m along the ray; NaN = no return. What is not finite and positive becomes NaN."""
+    """(H, W) float32, m along the ray; NaN = no return. Values that are not finite and positive become NaN."""
     intensity: FloatArray
-    """(H, W) float32, in the sensor's own unit."""
+    """(H, W) float32, in the unit of the sensor."""
     color: ByteArray | None = None
-    """(H, W, 3) uint8 RGB, where the scanner has a colour camera of its own."""
+    """(H, W, 3) uint8 RGB, if the scanner has a colour camera."""
     intensity_is: IntensityKind = "raw"
     """`raw` falls with range; `range_normalised` does not."""
     world_from_scanner: Rigid | None = None
     """The scanner's pose in the file, if it has one."""
     name: str = "scan"
-    """What to call it."""
+    """Name for people."""
     notes: tuple[str, ...] = field(default=())
-    """What an operator should know of the file, e.g. a suspicion of millimetres."""
+    """Remarks on the file for the operator, e.g. that its unit may be millimetres."""
 
     def __post_init__(self) -> None:
         shape = self.geometry.shape
         if min(shape) < _SMALLEST_SIDE:
             raise ShapeError(f"the scan grid is {shape[0]} x {shape[1]} cells; it must be at least 2 x 2")
-        if self.intensity_is not in ("raw", "range_normalised"):
-            raise OptionError(f"intensity_is is {self.intensity_is!r}; it must be 'raw' or 'range_normalised'")
+        require_choice(self.intensity_is, get_args(IntensityKind), "intensity_is")
         ranges = np.array(read_only(self.ranges, np.float32, shape, "the scan's range"))
         with np.errstate(invalid="ignore"):
             ranges[~(np.isfinite(ranges) & (ranges > 0))] = np.nan
@@ -59,7 +59,7 @@ class Scan:
         intensity[~np.isfinite(intensity)] = 0
         if not np.isfinite(ranges).any():
             raise ShapeError(
-                "the scan has no returns: every range is missing, zero or not finite; it needs measured ranges"
+                "the scan has no returns: every range is missing, zero or not finite; check the file's range data"
             )
         for array in (ranges, intensity):
             array.flags.writeable = False
@@ -76,7 +76,7 @@ class Scan:
 
     @cached_property
     def valid(self) -> BoolArray:
-        """(H, W) bool: which cells have a return."""
+        """(H, W) bool: the cells with a return."""
         mask = np.isfinite(self.ranges)
         mask.flags.writeable = False
         return mask
@@ -95,16 +95,16 @@ class Scan:
 
     @cached_property
     def sampled_directions(self) -> NDArray[np.float64]:
-        """Unit rays (N, 3) of some ten thousand cells that have a return, spread over the grid."""
+        """Unit rays (N, 3) of about ten thousand cells with a return, spread over the grid."""
         stride = max(1, int(np.sqrt(self.ranges.size / _DIRECTION_SAMPLES)))
         rows, columns = (index * stride for index in np.nonzero(self.valid[::stride, ::stride]))
-        if not len(rows):  # so few that the sample misses them all
+        if not len(rows):  # so few returns that the sample misses all of them
             rows, columns = np.nonzero(self.valid)
         return self.geometry.ray_at(np.stack([rows, columns], axis=-1))
 
     @cached_property
     def mean_direction(self) -> NDArray[np.float64]:
-        """The mean ray of the cells that have a return, (3,), unit; X forward where they cancel out."""
+        """The mean ray of the cells with a return, (3,), unit; X forward if they cancel out."""
         mean = self.sampled_directions.mean(axis=0)
         length = float(np.linalg.norm(mean))
         return mean / length if length > 1e-3 else np.array([1.0, 0.0, 0.0])

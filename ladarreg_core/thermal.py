@@ -1,4 +1,4 @@
-"""Thermal pictures: apparent temperature, as files hold it and as people and the matcher see it."""
+"""Thermal images: apparent temperature as stored in files, as displayed and as matched."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ladarreg_core.errors import ShapeError
 from ladarreg_core.photo import Photo
 
 CENTIKELVIN_K = 0.01
-"""What one step of a 16-bit thermal picture is worth, K."""
+"""Step of a 16-bit thermal image, K."""
 
 _SCALE_K, _GRAY_PER_UNIT = 0.5, 60.0
-_PLAUSIBLE_K = (220.0, 620.0)  # what uncooled cameras measure
+_PLAUSIBLE_K = (220.0, 620.0)  # the range of uncooled cameras
 _MOST_SPREAD_K = 60.0
 _CENTRE_GRAY, _SHOWN = 128.0, 0.5
 
 
 def thermal_gray(temperature_k: FloatArray) -> NDArray[np.float32]:
-    """Return a thermal picture as gray levels (H, W) around 0: 60 asinh((T - median) / .5 K).
+    """Return a thermal image as gray levels (H, W) around 0: 60 asinh((T - median) / .5 K).
 
     Small differences between walls keep their contrast beside people, lamps and pipes.
 
@@ -37,45 +37,47 @@ def thermal_gray(temperature_k: FloatArray) -> NDArray[np.float32]:
 def thermal_photo(
     temperature_k: ArrayLike, camera: Camera, *, name: str = "photo", notes: tuple[str, ...] = ()
 ) -> Photo:
-    """Return a thermal picture as a photograph, with gray pixels to look at.
+    """Return a thermal image as a photograph, with gray pixels for display.
 
     Args:
         temperature_k: (H, W) apparent temperature, K.
         camera: its intrinsics.
-        name: what to call it.
-        notes: what an operator should know of it.
+        name: its name for people.
+        notes: remarks for the operator.
 
     Raises:
-        ShapeError: if it is no picture of positive temperatures, or has not the camera's size.
+        ShapeError: if it is not an image of positive temperatures, or not of the camera's size.
     """
     kelvin = np.asarray(temperature_k, dtype=np.float32)
     if kelvin.ndim != 2 or not kelvin.size or not (np.isfinite(kelvin).all() and (kelvin > 0).all()):
-        raise ShapeError("the thermal picture is not (H, W) of finite temperatures above 0 K; give kelvin")
+        raise ShapeError(
+            "the thermal image is not (H, W) of finite temperatures above 0 K; give temperatures in kelvin"
+        )
     shown = np.clip(np.rint(_CENTRE_GRAY + _SHOWN * thermal_gray(kelvin)), 0, 255).astype(np.uint8)
     return Photo(np.repeat(shown[..., None], 3, axis=-1), camera, name=name, notes=notes, temperature_k=kelvin)
 
 
 def centikelvin(temperature_k: FloatArray) -> NDArray[np.uint16]:
-    """Return temperatures as 16-bit thermal pictures hold them: steps of .01 K above absolute zero."""
+    """Return temperatures in the encoding of 16-bit thermal images: steps of .01 K above absolute zero."""
     steps = np.rint(np.asarray(temperature_k, dtype=np.float64) / CENTIKELVIN_K)
     return np.clip(steps, 0, np.iinfo(np.uint16).max).astype(np.uint16)
 
 
 def kelvin_of(values: NDArray[Any]) -> NDArray[np.float32] | None:
-    """Return the temperatures (H, W), K, that a decoded picture's values are; None where it is no thermal picture.
+    """Return the values of a decoded image as temperatures (H, W), K; None if it is not a thermal image.
 
-    Thermal are gray pictures of 16 bits in centikelvin and of floating point in kelvin, told by their values alone:
-    all between 220 and 620 K (-53 to 347 C), and half of them within 60 K of each other. A photograph of 16 bits has
-    darker and brighter pixels than that, and a hazy one, which may not, spreads its grays over more.
+    Thermal images are gray, of 16 bits in centikelvin or of floating point in kelvin, and recognised by their values
+    alone: all between 220 and 620 K (-53 to 347 C), the middle half within 60 K. A 16-bit photograph has darker and
+    brighter pixels, or, if it is hazy, spreads its grays over a wider interval.
 
     Args:
-        values: (H, W) or (H, W, 3), as they stand in the file.
+        values: (H, W) or (H, W, 3), as stored in the file.
     """
     if values.ndim != 2 or not values.size or values.dtype.kind not in "uf" or values.dtype == np.uint8:
         return None
     unit = CENTIKELVIN_K if values.dtype.kind == "u" else 1.0
     low, high = _PLAUSIBLE_K
-    if not low <= float(values.min()) * unit <= float(values.max()) * unit <= high:  # false where one is not finite
+    if not low <= float(values.min()) * unit <= float(values.max()) * unit <= high:  # false if any value is not finite
         return None
     kelvin = values.astype(np.float64) * unit
     quarter, three_quarters = np.percentile(kelvin, (25, 75))

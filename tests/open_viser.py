@@ -1,4 +1,4 @@
-"""A viser server that any browser may open: for tests of what is drawn, without a gateway before it."""
+"""A viser server without a gateway, for tests of what is drawn."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Programs started by tests."""
+"""Helpers for processes started by tests."""
 
 from __future__ import annotations
 
 import signal
 
 
-def hear_ctrl_c() -> None:
-    """Undo, in a new process, what a shell does to its background jobs and they to their children: Ctrl-C ignored."""
+def restore_ctrl_c() -> None:
+    """Restore Ctrl-C in a new process: a shell makes its background jobs, and they their children, ignore it."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -1,1 +1,1 @@
-"""One file a command: its `Arguments`, and `run(arguments) -> ExitCode`."""
+"""One module per command: its `Arguments`, and `run(arguments) -> ExitCode`."""

@@ -6,11 +6,11 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ..arguments import RegisterArguments, register_options
 from ..exit_codes import ExitCode
-from ..inputs import input_files, print_notes, read_inputs, read_start
+from ..inputs import print_notes, read_inputs, read_start
 from ..messages import comparison_report, comparison_verdict
-from ..progress_bar import StepBar, step_bar
-from ..thresholds import ThresholdArguments, register_options
+from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
     from ladarreg_core.comparison import Comparison
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(ThresholdArguments):
-    """What `compare` is told."""
+class Arguments(RegisterArguments):
+    """Arguments of `compare`."""
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Read, let every stage register, export, and tell the table."""
+    """Read, register by every stage, export, and print the table."""
     from ladarreg_core.export.comparison_table import default_of, verdict_of
     from ladarreg_core.export.folder import check_folder
 
     started = time.perf_counter()
-    check_folder(arguments.out, force=arguments.force, inputs=input_files(arguments))
-    with step_bar(quiet=arguments.quiet) as bar:
+    check_folder(arguments.out, force=arguments.force, inputs=arguments.input_files)
+    with progress_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
         comparison = _compare(arguments, scan, photo, bar)
         names = _export(arguments, comparison, scan, photo, bar)
@@ -46,14 +46,14 @@ def run(arguments: Arguments) -> ExitCode:
     return ExitCode.ACCEPTED if accepted else ExitCode.NOT_ACCEPTED
 
 
-def _compare(arguments: Arguments, scan: Scan, photo: Photo, bar: StepBar) -> Comparison:
+def _compare(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) -> Comparison:
     from ladarreg_core.comparison import compare
 
     picks, initial = read_start(arguments, scan)
     return compare(scan, photo, picks=picks, initial=initial, options=register_options(arguments), report=bar.step)
 
 
-def _export(arguments: Arguments, comparison: Comparison, scan: Scan, photo: Photo, bar: StepBar) -> list[str]:
+def _export(arguments: Arguments, comparison: Comparison, scan: Scan, photo: Photo, bar: ProgressBar) -> list[str]:
     from ladarreg_core.export.comparison import export_comparison
 
     export_comparison(
@@ -61,7 +61,7 @@ def _export(arguments: Arguments, comparison: Comparison, scan: Scan, photo: Pho
         comparison,
         scan,
         photo,
-        inputs=input_files(arguments),
+        inputs=arguments.input_files,
         force=arguments.force,
         report=bar.progress,
     )

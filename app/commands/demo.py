@@ -18,25 +18,25 @@ _NAME = "Sample"
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """What `demo` is told."""
+    """Arguments of `demo`."""
 
     port: int = 8080
-    """Port on this machine; a busy one is replaced by the next, 0 is any."""
+    """Port; if it is in use, the next free one. 0: any free port."""
     no_browser: bool = False
-    """Only print the address."""
+    """Print the address, but open no browser."""
     project: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Where to keep the work on the sample."""
+    """Folder of the project on the sample."""
     fresh: bool = False
-    """Begin anew; earlier work on the sample stays in the history."""
+    """Start over; earlier work on the sample stays in the history."""
     debug: bool = False
-    """Log, and a trace back where something fails."""
+    """Print a log, and a traceback on failure."""
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Open the workbench on the embedded sample and register it before everybody's eyes."""
+    """Open the workbench on the embedded sample and register it."""
     from ..session.isolated_readers import READERS
 
-    READERS.warm()  # it loads the readers while this process loads the rest
+    READERS.warm()  # in parallel with the imports below
     from ladarreg_core.simulate import sample_folder
 
     from ..gateway.login import new_token
@@ -67,8 +67,8 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _begin(workbench: Workbench, *, fresh: bool) -> None:
-    """Let a newcomer see what an answer looks like; work that is there already is left as it was."""
-    shown = workbench.shown
+    """Register the sample unless the project already holds work on it."""
+    shown = workbench.selection.photo
     assert shown is not None, "the sample has a photograph"
     if fresh:
         workbench.start_over(shown.id)

@@ -15,18 +15,18 @@ from ..messages import one_line
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """What `info` is told."""
+    """Arguments of `info`."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """A scan, photograph, camera, pose or matches file."""
+    """A scan, photo, camera, pose or matches file."""
     extract: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Write the pictures embedded in an E57 file there, with their cameras and poses where they have any."""
+    """Extract the images of an E57 file to this folder, with their cameras and poses."""
     debug: bool = False
-    """Log, and a trace back where something fails."""
+    """Print a log, and a traceback on failure."""
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Print what the file holds, one fact a line, and extract its pictures if that is asked for."""
+    """Print a description of the file, one property a line, and extract its images on request."""
     from ladarreg_core.formats import describe, extract_images
 
     facts = list(_facts(describe(arguments.file)))

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from ..arguments import RegisterArguments, check_method, register_options
 from ..exit_codes import ExitCode
-from ..inputs import input_files, print_notes, read_inputs, read_start, timed
-from ..messages import assessed, report, verdict
-from ..progress_bar import StepBar, step_bar
-from ..thresholds import ThresholdArguments, check_method, register_options
+from ..inputs import print_notes, read_inputs, read_start, timed
+from ..messages import assessment_lines, report, verdict
+from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
     from ladarreg_core.photo import Photo
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(ThresholdArguments):
-    """What `register` is told."""
+class Arguments(RegisterArguments):
+    """Arguments of `register`."""
 
     method: Literal["auto", "thesis", "manual"] = "auto"
-    """How to register. With --matches, auto is manual and thesis solves the matches."""
+    """Registration method. With --matches, auto means manual, and thesis solves these matches."""
     smooth: bool = False
-    """Replace range spikes under matches by their stereo range in model.glb and cloud.ply."""
+    """Replace range spikes at matches by their stereo range in model.glb and cloud.ply."""
     carry: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Carry the pose over from this registration.json of a camera on the same mount; needs --offset."""
+    """Carry the pose over from this registration.json of another camera on the same mount; needs --offset."""
     offset: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Pose JSON that means this camera from that one; may hold sigma_angle_rad and sigma_position_m."""
+    """Pose JSON of this camera relative to the other one; may hold sigma_angle_rad and sigma_position_m."""
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Read, register, export, and tell the verdict."""
+    """Read, register, export, and print the verdict."""
     from ladarreg_core.export.folder import check_folder
     from ladarreg_core.quality.assessment import assess
 
@@ -46,7 +46,7 @@ def run(arguments: Arguments) -> ExitCode:
     check_folder(arguments.out, force=arguments.force, inputs=_input_files(arguments))
     check_method(arguments, arguments.method)
     _check_carry(arguments)
-    with step_bar(quiet=arguments.quiet) as bar:
+    with progress_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
         result = _register(arguments, scan, photo, bar)
         assessment = timed("assess", bar, lambda: assess(scan, result))
@@ -56,10 +56,10 @@ def run(arguments: Arguments) -> ExitCode:
         print(verdict(result))
     else:
         print_notes(scan, photo)
-        print("\n".join([report(result), *assessed(assessment, result)]))
+        print("\n".join([report(result), *assessment_lines(assessment, result)]))
         if arguments.smooth:
             print(
-                f"Smooth   {smoothed.sentence if smoothed else 'Left out: only an accepted registration is smoothed.'}"
+                f"Smooth   {smoothed.sentence if smoothed else 'Skipped: only an accepted registration is smoothed.'}"
             )
         print(f"Wrote    {', '.join(names)} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
@@ -67,20 +67,20 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _input_files(arguments: Arguments) -> list[Path]:
-    return [*input_files(arguments), *(path for path in (arguments.carry, arguments.offset) if path)]
+    return [*arguments.input_files, *(path for path in (arguments.carry, arguments.offset) if path)]
 
 
 def _check_carry(arguments: Arguments) -> None:
-    """Refuse half of what carrying over needs, and what it would ignore."""
+    """Refuse incomplete or ignored arguments of --carry."""
     from ladarreg_core.errors import OptionError
 
     if (arguments.carry is None) != (arguments.offset is None):
         raise OptionError("--carry and --offset go together; give both or neither")
     if arguments.carry and (arguments.matches or arguments.initial or arguments.method != "auto"):
-        raise OptionError("--carry takes the pose as it is; leave out --matches, --initial and --method")
+        raise OptionError("--carry does not solve for a pose; omit --matches, --initial and --method")
 
 
-def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: StepBar) -> Registration:
+def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) -> Registration:
     import ladarreg_core as lr
 
     if arguments.carry and arguments.offset:
@@ -101,7 +101,7 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: StepBar) -> R
     )
 
 
-def _smooth(arguments: Arguments, result: Registration, scan: Scan, bar: StepBar) -> SmoothedScan | None:
+def _smooth(arguments: Arguments, result: Registration, scan: Scan, bar: ProgressBar) -> SmoothedScan | None:
     from ladarreg_core.quality.smoothed_scan import smoothed_scan
 
     if not arguments.smooth or not result.accepted:
@@ -114,7 +114,7 @@ def _export(
     result: Registration,
     scan: Scan,
     photo: Photo,
-    bar: StepBar,
+    bar: ProgressBar,
     *,
     assessment: Assessment,
     smoothed: SmoothedScan | None,

@@ -11,7 +11,7 @@ import tyro
 from ..exit_codes import ExitCode
 from ..inputs import timed
 from ..messages import self_test_report
-from ..progress_bar import step_bar
+from ..progress_bar import progress_bar
 
 if TYPE_CHECKING:
     from ladarreg_core.camera import Camera
@@ -19,32 +19,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """What `selftest` is told."""
+    """Arguments of `selftest`."""
 
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
     """Scan: E57, PCD, NPZ or a descriptor JSON."""
     camera: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """Camera of the photographs to come: JSON, OpenCV YAML or ROS camera_info."""
+    """Camera of the planned photos: JSON, OpenCV YAML or ROS camera_info."""
     photos: int = 20
-    """Photographs that are registered without a guess."""
+    """Number of photos registered without an initial pose."""
     starts: int = 9
-    """Photographs that are registered from a start that is off by 3, 6 or 12 degrees."""
+    """Number of photos registered from an initial pose that is off by 3, 6 or 12 degrees."""
     wrong: int = 10
-    """Pictures of other places, which must be refused."""
+    """Number of photos of other scenes, which must be refused."""
     seconds: float = 120.0
-    """End after this time; the kinds of trials take turns."""
+    """Time limit; the kinds of trials take turns."""
     scan_index: int = 0
-    """Which scan of a file with several."""
+    """Index of the scan in a file with several."""
     seed: int = 0
-    """Of every random draw."""
+    """Random seed; equal seeds give equal results."""
     quiet: bool = False
-    """No progress, and the expectation in one line."""
+    """Print no progress, and the expectation in one line."""
     debug: bool = False
-    """Log, and a trace back where something fails."""
+    """Print a log, and a traceback on failure."""
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Make photographs of the scan, register them, and tell what to expect; 3 where a wrong pose was accepted."""
+    """Register photos rendered from the scan and print the expectation; exit code 3 if a wrong pose was accepted."""
     import ladarreg_core as lr
     from ladarreg_core.self_test.report import self_test
     from ladarreg_core.self_test.trials import SelfTestOptions
@@ -56,7 +56,7 @@ def run(arguments: Arguments) -> ExitCode:
         seconds=arguments.seconds,
         seed=arguments.seed,
     )
-    with step_bar(quiet=arguments.quiet) as bar:
+    with progress_bar(quiet=arguments.quiet) as bar:
         camera = _camera(arguments.camera)
         scan = timed("read scan", bar, lambda: lr.read_scan(arguments.scan, scan_index=arguments.scan_index))
         found = self_test(scan, camera, options, report=bar.progress)

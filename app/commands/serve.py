@@ -19,48 +19,48 @@ _TOKEN_VARIABLE = "LADARREG_TOKEN"
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """What `serve` is told."""
+    """Arguments of `serve`."""
 
     inputs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[PROJECT | SCAN PHOTO ...]")] = ()
-    """A project's folder, or a scan and photographs to begin one with; nothing: the last project is offered."""
+    """A project folder, or a scan and photos to start a project with; default: the last project."""
     project: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Where to keep the project that a scan and photographs begin."""
+    """Folder of a project that is started with a scan and photos."""
     folder: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Offer the files below this folder in the page."""
+    """Let clients open files below this folder."""
     host: str = "127.0.0.1"
-    """Address to listen on; anything but this machine's own opens the workbench to others, see docs/remote.md."""
+    """Address to listen on; any other than the loopback address exposes the workbench, see docs/remote.md."""
     port: int = 8700
-    """Port; a busy one is replaced by the next, 0 is any."""
+    """Port; if it is in use, the next free one. 0: any free port."""
     token: Annotated[str | None, tyro.conf.arg(metavar="TOKEN")] = None
-    """What opens the page, 12 characters at least; better in LADARREG_TOKEN. None: a random one for each start."""
+    """Access token, at least 12 characters; safer in LADARREG_TOKEN. Default: a random one for each start."""
     no_browser: bool = False
-    """Only print the address."""
+    """Print the address, but open no browser."""
     certfile: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Certificate chain for TLS, PEM."""
+    """TLS certificate chain, PEM."""
     keyfile: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """The certificate's key, PEM."""
+    """Private key of the certificate, PEM."""
     upload_limit_mb: int = 2048
-    """The largest file that a page may send, MB."""
+    """Largest upload, MB."""
     behind_proxy: bool = False
-    """Believe the X-Forwarded headers of a reverse proxy in front."""
+    """Trust the X-Forwarded headers of a reverse proxy."""
     allow_host: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME")] = ()
-    """A name, beside this machine's own, by which browsers may ask for the page; may be said again."""
+    """Additional host name under which browsers may reach the page; may be repeated."""
     debug: bool = False
-    """Log, and a trace back where something fails."""
+    """Print a log, and a traceback on failure."""
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Open the workbench and serve it until a signal asks to stop."""
+    """Open the workbench and serve it until a stop signal."""
     from ..session.isolated_readers import READERS
 
-    READERS.warm()  # it loads the readers while this process loads the rest
+    READERS.warm()  # in parallel with the imports below
     from ladarreg_core.errors import OptionError
 
     from ..gateway.login import checked_token, new_token
     from ..gateway.options import GatewayOptions
     from ..gateway.server import check_certificate
 
-    # Everything that can be wrong with the words is said before a scan is read.
+    # Arguments are checked before a scan is read.
     options = GatewayOptions(
         host=arguments.host,
         port=arguments.port,
@@ -73,9 +73,9 @@ def run(arguments: Arguments) -> ExitCode:
     chosen = arguments.token if arguments.token is not None else os.environ.get(_TOKEN_VARIABLE)
     token = checked_token(chosen) if chosen is not None else new_token()
     if arguments.upload_limit_mb < 1:
-        raise OptionError(f"--upload-limit-mb is {arguments.upload_limit_mb}; it must be 1 at least")
+        raise OptionError(f"--upload-limit-mb is {arguments.upload_limit_mb}; it must be at least 1")
     if arguments.folder is not None and not arguments.folder.is_dir():
-        raise OptionError(f"{arguments.folder}: there is no such folder; give another with --folder")
+        raise OptionError(f"{arguments.folder}: folder not found; give another with --folder")
     _serve(arguments, token, options)
     return ExitCode.ACCEPTED
 

@@ -13,26 +13,26 @@ from ..exit_codes import ExitCode
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """What `simulate` is told."""
+    """Arguments of `simulate`."""
 
     scene: tyro.conf.Positional[Literal["boxes", "desk", "office", "people"]]
-    """What to build."""
+    """Scene to simulate."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
-    """Folder to write; one that exists is refused, but see --force."""
+    """Output folder; an existing one is refused, but see --force."""
     set: Literal["standard", "hard", "wide", "rotated", "identical", "thermal", "gamma"] = "standard"
-    """How hard it is to register; the last two are other instruments."""
+    """Difficulty of the registration; thermal and gamma are other instruments."""
     seed: int = 0
-    """Of the scene, its noise and the camera's place."""
+    """Random seed of the scene, the noise and the camera pose."""
     k1: float = 0.0
-    """Radial distortion of the real lens."""
+    """Radial distortion of the true lens."""
     k1_error: float = 0.0
-    """How much the k1 in camera.json is above the real one."""
+    """Error added to k1 in camera.json."""
     focal_error: float = 0.0
-    """How much the focal length in camera.json is above the real one, relative: .05 is 5 percent."""
+    """Relative error added to the focal length in camera.json; .05 is 5 percent."""
     force: bool = False
-    """Replace DIR if it holds what a command wrote and nothing else; any other folder is left as it is."""
+    """Replace DIR if it holds results of an earlier run and nothing else; any other folder is never touched."""
     debug: bool = False
-    """Log, and a trace back where something fails."""
+    """Print a log, and a traceback on failure."""
 
 
 def run(arguments: Arguments) -> ExitCode:
@@ -41,7 +41,7 @@ def run(arguments: Arguments) -> ExitCode:
     from ladarreg_core.simulate import simulate_case
     from ladarreg_core.simulate.case_files import case_files
 
-    check_folder(arguments.out, force=arguments.force)  # before the work, not after it
+    check_folder(arguments.out, force=arguments.force)  # before the simulation, which takes time
     case = simulate_case(
         arguments.scene,
         set_name=arguments.set,

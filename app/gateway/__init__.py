@@ -1,1 +1,1 @@
-"""The only public port: who may enter, the page, the document, uploads, exports, and viser behind it."""
+"""The only public port: login, the page's files, the document's websocket, uploads, downloads, and viser behind it."""

@@ -1,11 +1,13 @@
-"""The websocket `/document`: edits up, slices of the state down (docs/workbench.md)."""
+"""The websocket `/document`: commands of the page up, slices of the state down (docs/workbench.md)."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import logging
-from collections.abc import Coroutine
+import threading
+from collections import defaultdict, deque
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -14,74 +16,73 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from ladarreg_core.errors import LadarregError
 
 from ..process_resources import return_memory_soon
-from .encoding import Encoded
-from .json_text import NotJson, decode_object, encode
-from .outbox import Outbox
-from .protocol import Client, Workbench
-from .told import Told
-from .visitors import Visitors
+from .encoding import InvalidMessageError, SharedEncoder, decode_object, encode
+from .protocol import Client, Message, Workbench
 
 log = logging.getLogger(__name__)
-LONGEST_MESSAGE = 1_000_000
-"""Characters of a message from a page."""
+MAX_MESSAGE_CHARACTERS = 1_000_000
+"""Length of the longest message accepted from a page."""
 _TOO_LONG, _FAULT, _FULL = 1009, 1011, 1013
-_LONGEST_REASON = 123
-"""Bytes of the reason that a websocket is closed with."""
-_NO_JSON = "This message is no JSON object: the page is of another version than the program; load the page anew."
-_BROKEN = "The program failed here and what it shows is as it was before or after; start it with --debug to see why."
+_MAX_REASON_BYTES = 123
+"""Longest reason that a websocket can be closed with."""
+_MAX_EVENTS = 200
+_LATEST_ONLY = frozenset({"simplex", "hover"})
+"""Events of which only the latest is worth sending."""
+_NOT_JSON = "The message is not a JSON object: page and program are of different versions; reload the page."
+_INTERNAL_ERROR = "Internal error: the command may or may not have taken effect; restart with --debug for details."
 
 
 class DocumentSocket:
     """Serves the websocket.
 
     Args:
-        workbench: answers.
-        visitors: is told who has the page open.
+        workbench: answers the commands.
+        clients: registry of the open pages.
     """
 
-    def __init__(self, workbench: Workbench, visitors: Visitors) -> None:
-        self._workbench, self._visitors = workbench, visitors
-        self._encoded = Encoded()
+    def __init__(self, workbench: Workbench, clients: ClientRegistry) -> None:
+        self._workbench, self._clients = workbench, clients
+        self._encoder = SharedEncoder()
 
     async def serve(self, websocket: WebSocket) -> None:
-        """Serve one page until it goes."""
+        """Serve one page until it disconnects."""
         browser = websocket.state.browser
         await websocket.accept()
         try:
             client = await run_in_threadpool(self._workbench.join, websocket.state.address)
         except LadarregError as refusal:
-            await websocket.close(_FULL, str(refusal).encode()[:_LONGEST_REASON].decode(errors="ignore"))
+            await websocket.close(_FULL, str(refusal).encode()[:_MAX_REASON_BYTES].decode(errors="ignore"))
             return
-        self._visitors.enter(browser, client)
+        self._clients.add(browser, client)
         try:
             await self._serve(websocket, client)
         except (WebSocketDisconnect, asyncio.CancelledError):
-            log.debug("%s left", client.name)
+            log.debug("%s disconnected", client.name)
         except Exception:
             log.exception("the connection of %s failed", client.name)
             if websocket.application_state is WebSocketState.CONNECTED:
                 await websocket.close(_FAULT)
         finally:
-            self._visitors.leave(browser, client)
+            self._clients.remove(browser, client)
             await asyncio.shield(run_in_threadpool(self._workbench.leave, client))
             return_memory_soon()
 
     async def _serve(self, websocket: WebSocket, client: Client) -> None:
-        loop, news, replied = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event()
+        loop, pending, replied = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event()
 
         def wake() -> None:
-            with contextlib.suppress(RuntimeError):  # the loop has ended before those who tell the news
-                loop.call_soon_threadsafe(news.set)
+            with contextlib.suppress(RuntimeError):  # the loop has ended before the threads that publish
+                loop.call_soon_threadsafe(pending.set)
 
         outbox = Outbox(wake)
-        # First the subscription: what changes while the slices are gathered is told after them.
+        # Subscribe first: changes made while the slices are gathered are then sent after them.
         unsubscribe = self._workbench.subscribe(outbox.put)
         try:
             slices = await run_in_threadpool(self._workbench.slices, client)
-            told = Told(client, self._encoded)
-            await websocket.send_text(told.text({"slices": slices}))
+            state = ClientState(client, self._encoder)
+            await websocket.send_text(state.encode({"slices": slices}))
             await _until_one_ends(
-                _send_news(websocket, told, outbox, news, replied),
+                _send_pending(websocket, state, outbox, pending, replied),
                 self._receive(websocket, client, outbox, replied),
             )
         finally:
@@ -90,42 +91,154 @@ class DocumentSocket:
     async def _receive(self, websocket: WebSocket, client: Client, outbox: Outbox, replied: asyncio.Event) -> None:
         while (received := await websocket.receive())["type"] != "websocket.disconnect":
             text = received.get("text")
-            if text is not None and len(text) > LONGEST_MESSAGE:
+            if text is not None and len(text) > MAX_MESSAGE_CHARACTERS:
                 await websocket.close(_TOO_LONG, "a message of a page has at most 1 MB")
                 return
             outbox.reply(await run_in_threadpool(self._answer, client, text))
-            await replied.wait()  # a page that asks and does not listen is not heard any further
+            await replied.wait()  # a page that sends commands without reading the replies is not read any further
             replied.clear()
 
     def _answer(self, client: Client, text: str | None) -> str:
         try:
             message = decode_object(text or "")
-        except NotJson:
-            return encode({"reply": None, "ok": False, "error": _NO_JSON})
+        except InvalidMessageError:
+            return encode({"reply": None, "ok": False, "error": _NOT_JSON})
         number = message.get("id")
         number = number if isinstance(number, int | str) else None
         try:
             return encode({"reply": number} | self._workbench.answer(client, message))
         except Exception:
             log.exception("%r failed", message.get("do"))
-            return encode({"reply": number, "ok": False, "error": _BROKEN})
+            return encode({"reply": number, "ok": False, "error": _INTERNAL_ERROR})
 
 
-async def _send_news(
-    websocket: WebSocket, told: Told, outbox: Outbox, news: asyncio.Event, replied: asyncio.Event
+class ClientState:
+    """The slices as one client has them; encodes messages relative to these and numbers them.
+
+    Args:
+        client: the open page.
+        encoder: shared by all clients.
+    """
+
+    def __init__(self, client: Client, encoder: SharedEncoder) -> None:
+        self._client, self._encoder = client, encoder
+        self._slices: dict[str, Any] = {}
+        self._version = 0
+
+    def encode(self, message: Message) -> str:
+        """Return the JSON text of a message for this client, and assume that it is sent."""
+        return self._encode_slices(message["slices"]) if "slices" in message else encode(message)
+
+    def _encode_slices(self, slices: dict[str, Any]) -> str:
+        self._version += 1
+        whole: dict[str, Any] = {}
+        changes: dict[str, Any] = {}
+        for name, value in slices.items():
+            if name == "people" and value:  # the only slice that differs between clients
+                whole[name] = value | {"you": self._client.name}
+                continue
+            before = self._slices.get(name)
+            change = None if before is None or value is None else self._encoder.change(before, value)
+            if change is None:
+                whole[name] = self._encoder.slice(value)
+            else:
+                changes[name] = change
+        self._slices = {name: value for name, value in (self._slices | slices).items() if value is not None}
+        parts = {"slices": whole, "changes": changes} if changes else {"slices": whole}
+        return encode({**parts, "version": self._version})
+
+
+class Outbox:
+    """Messages waiting to be sent to one client: a slow one gets the latest state, not a longer queue.
+
+    Filled from any thread, emptied by one task.
+
+    Args:
+        wake: called, from the thread that fills it, when it is no longer empty.
+    """
+
+    def __init__(self, wake: Callable[[], None]) -> None:
+        self._wake = wake
+        self._lock = threading.Lock()
+        self._slices: dict[str, Any] = {}
+        self._other_fields: dict[str, Any] = {}
+        self._latest: dict[str, Message] = {}
+        self._events: deque[Message] = deque(maxlen=_MAX_EVENTS)
+        self._reply: str | None = None
+
+    def put(self, message: Message) -> None:
+        """Add slices, which replace waiting ones of the same name, or an event."""
+        with self._lock:
+            idle = self._is_empty()
+            if "slices" in message:
+                self._slices.update(message["slices"])
+                self._other_fields = {name: value for name, value in message.items() if name != "slices"}
+            elif message.get("event") in _LATEST_ONLY:
+                self._latest[message["event"]] = message
+            else:
+                self._events.append(message)
+        if idle:
+            self._wake()
+
+    def reply(self, text: str) -> None:
+        """Add the reply to a command; it is sent after all changes that precede it."""
+        with self._lock:
+            idle = self._is_empty()
+            self._reply = text
+        if idle:
+            self._wake()
+
+    def take(self) -> tuple[list[Message], str | None]:
+        """Remove and return everything that waits: the messages and the reply."""
+        with self._lock:
+            messages = [{"slices": self._slices} | self._other_fields] if self._slices else []
+            messages += [*self._latest.values(), *self._events]
+            reply, self._reply = self._reply, None
+            self._slices, self._latest = {}, {}
+            self._events.clear()
+        return messages, reply
+
+    def _is_empty(self) -> bool:
+        return not (self._slices or self._latest or self._events or self._reply)
+
+
+class ClientRegistry:
+    """The open pages of each browser; used by the event loop only."""
+
+    def __init__(self) -> None:
+        self._clients: defaultdict[str, list[Client]] = defaultdict(list)
+
+    def add(self, browser: str, client: Client) -> None:
+        """Add a page that a browser has opened."""
+        self._clients[browser].append(client)
+
+    def remove(self, browser: str, client: Client) -> None:
+        """Remove a page that a browser has closed."""
+        self._clients[browser] = [other for other in self._clients[browser] if other is not client]
+        if not self._clients[browser]:
+            del self._clients[browser]
+
+    def newest(self, browser: str) -> Client | None:
+        """Return the open page that a browser opened last."""
+        clients = self._clients.get(browser)
+        return clients[-1] if clients else None
+
+
+async def _send_pending(
+    websocket: WebSocket, state: ClientState, outbox: Outbox, pending: asyncio.Event, replied: asyncio.Event
 ) -> None:
-    while await news.wait():
-        news.clear()
+    while await pending.wait():
+        pending.clear()
         messages, reply = outbox.take()
         for message in messages:
-            await websocket.send_text(told.text(message))
+            await websocket.send_text(state.encode(message))
         if reply is not None:
             await websocket.send_text(reply)
             replied.set()
 
 
-async def _until_one_ends(*works: Coroutine[Any, Any, None]) -> None:
-    tasks = [asyncio.create_task(work) for work in works]
+async def _until_one_ends(*coroutines: Coroutine[Any, Any, None]) -> None:
+    tasks = [asyncio.create_task(coroutine) for coroutine in coroutines]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:

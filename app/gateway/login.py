@@ -1,81 +1,292 @@
-"""The token, and the cookie that stands for it."""
+"""Login: the token, the cookie that replaces it, the form, and the limit on failed attempts."""
 
 from __future__ import annotations
 
+import asyncio
+import base64
 import hashlib
 import hmac
+import html
 import secrets
+import time
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from urllib.parse import parse_qs
+
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 
 from ladarreg_core.errors import OptionError
 
-SHORTEST = 12
-"""Characters that a token needs at least."""
-_UNGUESSABLE = 22
+from .request_source import RequestSource, network_of
+
+MIN_TOKEN_LENGTH = 12
+"""Characters that a token must have at least."""
+_UNGUESSABLE_LENGTH = 22
 """Characters of base64 that hold 128 random bits."""
 _ID_BYTES = 16
+_MAX_ADDRESSES = 4096
+_PACE_S = 3.0
+_MAX_DELAY_S = 30.0
+_MAX_FORM_BYTES = 4096
+_WRONG_DELAY_S = 0.3
+_RETRY_AFTER_S = 30
+_KINDS = {"none": "typed", "same-origin": "typed", "same-site": "linked", "cross-site": "linked"}
+_STYLE = (
+    ":root{color-scheme:dark light;--back:#0f1115;--panel:#161a21;--line:#2a313d;--ink:#e8ecf2;--dim:#8f9bad;"
+    "--accent:#5cc8ff;--bad:#f2726f}"
+    "@media(prefers-color-scheme:light){:root{--back:#f5f6f8;--panel:#fff;--line:#c9d0da;--ink:#12161c;--dim:#566173;"
+    "--accent:#00618f;--bad:#b3261e}}"
+    "body{margin:0;min-height:100vh;display:grid;place-items:center;background:var(--back);color:var(--ink);"
+    "font:15px/1.5 system-ui,sans-serif}"
+    "main{box-sizing:border-box;width:min(420px,92vw);padding:28px;background:var(--panel);"
+    "border:1px solid var(--line);border-radius:8px}"
+    "h1{margin:0 0 4px;font-size:20px}p{margin:0 0 18px;color:var(--dim)}p.bad{color:var(--bad)}"
+    "label{display:block;margin-bottom:6px}"
+    "input,button{box-sizing:border-box;width:100%;padding:9px 11px;border-radius:6px;font:inherit;color:inherit}"
+    "input{background:var(--back);border:1px solid var(--dim);margin-bottom:14px}"
+    "button{background:transparent;border:1px solid var(--accent);color:var(--accent);cursor:pointer}"
+    "input:focus-visible,button:focus-visible{outline:2px solid var(--accent);outline-offset:2px}"
+)
+# A URL that contains a token, even a wrong one, must not remain in the history that the Back button walks.
+_CONTINUE_SCRIPT = 'location.replace("./")'
+_FORGET_SCRIPT = 'history.replaceState(null, "", "./")'
 
 
 def new_token() -> str:
-    """Return a token that nobody can guess."""
+    """Return a random token."""
     return secrets.token_urlsafe(24)
 
 
 def checked_token(token: str) -> str:
-    """Return a token that somebody chose.
+    """Return a token chosen by the operator, if it is acceptable.
 
     Raises:
-        OptionError: if it is short, or cannot stand in an address.
+        OptionError: if it is too short, or cannot be part of a URL.
     """
-    if len(token) < SHORTEST:
+    if len(token) < MIN_TOKEN_LENGTH:
         raise OptionError(
-            f"the token has {len(token)} characters; it needs {SHORTEST} at least, or leave it out for a random one"
+            f"the token has {len(token)} characters; use at least {MIN_TOKEN_LENGTH}, or omit it for a random one"
         )
     if not (token.isascii() and token.isprintable()) or " " in token:
-        raise OptionError("the token holds a space or a letter that is not ASCII; use letters, digits and - . _ ~")
+        raise OptionError(
+            "the token contains a space or a character that is not printable ASCII; use letters, digits and - . _ ~"
+        )
     return token
 
 
-class Door:
-    """Who is let in: whoever shows the token, and the browsers that have shown it.
+class Credentials:
+    """The token, and the cookies of the browsers that have shown it.
 
-    A cookie is a browser's random number and a code of it that only the token makes: no cookie gives the token away,
-    browsers can be told apart, and with a token of one's own a browser stays known when the program starts anew.
+    A cookie is a random browser id signed with a key derived from the token. A cookie therefore does not reveal the
+    token, browsers can be told apart, and with a token of the operator's own they stay logged in across restarts.
 
     Args:
-        token: what opens the door.
-        port: where the gateway listens: browsers share cookies between the ports of a host.
+        token: the token that grants access.
+        port: of the gateway; part of the cookie's name, because browsers share cookies between the ports of a host.
     """
 
     def __init__(self, token: str, *, port: int) -> None:
         self.cookie_name = f"ladarreg-{port}"
-        self.unguessable = len(token) >= _UNGUESSABLE
-        """Whether the token is so long that trying does not help."""
+        self.unguessable = len(token) >= _UNGUESSABLE_LENGTH
+        """True if the token is too long to be found by trying."""
         self._token = hashlib.sha256(token.encode()).digest()
         self._key = hmac.digest(token.encode(), b"ladarreg cookie", "sha256")
 
-    def knows(self, token: str) -> bool:
-        """Tell whether this is the token, in the same time for every wrong one."""
+    def is_token(self, token: str) -> bool:
+        """Return whether this is the token; takes the same time for every wrong one."""
         return hmac.compare_digest(hashlib.sha256(token.encode(errors="replace")).digest(), self._token)
 
     def new_cookie(self) -> str:
-        """Return the cookie of a browser that has shown the token."""
+        """Return a cookie for a browser that has shown the token."""
         browser = secrets.token_hex(_ID_BYTES)
-        return f"{browser}.{self._code(browser)}"
+        return f"{browser}.{self._signature(browser)}"
 
-    def browser(self, cookies: str) -> str | None:
-        """Return whose cookie is among these, None if there is none that we made.
+    def browser_of(self, cookies: str) -> str | None:
+        """Return the browser id of a valid cookie; None if there is none.
 
         Args:
             cookies: the header Cookie.
         """
         for part in cookies.split(";"):
             name, _, value = part.strip().partition("=")
-            browser, _, code = value.strip().strip('"').partition(".")
+            browser, _, signature = value.strip().strip('"').partition(".")
             if name == self.cookie_name and hmac.compare_digest(
-                code.encode(errors="replace"), self._code(browser).encode()
+                signature.encode(errors="replace"), self._signature(browser).encode()
             ):
                 return browser
         return None
 
-    def _code(self, browser: str) -> str:
+    def _signature(self, browser: str) -> str:
         return hmac.new(self._key, browser.encode(errors="replace"), "sha256").hexdigest()
+
+
+class AttemptLimiter:
+    """Counts failed attempts per address within a sliding window, and delays further attempts beyond a limit.
+
+    Args:
+        most: failed attempts of an address within `window_s` before its next ones are delayed.
+        window_s: how long a failed attempt counts, s.
+        clock: monotonic time, s.
+    """
+
+    def __init__(self, *, most: int = 10, window_s: float = 60.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._most, self._window_s, self._clock = most, window_s, clock
+        self._failures: OrderedDict[str, deque[float]] = OrderedDict()
+        self._next_at: dict[str, float] = {}
+
+    def delay_s(self, address: str, kind: str = "") -> float | None:
+        """Reserve the next attempt of an address.
+
+        Args:
+            address: of the browser.
+            kind: how the token was submitted; each kind is counted separately.
+
+        Returns:
+            Time to wait before the token is compared, s: 0 after few failures; None if the queue is full and the
+            attempt must be refused.
+        """
+        key = _limit_key(address, kind)
+        now = self._clock()
+        if len(self._recent(key)) < self._most:
+            return 0.0
+        due = max(now, self._next_at.get(key, now))
+        if due - now > _MAX_DELAY_S:
+            return None
+        self._next_at[key] = due + _PACE_S
+        return due - now
+
+    def record_failure(self, address: str, kind: str = "") -> None:
+        """Record a failed attempt of an address."""
+        key = _limit_key(address, kind)
+        times = self._recent(key)
+        times.append(self._clock())
+        self._failures[key] = times
+        self._failures.move_to_end(key)
+        while len(self._failures) > _MAX_ADDRESSES:
+            self._next_at.pop(self._failures.popitem(last=False)[0], None)
+
+    def _recent(self, key: str) -> deque[float]:
+        times = self._failures.get(key, deque(maxlen=self._most))
+        while times and times[0] <= self._clock() - self._window_s:
+            times.popleft()
+        return times
+
+
+def _limit_key(address: str, kind: str) -> str:
+    return f"{kind} {network_of(address)}"
+
+
+def _headers(script: str, *, referrer: str) -> dict[str, str]:
+    return {
+        "content-security-policy": f"default-src 'none'; style-src '{_digest(_STYLE)}'; "
+        f"script-src '{_digest(script)}'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'",
+        "referrer-policy": referrer,
+        "x-frame-options": "DENY",
+    }
+
+
+def _digest(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+_CONTINUE_HEADERS = _headers(_CONTINUE_SCRIPT, referrer="no-referrer")
+# With `no-referrer` the form's own Origin would be `null`.
+_FORM_HEADERS = _headers(_FORGET_SCRIPT, referrer="strict-origin")
+
+
+class LoginPages:
+    """Responses to browsers without a valid cookie: the form, and the outcome of submitting a token.
+
+    Args:
+        credentials: the token and its cookies.
+    """
+
+    def __init__(self, credentials: Credentials) -> None:
+        self._credentials, self._attempts = credentials, AttemptLimiter()
+
+    async def submit_token(self, source: RequestSource, token: str, *, by_form: bool = False) -> Response:
+        """Return the response to a submitted token.
+
+        A page of another site can make a browser submit wrong tokens. This must not lock out the people who use that
+        browser, or its address. Attempts caused by such a page are therefore counted apart from typed ones, and those
+        of the form (which no other site can send, because its Origin is checked) apart from both; a token that cannot
+        be guessed is accepted whatever was tried before.
+        """
+        if source.fetch_dest not in ("", "document"):
+            return PlainTextResponse("Submit the token by opening a page with it.\n", status_code=403)
+        correct = self._credentials.is_token(token)
+        kind = "form" if by_form else _KINDS.get(source.fetch_site, "unknown")
+        if not (correct and self._credentials.unguessable):
+            delay_s = self._attempts.delay_s(source.address, kind)
+            if delay_s is None:
+                text = "Too many wrong tokens from this address. Enter the correct one here, or try again later."
+                return _form(text, status=429, headers={"retry-after": str(_RETRY_AFTER_S)})
+            if delay_s > 0:
+                await asyncio.sleep(delay_s)
+        if correct:
+            return self._logged_in(source)
+        self._attempts.record_failure(source.address, kind)
+        await asyncio.sleep(_WRONG_DELAY_S)
+        return _form("This is not the token of the running workbench.", status=401)
+
+    async def submit_form(self, request: Request, source: RequestSource) -> Response:
+        """Return the response to the submitted form."""
+        body = bytearray()
+        try:
+            async for chunk in request.stream():
+                body += chunk
+                if len(body) > _MAX_FORM_BYTES:
+                    return PlainTextResponse("The form is longer than any token.\n", status_code=413)
+        except ClientDisconnect:
+            return Response(status_code=400)
+        fields = parse_qs(body.decode(errors="replace"))
+        return await self.submit_token(source, fields.get("token", [""])[-1].strip(), by_form=True)
+
+    def form(self) -> Response:
+        """Return the empty form."""
+        return _form("", status=401)
+
+    def _logged_in(self, source: RequestSource) -> Response:
+        response = continue_page()
+        response.set_cookie(
+            self._credentials.cookie_name,
+            self._credentials.new_cookie(),
+            path=source.prefix,
+            secure=source.secure,
+            httponly=True,
+            samesite="strict",
+        )
+        return response
+
+
+def continue_page() -> Response:
+    """Return a page that moves on to the workbench.
+
+    It is not a redirect: after a link from another site, browsers drop a strict cookie that a redirect sets.
+    """
+    body = '<h1>ladarreg</h1><p>Opening the workbench. <a href="./">Continue</a></p>'
+    head = f'<script>{_CONTINUE_SCRIPT}</script><noscript><meta http-equiv="refresh" content="0; url=./"></noscript>'
+    return HTMLResponse(_page(body, head=head), headers=_CONTINUE_HEADERS)
+
+
+def _form(error: str, *, status: int, headers: dict[str, str] | None = None) -> Response:
+    alert = f'<p class="bad" role="alert">{html.escape(error)}</p>' if error else ""
+    page = _page(
+        f"<h1>ladarreg</h1>{alert}"
+        "<p>Enter the token of this workbench. It is part of the address that was printed when the workbench was"
+        " started.</p>"
+        '<form method="post" action="./enter"><label for="token">Token</label>'
+        '<input id="token" name="token" type="password" autocomplete="current-password" required autofocus>'
+        "<button>Enter</button></form>",
+        head=f"<script>{_FORGET_SCRIPT}</script>",
+    )
+    return HTMLResponse(page, status_code=status, headers=_FORM_HEADERS | (headers or {}))
+
+
+def _page(body: str, *, head: str = "") -> str:
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"{head}<title>ladarreg</title><style>{_STYLE}</style></head><body><main>{body}</main></body></html>"
+    )

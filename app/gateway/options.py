@@ -1,96 +1,83 @@
-"""How the gateway is reached."""
+"""Options of the gateway: where it listens, what stands in front of it, and its connection limits."""
 
 from __future__ import annotations
 
-import ipaddress
 import re
 from dataclasses import dataclass, field, replace
 
 from ladarreg_core.errors import OptionError
 
+from .request_source import is_loopback
+
 _NAME = re.compile(r"[A-Za-z0-9._-]+|[0-9A-Fa-f:]+")
 _RESERVED = 128
-"""Descriptors that connections leave to everything else."""
+"""File descriptors reserved for everything but connections."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionLimits:
-    """How many connections the gateway keeps open, and how long it waits for them."""
+    """Limits on the number of open connections, and on the time that the gateway waits for them."""
 
     header_s: float = 10.0
-    """For the whole header of a request, TLS included, from the connection or the last answer on; and for a stranger's
-    form."""
+    """For a complete request header, TLS handshake included, from the connection or the previous response on; and for
+    the login form of an anonymous connection."""
     stall_s: float = 120.0
-    """For the next bytes of an upload to come, or of an answer to be taken; and for a stranger's whole answer."""
-    strangers: int = 128
-    """Connections on which nobody has shown a valid cookie."""
-    members: int = 512
-    """Connections on which somebody has."""
+    """For progress of an upload, or of a response being read; and for a whole response to an anonymous connection."""
+    anonymous: int = 128
+    """Connections that have not shown a valid cookie."""
+    authenticated: int = 512
+    """Connections that have shown a valid cookie."""
     views: int = 64
-    """Open 3-D views: each costs megabytes as long as it does not take what it is sent."""
+    """Open 3-D views: each buffers megabytes while its browser does not read what it is sent."""
 
     def within(self, descriptors: int | None) -> ConnectionLimits:
-        """Return limits that leave files and jobs what they need of a process's descriptors.
+        """Return limits that leave enough file descriptors for files and jobs.
 
         Args:
-            descriptors: that the process may have open; None: no matter how many.
+            descriptors: that the process may open; None: unlimited.
         """
         if descriptors is None:
             return self
-        strangers, views = min(self.strangers, descriptors // 8), min(self.views, descriptors // 8)
-        # A view is forwarded by two more descriptors, and a member may have a file on its way.
-        rest = descriptors - min(_RESERVED, descriptors // 4) - strangers - 2 * views
-        return replace(self, strangers=strangers, views=views, members=min(self.members, rest // 2))
+        anonymous, views = min(self.anonymous, descriptors // 8), min(self.views, descriptors // 8)
+        # A forwarded view takes two more descriptors, and an authenticated connection may be uploading a file.
+        rest = descriptors - min(_RESERVED, descriptors // 4) - anonymous - 2 * views
+        return replace(self, anonymous=anonymous, views=views, authenticated=min(self.authenticated, rest // 2))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GatewayOptions:
-    """Where the gateway listens and what stands in front of it."""
+    """Address, TLS and proxy settings of the gateway."""
 
     host: str = "127.0.0.1"
     """Address or name to listen on."""
     port: int = 8700
-    """Wanted port; the next free one is taken where it is busy; 0 is any."""
+    """Preferred port; the next free one is used if it is busy; 0: any free port."""
     certfile: str | None = None
-    """Certificate chain, PEM; TLS is on where it is given."""
+    """Certificate chain, PEM; enables TLS."""
     keyfile: str | None = None
-    """Its key, PEM; None: in `certfile`."""
+    """Private key of the certificate, PEM; None: contained in `certfile`."""
     behind_proxy: bool = False
-    """Whether a reverse proxy stands in front, whose X-Forwarded headers are believed."""
+    """True if a reverse proxy stands in front, whose X-Forwarded headers are trusted."""
     allowed_hosts: tuple[str, ...] = ()
-    """Names, beside loopback's, under which browsers may ask for the page."""
+    """Host names, besides those of loopback, under which browsers may request the page."""
     limits: ConnectionLimits = field(default_factory=ConnectionLimits)
-    """How many connections are kept, and for how long; fewer where the system allows fewer descriptors."""
+    """Connection limits; reduced where the system allows fewer file descriptors."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise OptionError(f"the port is {self.port}; it must be between 0 and 65535")
         if self.keyfile and not self.certfile:
-            raise OptionError("a key without its certificate was given; add --certfile")
+            raise OptionError("a key was given without its certificate; add --certfile")
         for name in self.allowed_hosts:
             if not _NAME.fullmatch(name):
-                raise OptionError(f"{name!r} is no name of a host; give the name alone, without scheme and port")
+                raise OptionError(f"{name!r} is not a host name; give the name alone, without scheme and port")
 
     @property
     def tls(self) -> bool:
-        """Whether the gateway speaks TLS itself."""
+        """True if the gateway itself speaks TLS."""
         return self.certfile is not None
 
     @property
     def on_loopback(self) -> bool:
-        """Whether nobody but this machine can connect."""
+        """True if only this machine can connect."""
         return is_loopback(self.host)
-
-
-def is_loopback(host: str) -> bool:
-    """Tell whether a name or address means this machine only.
-
-    Args:
-        host: name or address, IPv6 with or without brackets.
-    """
-    if host.lower() == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False

@@ -1,9 +1,10 @@
-"""The page's own files."""
+"""The page's own files: their folder, beside the source tree or inside an installed wheel, and how they are served."""
 
 from __future__ import annotations
 
 import mimetypes
 import os
+from functools import cache
 from pathlib import Path
 
 from starlette.exceptions import HTTPException
@@ -13,17 +14,37 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-# What the system says of these is what its last installer thought, and with `nosniff` a wrong word stops the page.
-for _suffix, _kind in ((".js", "text/javascript"), (".css", "text/css"), (".svg", "image/svg+xml")):
-    mimetypes.add_type(_kind, _suffix)
+# The system's own table may have been changed by any installer; with `nosniff` a wrong type breaks the page.
+for _suffix, _media_type in ((".js", "text/javascript"), (".css", "text/css"), (".svg", "image/svg+xml")):
+    mimetypes.add_type(_media_type, _suffix)
 _REVALIDATE = {"cache-control": "no-cache"}
+_MARKER_FILE = "tokens.css"
+
+
+@cache
+def static_folder() -> Path:
+    """Return the folder of the page's files.
+
+    Raises:
+        FileNotFoundError: if the installation is incomplete.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "static", package.parent / "static"):
+        if (folder / _MARKER_FILE).is_file():
+            return folder
+    raise FileNotFoundError(f"the page's files are missing beside {package}; reinstall ladarreg")
+
+
+def static_text(name: str) -> str:
+    """Return the text of one of the page's files."""
+    return (static_folder() / name).read_text(encoding="utf-8")
 
 
 class Pages(StaticFiles):
-    """The files of a folder, asked for anew each time so that a newer program brings its newer page.
+    """The files of a folder, revalidated on every request so that a newer program delivers its newer page.
 
     Args:
-        folder: what is served of it are the files that do not begin with a dot.
+        folder: its files are served, except those whose path contains a name that begins with a dot.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -37,7 +58,7 @@ class Pages(StaticFiles):
         await super().__call__(scope, receive, send)
 
     async def get_response(self, path: str, scope: Scope) -> Response:
-        """Return a file, or say that there is none."""
+        """Return a file, or raise 404."""
         if any(part.startswith(".") for part in Path(path).parts) or set(scope["path"]) & {"\\", "\0"}:
             raise HTTPException(404)
         return await super().get_response(path, scope)
@@ -45,14 +66,14 @@ class Pages(StaticFiles):
     def file_response(
         self, full_path: str | os.PathLike[str], stat_result: os.stat_result, scope: Scope, status_code: int = 200
     ) -> Response:
-        """Return a file's content, or that it has not changed."""
+        """Return a file's content, or 304 if the browser's copy is current."""
         response = super().file_response(full_path, stat_result, scope, status_code)
         response.headers.update(_REVALIDATE)
         return response
 
 
 def front_page(folder: Path, request: Request) -> Response:
-    """Return the page itself."""
+    """Return `index.html`."""
     path = folder / "index.html"
     if not path.is_file():
         raise HTTPException(404)

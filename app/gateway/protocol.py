@@ -1,4 +1,4 @@
-"""What the gateway asks of the workbench behind it."""
+"""The interface between the gateway and the workbench behind it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 Message = dict[str, Any]
-"""What goes to the pages: `{"slices": {...}, "version": 12}` or `{"event": name, ...}` (docs/workbench.md)."""
+"""A message to the clients: `{"slices": {...}, "version": 12}` or `{"event": name, ...}` (docs/workbench.md)."""
 
 
 class Client(Protocol):
@@ -16,31 +16,15 @@ class Client(Protocol):
 
     @property
     def name(self) -> str:
-        """What the others call it."""
+        """Name shown to the other clients."""
 
 
 class Limits(Protocol):
-    """What the workbench takes."""
+    """Limits of the workbench."""
 
     @property
     def upload_bytes(self) -> int:
-        """The largest file."""
-
-
-class PictureLike(Protocol):
-    """An encoded picture."""
-
-    @property
-    def data(self) -> bytes:
-        """PNG or JPEG."""
-
-    @property
-    def media_type(self) -> str:
-        """Its kind, `image/png` say."""
-
-    @property
-    def etag(self) -> str:
-        """What changes when the picture does."""
+        """Size of the largest file accepted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,44 +34,44 @@ class Picture:
     data: bytes
     """PNG or JPEG."""
     media_type: str
-    """Its kind, `image/png` say."""
+    """For example `image/png`."""
     etag: str
-    """What changes when the picture does."""
+    """Changes whenever the picture does."""
 
 
 class Workbench(Protocol):
-    """The application, safe to call from any thread."""
+    """The application behind the gateway; safe to call from any thread."""
 
     @property
     def limits(self) -> Limits:
-        """What it takes."""
+        """Its limits."""
 
     def slices(self, client: Any) -> dict[str, Any]:
-        """Return all slices, as this page is to be told them."""
+        """Return all slices of the state, as this client sees them."""
 
     def subscribe(self, listener: Callable[[Message], None]) -> Callable[[], None]:
-        """Call the listener, from any thread, with what changes; return what ends it."""
+        """Call the listener, from any thread, with every change; return the function that ends this."""
 
     def join(self, address: str) -> Client:
-        """Let a page in."""
+        """Connect a client; raises `LadarregError` if there are too many."""
 
     def leave(self, client: Any) -> None:
-        """Let a page go."""
+        """Disconnect a client."""
 
     def answer(self, client: Any, message: dict[str, Any]) -> dict[str, Any]:
-        """Do what a page asks for; a few milliseconds, never raises."""
+        """Execute a command and return its reply; takes a few milliseconds and never raises."""
 
-    def picture(self, path: str, query: Mapping[str, str]) -> PictureLike:
+    def picture(self, path: str, query: Mapping[str, str]) -> Picture:
         """Draw a picture; raises `LadarregError`."""
 
-    def upload_room(self) -> Path:
-        """Return the folder that uploads are written to before they are looked at."""
+    def upload_folder(self) -> Path:
+        """Return the folder that uploads are written to before they are checked."""
 
     def take_upload(self, path: Path, name: str, what: str, photo: str | None, client: Any) -> str:
-        """Take a file that has arrived and return its id; raises `LadarregError`.
+        """Open an uploaded file and return the id of what it became; raises `LadarregError`.
 
-        The file is the workbench's from then on: it removes what it refuses, and never what is in the project.
+        The workbench owns the file from then on: it removes files that it refuses, but never those of the project.
         """
 
     def export_file(self, photo: str) -> tuple[Path, str] | None:
-        """Return the last export of a photograph and the name to save it by."""
+        """Return the latest export of a photograph and its download name."""

@@ -11,23 +11,20 @@ from starlette.responses import RedirectResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.types import ASGIApp
 
-from ..process_resources import raised_descriptor_limit
-from ..static_files import static_folder
-from .document_socket import DocumentSocket
-from .downloads import Exports
-from .login import Door
+from ..process_resources import raise_descriptor_limit
+from .document_socket import ClientRegistry, DocumentSocket
+from .downloads import Exports, Pictures
+from .login import Credentials
 from .options import GatewayOptions
-from .pages import Pages, front_page
-from .pictures import Pictures
+from .pages import Pages, front_page, static_folder
 from .protocol import Workbench
 from .security import Guard
 from .uploads import Uploads
-from .viser_lock import ViserAddress
+from .viser_backend import ViserAddress
 from .viser_proxy import ViserProxy
-from .visitors import Visitors
 
 
-def site(
+def build_site(
     workbench: Workbench,
     *,
     token: str,
@@ -36,18 +33,18 @@ def site(
     port: int,
     folder: Path | None = None,
 ) -> ASGIApp:
-    """Return the whole site, with its guard in front.
+    """Return the application with all routes, behind its security layer.
 
     Args:
-        workbench: what is behind the page.
-        token: what opens it.
-        viser: tells where the locked viser server listens; may wait for it.
+        workbench: the application's state.
+        token: the token that grants access.
+        viser: returns the address of the locked viser server; may block until it is open.
         options: how the gateway is reached.
-        port: where it listens, for the cookie's name.
+        port: that it listens on, for the cookie's name.
         folder: of the page's files; None: those of the installation.
     """
-    limits = options.limits.within(raised_descriptor_limit())
-    visitors, proxy = Visitors(), ViserProxy(viser, most=limits.views)
+    limits = options.limits.within(raise_descriptor_limit())
+    clients, proxy = ClientRegistry(), ViserProxy(viser, most=limits.views)
     folder = folder or static_folder()
     pages = Pages(folder)
 
@@ -55,14 +52,14 @@ def site(
         return front_page(folder, request)
 
     async def to_viser(request: Request) -> Response:
-        return RedirectResponse("viser/", status_code=307)  # relative: the prefix is the proxy's
+        return RedirectResponse("viser/", status_code=307)  # relative: a proxy in front may add a prefix
 
     inner = Starlette(
         routes=[
             Route("/", page),
-            WebSocketRoute("/document", DocumentSocket(workbench, visitors).serve),
+            WebSocketRoute("/document", DocumentSocket(workbench, clients).serve),
             Route("/picture/{path:path}", Pictures(workbench).serve),
-            Route("/upload", Uploads(workbench, visitors).serve, methods=["POST"]),
+            Route("/upload", Uploads(workbench, clients).serve, methods=["POST"]),
             Route("/export/{photo}.zip", Exports(workbench).serve),
             Route("/viser", to_viser),
             Route("/viser/{path:path}", proxy.page),
@@ -73,4 +70,4 @@ def site(
         ]
     )
     inner.router.redirect_slashes = False
-    return Guard(inner, Door(token, port=port), options)
+    return Guard(inner, Credentials(token, port=port), options)

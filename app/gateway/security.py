@@ -1,4 +1,4 @@
-"""In front of everything: asked under a name of ours, by a page of ours, by a browser that has shown the token."""
+"""The security layer in front of every route: checks Host, Origin and cookie, and adds the security headers."""
 
 from __future__ import annotations
 
@@ -8,105 +8,146 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from .connections import KEY, Connection
-from .entrance import Entrance, go_on
-from .forwarded import Asked, asked_of
-from .headers import security_headers
-from .login import Door
-from .options import GatewayOptions, is_loopback
+from .connections import CONNECTION_KEY, Connection
+from .login import Credentials, LoginPages, continue_page
+from .options import GatewayOptions
+from .request_source import RequestSource, is_loopback, request_source
 
+PAGE_POLICY = (
+    "default-src 'self'; img-src 'self' blob: data:; style-src 'self'; script-src 'self'; connect-src 'self'; "
+    "frame-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'self'"
+)
+"""Content security policy of everything but viser."""
+# viser's page is one inline script that unpacks, by WebAssembly, the script and the style that it adds to itself:
+# neither a hash nor a nonce can name them. Its decoders and textures are fetched from blobs and data. Without
+# 'unsafe-eval' its console shows one EvalError, of the sorter of Gaussian splats; splats and Plotly do not work, and no
+# message can bring a script.
+VISER_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; worker-src blob:; style-src 'unsafe-inline'; "
+    "img-src blob: data:; connect-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+"""Content security policy of viser's page."""
+_DAY_S = 86_400
 _READING = ("GET", "HEAD")
 
 
 class Guard:
-    """Lets requests pass to the site, or answers them itself.
+    """ASGI middleware that passes permitted requests to the application and answers all others itself.
 
     Args:
-        inner: the site; `scope["state"]["browser"]` tells it who asks.
-        door: knows the token and the cookies.
-        options: under which names the gateway is reached.
+        inner: the application; it finds the browser's id in `scope["state"]["browser"]`.
+        credentials: the token and its cookies.
+        options: host names under which the gateway is reached.
     """
 
-    def __init__(self, inner: ASGIApp, door: Door, options: GatewayOptions) -> None:
-        self._inner, self._door, self._options = inner, door, options
-        self._entrance = Entrance(door)
+    def __init__(self, inner: ASGIApp, credentials: Credentials, options: GatewayOptions) -> None:
+        self._inner, self._credentials, self._options = inner, credentials, options
+        self._login = LoginPages(credentials)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request or a websocket, or pass it on."""
         if scope["type"] not in ("http", "websocket"):
             return
-        asked = asked_of(scope, behind_proxy=self._options.behind_proxy)
-        scope.setdefault("state", {})["address"] = asked.address
-        refusal = self._refusal(scope, asked)
+        source = request_source(scope, behind_proxy=self._options.behind_proxy)
+        scope.setdefault("state", {})["address"] = source.address
+        refusal = self._refusal(scope, source)
         if scope["type"] == "websocket":
-            if refusal is None and not self._know(scope):
+            if refusal is None and not self._has_cookie(scope):
                 refusal = _plain(401, "Open the workbench's page with its token first.")
-            refusal = refusal or _no_room(scope)
+            refusal = refusal or _refusal_at_limit(scope)
             if refusal is None:
                 await self._inner(scope, receive, send)
             else:
                 await WebSocket(scope, receive, send).send_denial_response(refusal)
             return
-        send = self._with_headers(scope, asked, send)
-        answer = refusal or await self._at_the_door(Request(scope, receive), asked)
-        await (answer or self._inner)(scope, receive, send)
+        send = self._with_headers(scope, source, send)
+        response = refusal or await self._login_response(Request(scope, receive), source)
+        await (response or self._inner)(scope, receive, send)
 
-    def _refusal(self, scope: Scope, asked: Asked) -> Response | None:
-        if not asked.host:
-            return _plain(400, "The header Host is missing or cannot be read.")
-        if not self._is_ours(asked):
-            return _plain(403, "This name is not one of the workbench's; start it with --allow-host to add it.")
+    def _refusal(self, scope: Scope, source: RequestSource) -> Response | None:
+        if not source.host:
+            return _plain(400, "The header Host is missing or malformed.")
+        if not self._is_allowed_host(source):
+            return _plain(403, "The workbench is not reached by this host name; add it with --allow-host at the start.")
         reading = scope["type"] == "http" and scope["method"] in _READING
-        if not reading and not asked.same:
-            return _plain(403, "This was asked by a page that is not the workbench's.")
+        if not reading and not source.is_same_origin:
+            return _plain(403, "The request comes from a page that is not the workbench's.")
         return None
 
-    def _is_ours(self, asked: Asked) -> bool:
+    def _is_allowed_host(self, source: RequestSource) -> bool:
         options = self._options
         allowed = {name.lower() for name in options.allowed_hosts}
         if not allowed and (options.behind_proxy or not options.on_loopback):
             return True
-        return is_loopback(asked.name) or asked.name.strip("[]") in allowed | {options.host.lower()}
+        return is_loopback(source.hostname) or source.hostname.strip("[]") in allowed | {options.host.lower()}
 
-    async def _at_the_door(self, request: Request, asked: Asked) -> Response | None:
-        """Return the answer to somebody who is not in yet, None to somebody who is."""
-        known = self._know(request.scope)
+    async def _login_response(self, request: Request, source: RequestSource) -> Response | None:
+        """Return the response to a browser that is not logged in; None if the request may pass."""
+        logged_in = self._has_cookie(request.scope)
         path, token = request.scope["path"], request.query_params.get("token")
         if path == "/" and token is not None and request.method in _READING:
-            return go_on() if known else await self._entrance.show(asked, token)
+            return continue_page() if logged_in else await self._login.submit_token(source, token)
         if path == "/enter" and request.method == "POST":
-            return await self._entrance.take_form(request, asked)
-        if known:
-            return _no_room(request.scope)
+            return await self._login.submit_form(request, source)
+        if logged_in:
+            return _refusal_at_limit(request.scope)
         if path in ("/", "/enter") and request.method in _READING:
-            return self._entrance.ask()
+            return self._login.form()
         return _plain(401, "Open the workbench's page with its token first.")
 
-    def _know(self, scope: Scope) -> bool:
+    def _has_cookie(self, scope: Scope) -> bool:
         cookies = ";".join(Headers(scope=scope).getlist("cookie"))
-        browser = self._door.browser(cookies)
+        browser = self._credentials.browser_of(cookies)
         scope["state"]["browser"] = browser
         return browser is not None
 
-    def _with_headers(self, scope: Scope, asked: Asked, send: Send) -> Send:
-        secure = security_headers(scope["path"], asked, tls=self._options.tls)
+    def _with_headers(self, scope: Scope, source: RequestSource, send: Send) -> Send:
+        defaults = security_headers(scope["path"], source, tls=self._options.tls)
 
-        async def with_headers(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in secure.items():
+                for name, value in defaults.items():
                     headers.setdefault(name, value)
             await send(message)
 
-        return with_headers
+        return send_with_headers
 
 
-def _no_room(scope: Scope) -> Response | None:
-    """Count the connection of somebody who is in; return the answer where there are too many."""
-    connection: Connection | None = scope["state"].get(KEY)
-    if connection is None or connection.identify():
+def security_headers(path: str, source: RequestSource, *, tls: bool) -> dict[str, str]:
+    """Return the headers that a response gets unless it sets them itself.
+
+    Args:
+        path: of the request.
+        source: of the request.
+        tls: whether the gateway itself speaks TLS.
+    """
+    headers = {
+        "content-security-policy": VISER_POLICY if _is_viser(path) else PAGE_POLICY,
+        "x-content-type-options": "nosniff",
+        "x-frame-options": "SAMEORIGIN",
+        "referrer-policy": "no-referrer",
+        "cross-origin-opener-policy": "same-origin",
+        "cross-origin-resource-policy": "same-origin",
+        "permissions-policy": "camera=(), display-capture=(), geolocation=(), microphone=(), payment=(), usb=()",
+        "cache-control": "no-store",
+    }
+    # It applies to all ports of a name: not for localhost, where other programs serve without TLS, and for a day only.
+    if tls and not is_loopback(source.hostname):
+        headers["strict-transport-security"] = f"max-age={_DAY_S}"
+    return headers
+
+
+def _is_viser(path: str) -> bool:
+    return path == "/viser" or path.startswith("/viser/")
+
+
+def _refusal_at_limit(scope: Scope) -> Response | None:
+    """Mark the connection as authenticated; return the refusal if there are too many."""
+    connection: Connection | None = scope["state"].get(CONNECTION_KEY)
+    if connection is None or connection.authenticate():
         return None
-    return _plain(503, "More connections are open than the workbench serves; close pages of it that nobody needs.")
+    return _plain(503, "The workbench has reached its limit of open connections; close pages that are not needed.")
 
 
 def _plain(status: int, text: str) -> Response:

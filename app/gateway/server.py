@@ -1,42 +1,52 @@
-"""The gateway as a running server: a port, a thread, an orderly end."""
+"""The gateway as a running server: its port, certificate and thread, and serving until a stop signal."""
 
 from __future__ import annotations
 
 import errno
+import os
+import signal
 import socket
 import ssl
 import sys
 import threading
 import time
+import webbrowser
 from collections.abc import Callable
+from urllib.parse import quote
 
 import uvicorn
 from starlette.types import ASGIApp
 
 from ladarreg_core.errors import OptionError
 
-from ..process_resources import raised_descriptor_limit
-from .connections import PROTOCOLS, LimitedServer, WatchedApp
+from ..process_resources import raise_descriptor_limit
+from ..stop_signals import StopSignals, print_error
+from .connections import PROTOCOLS, LimitedServer, TrackedApp
 from .options import GatewayOptions
+from .protocol import Workbench
+from .routes import build_site
+from .viser_backend import ViserAddress
 
 _PORTS_TRIED = 100
-_START_S = 20.0
+_START_TIMEOUT_S = 20.0
 _GRACE_S = 2
 # Messages to viser pass here too; those of the document have a limit of their own.
-_LONGEST_MESSAGE = 64 << 20
-# On a slow line a ping waits behind the scene: megabytes.
+_MAX_MESSAGE_BYTES = 64 << 20
+# On a slow line a ping waits behind the scene, which has megabytes.
 _PING_S, _PONG_S = 20.0, 120.0
+_SWITCH_INTERVAL_S = 0.0005
+"""Interpreter switch interval: computing threads must yield quickly, because a request waits for several switches."""
 
 
 class Gateway:
     """A site on its port, served by a thread of its own.
 
     Args:
-        build: makes the site once the port is known.
+        build: returns the site, given the port.
         options: where to listen.
 
     Raises:
-        OptionError: if there is no such address, no free port, or no such certificate.
+        OptionError: if the address is not one of this machine, no port is free, or the certificate is unusable.
     """
 
     def __init__(self, build: Callable[[int], ASGIApp], options: GatewayOptions) -> None:
@@ -45,10 +55,10 @@ class Gateway:
         self._socket = _bound_socket(options)
         self.port: int = self._socket.getsockname()[1]
         config = uvicorn.Config(
-            WatchedApp(build(self.port)),
+            TrackedApp(build(self.port)),
             **PROTOCOLS,
             loop="asyncio",
-            ws_max_size=_LONGEST_MESSAGE,
+            ws_max_size=_MAX_MESSAGE_BYTES,
             ws_ping_interval=_PING_S,
             ws_ping_timeout=_PONG_S,
             ws_per_message_deflate=False,
@@ -61,14 +71,14 @@ class Gateway:
             ssl_certfile=options.certfile,
             ssl_keyfile=options.keyfile,
         )
-        self._server = LimitedServer(config, options.limits.within(raised_descriptor_limit()))
+        self._server = LimitedServer(config, options.limits.within(raise_descriptor_limit()))
         self._thread = threading.Thread(target=self._run, name="gateway", daemon=True)
         self._ended = threading.Event()
         self._failure: BaseException | None = None
 
     @property
     def address(self) -> str:
-        """What to open in a browser, without the token."""
+        """URL to open in a browser, without the token."""
         host = self._options.host.strip("[]")
         if host in ("", "0.0.0.0", "::"):
             host = socket.gethostname()
@@ -76,27 +86,27 @@ class Gateway:
         return f"{scheme}://{f'[{host}]' if ':' in host else host}:{self.port}/"
 
     def start(self) -> None:
-        """Listen, and return when browsers can come."""
+        """Start listening, and return when browsers can connect."""
         self._thread.start()
-        until = time.monotonic() + _START_S
+        until = time.monotonic() + _START_TIMEOUT_S
         while not self._server.started and not self._ended.is_set() and time.monotonic() < until:
             time.sleep(0.01)
         if self._failure is not None:
             raise self._failure
 
-    def wait(self, stopped: Callable[[float], bool]) -> None:
-        """Return when the server has ended or is to end.
+    def wait(self, stop_requested: Callable[[float], bool]) -> None:
+        """Block until the server has ended or is asked to stop.
 
         Args:
-            stopped: waits for so many seconds at most and returns whether the server is to end.
+            stop_requested: waits for at most the given seconds and returns whether the server is to stop.
         """
-        while not self._ended.is_set() and not stopped(1.0):
+        while not self._ended.is_set() and not stop_requested(1.0):
             pass
         if self._failure is not None:
             raise self._failure
 
     def close(self) -> None:
-        """End: finish what is under way, tell the pages that it is over (1012)."""
+        """Stop: finish requests under way, and close the websockets with 1012."""
         self._server.should_exit = True
         if self._thread.ident is not None:
             self._ended.wait(timeout=_GRACE_S + 5.0)
@@ -111,11 +121,73 @@ class Gateway:
             self._ended.set()
 
 
+def serve_until_interrupted(
+    workbench: Workbench,
+    viser: Callable[[], ViserAddress],
+    *,
+    token: str,
+    options: GatewayOptions,
+    browser: bool,
+    stop: StopSignals,
+    then: Callable[[], None] = lambda: None,
+) -> None:
+    """Serve a workbench, print its address, and return at a stop signal.
+
+    Args:
+        workbench: the application's state.
+        viser: returns the address of the locked viser server; may block until it is open.
+        token: the token that grants access.
+        options: where to listen.
+        browser: whether to open a browser.
+        stop: receives the signals.
+        then: called once pages can connect.
+
+    Raises:
+        OptionError: if the address is not one of this machine, no port is free, or the certificate is unusable.
+    """
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    gateway = Gateway(lambda port: build_site(workbench, token=token, viser=viser, options=options, port=port), options)
+    try:
+        gateway.start()
+        if options.port not in (0, gateway.port):
+            print(f"ladarreg: port {options.port} is busy, using {gateway.port}", file=sys.stderr)
+        if not options.on_loopback:
+            print(f"ladarreg: {exposure_warning(options)}", file=sys.stderr)
+        address = f"{gateway.address}?token={quote(token, safe='')}"
+        _print_address(address)
+        if browser:
+            _open_browser(address)
+        then()
+        gateway.wait(stop.wait)
+        if stop.first == signal.SIGINT:
+            print_error("")  # ends the terminal's line with ^C
+    finally:
+        gateway.close()
+
+
+def _print_address(address: str) -> None:
+    try:
+        print(f"Open {address}  (Ctrl-C ends)", flush=True)
+    except OSError as error:
+        if error.errno != errno.EIO:  # the terminal has just been closed; the SIGHUP that follows ends the program
+            raise
+
+
+def exposure_warning(options: GatewayOptions) -> str:
+    """Return the warning shown when other machines can connect."""
+    if options.tls:
+        return f"other machines can reach {options.host}: anyone with the token can view, change and upload everything"
+    return (
+        f"other machines can reach {options.host}, and without TLS the token and all data can be read on the network:"
+        " use --certfile and --keyfile, a proxy, or an SSH tunnel (docs/remote.md)"
+    )
+
+
 def check_certificate(options: GatewayOptions) -> None:
     """Refuse a certificate that TLS cannot use.
 
     Raises:
-        OptionError: if it cannot be read, or the key is another's.
+        OptionError: if it cannot be read, or the key does not belong to it.
     """
     if options.certfile is None:
         return
@@ -124,9 +196,9 @@ def check_certificate(options: GatewayOptions) -> None:
             options.certfile, options.keyfile, password=_no_password
         )
     except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
-        said = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
+        reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
         raise OptionError(
-            f"{options.certfile}: the certificate or its key cannot be used ({said}); both are needed as PEM, the key"
+            f"{options.certfile}: the certificate or its key cannot be used ({reason}); give both as PEM, the key"
             " without a password"
         ) from None
 
@@ -136,6 +208,7 @@ def _no_password() -> str:
 
 
 def _bound_socket(options: GatewayOptions) -> socket.socket:
+    """Return a listening socket on the first free port."""
     host = options.host.strip("[]")
     last = min(options.port + _PORTS_TRIED, 65536) if options.port else 1
     for port in range(options.port, last):
@@ -144,7 +217,7 @@ def _bound_socket(options: GatewayOptions) -> socket.socket:
                 host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
             )[0]
         except OSError:
-            raise OptionError(f"{host!r} is no address of this machine; give another with --host") from None
+            raise OptionError(f"{host!r} is not an address of this machine; give another with --host") from None
         bound = socket.socket(family, kind, protocol)
         if sys.platform == "win32":  # SO_REUSEADDR would let two servers share a port there
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
@@ -152,12 +225,19 @@ def _bound_socket(options: GatewayOptions) -> socket.socket:
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             bound.bind(address)
-            bound.listen(1)  # of two servers that may both bind, the second fails here
+            bound.listen(1)  # of two servers that could both bind, the second fails here
         except OSError as error:
             bound.close()
             if error.errno != errno.EADDRINUSE:
-                said = error.strerror or error
-                raise OptionError(f"{host} port {port}: {said}; give another with --host or --port") from None
+                reason = error.strerror or error
+                raise OptionError(f"{host} port {port}: {reason}; give another with --host or --port") from None
             continue
         return bound
-    raise OptionError(f"no free port from {options.port} on; give another with --port")
+    raise OptionError(f"no port is free from {options.port} to {last - 1}; give another with --port")
+
+
+def _open_browser(address: str) -> None:
+    """Open an address if there is a display: without one, a text browser would take over the terminal."""
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform in ("win32", "darwin") or display:
+        webbrowser.open(address)

@@ -1,4 +1,4 @@
-"""Files that pages send: streamed to disk, counted as they come, nothing left of what was not finished."""
+"""Uploads: streamed to disk, checked against the limits as they arrive, and removed if they are not completed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import re
 import secrets
 import shutil
 import time
+import unicodedata
 from collections import Counter
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+from urllib.parse import unquote
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
@@ -22,29 +24,28 @@ from starlette.types import Receive, Scope, Send
 
 from ladarreg_core.errors import LadarregError, OptionError
 
+from .document_socket import ClientRegistry
 from .protocol import Workbench
-from .upload_name import safe_suffix, upload_name
-from .visitors import Visitors
 
 log = logging.getLogger(__name__)
 KINDS = ("scan", "photo", "camera", "matches")
-"""What a file can be sent as."""
-_AT_A_TIME = 2
-_BLOCK = 1 << 20
-_LEFT_FREE = 1 << 28
-"""Bytes of the disk that uploads leave to others."""
-_HEARD_OUT_S = 5.0
-_SILENT_S = 60.0
-"""A browser that sends nothing for so long is taken for gone."""
+"""Types of file that can be uploaded."""
+_MAX_CONCURRENT = 2
+_BLOCK_BYTES = 1 << 20
+_RESERVED_BYTES = 1 << 28
+"""Free disk space that uploads must leave."""
+_DRAIN_S = 5.0
+_IDLE_TIMEOUT_S = 60.0
+"""A browser that sends nothing for this long is considered disconnected."""
 _PART = re.compile(r"[0-9a-f]{32}\.part")
-_MOVED = (
-    "the folder of the project is not where it was: it was moved, renamed or deleted, or its disk is gone; the work is"
-    " still in memory: put the folder back, then send the file again"
+_FOLDER_MISSING = (
+    "the folder of the project is missing: it was moved, renamed or deleted, or its disk was removed; the work is still"
+    " in memory: restore the folder, then upload the file again"
 )
 
 
 class UploadError(LadarregError):
-    """A file that is not taken, with the HTTP status that says so."""
+    """A refused file, with its HTTP status."""
 
     def __init__(self, text: str, *, status: int) -> None:
         super().__init__(text)
@@ -55,24 +56,24 @@ class Uploads:
     """Serves `POST /upload`.
 
     Args:
-        workbench: takes the files.
-        visitors: know which page a browser has open.
+        workbench: opens the files.
+        clients: registry of the open pages.
     """
 
-    def __init__(self, workbench: Workbench, visitors: Visitors) -> None:
-        self._workbench, self._visitors = workbench, visitors
+    def __init__(self, workbench: Workbench, clients: ClientRegistry) -> None:
+        self._workbench, self._clients = workbench, clients
         self._under_way: Counter[str] = Counter()
-        # Of a program that was killed: the project is open in this one alone, and this one has taken nothing yet.
-        for part in workbench.upload_room().glob("*.part"):
+        # Left by a killed program: only this one has the project open, and it has accepted no upload yet.
+        for part in workbench.upload_folder().glob("*.part"):
             if _PART.fullmatch(part.name):
                 part.unlink(missing_ok=True)
 
     async def serve(self, request: Request) -> Response:
-        """Take a file."""
+        """Receive a file."""
         browser = request.state.browser
         try:
-            with self._place(browser):
-                return await self._take(request, browser)
+            with self._slot(browser):
+                return await self._receive(request, browser)
         except ClientDisconnect:
             log.debug("an upload was abandoned")
             return Response(status_code=400)
@@ -82,18 +83,18 @@ class Uploads:
             return _Refusal({"ok": False, "error": str(error)}, status_code=400)
         except OSError as error:
             log.warning("an upload failed: %s", error)
-            refusal = await run_in_threadpool(_refusal, error, self._workbench.upload_room())
+            refusal = await run_in_threadpool(_disk_error, error, self._workbench.upload_folder())
             return _Refusal({"ok": False, "error": str(refusal)}, status_code=refusal.status)
 
-    async def _take(self, request: Request, browser: str) -> Response:
+    async def _receive(self, request: Request, browser: str) -> Response:
         what, photo = request.query_params.get("what", ""), request.query_params.get("photo") or None
         if what not in KINDS:
-            raise OptionError(f"a file can be sent as {', '.join(KINDS)}; say which by ?what=")
+            raise OptionError(f"unknown type of file; give one of {', '.join(KINDS)} as ?what=")
         name = upload_name(request.headers.get("x-file-name"))
-        room, most = self._workbench.upload_room(), self._workbench.limits.upload_bytes
-        await run_in_threadpool(room.mkdir, exist_ok=True)  # its parent is the project's folder, which must be there
-        _check_size(_declared_size(request), most, room)
-        part = room / f"{secrets.token_hex(16)}.part"
+        folder, most = self._workbench.upload_folder(), self._workbench.limits.upload_bytes
+        await run_in_threadpool(folder.mkdir, exist_ok=True)  # its parent is the project's folder, which must exist
+        _check_size(_declared_size(request), most, folder)
+        part = folder / f"{secrets.token_hex(16)}.part"
         path = part.with_suffix(safe_suffix(name))
         try:
             await _stream(request, part, most)
@@ -102,35 +103,35 @@ class Uploads:
             _remove(part, path)
             raise
         try:
-            page = self._visitors.newest(browser)
-            taken = await run_in_threadpool(self._workbench.take_upload, path, name, what, photo, page)
+            client = self._clients.newest(browser)
+            opened = await run_in_threadpool(self._workbench.take_upload, path, name, what, photo, client)
         except Exception as error:  # the workbench has removed the file, unless it is in the project
             if not isinstance(error, LadarregError):
                 raise
-            # Readers name a file by where it lies, which is nobody's business.
+            # Readers name a file by its path, which must not be disclosed.
             raise UploadError(str(error).replace(str(path), name).replace(path.name, name), status=400) from None
-        return JSONResponse({"ok": True, "id": taken})
+        return JSONResponse({"ok": True, "id": opened})
 
     @contextmanager
-    def _place(self, browser: str) -> Iterator[None]:
-        if self._under_way[browser] >= _AT_A_TIME:
-            text = f"{_AT_A_TIME} files of this browser are on their way; send the next one when one has arrived"
+    def _slot(self, browser: str) -> Iterator[None]:
+        if self._under_way[browser] >= _MAX_CONCURRENT:
+            text = f"this browser is already uploading {_MAX_CONCURRENT} files; wait until one has finished"
             raise UploadError(text, status=429)
         self._under_way[browser] += 1
         try:
             yield
         finally:
             self._under_way[browser] -= 1
-            self._under_way += Counter()  # forgets those at zero
+            self._under_way += Counter()  # removes entries at zero
 
 
 class _Refusal(JSONResponse):
-    """An answer to somebody who is still sending: heard out for a while, or the answer would be lost with the rest."""
+    """A refusal sent while the body still arrives: reads on for a while, or the connection would close without it."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         await send({"type": "http.response.body", "body": self.body, "more_body": True})
-        until = time.monotonic() + _HEARD_OUT_S
+        until = time.monotonic() + _DRAIN_S
         more = True
         while more and (left := until - time.monotonic()) > 0:
             try:
@@ -142,24 +143,24 @@ class _Refusal(JSONResponse):
 
 
 async def _stream(request: Request, part: Path, most: int) -> None:
-    """Write a request's body to a file."""
+    """Write the body of a request to a file."""
     file = await run_in_threadpool(part.open, "xb")
     try:
         await _copy(request, file, part.parent, most)
     finally:
-        file.close()  # at once: this may be the end of everything, and an open file cannot be removed everywhere
+        file.close()  # before its removal, which some systems refuse while it is open
 
 
-async def _copy(request: Request, file: BinaryIO, room: Path, most: int) -> None:
+async def _copy(request: Request, file: BinaryIO, folder: Path, most: int) -> None:
     received, block = 0, bytearray()
     chunks = request.stream()
     while (chunk := await _next(chunks)) is not None:
         received += len(chunk)
         block += chunk
         _check_size(received, most, None)
-        if len(block) >= _BLOCK:
+        if len(block) >= _BLOCK_BYTES:
             await run_in_threadpool(file.write, bytes(block))
-            _check_size(0, most, room)
+            _check_size(0, most, folder)
             block.clear()
     await run_in_threadpool(file.write, bytes(block))
     if not received:
@@ -167,12 +168,14 @@ async def _copy(request: Request, file: BinaryIO, room: Path, most: int) -> None
 
 
 async def _next(chunks: AsyncGenerator[bytes, None]) -> bytes | None:
-    """Return the next piece of a body, None at its end."""
+    """Return the next chunk of a body; None at its end."""
     try:
-        async with asyncio.timeout(_SILENT_S):
+        async with asyncio.timeout(_IDLE_TIMEOUT_S):
             return await anext(chunks, None)
     except TimeoutError:
-        raise UploadError(f"nothing came for {_SILENT_S:g} s; send the file again", status=408) from None
+        raise UploadError(
+            f"nothing was received for {_IDLE_TIMEOUT_S:g} s; upload the file again", status=408
+        ) from None
 
 
 def _remove(*paths: Path) -> None:
@@ -181,15 +184,15 @@ def _remove(*paths: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _refusal(error: OSError, room: Path) -> UploadError:
-    """Return what to say where the disk refused a file."""
-    if not room.is_dir():
-        return UploadError(_MOVED, status=409)
+def _disk_error(error: OSError, folder: Path) -> UploadError:
+    """Return the error to report when the disk refused a file."""
+    if not folder.is_dir():
+        return UploadError(_FOLDER_MISSING, status=409)
     if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None)):
-        return UploadError("the disk of the workbench is full; make room there", status=507)
+        return UploadError("the disk of the workbench is full; free some space there", status=507)
     reason = (error.strerror or type(error).__name__).lower()
     return UploadError(
-        f"the file cannot be kept: {reason}; see to the project's folder, then send it again", status=507
+        f"the file cannot be saved: {reason}; check the project's folder, then upload it again", status=507
     )
 
 
@@ -198,8 +201,41 @@ def _declared_size(request: Request) -> int:
     return int(text) if text.isascii() and text.isdigit() else 0
 
 
-def _check_size(size: int, most: int, room: Path | None) -> None:
+def _check_size(size: int, most: int, folder: Path | None) -> None:
     if size > most:
-        raise UploadError(f"the file is larger than {most / 2**20:.3g} MB, the most that is taken here", status=413)
-    if room is not None and shutil.disk_usage(room).free < size + _LEFT_FREE:
-        raise UploadError("the disk of the workbench is nearly full; make room there", status=507)
+        raise UploadError(f"the file is larger than the limit of {most / 2**20:.3g} MB", status=413)
+    if folder is not None and shutil.disk_usage(folder).free < size + _RESERVED_BYTES:
+        raise UploadError("the disk of the workbench is nearly full; free some space there", status=507)
+
+
+_MAX_NAME_LENGTH = 255
+_SUFFIX = re.compile(r"\.[a-z0-9]{1,8}")
+
+
+def upload_name(header: str | None) -> str:
+    """Return the name of an uploaded file for display; it is never used as a path.
+
+    Args:
+        header: X-File-Name, percent-encoded UTF-8.
+
+    Raises:
+        OptionError: if it is missing, too long, or not a file name.
+    """
+    name = unicodedata.normalize("NFC", unquote(header or "", errors="replace"))
+    # Invisible characters that join letters or change their direction: in a displayed name they only mislead.
+    name = "".join(character for character in name if unicodedata.category(character) != "Cf").strip()
+    if not name:
+        raise OptionError("the file has no name; send it in the header X-File-Name")
+    if len(name) > _MAX_NAME_LENGTH:
+        raise OptionError(f"the file's name has {len(name)} characters; shorten it to {_MAX_NAME_LENGTH}")
+    if set(name) & set("/\\") or name.strip(".") == "":
+        raise OptionError("the file's name is a path; send only the name")
+    if any(unicodedata.category(character) in ("Cc", "Cs") for character in name):
+        raise OptionError("the file's name contains control characters; rename it")
+    return name
+
+
+def safe_suffix(name: str) -> str:
+    """Return a name's suffix in lower case; empty unless it is short and alphanumeric."""
+    suffix = "." + name.rpartition(".")[2].lower() if "." in name else ""
+    return suffix if _SUFFIX.fullmatch(suffix) else ""

@@ -1,4 +1,4 @@
-"""viser under `/viser/`: its page and its websocket, forwarded to the loopback port that only we can open."""
+"""viser under `/viser/`: its page and websocket, forwarded to the loopback port that only the gateway can open."""
 
 from __future__ import annotations
 
@@ -18,53 +18,53 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.typing import Subprotocol
 
 from ..process_resources import return_memory_soon
-from .viser_lock import HEADER, ViserAddress
+from .viser_backend import SECRET_HEADER, ViserAddress
 
 log = logging.getLogger(__name__)
-_PASSED_ON = ("content-type", "content-length", "content-encoding")
-_PLAIN = re.compile(r"[A-Za-z0-9/._~-]*")
-"""Paths of viser's own files; anything else is not there, and some of it cannot be asked for."""
+_FORWARDED_HEADERS = ("content-type", "content-length", "content-encoding")
+_PATH = re.compile(r"[A-Za-z0-9/._~-]*")
+"""Paths of viser's own files; any other does not exist, and some cannot even be requested."""
 _BLOCK = 1 << 16
 _TIMEOUT_S = 10.0
-_APART_S = 0.15
-"""Between the beginnings of two views: many that come at once must not keep the others waiting."""
+_VIEW_INTERVAL_S = 0.15
+"""Minimum time between the starts of two views: many at once must not delay other requests."""
 _CLOSE_S = 0.5
-"""viser in the middle of a scene that nobody takes any more does not hear of the end."""
-_LOST, _NOT_BINARY, _GOING = 1011, 1003, 1001
-_AWAY = "The 3-D view does not answer; start the workbench again."
-_FULL = "{most} pages show the 3-D view, which is the most; close one of them and load this page again."
+"""viser, while it sends a scene that is no longer read, does not notice the close."""
+_INTERNAL_ERROR, _NOT_BINARY, _GOING_AWAY = 1011, 1003, 1001
+_UNAVAILABLE = "The 3-D view does not respond; restart the workbench."
+_FULL = "{most} pages show the 3-D view, which is the limit; close one of them and reload this page."
 
 
 class ViserProxy:
     """Forwards pages and websockets.
 
     Args:
-        viser: tells where its server listens; may wait for it, and raises `OSError` where it does not come.
+        viser: returns the address of its server; may block until it is open, and raises `OSError` if it never is.
         most: websockets at a time.
     """
 
     def __init__(self, viser: Callable[[], ViserAddress], *, most: int) -> None:
         self._viser, self._most = viser, most
         self._views = 0
-        self._next_turn_s = 0.0
+        self._next_start_s = 0.0
 
     async def page(self, request: Request) -> Response:
-        """Forward a page; its query stays here."""
+        """Forward a page, without its query."""
         path = "/" + request.path_params.get("path", "")
-        if any(part in (".", "..") for part in path.split("/")) or not _PLAIN.fullmatch(path):
+        if any(part in (".", "..") for part in path.split("/")) or not _PATH.fullmatch(path):
             return PlainTextResponse("Not Found", status_code=404)
         if path == "/" and self._views >= self._most:
             return self._full()
         try:
             answer = await run_in_threadpool(self._get, path, request.headers.get("accept-encoding", "identity"))
         except (OSError, http.client.HTTPException) as error:
-            log.warning("viser does not answer: %s", error)
-            return PlainTextResponse(f"{_AWAY}\n", status_code=502)
-        headers = {name: value for name, value in answer.getheaders() if name.lower() in _PASSED_ON}
+            log.warning("viser does not respond: %s", error)
+            return PlainTextResponse(f"{_UNAVAILABLE}\n", status_code=502)
+        headers = {name: value for name, value in answer.getheaders() if name.lower() in _FORWARDED_HEADERS}
         return StreamingResponse(_blocks(answer), status_code=answer.status, headers=headers)
 
     async def websocket(self, websocket: WebSocket) -> None:
-        """Forward a websocket, both ways, until either side closes."""
+        """Forward a websocket in both directions until either side closes."""
         if self._views >= self._most:
             await websocket.send_denial_response(self._full())
             return
@@ -73,26 +73,26 @@ class ViserProxy:
             await self._serve(websocket)
         finally:
             self._views -= 1
-            return_memory_soon(surely=True)
+            return_memory_soon(force=True)
 
     def _full(self) -> Response:
         return PlainTextResponse(_FULL.format(most=self._most) + "\n", status_code=503)
 
-    async def _turn(self) -> None:
+    async def _wait_for_start(self) -> None:
         now = time.monotonic()
-        turn = max(now, self._next_turn_s)
-        self._next_turn_s = turn + _APART_S
-        await asyncio.sleep(turn - now)
+        start = max(now, self._next_start_s)
+        self._next_start_s = start + _VIEW_INTERVAL_S
+        await asyncio.sleep(start - now)
 
     async def _serve(self, websocket: WebSocket) -> None:
         offered = [Subprotocol(name) for name in websocket.scope["subprotocols"]]
         try:
             address = await run_in_threadpool(self._viser)
-            await self._turn()
+            await self._wait_for_start()
             viser = await connect(
                 f"ws://{address.host}:{address.port}/",
                 subprotocols=offered or None,
-                additional_headers={HEADER: address.secret},
+                additional_headers={SECRET_HEADER: address.secret},
                 compression=None,
                 max_size=None,
                 max_queue=1,
@@ -102,8 +102,8 @@ class ViserProxy:
                 proxy=None,
             )
         except (OSError, WebSocketException) as error:  # a TimeoutError is an OSError
-            log.warning("viser does not answer: %s", error)
-            await websocket.send_denial_response(PlainTextResponse(f"{_AWAY}\n", status_code=502))
+            log.warning("viser does not respond: %s", error)
+            await websocket.send_denial_response(PlainTextResponse(f"{_UNAVAILABLE}\n", status_code=502))
             return
         try:
             await websocket.accept(subprotocol=viser.subprotocol)
@@ -112,8 +112,8 @@ class ViserProxy:
             await viser.close()
 
     async def _forward(self, websocket: WebSocket, viser: ClientConnection) -> None:
-        up = asyncio.create_task(_up(websocket, viser))
-        down = asyncio.create_task(_down(viser, websocket))
+        up = asyncio.create_task(_to_viser(websocket, viser))
+        down = asyncio.create_task(_to_browser(viser, websocket))
         try:
             await asyncio.wait((up, down), return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -124,12 +124,12 @@ class ViserProxy:
     def _get(self, path: str, encoding: str) -> http.client.HTTPResponse:
         address = self._viser()
         connection = http.client.HTTPConnection(address.host, address.port, timeout=_TIMEOUT_S)
-        headers = {HEADER: address.secret, "Accept-Encoding": encoding, "Connection": "close"}
+        headers = {SECRET_HEADER: address.secret, "Accept-Encoding": encoding, "Connection": "close"}
         connection.request("GET", path, headers=headers)
         return connection.getresponse()
 
 
-async def _up(websocket: WebSocket, viser: ClientConnection) -> None:
+async def _to_viser(websocket: WebSocket, viser: ClientConnection) -> None:
     try:
         while (message := await websocket.receive())["type"] == "websocket.receive":
             data = message.get("bytes")
@@ -143,9 +143,9 @@ async def _up(websocket: WebSocket, viser: ClientConnection) -> None:
         return
 
 
-async def _down(viser: ClientConnection, websocket: WebSocket) -> None:
+async def _to_browser(viser: ClientConnection, websocket: WebSocket) -> None:
     try:
-        # Each send waits until the browser has taken what went before, and viser is not read meanwhile.
+        # Each send waits until the browser has read the previous data; viser is not read meanwhile.
         async for data in viser:
             await websocket.send_bytes(data if isinstance(data, bytes) else data.encode())
     except WebSocketDisconnect:
@@ -156,10 +156,12 @@ async def _down(viser: ClientConnection, websocket: WebSocket) -> None:
 
 
 async def _close(websocket: WebSocket, viser: ClientConnection) -> None:
-    code = viser.close_code or _LOST
+    code = viser.close_code or _INTERNAL_ERROR
     try:
-        await websocket.close(code if code in (1000, _GOING) or 3000 <= code < 5000 else _LOST, viser.close_reason)
-    except (RuntimeError, WebSocketDisconnect):  # it closed at the same time
+        await websocket.close(
+            code if code in (1000, _GOING_AWAY) or 3000 <= code < 5000 else _INTERNAL_ERROR, viser.close_reason
+        )
+    except (RuntimeError, WebSocketDisconnect):  # the browser closed at the same time
         return
 
 

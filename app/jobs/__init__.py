@@ -1,1 +1,1 @@
-"""Long work: one job at a time, in a thread of its own, that can be watched, paused and stopped."""
+"""Long-running work, one job at a time: matching, solving, registration, self-test, export."""

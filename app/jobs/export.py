@@ -1,4 +1,4 @@
-"""Results, as the command line writes them: as a zip to download, or into a folder."""
+"""The export jobs: a zip to download, or a folder, with the files that the command line writes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import OptionError
 
-from .inputs import Bench, Inputs
+from .inputs import Inputs, Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
@@ -20,14 +20,14 @@ Work = Callable[[Inputs, JobContext], str]
 
 
 class ExportJobs:
-    """Writes what the command line writes, and the matches besides."""
+    """Exports the files that the command line writes, and the matches."""
 
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace = workspace
 
     def zip_path(self, photo: str) -> Path:
-        """Return where the last zip of a photograph is."""
-        return self._bench.session.folder.exports / f"{photo}.zip"
+        """Return the path of a photograph's zip."""
+        return self._workspace.session.folder.exports / f"{photo}.zip"
 
     def export(self, inputs: Inputs, context: JobContext) -> str:
         """Write a zip."""
@@ -35,22 +35,22 @@ class ExportJobs:
 
         target = self.zip_path(inputs.entry.id)
         write_zip(target, lambda: self._files(inputs), report=context.progress)
-        return f"The zip holds {_size(target.stat().st_size)}."
+        return f"Wrote a zip of {_size(target.stat().st_size)}."
 
     def check_folder(self, folder: Path, document: Document, *, force: bool) -> None:
-        """Refuse a folder that results must not go to.
+        """Refuse a folder that must not be written or replaced.
 
         Raises:
-            LadarregError: if it is one.
+            LadarregError: naming the reason.
         """
         from ladarreg_core.export.folder import check_folder
 
         if not folder.is_absolute():
-            raise OptionError(f"{folder} is no whole path; say where the folder is, from the root on")
+            raise OptionError(f"{folder} is not an absolute path; give one")
         check_folder(folder, force=force, inputs=self._sources(document), apart_from=self._projects)
 
     def into_folder(self, folder: Path, *, force: bool) -> Work:
-        """Return the job that writes into a folder."""
+        """Return the work of a job that exports into a folder."""
         from ladarreg_core.export.folder import write_folder
 
         def work(inputs: Inputs, context: JobContext) -> str:
@@ -72,28 +72,28 @@ class ExportJobs:
         from ladarreg_core.formats.matches_file import write_matches
 
         pose = self._pose(inputs.entry)
-        room, folder = self._bench.room, self._bench.session.folder
+        loader, folder = self._workspace.loader, self._workspace.session.folder
         sources = [inputs.document.scan, inputs.entry.source, inputs.entry.camera.file]
         picks = [pick.as_pick() for pick in inputs.entry.picks]
         files = registration_files(
-            room.answer(pose),
+            loader.registration(pose),
             inputs.scan,
             inputs.photo,
             inputs=[folder.source_path(source.path) for source in sources if source is not None],
-            assessment=room.assessment(inputs.scan, pose),
+            assessment=loader.assessment(inputs.scan, pose),
         )
         return [*files, (MATCHES_FILE, lambda path: write_matches(path, picks))] if picks else files
 
     @property
     def _projects(self) -> list[Path]:
-        return [self._bench.session.folder.path]
+        return [self._workspace.session.folder.path]
 
     def _sources(self, document: Document) -> list[Path]:
-        """Return every file that the document refers to."""
+        """Return all files that the document refers to."""
         sources = [document.scan]
         for entry in document.photos:
             sources += [entry.source, entry.camera.file]
-        return [self._bench.session.folder.source_path(source.path) for source in sources if source is not None]
+        return [self._workspace.session.folder.source_path(source.path) for source in sources if source is not None]
 
     def _pose(self, entry: PhotoEntry) -> PoseEntry:
         if entry.pose is None:
@@ -102,7 +102,7 @@ class ExportJobs:
 
 
 def download_name(project: str, photo: str) -> str:
-    """Return the name of a zip: letters, digits and a few signs, whatever the files are called."""
+    """Return the name of a zip, in ASCII letters, digits, dots, hyphens and underscores."""
     words = re.sub(r"[^A-Za-z0-9._-]+", "-", f"{project}-{photo}").strip("-.")
     return f"{words[:80] or 'registration'}.zip"
 

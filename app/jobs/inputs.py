@@ -1,4 +1,4 @@
-"""What every job needs: its inputs as they stood when it began, and a commit that is refused if they have changed."""
+"""Inputs of a job as they were when it began, and commits that are refused once they have changed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Document, PhotoEntry
 from ladarreg_core.project.edits import edited_photo, the_photo
 
-from ..session.loader import Workroom
+from ..session.loader import Loader
 from ..session.session import Session
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """A scan, a photograph and what was drawn on it when a job began."""
+    """The document, scan and photograph that a job works on."""
 
     document: Document
     entry: PhotoEntry
@@ -31,30 +31,30 @@ class Inputs:
 
     @property
     def settings(self) -> Settings:
-        """The thresholds."""
+        """The settings."""
         return self.document.settings
 
     @property
     def picks(self) -> list[Pick]:
-        """Those that are switched on."""
+        """The enabled picks."""
         return [pick.as_pick() for pick in self.entry.picks if pick.on]
 
     def matches(self) -> Matches:
-        """Return what a solver eats.
+        """Return the input of the solvers.
 
         Raises:
-            OptionError: if nothing is drawn.
+            OptionError: if there are no usable matches.
         """
         from ladarreg_core.picks.measure import matches_from_picks
         from ladarreg_core.project.results import pose_of
 
         if not self.picks:
-            drawn = len(self.entry.picks)
-            if drawn == 1:
-                raise OptionError("the only match is switched off; switch it on in the table of matches")
-            if drawn:
-                raise OptionError(f"all {drawn} matches are switched off; switch some on in the table of matches")
-            raise OptionError("there are no matches; draw some, or let corners be matched")
+            count = len(self.entry.picks)
+            if count == 1:
+                raise OptionError("the only match is disabled; enable it in the match table")
+            if count:
+                raise OptionError(f"all {count} matches are disabled; enable some in the match table")
+            raise OptionError("there are no matches; draw some, or match corners")
         pose = self.entry.pose
         found, _ = matches_from_picks(
             self.scan,
@@ -66,31 +66,35 @@ class Inputs:
         )
         if not len(found):
             raise OptionError(
-                "no match lies where the scan has a range; draw where the laser saw something: the scan shown as Range "
-                "tells where"
+                "no match lies where the scan has a range; draw matches on measured cells (see the display Range)"
             )
         return found
 
 
-class Bench:
-    """Where jobs get their inputs and leave their results."""
+class Workspace:
+    """Provides jobs with their inputs and commits their results.
 
-    def __init__(self, session: Session, room: Workroom) -> None:
+    Args:
+        session: the session.
+        loader: its loader.
+    """
+
+    def __init__(self, session: Session, loader: Loader) -> None:
         self.session = session
-        self.room = room
+        self.loader = loader
 
     def inputs(self, photo_id: object) -> Inputs:
-        """Return a job's inputs.
+        """Return the present inputs of a job on a photograph.
 
         Raises:
             LadarregError: if the scan is missing, or the photograph has no camera.
         """
         document = self.session.document
         entry = the_photo(document, photo_id)
-        scan = self.room.scan(document)
+        scan = self.loader.scan(document)
         if scan is None:
             raise OptionError("there is no scan; open one")
-        return Inputs(document, entry, scan, self.room.photo(entry))
+        return Inputs(document, entry, scan, self.loader.photo(entry))
 
     def commit(
         self,
@@ -101,17 +105,17 @@ class Bench:
         author: str,
         of_picks: bool = False,
     ) -> None:
-        """Commit a job's result, if its inputs are still the same.
+        """Commit a job's result if its inputs have not changed.
 
         Args:
-            inputs: what it began with.
-            label: for the history.
-            edit: of the photograph.
-            author: who asked for it.
-            of_picks: whether the picks were among its inputs.
+            inputs: the inputs of the job.
+            label: description for the history.
+            edit: edit of the photograph.
+            author: name of the client.
+            of_picks: whether the picks were among the inputs.
 
         Raises:
-            OptionError: if they are not.
+            OptionError: if the inputs have changed.
         """
 
         def apply(document: Document) -> Document:
@@ -120,7 +124,7 @@ class Bench:
             same = document.scan == inputs.document.scan and now.source == was.source and now.camera == was.camera
             if not same or (of_picks and now.picks != was.picks):
                 what = "matches" if same else "scan or the photograph"
-                raise OptionError(f"the {what} changed while this ran, so that its result is left out; run it again")
+                raise OptionError(f"the {what} changed while this ran, and its result was discarded; run it again")
             return edited_photo(document, was.id, edit)
 
         self.session.commit(label, apply, author=author)

@@ -1,16 +1,18 @@
-"""The thesis's matching, step by step: corners, correlation, culling, the second search, lines between matches."""
+"""The matching jobs of the thesis: corners, correlation, disparity filter, guided matching, lines between matches."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import switched, with_picks, without_origin
 from ladarreg_core.project.results import pose_of
 
-from .inputs import Bench, Inputs
+from .inputs import Inputs, Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
@@ -24,24 +26,23 @@ CORNER, BETWEEN = "corner", "between corners"
 
 @dataclass(slots=True)
 class Search:
-    """One photograph's search, and which picks came of it."""
+    """The search of one photograph, and the picks made from it."""
 
     key: object
     search: ThesisSearch
     found: FoundMatches | None = None
     ids: tuple[str, ...] = ()
-    culled: list[bool] = field(default_factory=list)
 
 
 class MatchingJobs:
-    """The jobs of the step Match; what they found is kept between them."""
+    """The jobs of the step Match, which share their intermediate results."""
 
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace = workspace
         self._searches: dict[str, Search] = {}
 
     def corners(self, photo_id: str) -> dict[str, list[list[float]]] | None:
-        """Return the corners found, rays and pixels; None before they were looked for."""
+        """Return the corners, as rays and pixels; None before the search."""
         found = self._searches.get(photo_id)
         if found is None:
             return None
@@ -52,29 +53,31 @@ class MatchingJobs:
         return {"scan": rays.tolist(), "photo": uv.tolist()}
 
     def find_corners(self, inputs: Inputs, context: JobContext) -> str:
-        """Find corners in both pictures."""
+        """Find corners in both images."""
         search = self._search(inputs, context)
-        with _timed(context, "corners") as note:
-            note.update(scan=len(search.search.scan_uv), photo=len(search.search.photo_uv))
+        with _timed_step(context, "corners") as detail:
+            detail.update(scan=len(search.search.scan_uv), photo=len(search.search.photo_uv))
         return f"{len(search.search.scan_uv)} corners in the scan, {len(search.search.photo_uv)} in the photograph."
 
     def match(self, inputs: Inputs, context: JobContext) -> str:
-        """Correlate every corner with every other and keep those that have one clear partner."""
+        """Correlate all corners and keep the unambiguous pairs."""
         search = self._search(inputs, context)
-        with _timed(context, "unconstrained search") as note:
+        with _timed_step(context, "unconstrained search") as detail:
             found = search.search.unconstrained()
-            note.update(matches=len(found))
+            detail.update(matches=len(found))
         context.check()
-        self._keep(inputs, search, found, f"Match {len(found)} corners", context)
-        return f"{len(found)} matches whose best correlation beats the second by {inputs.settings.t1:g}."
+        self._commit(inputs, search, found, f"Match {len(found)} corners", context)
+        return (
+            f"{len(found)} matches; their best correlation exceeds the second best by {inputs.settings.t1:g} or more."
+        )
 
     def cull(self, inputs: Inputs, context: JobContext) -> str:
-        """Switch off what moved unlike the others."""
+        """Disable matches whose disparity deviates from the median."""
         search = self._searches.get(inputs.entry.id)
         if search is None or search.found is None or search.key != self._key(inputs):
-            raise OptionError("there are no corner matches to cull; match corners first")
-        with _timed(context, "disparity culling") as note:
-            kept = search.search.culled(search.found)
+            raise OptionError("there are no corner matches to filter; match corners first")
+        with _timed_step(context, "disparity culling") as detail:
+            kept = search.search.filtered(search.found)
             pairs = {(*a, *b) for a, b in zip(kept.scan_uv.tolist(), kept.photo_uv.tolist(), strict=True)}
             on = {
                 name: (*a, *b) in pairs
@@ -82,52 +85,54 @@ class MatchingJobs:
                     search.ids, search.found.scan_uv.tolist(), search.found.photo_uv.tolist(), strict=True
                 )
             }
-            note.update(matches=len(kept), culled=len(on) - len(kept))
+            detail.update(matches=len(kept), removed=len(on) - len(kept))
         off = len(on) - len(kept)
-        self._bench.commit(inputs, f"Cull {off} matches", lambda p: switched(p, on), author=context.job.author)
-        return f"{len(kept)} of {len(on)} matches move alike; {off} are switched off."
+        self._workspace.commit(
+            inputs, f"Filter out {off} matches", lambda p: switched(p, on), author=context.job.author
+        )
+        return f"{len(kept)} of {len(on)} matches have consistent disparities; {off} disabled."
 
     def constrained(self, inputs: Inputs, context: JobContext) -> str:
-        """Search again where the pose expects each corner."""
+        """Match again near the positions that the pose predicts."""
         pose = inputs.entry.stage("linear") or inputs.entry.pose
         if pose is None:
-            raise OptionError("the second search needs a pose; solve linearly first")
+            raise OptionError("guided matching needs a pose; compute the linear solution first")
         search = self._search(inputs, context)
         first = pose_of(pose)
-        with _timed(context, "constrained search") as note:
+        with _timed_step(context, "constrained search") as detail:
             found = search.search.constrained(first)
-            note.update(matches=len(found))
+            detail.update(matches=len(found))
         context.check()
-        with _timed(context, "disparity culling") as note:
-            kept = search.search.culled(found)
-            note.update(matches=len(kept), culled=len(found) - len(kept))
-        self._keep(inputs, search, kept, f"Search again: {len(kept)} matches", context)
-        return f"{len(found)} corners found where the pose expects them, {len(kept)} of them alike."
+        with _timed_step(context, "disparity culling") as detail:
+            kept = search.search.filtered(found)
+            detail.update(matches=len(kept), removed=len(found) - len(kept))
+        self._commit(inputs, search, kept, f"Guided matching: {len(kept)} matches", context)
+        return f"{len(found)} matches near the predicted positions, {len(kept)} with consistent disparities."
 
     def densify(self, inputs: Inputs, context: JobContext) -> str:
-        """Add points along lines between matches that lie on one plane."""
+        """Add points along lines between matches on a common plane."""
         search = self._searches.get(inputs.entry.id)
         if search is None or search.found is None or search.key != self._key(inputs):
-            raise OptionError("there are no corner matches to draw lines between; match corners first")
+            raise OptionError("there are no corner matches to connect; match corners first")
         pose = inputs.entry.pose
-        answer = None if pose is None else pose_of(pose)
+        known = None if pose is None else pose_of(pose)
         on = {pick.id for pick in inputs.entry.picks if pick.on}
         kept = search.found.subset([k for k, name in enumerate(search.ids) if name in on])
-        with _timed(context, "lines between matches") as note:
-            more = search.search.densified(kept, answer)
+        with _timed_step(context, "lines between matches") as detail:
+            more = search.search.densified(kept, known)
             added = _picks_of(more, BETWEEN)[len(kept) :]
-            note.update(matches=len(more), added=len(added))
+            detail.update(matches=len(more), added=len(added))
         if not added:
-            return "No two matches lie on one plane, so that nothing was added."
-        self._bench.commit(
+            return "No two matches lie on a common plane; nothing was added."
+        self._workspace.commit(
             inputs,
             f"Add {len(added)} points between matches",
             lambda p: with_picks(without_origin(p, {BETWEEN}), added)[0],
             author=context.job.author,
         )
-        return f"{len(added)} points along lines between {len(kept)} matches."
+        return f"Added {len(added)} points along lines between {len(kept)} matches."
 
-    def _keep(self, inputs: Inputs, search: Search, found: FoundMatches, label: str, context: JobContext) -> None:
+    def _commit(self, inputs: Inputs, search: Search, found: FoundMatches, label: str, context: JobContext) -> None:
         new = _picks_of(found, CORNER)
         ids: tuple[str, ...] = ()
 
@@ -136,7 +141,7 @@ class MatchingJobs:
             photo, ids = with_picks(without_origin(photo, {CORNER, BETWEEN}), new)
             return photo
 
-        self._bench.commit(inputs, label, replaced, author=context.job.author)
+        self._workspace.commit(inputs, label, replaced, author=context.job.author)
         search.found, search.ids = found, ids
 
     def _key(self, inputs: Inputs) -> object:
@@ -148,10 +153,10 @@ class MatchingJobs:
         known = self._searches.get(inputs.entry.id)
         if known is not None and known.key == key:
             return known
-        from ladarreg_core.matching.thesis.chain import search_of
+        from ladarreg_core.matching.thesis.chain import thesis_search
 
-        context.job.said = "looking for corners"
-        found = search_of(inputs.scan, inputs.photo, inputs.settings.match_options, report=context.step)
+        context.job.message = "finding corners"
+        found = thesis_search(inputs.scan, inputs.photo, inputs.settings.match_options, report=context.step)
         self._searches[inputs.entry.id] = search = Search(key, found)
         return search
 
@@ -166,19 +171,12 @@ def _picks_of(found: FoundMatches, origin: str) -> list[Pick]:
     ]
 
 
-class _timed:  # noqa: N801 - used like a function
-    """Tell a step with the time it took."""
+@contextmanager
+def _timed_step(context: JobContext, name: str) -> Iterator[dict[str, object]]:
+    """Time a step and report it with the figures that are put into the yielded dict."""
+    from ladarreg_core.progress import Step
 
-    def __init__(self, context: JobContext, name: str) -> None:
-        self._context, self._name = context, name
-        self._note: dict[str, object] = {}
-
-    def __enter__(self) -> dict[str, object]:
-        self._begun = time.perf_counter()
-        return self._note
-
-    def __exit__(self, kind: object, error: object, trace: object) -> None:
-        from ladarreg_core.progress import Step
-
-        if error is None:
-            self._context.step(Step(self._name, time.perf_counter() - self._begun, detail=self._note))
+    begun = time.perf_counter()
+    detail: dict[str, object] = {}
+    yield detail
+    context.step(Step(name, time.perf_counter() - begun, detail=detail))

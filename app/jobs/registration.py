@@ -1,4 +1,4 @@
-"""Whole registrations, the comparison, and the self-test."""
+"""Jobs from the images to a pose: registration, the comparison of all stages, and the self-test."""
 
 from __future__ import annotations
 
@@ -7,30 +7,31 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.project.edits import with_picks, with_pose, without_origin
 from ladarreg_core.project.results import pose_entry, pose_of
+from ladarreg_core.results import STAGE_LABELS
 
-from .inputs import Bench, Inputs
+from .inputs import Inputs, Workspace
 from .runner import JobContext
-from .solve import SolvingJobs
+from .solve import SolveJobs
 
 if TYPE_CHECKING:
     from ladarreg_core.matches import Pick
-    from ladarreg_core.project.document import PhotoEntry, StageId
-    from ladarreg_core.results import PoseResult, Registration
+    from ladarreg_core.project.document import PhotoEntry
+    from ladarreg_core.results import PoseResult, Registration, StageId
 
 FOUND = "auto"
-"""Origin of what `auto` found."""
+"""Origin of the picks of a whole registration."""
 
 
-class WholeJobs:
-    """Jobs that go from the pictures to an answer."""
+class RegistrationJobs:
+    """Jobs that need no matches."""
 
-    def __init__(self, bench: Bench, solving: SolvingJobs) -> None:
-        self._bench = bench
-        self._solving = solving
+    def __init__(self, workspace: Workspace, solve: SolveJobs) -> None:
+        self._workspace = workspace
+        self._solve = solve
         self.self_tests: dict[str, dict[str, Any]] = {}
 
     def auto(self, inputs: Inputs, context: JobContext) -> str:
-        """Register from the pictures alone; drawn matches stay what they are."""
+        """Register from the images alone; manual matches stay as they are."""
         import ladarreg_core as lr
 
         pose = inputs.entry.pose
@@ -42,19 +43,19 @@ class WholeJobs:
             options=inputs.settings.register_options,
             report=context.step,
         )
-        return self._with_its_matches(inputs, "auto", result, context)
+        return self._commit(inputs, "auto", result, context)
 
     def thesis(self, inputs: Inputs, context: JobContext) -> str:
-        """Register by the thesis's chain."""
+        """Register by the chain of the thesis."""
         import ladarreg_core as lr
 
         result = lr.register(
             inputs.scan, inputs.photo, method="thesis", options=inputs.settings.register_options, report=context.step
         )
-        return self._with_its_matches(inputs, "thesis", result, context)
+        return self._commit(inputs, "thesis", result, context)
 
     def compare(self, inputs: Inputs, context: JobContext) -> str:
-        """Answer by every stage of the thesis and by the default, on the same inputs."""
+        """Register by every stage of the thesis and by the default method, on the same inputs."""
         from ladarreg_core.comparison import compare
 
         picks = inputs.picks or None
@@ -79,12 +80,12 @@ class WholeJobs:
                 photo = with_pose(photo, entry)
             return photo
 
-        self._bench.commit(inputs, "Compare all stages", kept, author=context.job.author, of_picks=bool(picks))
-        missing = [f"{c.stage.name.replace('_', ' ')}: {c.stage.note}" for c in found.columns if c.stage.result is None]
-        return " ".join([f"{len(entries)} of {len(found.columns)} stages have an answer.", *missing, *found.cautions])
+        self._workspace.commit(inputs, "Compare all stages", kept, author=context.job.author, of_picks=bool(picks))
+        missing = [f"{STAGE_LABELS[c.stage.name]}: {c.stage.note}" for c in found.columns if c.stage.result is None]
+        return " ".join([f"{len(entries)} of {len(found.columns)} stages found a pose.", *missing, *found.cautions])
 
     def self_test(self, inputs: Inputs, context: JobContext) -> str:
-        """Try the scan and the camera on photographs made from the scan itself."""
+        """Estimate how well the scan and the camera will register, on photos rendered from the scan."""
         from ladarreg_core.self_test.report import SelfTest
         from ladarreg_core.self_test.trials import run_trials
 
@@ -92,25 +93,25 @@ class WholeJobs:
         for trial in run_trials(inputs.scan, inputs.photo.camera, report=context.progress):
             trials.append(trial)
             self.self_tests[inputs.entry.id] = _self_test_shown(SelfTest(tuple(trials)))
-            context.tell(now=True)
+            context.publish(now=True)
             if context.stop_wanted:
                 break
         return SelfTest(tuple(trials)).in_words()
 
-    def _with_its_matches(self, inputs: Inputs, stage: StageId, result: Registration, context: JobContext) -> str:
-        """Commit an answer with the matches that speak for it; of one that is not accepted, the answer alone."""
+    def _commit(self, inputs: Inputs, stage: StageId, result: Registration, context: JobContext) -> str:
+        """Commit a registration with its matches; one that is not accepted, without them."""
         if not result.accepted or not len(result.matches):
-            return self._solving.keep(inputs, stage, result, context, of_picks=False)
+            return self._solve.commit(inputs, stage, result, context, of_picks=False)
         new = _picks_of(result)
 
         def kept(photo: PhotoEntry) -> PhotoEntry:
             photo, ids = with_picks(without_origin(photo, {FOUND, "corner", "between corners"}), new)
-            named = replace(result, matches=replace(result.matches, pick_ids=ids))
-            return with_pose(photo, pose_entry(stage, named))
+            with_ids = replace(result, matches=replace(result.matches, pick_ids=ids))
+            return with_pose(photo, pose_entry(stage, with_ids))
 
         label = f"Register automatically: {len(new)} matches"
-        self._bench.commit(inputs, label, kept, author=context.job.author)
-        return f"{result.reasons[0] if result.reasons else 'Accepted.'}"
+        self._workspace.commit(inputs, label, kept, author=context.job.author)
+        return result.reasons[0] if result.reasons else "Accepted."
 
 
 def _picks_of(result: PoseResult) -> list[Pick]:

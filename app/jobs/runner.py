@@ -1,4 +1,4 @@
-"""The one worker: runs a job, tells how far it is, and lets anybody pause or stop it."""
+"""The job runner: runs one job at a time, reports its progress, and lets clients pause or stop it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from ladarreg_core.progress import Progress, Step
 log = logging.getLogger(__name__)
 State = Literal["running", "paused", "done", "failed", "stopped"]
 Control = Literal["pause", "stop", "speed", "step"]
-_TOLD_EVERY_S = 0.1
+_PUBLISH_EVERY_S = 0.1
 FULL_SPEED = 0.0
-"""Iterations a second: as many as there can be."""
+"""Speed without limit, in place of iterations per second; also in the protocol."""
+WATCHED_SPEED = 60.0
+"""Initial speed of a simplex, iterations per second: slow enough to be followed by eye."""
 
 
 @dataclass(slots=True)
 class Job:
-    """What is being done, as everybody may read it."""
+    """State of a job."""
 
     id: str
     kind: str
@@ -34,7 +36,7 @@ class Job:
     state: State = "running"
     done: int = 0
     total: int = 0
-    said: str = ""
+    message: str = ""
     speed: float = FULL_SPEED
     steps: list[Step] = field(default_factory=list)
     begun: float = field(default_factory=time.monotonic)
@@ -42,112 +44,112 @@ class Job:
 
     @property
     def runs(self) -> bool:
-        """Whether it is not over."""
+        """Whether the job is running or paused."""
         return self.state in ("running", "paused")
 
 
 class JobContext:
-    """What a job's work has in its hands."""
+    """A running job's connection to the runner: progress, pause and stop."""
 
-    def __init__(self, job: Job, tell: Callable[[], None]) -> None:
+    def __init__(self, job: Job, publish: Callable[[], None]) -> None:
         self.job = job
-        self._tell = tell
-        self._told = 0.0
+        self._publish = publish
+        self._published_at = 0.0
         self._stop = threading.Event()
-        self._go = threading.Event()
-        self._go.set()
+        self._resumed = threading.Event()
+        self._resumed.set()
         self._single_steps = 0
 
     @property
     def stop_wanted(self) -> bool:
-        """Whether somebody stopped it; work that has something to keep looks here, all other calls `check`."""
+        """Whether a stop was requested; for work with a partial result to keep, all other work calls `check`."""
         return self._stop.is_set()
 
     @property
     def speed(self) -> float:
-        """Iterations a second that the operator wants to see; 0: no limit."""
+        """Iterations per second, or `FULL_SPEED`."""
         return self.job.speed
 
     def check(self) -> None:
         """Wait while the job is paused.
 
         Raises:
-            Cancelled: if somebody stopped it.
+            Cancelled: if a stop was requested.
         """
         self.wait_while_paused()
         if self._stop.is_set():
             raise Cancelled("stopped")
 
     def wait_while_paused(self) -> None:
-        """Wait until somebody lets it go on, asks for a single step, or stops it."""
-        while not self._go.is_set() and not self._stop.is_set():
+        """Wait until the job is resumed, stepped or stopped."""
+        while not self._resumed.is_set() and not self._stop.is_set():
             if self._single_steps > 0:
                 self._single_steps -= 1
                 return
-            self._go.wait(0.05)
+            self._resumed.wait(0.05)
 
     def sleep(self, seconds: float) -> None:
-        """Wait, but not longer than until it is stopped."""
+        """Wait, at most until a stop is requested."""
         self._stop.wait(seconds)
 
     def step(self, step: Step) -> None:
-        """Tell a finished step; as `check`."""
+        """Report a finished step; raises as `check`."""
         self.job.steps.append(step)
-        self.tell(now=True)
+        self.publish(now=True)
         self.check()
 
     def progress(self, progress: Progress) -> None:
-        """Tell how far it is; as `check`."""
-        self.job.done, self.job.total, self.job.said = progress.done, progress.total, progress.label
-        self.tell()
+        """Report progress; raises as `check`."""
+        self.job.done, self.job.total, self.job.message = progress.done, progress.total, progress.label
+        self.publish()
         self.check()
 
-    def tell(self, *, now: bool = False) -> None:
-        """Have the state told, but not too often."""
+    def publish(self, *, now: bool = False) -> None:
+        """Publish the job's state, at a limited rate unless `now`."""
         clock = time.monotonic()
-        if now or clock - self._told >= _TOLD_EVERY_S:
-            self._told = clock
+        if now or clock - self._published_at >= _PUBLISH_EVERY_S:
+            self._published_at = clock
             self.job.seconds = clock - self.job.begun
-            self._tell()
+            self._publish()
 
     def control(self, action: str, value: object) -> None:
-        """Do what somebody asks of the job.
+        """Pause, resume, stop, step or change the speed of the job.
 
         Raises:
-            OptionError: if the job cannot.
+            OptionError: if the job does not support it.
         """
         can = {"resume": "pause"}.get(action, action)
         if can not in self.job.can:
-            raise OptionError(f"'{self.job.label}' cannot be told to {action}")
+            raise OptionError(f"'{self.job.label}' does not support {action!r}")
         if action == "speed":
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1e6:
-                raise OptionError("the speed is a number of iterations a second; 0 means no limit")
+                raise OptionError("the speed is a number of iterations per second; 0 means full speed")
             self.job.speed = float(value)
         elif action == "stop":
             self._stop.set()
-            self._go.set()
+            self._resumed.set()
         elif action == "pause":
-            self._go.clear()
+            self._resumed.clear()
             self.job.state = "paused"
         elif action == "resume":
-            self._go.set()
+            self._resumed.set()
             self.job.state = "running"
         elif action == "step":
-            self._go.clear()
+            self._resumed.clear()
             self.job.state = "paused"
             self._single_steps += 1
-        self.tell(now=True)
+        self.publish(now=True)
 
 
 Work = Callable[[JobContext], str]
-"""Does a job and returns a sentence on how it ended."""
+"""Does the work of a job and returns a sentence on the result."""
 
 
 class JobRunner:
     """Runs one job at a time."""
 
-    def __init__(self, tell: Callable[[Job], None]) -> None:
-        self._tell = tell
+    def __init__(self, on_change: Callable[[Job], None]) -> None:
+        self._on_change = on_change
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._context: JobContext | None = None
@@ -162,13 +164,13 @@ class JobRunner:
         self, kind: str, work: Work, *, label: str, photo: str, author: str, can: tuple[Control, ...] = ("stop",),
         speed: float = FULL_SPEED,
     ) -> str:  # fmt: skip
-        """Begin a job; one of the same kind that still runs is stopped for it.
+        """Start a job; a running one of the same kind is stopped first.
 
         Returns:
-            Its id.
+            The job's id.
 
         Raises:
-            OptionError: if another kind of job runs.
+            OptionError: if a job of another kind is running.
         """
         with self._lock:
             if self.job is not None and self.job.runs:
@@ -176,24 +178,24 @@ class JobRunner:
                     raise OptionError(f"'{self.job.label}' is running; wait until it ends, or stop it")
                 self._end()
             job = Job(f"j{next(self._numbers)}", kind, label, photo, author, can, speed=speed)
-            self._context = context = JobContext(job, lambda: self._tell(job))
+            self._context = context = JobContext(job, lambda: self._on_change(job))
             self._thread = threading.Thread(target=self._run, args=(context, work), name=f"job {kind}", daemon=True)
             self._thread.start()
             return job.id
 
     def control(self, action: str, value: object = None) -> None:
-        """Pause, resume, stop, step or slow down the job.
+        """Pause, resume, stop, step or change the speed of the present job.
 
         Raises:
-            OptionError: if none runs, or it cannot.
+            OptionError: if none is running, or it does not support that.
         """
         context = self._context
         if context is None or not context.job.runs:
-            raise OptionError("nothing is running")
+            raise OptionError("no job is running")
         context.control(action, value)
 
     def wait(self, seconds: float | None = None) -> None:
-        """Wait until the present job is over."""
+        """Wait until the present job has ended."""
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(seconds)
 
@@ -205,26 +207,26 @@ class JobRunner:
     def _end(self) -> None:
         if self._context is not None:
             self._context._stop.set()
-            self._context._go.set()
+            self._context._resumed.set()
         self.wait(30)
 
     def _run(self, context: JobContext, work: Work) -> None:
         job = context.job
-        context.tell(now=True)
+        context.publish(now=True)
         try:
-            job.said = work(context)
+            job.message = work(context)
             job.state = "stopped" if context.stop_wanted else "done"
         except Cancelled:
-            job.state, job.said = "stopped", "Stopped; nothing was changed."
+            job.state, job.message = "stopped", "Stopped; nothing was changed."
         except LadarregError as error:
-            job.state, job.said = "failed", _sentence(str(error))
+            job.state, job.message = "failed", _sentence(str(error))
         except MemoryError:
-            job.state, job.said = "failed", "There is not enough memory for it; take a smaller scan or photograph."
+            job.state, job.message = "failed", "Not enough memory; use a smaller scan or photograph."
         except Exception as error:
             log.exception("job %s", job.kind)
             job.state = "failed"
-            job.said = f"This is a fault of the program ({type(error).__name__}: {error}); nothing was changed."
-        context.tell(now=True)
+            job.message = f"Internal error ({type(error).__name__}: {error}); nothing was changed."
+        context.publish(now=True)
 
 
 def _sentence(text: str) -> str:

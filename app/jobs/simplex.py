@@ -1,4 +1,4 @@
-"""The simplex, watched: every step can be seen, slowed down, paused and stopped, and the best is kept."""
+"""The simplex jobs: their iterations can be watched, slowed down, paused and stopped."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.project.results import pose_of
 
-from .inputs import Bench, Inputs
-from .runner import JobContext
-from .solve import SolvingJobs
+from .inputs import Inputs
+from .runner import FULL_SPEED, JobContext
+from .solve import SolveJobs
 
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
@@ -20,15 +20,14 @@ if TYPE_CHECKING:
     from ladarreg_core.pose.thesis.stereo_simplex import DescentStep, SimplexFit
     from ladarreg_core.results import PoseResult
 
-FIRST_SPEED = 60.0
-"""Iterations a second at first: slow enough to be followed by eye."""
-_SHOWN_EVERY_S = 1 / 20
-_MOST_SLEEP_S = 0.2
+_SHOW_EVERY_S = 1 / 20
+_LONGEST_DEBT_S = 0.2
+"""How far the pacing may lag behind its schedule before it gives up catching up."""
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One moment of the simplex, for those who watch."""
+    """One iteration of the simplex, for display."""
 
     photo: str
     matches: Matches
@@ -41,24 +40,28 @@ Watch = Callable[[Frame], None]
 
 
 class SimplexJobs:
-    """The simplex with and without its rejections."""
+    """The simplex with and without outlier removal.
 
-    def __init__(self, bench: Bench, solving: SolvingJobs, watch: Watch) -> None:
-        self._bench = bench
-        self._solving = solving
+    Args:
+        solve: commits the results.
+        watch: called with the iterations to display.
+    """
+
+    def __init__(self, solve: SolveJobs, watch: Watch) -> None:
+        self._solve = solve
         self._watch = watch
 
     def simplex(self, inputs: Inputs, context: JobContext) -> str:
-        """Walk down the cost of all matches."""
-        return self._walk(inputs, context, rejecting=False)
+        """Minimise the cost over all matches."""
+        return self._minimise(inputs, context, rejecting=False)
 
     def reject_outliers(self, inputs: Inputs, context: JobContext) -> str:
-        """Leave out what lies off, and walk again, until the same matches stay."""
-        return self._walk(inputs, context, rejecting=True)
+        """Remove outliers and solve again, until the set of inliers is stable."""
+        return self._minimise(inputs, context, rejecting=True)
 
-    def _walk(self, inputs: Inputs, context: JobContext, *, rejecting: bool) -> str:
+    def _minimise(self, inputs: Inputs, context: JobContext, *, rejecting: bool) -> str:
         from ladarreg_core.pose.estimate import STATED_SIGMA_PX
-        from ladarreg_core.pose.simplex_result import simplex_answer
+        from ladarreg_core.pose.simplex_result import build_simplex_result
         from ladarreg_core.pose.thesis.stereo_simplex import descend
 
         begun = time.perf_counter()
@@ -75,18 +78,18 @@ class SimplexJobs:
             sigma_px=pose_options.sigma_px or STATED_SIGMA_PX,
         )
         found = self._watched(steps, inputs, matches, context)
-        result = simplex_answer(found, matches, inputs.photo.camera, pose_options)
-        stopped = " Stopped; the best so far is kept." if context.stop_wanted else ""
-        said = self._solving.keep(
+        result = build_simplex_result(found, matches, inputs.photo.camera, pose_options)
+        stopped = " Stopped; the best pose so far is kept." if context.stop_wanted else ""
+        sentence = self._solve.commit(
             inputs,
             "simplex_outliers_removed" if rejecting else "simplex",
             result,
             context,
             method="thesis",
             seconds=time.perf_counter() - begun,
-            note=found.in_words(),
+            note=found.describe(),
         )
-        return said + stopped
+        return sentence + stopped
 
     def _start(self, inputs: Inputs, matches: Matches, rejecting: bool) -> Rigid | None:
         from ladarreg_core.inspection.figures import scanners_place
@@ -97,12 +100,12 @@ class SimplexJobs:
             return None if before is None else pose_of(before)
         wanted = inputs.settings.start_from
         if wanted == "linear":
-            return None  # which is the linear pose, or one aimed at the matches where that is refused
+            return None  # `descend` then starts from the linear pose, or from one aimed at the matches
         if wanted == "scanner":
             return scanners_place(inputs.scan)
         if wanted == "shown":
             if inputs.entry.pose is None:
-                raise OptionError("no pose is shown that the simplex could start from; choose another start")
+                raise OptionError("no pose is shown; choose another start for the simplex, or solve first")
             return pose_of(inputs.entry.pose)
         try:
             options = replace(inputs.settings.pose_options, intrinsics="fixed")
@@ -114,7 +117,7 @@ class SimplexJobs:
     def _watched(
         self, steps: Generator[DescentStep, None, SimplexFit], inputs: Inputs, matches: Matches, context: JobContext
     ) -> SimplexFit:
-        """Walk to the end, or until it is stopped, and show what there is time for; the last step always."""
+        """Iterate to the end or until stopped; show iterations at a limited rate, and always the last one."""
         from ladarreg_core.pose.thesis.stereo_simplex import stopped_at
 
         shown = due = time.monotonic()
@@ -129,30 +132,30 @@ class SimplexJobs:
                 return found
             last = step
             clock = time.monotonic()
-            if clock - shown >= _SHOWN_EVERY_S or step.simplex.move == "start" or context.job.state == "paused":
+            if clock - shown >= _SHOW_EVERY_S or step.simplex.move == "start" or context.job.state == "paused":
                 shown = clock
                 self._show(inputs, matches, step, context, last=False)
             context.wait_while_paused()
             if context.stop_wanted:
                 self._show(inputs, matches, step, context, last=True)
                 return stopped_at(step)
-            if context.speed > 0:
-                due = max(due + 1 / context.speed, clock - _MOST_SLEEP_S)
+            if context.speed != FULL_SPEED:
+                due = max(due + 1 / context.speed, clock - _LONGEST_DEBT_S)
                 if due > clock:
                     context.sleep(min(due - clock, 1.0))
 
     def _show(self, inputs: Inputs, matches: Matches, step: DescentStep, context: JobContext, *, last: bool) -> None:
         job = context.job
         job.done = step.simplex.iteration
-        job.said = f"iteration {step.simplex.iteration}, {step.simplex.move.replace('_', ' ')}"
+        job.message = f"iteration {step.simplex.iteration}, {step.simplex.move.replace('_', ' ')}"
         if step.round:
-            job.said += f", rejection {step.round}"
-        context.tell()
+            job.message += f", outlier removal {step.round}"
+        context.publish()
         self._watch(Frame(inputs.entry.id, matches, inputs, step, last))
 
 
 def frame_event(frame: Frame) -> dict[str, Any]:
-    """Return a moment as the page is told it."""
+    """Return the protocol event of an iteration."""
     from ladarreg_core.frames import ThesisParameters
 
     step = frame.step

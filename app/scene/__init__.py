@@ -1,7 +1,7 @@
-"""The 3-D stage in viser: the model, the cameras, the matches and the walking simplex, drawn by one thread."""
+"""The 3-D scene in viser: the model, the cameras, the matches and the moving simplex, drawn by one thread."""
 
-from .actions import StageActions
-from .scene import Stage3D
+from .actions import SceneActions
+from .scene import Scene3D
 from .simplex_frame import SimplexFrame
 
-__all__ = ["SimplexFrame", "Stage3D", "StageActions"]
+__all__ = ["Scene3D", "SceneActions", "SimplexFrame"]

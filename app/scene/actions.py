@@ -1,4 +1,4 @@
-"""What the stage asks of the session when somebody uses its controls."""
+"""The actions that the scene's controls trigger in the workbench."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Literal, Protocol
 JobAction = Literal["pause", "resume", "stop", "step", "speed"]
 
 
-class StageActions(Protocol):
-    """Called from viser's own threads, by whoever clicked; the answer comes back as calls of the stage."""
+class SceneActions(Protocol):
+    """Called from viser's own threads; the outcome comes back as calls of the scene's methods."""
 
     def set_model(
         self,
@@ -19,10 +19,10 @@ class StageActions(Protocol):
         cameras: bool | None = None,
         matches: bool | None = None,
     ) -> None:
-        """Change what the model shows; None leaves a thing as it is."""
+        """Change how the model is shown; None leaves a setting unchanged."""
 
     def job_control(self, action: JobAction, value: float | None = None) -> None:
-        """Control the job that runs; the value of `speed` is in steps a second, 0: as fast as it can."""
+        """Control the running job; the value of `speed` is in steps per second, 0: unlimited."""
 
     def hover(self, pick_id: str | None) -> None:
-        """Tell that a match was touched; None: that it was let go of."""
+        """Report that the pointer is on a match; None: on none."""

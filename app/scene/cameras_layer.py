@@ -1,4 +1,4 @@
-"""The scanner and the camera, each as a pyramid with its picture."""
+"""The scanner and the camera, each drawn as a frustum with its picture."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ladarreg_core.export.viser_colors import line_colours_for_viewer
 from ladarreg_core.inspection.model_textures import small_picture, view_picture
 from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
 from ladarreg_core.inspection.viewpoints import field_of_view
-from ladarreg_core.surface.blend import intensity_picture
+from ladarreg_core.surface.texture import intensity_picture
 
 from .colours import ACCENT, REFUSED, SCANNER
 
@@ -29,7 +29,7 @@ _PICTURE_PX = 512
 
 
 class CamerasLayer:
-    """Both cameras; a pose that is not accepted is a dashed outline without the photograph."""
+    """Both frusta; the camera of a pose that is not accepted is a dashed outline without the photograph."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
@@ -38,19 +38,19 @@ class CamerasLayer:
         self._drawn: tuple[object, ...] = (None, None, None)
 
     def draw(self, subject: Subject | None, *, visible: bool) -> None:
-        """Draw what stands there."""
-        wanted = (None, None, None) if subject is None else (subject.shown, subject.photo, subject.result)
-        if wanted != self._drawn:
+        """Draw the scanner and the camera."""
+        requested = (None, None, None) if subject is None else (subject.shown, subject.photo, subject.result)
+        if requested != self._drawn:
             self.clear()
             if subject is not None:
                 self._draw_scanner(subject)
                 self._draw_camera(subject)
-            self._drawn = wanted
+            self._drawn = requested
         for node in self._scanner + self._camera:
             node.visible = visible
 
     def clear(self) -> None:
-        """Take both away."""
+        """Remove both."""
         for node in self._scanner + self._camera:
             node.remove()
         self._scanner, self._camera, self._drawn = [], [], (None, None, None)
@@ -78,9 +78,9 @@ class CamerasLayer:
         self._camera.append(
             scene.add_line_segments("/camera", points=lines, colors=colours, thickness=1.5, thickness_units="screen")
         )
-        words = f"{subject.name}: {NOT_ACCEPTED}" if subject.name else NOT_ACCEPTED
+        label = f"{subject.name}: {NOT_ACCEPTED}" if subject.name else NOT_ACCEPTED
         self._camera.append(
-            scene.add_label("/camera_name", words, position=pose.centre, font_screen_scale=0.9, anchor="top-center")
+            scene.add_label("/camera_name", label, position=pose.centre, font_screen_scale=0.9, anchor="top-center")
         )
 
 
@@ -95,12 +95,12 @@ def add_camera(
     picture: ByteArray | None = None,
     thickness: float = 2.0,
 ) -> viser.CameraFrustumHandle:
-    """Add a camera whose picture stands `depth_m` before its centre."""
-    _, upright = field_of_view(camera)
+    """Add a frustum whose picture is `depth_m` in front of its centre."""
+    _, vertical = field_of_view(camera)
     options: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
     frustum = server.scene.add_camera_frustum(
         name,
-        fov=upright,
+        fov=vertical,
         aspect=camera.width / camera.height,
         scale=1.0,
         thickness=thickness,
@@ -109,15 +109,15 @@ def add_camera(
         image=picture,
         format="jpeg",
         jpeg_quality=_JPEG_QUALITY,
-        **placed(pose),
+        **viser_pose(pose),
         **options,
     )
     frustum.scale = depth_m / frustum.compute_canonical_frustum_size()[2]
     return frustum
 
 
-def placed(pose: Rigid) -> dict[str, Any]:
-    """Return where viser is to put a camera."""
+def viser_pose(pose: Rigid) -> dict[str, Any]:
+    """Return the position and orientation of a camera as viser takes them."""
     from viser.transforms import SO3
 
     return {"wxyz": SO3.from_matrix(pose.inverse.rotation).wxyz, "position": pose.centre}

@@ -1,4 +1,4 @@
-"""The stage's colours, as in `static/tokens.css`."""
+"""Colours of the scene, as in `static/tokens.css`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ HIGHLIGHT: Colour = (255, 255, 255)
 MATCH_COLOURS: tuple[Colour, ...] = (
     (255, 211, 77), (92, 200, 255), (255, 143, 171), (126, 226, 168), (201, 167, 255), (255, 166, 92),
 )  # fmt: skip
-"""Of a match's number less one, repeating."""
+"""Colour of match number n at index n - 1, repeating."""
 
 
 def as_css(colour: Colour) -> str:
-    """Return `#rrggbb`."""
+    """Return a colour as `#rrggbb`."""
     return f"#{bytes(colour).hex()}"

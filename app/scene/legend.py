@@ -9,13 +9,13 @@ from ladarreg_core.inspection.model_textures import Legend
 from .colours import as_css
 
 
-def legend_html(legend: Legend, said: str = "") -> str:
-    """Return a legend: a title, a scale with its ends, colours with words, and what is to be said beside it."""
+def legend_html(legend: Legend, note: str = "") -> str:
+    """Return a legend: a note, a title, a colour scale with its ends, and colours with their labels."""
     if not legend.title:
         return ""
     parts = [f"<p>{html.escape(legend.title)}</p>"]
-    if said:
-        parts.insert(0, f'<p class="lr-said">{html.escape(said)}.</p>')
+    if note:
+        parts.insert(0, f'<p class="lr-said">{html.escape(note)}.</p>')
     if legend.ramp:
         colours = ", ".join(map(as_css, legend.ramp))
         ends = f"<span>{html.escape(legend.least)}</span><span>{html.escape(legend.most)}</span>"
@@ -23,8 +23,8 @@ def legend_html(legend: Legend, said: str = "") -> str:
             f'<div class="lr-ramp" style="background: linear-gradient(to right, {colours})"></div>'
             f'<div class="lr-ends">{ends}</div>'
         )
-    for colour, words in legend.entries:
+    for colour, label in legend.entries:
         parts.append(
-            f'<div class="lr-entry"><i style="background: {as_css(colour)}"></i><span>{html.escape(words)}</span></div>'
+            f'<div class="lr-entry"><i style="background: {as_css(colour)}"></i><span>{html.escape(label)}</span></div>'
         )
     return f'<div class="lr lr-legend" role="group" aria-label="Legend">{"".join(parts)}</div>'

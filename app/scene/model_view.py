@@ -1,4 +1,4 @@
-"""What the 3-D scene is to show, as all pages share it."""
+"""Display settings of the model in the 3-D scene; shared by all clients."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ModelChoice:
-    """How the model is shown."""
+    """Display settings of the model."""
 
     texture: str = "colour"
-    """Wanted; where there is nothing to make it of, `intensity` is shown."""
+    """Requested texture; `intensity` is shown if it is not available."""
     z_buffer: bool = True
-    """Whether what is hidden from the camera stays uncoloured."""
+    """True if surfaces hidden from the camera stay uncoloured."""
     light: bool = False
-    """Whether slow browsers get a coarser model."""
+    """True if a coarse mesh is sent, for slow browsers."""
     cameras: bool = True
-    """Whether the scanner and the camera are shown."""
+    """True if the scanner and the camera are shown."""
     matches: bool = True
-    """Whether the matches are."""
+    """True if the matches are shown."""
 
     def changed(self, wanted: Mapping[str, Any]) -> ModelChoice:
-        """Return another choice.
+        """Return a copy with other settings.
 
         Raises:
-            OptionError: if there is no such thing to choose.
+            OptionError: if a setting is unknown, or its value is not of its type.
         """
         known = asdict(self)
         for name, value in wanted.items():
             if name not in known or type(value) is not type(known[name]):
-                raise OptionError(f"the model has no choice {name!r} of this kind")
+                raise OptionError(f"the model has no setting {name!r} of type {type(value).__name__}")
             if name == "texture":
-                usable_texture(value, None)  # which says what there is
+                usable_texture(value, None)  # raises with the list of textures
         return replace(self, **wanted)
 
     def slice(self, result: PoseResult | None) -> dict[str, Any]:
-        """Return it as the page is told, with what the shown pose leaves to choose from."""
+        """Return the slice `model`, with the textures that the shown pose makes available."""
         choices = [
             {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.said}
             for choice in texture_choices(result)

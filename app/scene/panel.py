@@ -1,4 +1,4 @@
-"""viser's panel beside the scene: where to look from, what the model shows, and what its colours mean."""
+"""viser's panel beside the scene: viewpoints, settings of the model, and the legend of its colours."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.inspection.model_textures import texture_choices
 
-from ..static_files import static_text
+from ..gateway.pages import static_text
 from .colours import ACCENT
 from .legend import legend_html
 
@@ -18,30 +18,33 @@ if TYPE_CHECKING:
     from ladarreg_core.inspection.model_textures import Legend
     from ladarreg_core.results import PoseResult
 
-    from .actions import StageActions
-    from .subject import ModelNow
+    from .actions import SceneActions
+    from .subject import RenderChoice
 
 OVERVIEW, SCANNER, CAMERA = "Overview", "Scanner", "Camera"
-VIEWS_LABEL, TEXTURE_LABEL, MODEL_TITLE = "Look from", "Texture", "Model"
+VIEWS_LABEL, TEXTURE_LABEL, MODEL_TITLE = "Viewpoint", "Texture", "Model"
 SWITCHES = {
-    "z_buffer": ("Z-buffer", "off: the photograph is painted through everything in front, as in thesis Figure 2.23"),
-    "light": ("Light model", "fewer vertices and a smaller texture, for slow browsers"),
-    "cameras": ("Cameras", "the scanner and the camera"),
-    "matches": ("Matches", "the matches and their rays"),
+    "z_buffer": (
+        "Hide occluded",
+        "off: the photograph also colours hidden surfaces, as in thesis Figure 2.23",
+    ),
+    "light": ("Coarse mesh", "fewer vertices and a smaller texture, for slow browsers"),
+    "cameras": ("Cameras", "the frusta of the scanner and the camera"),
+    "matches": ("Matches", "the matches with their rays"),
 }
 SIZE_LABEL = "Match size"
 
 
 class Panel:
-    """The controls; what somebody changes goes to the session, and comes back by `mirror`."""
+    """The controls: changes go to the workbench, and come back through `show`."""
 
     def __init__(
         self,
         server: viser.ViserServer,
-        actions: StageActions,
+        actions: SceneActions,
         *,
-        look: Callable[[viser.ClientHandle, str], None],
-        resize: Callable[[float], None],
+        set_viewpoint: Callable[[viser.ClientHandle, str], None],
+        set_match_size: Callable[[float], None],
     ) -> None:
         self._server = server
         gui = server.gui
@@ -51,7 +54,7 @@ class Panel:
         gui.add_html(f"<style>{static_text('tokens.css')}{static_text('panel.css')}</style>", order=0)
         self._views = gui.add_button_group(VIEWS_LABEL, (OVERVIEW, SCANNER), order=1)
         self._legend = gui.add_html("", order=3)
-        # The page's own header has these too; the folder is for a stage that is looked at alone.
+        # The page has these controls too; the folder is for the scene opened on its own.
         self._folder = gui.add_folder(MODEL_TITLE, expand_by_default=False, order=4)
         self._labels: dict[str, str] = {choice.label: choice.kind for choice in texture_choices(None)}
         self._switches: dict[str, viser.GuiCheckboxHandle] = {}
@@ -64,37 +67,37 @@ class Panel:
         @self._views.on_click
         def _(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
-                look(event.client, str(self._views.value))
+                set_viewpoint(event.client, str(self._views.value))
 
         @self._texture.on_update
         def _(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
                 kind = self._labels[str(self._texture.value)]
-                self.guarded(event.client, lambda: actions.set_model(texture=kind))
+                self.call_or_notify(event.client, lambda: actions.set_model(texture=kind))
 
         for name, switch in self._switches.items():
 
             @switch.on_update
             def _(event: viser.GuiEvent[Any], name: str = name, switch: viser.GuiCheckboxHandle = switch) -> None:
                 if event.client is not None:
-                    wanted: dict[str, Any] = {name: bool(switch.value)}
-                    self.guarded(event.client, lambda: actions.set_model(**wanted))
+                    setting: dict[str, Any] = {name: bool(switch.value)}
+                    self.call_or_notify(event.client, lambda: actions.set_model(**setting))
 
         @self._size.on_update
         def _(_: viser.GuiEvent[Any]) -> None:
-            resize(float(self._size.value))
+            set_match_size(float(self._size.value))
 
     @staticmethod
-    def guarded(client: viser.ClientHandle, ask: Callable[[], None]) -> None:
-        """Ask the session for something; what it refuses is told to whoever asked."""
+    def call_or_notify(client: viser.ClientHandle, action: Callable[[], None]) -> None:
+        """Call an action; if it is refused, notify the client that requested it."""
         try:
-            ask()
+            action()
         except LadarregError as error:
             client.add_notification("Not possible", str(error), auto_close_seconds=8.0, color="yellow")
 
-    def mirror(self, choice: ModelNow, result: PoseResult | None, legend: Legend, *, has_camera: bool) -> None:
-        """Let the controls show what is drawn."""
-        # viser calls callbacks for these too, with no client: they are ignored above, or the two would answer for ever.
+    def show(self, choice: RenderChoice, result: PoseResult | None, legend: Legend, *, has_camera: bool) -> None:
+        """Set the controls to what is drawn."""
+        # viser calls the callbacks for these changes too, without a client; they are ignored above to prevent a loop.
         label = next(label for label, kind in self._labels.items() if kind == choice.texture)
         if self._texture.value != label:
             self._texture.value = label  # type: ignore[misc]
@@ -106,5 +109,5 @@ class Panel:
         if self._views.options != views:
             self._views.options = views
         missing = next((c for c in texture_choices(result) if c.kind == choice.texture and not c.usable), None)
-        said = "" if missing is None else f"{missing.label} {missing.said}"
-        self._legend.content = legend_html(legend, said)
+        note = "" if missing is None else f"{missing.label} {missing.said}"
+        self._legend.content = legend_html(legend, note)

@@ -1,4 +1,4 @@
-"""The matches in space: points with their numbers' colours, and the rays on which they were picked."""
+"""The matches in space: points in the colours of their numbers, and the rays on which they were picked."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
     from .subject import Subject
 
-_POINT_OF_RANGE = 0.006
-_TOUCH, _HIGHLIGHTED, _HALO = 1.1, 1.6, 2.4
-_BEFORE = 2.0
-"""How far before the surface, in point sizes: a mark on it would be half in it."""
-_MOST_RAYS, _MOST_OF_RESULT = 24, 16
+_POINT_SIZE_PER_RANGE = 0.006
+_CLICK_RADIUS, _HIGHLIGHTED, _HALO = 1.1, 1.6, 2.4
+_OFFSET = 2.0
+"""Distance in front of the surface, in point sizes: a marker on the surface would be half hidden in it."""
+_MAX_RAYS, _MAX_RESULT_MATCHES = 24, 16
 _OFF_SHARE, _RAY_SHARE = 0.65, 0.5
 
 
@@ -34,21 +34,21 @@ class Picks:
     marks: Marks
     """Their points."""
     ids: tuple[str, ...]
-    """The pick that each belongs to."""
+    """Pick id of each point."""
 
     @staticmethod
     def of(points: ArrayLike, colours: ArrayLike, on: ArrayLike, ids: Sequence[str]) -> Picks:
-        """Return those that have a place: a pick without a range has none."""
+        """Return the picks that have a position; one without a range has none."""
         marks = Marks.of(points, colours, on)
         return Picks(marks, tuple(ids[k] for k in marks.given))
 
 
 class PicksLayer:
-    """Points, rays, and what answers a click; where nothing was picked, the matches of the accepted pose."""
+    """Points, rays and clicks; without picks, the matches of the accepted pose are shown."""
 
-    def __init__(self, server: viser.ViserServer, touched: Callable[[str], None]) -> None:
+    def __init__(self, server: viser.ViserServer, on_click: Callable[[str], None]) -> None:
         self._server = server
-        self._touched = touched
+        self._on_click = on_click
         self._nodes: list[viser.SceneNodeHandle] = []
         self._points: list[viser.PointCloudHandle] = []
         self._marked: list[viser.SceneNodeHandle] = []
@@ -60,14 +60,14 @@ class PicksLayer:
         server.scene.on_click()(self._clicked)
 
     def draw(self, subject: Subject | None, picks: Picks | None, *, visible: bool, size: float) -> None:
-        """Draw the matches anew."""
+        """Redraw the matches."""
         self.clear()
         self._visible, self._size = visible, size
         if subject is None:
             return
         accepted = subject.accepted
         if accepted is not None and (picks is None or not picks.ids):
-            marks = marks_of_result(accepted, MATCH_COLOURS, most=_MOST_OF_RESULT)
+            marks = marks_of_result(accepted, MATCH_COLOURS, most=_MAX_RESULT_MATCHES)
             picks = Picks(marks, tuple(accepted.matches.pick_ids[k] for k in marks.given))
         if picks is None or not picks.ids:
             return
@@ -105,26 +105,26 @@ class PicksLayer:
             self._marked.append(self._add_points(f"/highlight/{name}", marks, shade, size))
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
-        # Point clouds of viser answer no clicks, and balls that could would need a shader that takes seconds to build
+        # viser's point clouds are not clickable, and spheres, which are, need a shader that takes seconds to compile
         # without a graphics card.
         shown = self._shown
         if shown is None or not self._visible:
             return
-        met = shown.marks.met_by(event.ray_origin, event.ray_direction, radius_m=_TOUCH * self._point_size)
-        if met is not None:
-            self._touched(shown.ids[met])
+        hit = shown.marks.met_by(event.ray_origin, event.ray_direction, radius_m=_CLICK_RADIUS * self._point_size)
+        if hit is not None:
+            self._on_click(shown.ids[hit])
 
     def clear(self) -> None:
-        """Take all away."""
+        """Remove everything."""
         for node in (*self._nodes, *self._points, *self._marked):
             node.remove()
         self._nodes, self._points, self._marked, self._shown = [], [], [], None
 
     def _draw_rays(self, picks: Picks) -> None:
-        some = picks.marks.at(spread(len(picks.marks), _MOST_RAYS))
+        marks = picks.marks.at(spread(len(picks.marks), _MAX_RAYS))
         for name, centre in zip(("scanner", "camera"), self._centres, strict=False):
-            lines = rays_to(some.points, (centre,))
-            colours = line_colours_for_viewer(for_both_ends(some.dimmed(BACKGROUND, on=_RAY_SHARE, off=_OFF_SHARE)))
+            lines = rays_to(marks.points, (centre,))
+            colours = line_colours_for_viewer(for_both_ends(marks.dimmed(BACKGROUND, on=_RAY_SHARE, off=_OFF_SHARE)))
             self._nodes.append(
                 self._server.scene.add_line_segments(
                     f"/matches/{name}_rays", points=lines, colors=colours, thickness=1.0, thickness_units="screen"
@@ -137,13 +137,13 @@ class PicksLayer:
 
     @property
     def _point_size(self) -> float:
-        return _POINT_OF_RANGE * self._range_m * self._size
+        return _POINT_SIZE_PER_RANGE * self._range_m * self._size
 
     def _add_points(self, name: str, marks: Marks, colours: ArrayLike, size: float) -> viser.PointCloudHandle:
-        # The smaller of two at one place is the nearer.
+        # Of two markers at one position the smaller is nearer to the viewer.
         return self._server.scene.add_point_cloud(
             name,
-            marks.before((_BEFORE + _HALO - size) * self._point_size),
+            marks.before((_OFFSET + _HALO - size) * self._point_size),
             colours,  # type: ignore[arg-type]
             point_size=size * self._point_size,
             point_shape="circle",

@@ -1,4 +1,4 @@
-"""The simplex's curves and controls, in viser's panel. Source: thesis Figures 3.2 and 3.9."""
+"""Curves and controls of the simplex, in viser's panel. Source: thesis Figures 3.2 and 3.9."""
 
 from __future__ import annotations
 
@@ -8,29 +8,35 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.inspection.simplex_curves import CURVE_NAMES, DrawnCurves, SimplexCurves
 
+from ..jobs.runner import FULL_SPEED, WATCHED_SPEED
 from .colours import MATCH_COLOURS, REFUSED, as_css
 
 if TYPE_CHECKING:
     import viser
 
-    from .actions import StageActions
+    from .actions import SceneActions
     from .simplex_frame import SimplexFrame
 
 TITLE = "Simplex"
+BUTTONS_LABEL = "Simplex run"
 PAUSE, RESUME, STEP, KEEP = "Pause", "Resume", "Step", "Keep best"
-FULL_SPEED, FIRST_SPEED = 200, 60
-SPEED_LABEL = "Steps a second"
+_SLIDER_FULL_SPEED = 200
+"""Position of the speed slider that means full speed."""
+SPEED_LABEL = "Steps per second"
 ORDER = 2.0
-"""Of the folder in the panel: under the views, over the legend."""
+"""Position of the folder in the panel: below the views, above the legend."""
 _HEIGHT, _COST_HEIGHT = 128, 84
 _AXIS_FONT = "10px system-ui, sans-serif"
 
 
 class SimplexFolder:
-    """Hidden until a simplex walks for the first time."""
+    """The folder of the panel; hidden until the first simplex is started."""
 
     def __init__(
-        self, server: viser.ViserServer, actions: StageActions, guarded: Callable[[Any, Callable[[], None]], None]
+        self,
+        server: viser.ViserServer,
+        actions: SceneActions,
+        call_or_notify: Callable[[Any, Callable[[], None]], None],
     ) -> None:
         self._folder = server.gui.add_folder(TITLE, visible=False, order=ORDER)
         self._names: tuple[str, ...] = CURVE_NAMES
@@ -41,7 +47,7 @@ class SimplexFolder:
                 curves.parameters,
                 _series(CURVE_NAMES),
                 scales={"x": {"time": False}, "m": {"auto": True}, "deg": {"auto": True}},
-                axes=(_steps_axis(), _axis("m", "m", side=3), _axis("deg", "degrees", side=1)),
+                axes=(_iteration_axis(), _axis("m", "m", side=3), _axis("deg", "degrees", side=1)),
                 legend={"show": True, "live": False},
                 cursor={"show": False},
                 height=_HEIGHT,
@@ -51,20 +57,20 @@ class SimplexFolder:
                 curves.cost,
                 ({"label": "step"}, {"label": "log10 cost", "stroke": as_css(REFUSED), "width": 1.5, "scale": "cost"}),
                 scales={"x": {"time": False}, "cost": {"auto": True}},
-                axes=(_steps_axis(), _axis("cost", "log10 cost", side=3)),
+                axes=(_iteration_axis(), _axis("cost", "log10 cost", side=3)),
                 legend={"show": False},
                 cursor={"show": False},
                 height=_COST_HEIGHT,
                 padding=(6, 12, 0, 0),
             )
-            self._buttons = server.gui.add_button_group("Walk", (PAUSE, STEP, KEEP))
+            self._buttons = server.gui.add_button_group(BUTTONS_LABEL, (PAUSE, STEP, KEEP))
             self._speed = server.gui.add_slider(
                 SPEED_LABEL,
                 min=1,
-                max=FULL_SPEED,
+                max=_SLIDER_FULL_SPEED,
                 step=1,
-                initial_value=FIRST_SPEED,
-                hint=f"{FULL_SPEED}: as fast as it can",
+                initial_value=int(WATCHED_SPEED),
+                hint=f"{_SLIDER_FULL_SPEED}: full speed",
             )
 
         @self._buttons.on_click
@@ -74,14 +80,14 @@ class SimplexFolder:
             pressed = str(self._buttons.value)
             action = {PAUSE: "pause", RESUME: "resume", STEP: "step", KEEP: "stop"}.get(pressed)
             if action is not None:
-                guarded(event.client, lambda: actions.job_control(action))  # type: ignore[arg-type]
+                call_or_notify(event.client, lambda: actions.job_control(action))  # type: ignore[arg-type]
 
         @self._speed.on_update
         def _(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
                 steps = int(self._speed.value)
-                value = 0.0 if steps >= FULL_SPEED else float(steps)
-                guarded(event.client, lambda: actions.job_control("speed", value))
+                value = FULL_SPEED if steps >= _SLIDER_FULL_SPEED else float(steps)
+                call_or_notify(event.client, lambda: actions.job_control("speed", value))
 
     def start(self, names: Sequence[str], curves: DrawnCurves) -> None:
         """Show the folder with empty curves."""
@@ -89,17 +95,17 @@ class SimplexFolder:
             self._names = tuple(names)
             self._parameters.series = _series(names)
         self._parameters.data, self._cost.data = curves.parameters, curves.cost
-        self.state("running")
-        self._tell("starting", None)
+        self.show_state("running")
+        self._set_status("starting", None)
         self._folder.visible = True
 
     def draw(self, curves: DrawnCurves, frame: SimplexFrame, state: str) -> None:
-        """Draw the curves as far as they have come."""
+        """Draw the curves so far."""
         self._parameters.data, self._cost.data = curves.parameters, curves.cost
-        self._tell(state, frame)
+        self._set_status(state, frame)
 
-    def state(self, state: str) -> None:
-        """Let the buttons fit: `running`, `paused`, or anything else for an end."""
+    def show_state(self, state: str) -> None:
+        """Show the buttons of a state: `running`, `paused`, or any other once it has ended."""
         self._buttons.options = (RESUME if state == "paused" else PAUSE, STEP, KEEP)
         self._buttons.visible = self._speed.visible = state in ("running", "paused")
 
@@ -107,12 +113,12 @@ class SimplexFolder:
         """Hide the folder."""
         self._folder.visible = False
 
-    def _tell(self, state: str, frame: SimplexFrame | None) -> None:
+    def _set_status(self, state: str, frame: SimplexFrame | None) -> None:
         step = "" if frame is None else f" · step {frame.iteration}"
-        told = "" if frame is None else " · ".join(filter(None, (f"cost {frame.cost:.2e}", frame.said)))
+        figures = "" if frame is None else " · ".join(filter(None, (f"cost {frame.cost:.2e}", frame.note)))
         self._status.content = (
             f'<div class="lr lr-simplex"><b data-state="{html.escape(state)}">{html.escape(state)}</b>'
-            f"<span>{html.escape(step)}<br>{html.escape(told)}</span></div>"
+            f"<span>{html.escape(step)}<br>{html.escape(figures)}</span></div>"
         )
 
 
@@ -121,7 +127,7 @@ def _series(names: Sequence[str]) -> tuple[Any, ...]:
     for k, (name, colour) in enumerate(zip(names, MATCH_COLOURS, strict=True)):
         curves.append({
             "label": name, "stroke": as_css(colour), "width": 1.5, "scale": "m" if k < 3 else "deg",
-            # Lines whose colours are alike to somebody differ in their dashes.
+            # The dashes distinguish curves whose colours look alike to some people.
             **({} if k < 3 else {"dash": (6, 3)}),
         })  # fmt: skip
     return tuple(curves)
@@ -134,5 +140,5 @@ def _axis(scale: str, label: str, *, side: int) -> Any:
     }  # fmt: skip
 
 
-def _steps_axis() -> Any:
+def _iteration_axis() -> Any:
     return {"font": _AXIS_FONT, "size": 20, "gap": 2, "space": 28, "ticks": {"size": 3}, "grid": {"width": 1}}

@@ -1,4 +1,4 @@
-"""One moment of the simplex, as the stage draws it."""
+"""One iteration of the simplex, as the scene draws it."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimplexFrame:
-    """The simplex after one move."""
+    """The simplex after one iteration."""
 
     iteration: int
-    """Steps so far, those of earlier descents counted."""
+    """Iterations so far, including those of earlier descents."""
     best: Rigid
     """camera_from_scanner of the best vertex."""
     others: tuple[Rigid, ...]
-    """Those of the other vertices."""
+    """camera_from_scanner of the other vertices."""
     cost: float
-    """The best vertex's."""
-    said: str = ""
-    """What to say of it beside the numbers, e.g. the round and how many matches count."""
+    """Cost of the best vertex."""
+    note: str = ""
+    """Text beside the numbers, e.g. the rejection round and how many matches are inliers."""
 
     @property
     def parameters(self) -> ThesisParameters:
-        """The best vertex as the thesis's six numbers."""
+        """The best vertex as the thesis's six parameters."""
         return ThesisParameters.from_pose(self.best)
 
     @staticmethod
     def of(step: DescentStep, *, iteration: int | None = None) -> SimplexFrame:
-        """Return the moment of a descent's step.
+        """Return the frame of a step of a descent.
 
         Args:
             step: the step.
-            iteration: its number over all descents; None: its own.
+            iteration: its iteration over all descents; None: its own.
         """
         best, *others = (pose_of(vertex, step.frame_from_scanner) for vertex in step.simplex.vertices)
-        kept, round_ = int(step.inliers.sum()), step.round
-        said = f"{kept} of {len(step.inliers)} matches" + (f", rejection {round_}" if round_ else "")
+        inliers, round_ = int(step.inliers.sum()), step.round
+        note = f"{inliers} of {len(step.inliers)} inliers" + (f", rejection {round_}" if round_ else "")
         number = step.simplex.iteration if iteration is None else iteration
-        return SimplexFrame(number, best, tuple(others), step.simplex.cost, said)
+        return SimplexFrame(number, best, tuple(others), step.simplex.cost, note)

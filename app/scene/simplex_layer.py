@@ -1,4 +1,4 @@
-"""The walking simplex in space: the best camera, the other vertices, and where it started."""
+"""The moving simplex in space: the best camera, the other vertices, and the initial pose."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ladarreg_core.inspection.scene_geometry import (
     repeated,
 )
 
-from .cameras_layer import add_camera, placed
+from .cameras_layer import add_camera, viser_pose
 from .colours import ACCENT, BACKGROUND, REFUSED
 
 if TYPE_CHECKING:
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from .simplex_frame import SimplexFrame
     from .subject import Subject
 
-_FAINT, _DASHES = 0.45, 9
+_FADED_SHARE, _DASHES = 0.45, 9
 
 
 class SimplexLayer:
-    """Three things that move or stay: the best vertex in the accent, the others faint, the start dashed."""
+    """The best vertex in the accent colour, the others faint, the initial pose dashed."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
@@ -43,7 +43,7 @@ class SimplexLayer:
         self._depth_m = 1.0
 
     def draw(self, subject: Subject | None, frame: SimplexFrame) -> None:
-        """Draw a moment; the first one after `clear` is the start."""
+        """Draw a frame; the first one after `clear` is the initial pose."""
         camera = None if subject is None else subject.camera
         if subject is None or camera is None:
             return
@@ -58,7 +58,7 @@ class SimplexLayer:
             start = dashed(camera_outline(camera, frame.best, depth_m=self._depth_m), dashes=_DASHES)
             self._start = self._lines("/simplex/start", start, REFUSED, 1.2)
         if self._others is None or len(self._others.points) != len(outlines):
-            faint = faded(repeated(ACCENT, 1), BACKGROUND, share=_FAINT)[0].tolist()
+            faint = faded(repeated(ACCENT, 1), BACKGROUND, share=_FADED_SHARE)[0].tolist()
             self._others = self._lines("/simplex/vertices", outlines, tuple(faint), 1.0) if len(outlines) else None
         with self._server.atomic():
             if self._others is not None:
@@ -66,7 +66,7 @@ class SimplexLayer:
             self._move(self._best, frame.best)
 
     def end(self, subject: Subject | None, best: SimplexFrame | None) -> None:
-        """Leave the best alone, or nothing."""
+        """Keep only the best vertex, or nothing."""
         if best is not None:
             self.draw(subject, best)
         for node in (self._others, self._start, *([] if best is not None else [self._best])):
@@ -77,12 +77,12 @@ class SimplexLayer:
             self._best = self._camera = None
 
     def clear(self) -> None:
-        """Take all away."""
+        """Remove everything."""
         self.end(None, None)
 
     def _move(self, frustum: viser.CameraFrustumHandle, pose: Rigid) -> None:
-        place = placed(pose)
-        frustum.wxyz, frustum.position = place["wxyz"], place["position"]
+        placement = viser_pose(pose)
+        frustum.wxyz, frustum.position = placement["wxyz"], placement["position"]
 
     def _lines(self, name: str, lines: FloatArray, colour: Colour, thickness: float) -> viser.LineSegmentsHandle:
         shades = line_colours_for_viewer(for_both_ends(repeated(colour, len(lines))))

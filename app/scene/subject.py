@@ -1,4 +1,4 @@
-"""What stands on the stage, and how it is to be shown."""
+"""The subject of the scene (scan, photograph and pose), and the level of detail that it is drawn with."""
 
 from __future__ import annotations
 
@@ -25,43 +25,43 @@ from ladarreg_core.surface.texture import RegisteredTexture
 
 from .model_view import ModelChoice
 
-_VERTICES, _LIGHT_VERTICES, _COARSE_VERTICES = 150_000, 60_000, 12_000
-_TEXTURE_PX, _LIGHT_TEXTURE_PX, _COARSE_TEXTURE_PX = 8192, 1536, 1024
-_FRUSTUM_PX, _COARSE_FOCAL_PX = 512, 150.0
-_FRUSTUM_DEPTH = 0.17  # of the root of the range: nearer scenes need relatively larger ones
+_VERTICES, _COARSE_MESH_VERTICES, _DRAFT_VERTICES = 150_000, 60_000, 12_000
+_TEXTURE_PX, _COARSE_MESH_TEXTURE_PX, _DRAFT_TEXTURE_PX = 8192, 1536, 1024
+_FRUSTUM_PX, _DEFAULT_FOCAL_PX = 512, 150.0
+_FRUSTUM_DEPTH = 0.17  # per root of the range: nearer scenes need relatively longer ones
 
 
 @dataclass(frozen=True, slots=True)
-class ModelNow(ModelChoice):
-    """How the model is shown at this moment."""
+class RenderChoice(ModelChoice):
+    """Settings that the model is drawn with at this moment, including the level of detail."""
 
-    coarse: bool = False
-    """Whether a coarse model is wanted for now: as a first look, or since something moves in the scene. Every step
-    draws the model again, which a browser without a graphics card does 15 times a second only where it is coarse."""
+    draft: bool = False
+    """True if a draft is drawn for now: as a first impression, or while something moves in the scene. Every movement
+    redraws the model, which a browser without a graphics card can do 15 times a second only for a draft."""
 
     @property
     def most_vertices(self) -> int:
-        """Of the mesh."""
-        return _COARSE_VERTICES if self.coarse else _LIGHT_VERTICES if self.light else _VERTICES
+        """Largest number of vertices of the mesh."""
+        return _DRAFT_VERTICES if self.draft else _COARSE_MESH_VERTICES if self.light else _VERTICES
 
     @property
     def most_texture_px(self) -> int:
-        """The longer side of its picture."""
-        return _COARSE_TEXTURE_PX if self.coarse else _LIGHT_TEXTURE_PX if self.light else _TEXTURE_PX
+        """Longer side of the texture."""
+        return _DRAFT_TEXTURE_PX if self.draft else _COARSE_MESH_TEXTURE_PX if self.light else _TEXTURE_PX
 
 
 @dataclass(frozen=True, eq=False)
 class ScanShown:
-    """What depends on the scan alone: made once, for as long as it stands on the stage."""
+    """Data that depend on the scan alone: computed once, and kept while the scan is shown."""
 
     scan: Scan
     """The scan."""
 
     meshes: dict[int, Mesh] = field(default_factory=dict, repr=False)
-    """Made so far, by how many vertices they may have."""
+    """Meshes computed so far, by their largest number of vertices."""
 
-    def mesh(self, choice: ModelNow) -> Mesh:
-        """Return the model, as fine as this choice allows."""
+    def mesh(self, choice: RenderChoice) -> Mesh:
+        """Return the mesh, as fine as this choice allows."""
         most = choice.most_vertices
         if most not in self.meshes:
             self.meshes[most] = scan_mesh(self.scan, max_vertices=most)
@@ -74,22 +74,22 @@ class ScanShown:
 
     @property
     def frustum_depth_m(self) -> float:
-        """How long cameras are drawn."""
+        """Depth of the drawn camera frusta, m."""
         return float(_FRUSTUM_DEPTH * self.range_m**0.5)
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A scan, and where there are any a photograph and a pose."""
+    """A scan, with a photograph and a pose if there are any."""
 
     shown: ScanShown
     """The scan."""
     photo: Photo | None = None
     """The photograph."""
     result: PoseResult | None = None
-    """Its pose, accepted or not."""
+    """Pose of the photograph, accepted or not."""
     name: str = ""
-    """What to call the photograph."""
+    """Name of the photograph."""
 
     @property
     def scan(self) -> Scan:
@@ -98,69 +98,69 @@ class Subject:
 
     @property
     def scanner_centre(self) -> FloatArray:
-        """(3,) the scanner's own place, m."""
+        """(3,) position of the scanner, m."""
         return Rigid.identity().centre
 
     @property
     def accepted(self) -> PoseResult | None:
-        """The pose, if it may be shown as registered."""
+        """The pose if it is accepted, and may be shown as registered."""
         return self.result if self.result is not None and self.result.accepted else None
 
     @property
     def camera(self) -> Camera | None:
-        """The photograph's camera, as estimated where it was."""
+        """The photograph's camera, as estimated if there is a pose."""
         if self.result is not None:
             return self.result.camera
         return self.photo.camera if self.photo is not None else None
 
     @cached_property
     def registered(self) -> RegisteredTexture | None:
-        """The photograph on the scan's grid; None where nothing may be coloured by it."""
+        """The photograph on the scan's grid; None without an accepted pose."""
         if self.accepted is None or self.photo is None:
             return None
         return registered_texture(self.scan, self.photo, self.accepted)
 
     @cached_property
     def view(self) -> View:
-        """The scan's intensity as the scanner's own frustum shows it."""
+        """Perspective view of the scan, as the scanner's frustum shows it."""
         camera = self.camera
         if camera is None:
-            return perspective_view(self.scan, Camera.from_focal(2, 2, _COARSE_FOCAL_PX), whole_scan=True)
+            return perspective_view(self.scan, Camera.from_focal(2, 2, _DEFAULT_FOCAL_PX), whole_scan=True)
         reduced = camera.without_distortion().scaled(min(1.0, _FRUSTUM_PX / max(camera.size)))
         return perspective_view(self.scan, reduced)
 
-    def texture_kind(self, choice: ModelNow) -> TextureKind:
-        """Return what the model can show of what is wished."""
+    def texture_kind(self, choice: RenderChoice) -> TextureKind:
+        """Return the texture to show: the requested one if it is available."""
         kind = usable_texture(choice.texture, self.result)
         return "intensity" if kind in ("colour", "label") and self.photo is None else kind
 
-    def texture(self, choice: ModelNow) -> ModelTexture:
-        """Return what is painted on the model."""
+    def texture(self, choice: RenderChoice) -> ModelTexture:
+        """Return the texture of the model."""
         kind = self.texture_kind(choice)
-        needs_it = kind == "label" or (kind == "colour" and choice.z_buffer)
+        needs_photo = kind == "label" or (kind == "colour" and choice.z_buffer)
         return model_texture(
             self.scan,
             kind,
             photo=self.photo,
             result=self.result,
             z_buffer=choice.z_buffer,
-            registered=self.registered if needs_it else None,
+            registered=self.registered if needs_photo else None,
         )
 
     def from_scanner(self) -> Standpoint:
-        """Return the scanner's own view."""
+        """Return the viewpoint of the scanner."""
         return from_pose(self.scan, self.view.camera, self.view.view_from_scanner)
 
     def from_camera(self) -> Standpoint | None:
-        """Return the photograph's own view; None without an accepted pose."""
+        """Return the viewpoint of the camera; None without an accepted pose."""
         if self.accepted is None:
             return None
         return from_pose(self.scan, self.accepted.camera, self.accepted.camera_from_scanner)
 
     def overview(self) -> Standpoint:
-        """Return a view from aside that holds all; a refused pose only if it lies nowhere absurd."""
-        shown = self.result
-        if shown is not None and not shown.accepted:
+        """Return a viewpoint from the side that shows everything; a refused pose only if it is not far away."""
+        result = self.result
+        if result is not None and not result.accepted:
             scanner = Rigid.identity()
-            shown = shown if shown.camera_from_scanner.distance_to(scanner) <= self.shown.range_m else None
-        return overview(self.scan, None if shown is None else shown.camera_from_scanner.centre)
+            result = result if result.camera_from_scanner.distance_to(scanner) <= self.shown.range_m else None
+        return overview(self.scan, None if result is None else result.camera_from_scanner.centre)

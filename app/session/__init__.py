@@ -1,1 +1,1 @@
-"""The document being worked on, and everything that it refers to, loaded and computed once."""
+"""The open document and everything that it refers to, loaded and computed once."""

@@ -1,49 +1,209 @@
-"""Lists made thing by thing, where most things are the same objects as the last time."""
+"""Caches bounded by number and by bytes: the least recently used value is dropped first."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
-from typing import Generic, TypeVar
+import dataclasses
+import sys
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any, Generic, TypeVar
 
-from .bounded_cache import BoundedCache, rough_bytes
-
-_MOST_LISTS = 256
-_MOST_BYTES = 200_000_000
 T = TypeVar("T")
 S = TypeVar("S")
+_JSON_ENTRIES = 256
+_JSON_BYTES = 200_000_000
+_GROWING_BELOW = 100
 
 
-class EachOnce(Generic[T, S]):
-    """Remembers, list by list, what was made of each thing; safe to be asked by several threads.
+class BoundedCache(Generic[T]):
+    """A least-recently-used cache, safe for several threads; the newest value stays whatever its size.
 
     Args:
-        make: makes one of a thing that never changes.
+        max_count: the largest number of values.
+        max_bytes: the largest total size.
+        size_of: returns the size of a value, bytes.
+        values_grow: whether values compute and keep more later; all are then measured again at each `put`.
     """
 
-    def __init__(self, make: Callable[[T], S]) -> None:
-        self._make = make
-        self._lists: BoundedCache[tuple[Sequence[T], list[S]]] = BoundedCache(
-            _MOST_LISTS, _MOST_BYTES, lambda held: rough_bytes(held[1])
+    def __init__(
+        self, max_count: int, max_bytes: int, size_of: Callable[[T], int], *, values_grow: bool = False
+    ) -> None:
+        self._max_count, self._max_bytes, self._size_of, self._values_grow = max_count, max_bytes, size_of, values_grow
+        self._entries: OrderedDict[Hashable, tuple[T, int]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._entries
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    @property
+    def bytes(self) -> int:
+        """Total size of the values when they were last measured."""
+        with self._lock:
+            return sum(size for _, size in self._entries.values())
+
+    def get(self, key: Hashable) -> T | None:
+        """Return the value of a key, or None."""
+        with self._lock:
+            if key not in self._entries:
+                return None
+            self._entries.move_to_end(key)
+            return self._entries[key][0]
+
+    def put(self, key: Hashable, value: T) -> None:
+        """Store a value; drop the least recently used ones that exceed the limits."""
+        with self._lock:
+            if self._values_grow:
+                for name, (one, _) in self._entries.items():
+                    self._entries[name] = one, self._size_of(one)
+            self._entries[key] = value, self._size_of(value)
+            self._entries.move_to_end(key)
+            total = sum(size for _, size in self._entries.values())
+            while len(self._entries) > 1 and (len(self._entries) > self._max_count or total > self._max_bytes):
+                total -= self._entries.popitem(last=False)[1][1]
+
+    def clear(self) -> None:
+        """Drop everything."""
+        with self._lock:
+            self._entries.clear()
+
+
+class GroupedCache:
+    """Named groups of arrays, each with its own limits and lock: only callers of the same group wait for each other.
+
+    Args:
+        limits: the largest number of values and the largest total size, bytes, of each group.
+        derived: for a group, the groups that are emptied when it gets a new value.
+    """
+
+    def __init__(
+        self, limits: Mapping[str, tuple[int, int]], *, derived: Mapping[str, Sequence[str]] | None = None
+    ) -> None:
+        self._groups: dict[str, BoundedCache[tuple[Any]]] = {
+            name: BoundedCache(count, size, lambda entry: array_bytes(entry[0]), values_grow=count < _GROWING_BELOW)
+            for name, (count, size) in limits.items()
+        }
+        self._derived = dict(derived or {})
+        self._locks = {name: threading.RLock() for name in limits}
+
+    def __getitem__(self, group: str) -> BoundedCache[tuple[Any]]:
+        """Return a group; each value is wrapped in a tuple, as it may be None."""
+        return self._groups[group]
+
+    def get(self, group: str, key: Hashable, make: Callable[[], T]) -> T:
+        """Return the value of a key in a group; make it first where it is missing."""
+        with self._locks[group]:
+            entry = self._groups[group].get(key)
+            if entry is None:
+                entry = (make(),)
+                self._groups[group].put(key, entry)
+                for name in self._derived.get(group, ()):
+                    self._groups[name].clear()
+            return entry[0]
+
+
+class IdentityCache:
+    """JSON values by the identity of the objects that they were made of; those objects must not change."""
+
+    def __init__(self) -> None:
+        self._entries: BoundedCache[tuple[Any, Any]] = BoundedCache(
+            _JSON_ENTRIES, _JSON_BYTES, lambda entry: rough_bytes(entry[1])
         )
 
-    def of(self, name: Hashable, things: Sequence[T]) -> list[S]:
-        """Return what is made of each thing; what is the same as in the last list of this name is not made again.
+    def get(self, sources: Any, make: Callable[[], T]) -> T:
+        """Return the value made of the same source, or of the same tuple of sources; make it where it is missing."""
+        key = tuple(map(_identity, sources)) if isinstance(sources, tuple) else _identity(sources)
+        entry = self._entries.get(key)
+        if entry is None:
+            entry = sources, make()  # keeping the sources keeps their ids from being reused
+            self._entries.put(key, entry)
+        return entry[1]
+
+
+class ListCache(Generic[T, S]):
+    """Lists converted item by item, where most items are the same objects as the last time; safe for several threads.
+
+    Args:
+        convert: converts one item, which never changes.
+    """
+
+    def __init__(self, convert: Callable[[T], S]) -> None:
+        self._convert = convert
+        self._lists: BoundedCache[tuple[Sequence[T], list[S]]] = BoundedCache(
+            _JSON_ENTRIES, _JSON_BYTES, lambda entry: rough_bytes(entry[1])
+        )
+
+    def get(self, name: Hashable, items: Sequence[T]) -> list[S]:
+        """Return the converted items; items of the last list of this name are not converted again.
 
         The list is the same object for the same sequence, and must not be changed.
         """
-        before, made = self._lists.get(name) or ((), [])
-        if before is things:
-            return made
-        first = _same(before, things)
-        last = min(_same(before[::-1], things[::-1]), min(len(before), len(things)) - first)
-        old, new = slice(first, len(before) - last), slice(first, len(things) - last)
-        known = {id(thing): one for thing, one in zip(before[old], made[old], strict=True)}
-        between = [known[id(thing)] if id(thing) in known else self._make(thing) for thing in things[new]]
-        result = [*made[:first], *between, *made[old.stop :]]
-        self._lists.put(name, (things, result))
+        before, converted = self._lists.get(name) or ((), [])
+        if before is items:
+            return converted
+        first = _common_start(before, items)
+        last = min(_common_start(before[::-1], items[::-1]), min(len(before), len(items)) - first)
+        old, new = slice(first, len(before) - last), slice(first, len(items) - last)
+        known = {id(item): one for item, one in zip(before[old], converted[old], strict=True)}
+        between = [known[id(item)] if id(item) in known else self._convert(item) for item in items[new]]
+        result = [*converted[:first], *between, *converted[old.stop :]]
+        self._lists.put(name, (items, result))
         return result
 
 
-def _same(a: Sequence[object], b: Sequence[object]) -> int:
-    """Return how many things at the start are the same: seldom more than one in a list has changed."""
+def array_bytes(value: object) -> int:
+    """Return the size of the arrays and byte strings that an object holds, each counted once.
+
+    Scans, photographs and views inside it are not counted: they have caches of their own.
+    """
+    from ladarreg_core.inspection.views import NamedView
+    from ladarreg_core.photo import Photo
+    from ladarreg_core.scan import Scan
+    from ladarreg_core.surface.perspective import View
+
+    seen: set[int] = set()
+
+    def count(one: Any, *, inner: bool) -> int:
+        if id(one) in seen or (inner and isinstance(one, Scan | Photo | View | NamedView)):
+            return 0
+        seen.add(id(one))
+        if isinstance(one, bytes):
+            return len(one)
+        if hasattr(one, "nbytes") and hasattr(one, "base"):
+            shared = hasattr(one.base, "nbytes") or isinstance(one.base, bytes)
+            return count(one.base, inner=True) if shared else int(one.nbytes)
+        if isinstance(one, Mapping):
+            parts: Any = one.values()
+        elif isinstance(one, tuple | list):
+            parts = one
+        else:
+            parts = list(getattr(one, "__dict__", {}).values())
+            if dataclasses.is_dataclass(one):
+                parts += [getattr(one, field.name, None) for field in dataclasses.fields(one)]
+        return sum(count(part, inner=True) for part in parts)
+
+    if isinstance(value, tuple):  # (object that the key identifies, value made of it)
+        value = value[-1]
+    return count(value, inner=False)
+
+
+def rough_bytes(value: object) -> int:
+    """Return the approximate size of a JSON value; of a list only the first and the last item are measured."""
+    size = sys.getsizeof(value)
+    if isinstance(value, Mapping):
+        return size + sum(rough_bytes(part) for part in value.values())
+    if isinstance(value, list | tuple) and value:
+        return size + len(value) * max(rough_bytes(value[0]), rough_bytes(value[-1]))
+    return size
+
+
+def _common_start(a: Sequence[object], b: Sequence[object]) -> int:
+    """Return how many items at the start are the same objects; usually a single item of a list differs."""
     return next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x is not y), min(len(a), len(b)))
+
+
+def _identity(source: Any) -> Hashable:
+    return source if isinstance(source, int | str | bytes | type(None)) else ("object", id(source))

@@ -1,49 +1,49 @@
-"""Work that can wait until nobody is in the middle of something."""
+"""Debouncing of background work: it starts once requests pause."""
 
 from __future__ import annotations
 
 import threading
 import time
 
-_QUIET_S, _AT_MOST_S = 0.12, 1.0
+_PAUSE_S, _LONGEST_DELAY_S = 0.12, 1.0
 
 
-class Quiet:
-    """Lets one thread sleep until it is asked, and then for as long as it is asked again and again, a second at most.
+class Debouncer:
+    """Wakes one thread after a burst of requests has ended, at the latest one second after it began.
 
-    Whoever draws goes on undisturbed so: what takes time to compute would slow every one of his edits.
+    Expensive computations would otherwise slow down every edit of a burst.
     """
 
     def __init__(self) -> None:
-        self._asked = threading.Event()
+        self._requested = threading.Event()
         self._closed = False
 
     @property
-    def asked(self) -> bool:
-        """Whether somebody has asked since the last wait ended."""
-        return self._asked.is_set()
+    def requested(self) -> bool:
+        """Whether there was a request since the last wait ended."""
+        return self._requested.is_set()
 
-    def ask(self) -> None:
-        """Have the thread wake, soon."""
-        self._asked.set()
+    def request(self) -> None:
+        """Wake the thread soon."""
+        self._requested.set()
 
     def close(self) -> None:
-        """Have the thread end."""
+        """End the thread's loop."""
         self._closed = True
-        self._asked.set()
+        self._requested.set()
 
-    def wait(self, at_most_s: float | None = None) -> bool:
-        """Return after somebody has asked and nobody did since for a moment; False: it is over.
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait for a request, and then until requests pause; False: closed.
 
         Args:
-            at_most_s: return after so long even if nobody asks; None: never.
+            timeout_s: the longest time to wait for a request; None: unlimited.
         """
-        if not self._asked.wait(at_most_s):
+        if not self._requested.wait(timeout_s):
             return not self._closed
         begun = time.monotonic()
-        while not self._closed and time.monotonic() - begun < _AT_MOST_S:
-            self._asked.clear()
-            if not self._asked.wait(_QUIET_S):
+        while not self._closed and time.monotonic() - begun < _LONGEST_DELAY_S:
+            self._requested.clear()
+            if not self._requested.wait(_PAUSE_S):
                 break
-        self._asked.clear()
+        self._requested.clear()
         return not self._closed

@@ -1,8 +1,8 @@
-"""The reader processes of the workbench: no file that somebody opens in the page is decoded in the server itself."""
+"""The reader processes of the workbench: the server itself decodes no file that a client opens."""
 
 from __future__ import annotations
 
 from ladarreg_core.formats.isolated import IsolatedReaders
 
 READERS = IsolatedReaders()
-"""Shared by all that this process opens; the commands without a page read directly, as a crash ends nobody else."""
+"""Shared by the whole process; commands without a page read directly, as a crash there affects nobody else."""

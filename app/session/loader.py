@@ -1,16 +1,14 @@
-"""What the document refers to, loaded and computed once: scans, photographs, views, answers."""
+"""The loader: scans, photographs, views and registrations of a document, each read or computed once."""
 
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
 
-from .bounded_cache import BoundedCache, array_bytes
-from .cache import EachOnce
+from .cache import GroupedCache, ListCache
 from .isolated_readers import READERS
 
 if TYPE_CHECKING:
@@ -29,61 +27,49 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
-_KEPT = {
+_LIMITS = {
     "scan": (1, 1),
     "photo": (8, 600_000_000),
     "views": (1, 1),
-    "answer": (64, 100_000_000),
+    "registration": (64, 100_000_000),
     "assessment": (32, 200_000_000),
     "partners": (3, 400_000_000),
     "measured": (8, 200_000_000),
     "picture": (24, 200_000_000),
     "line": (512, 50_000_000),
 }
-"""How many of each kind are kept, and how many bytes beside the newest; what was used longest ago goes first."""
+"""The largest number of values of each kind, and their largest total size besides the newest, bytes."""
 
-_OF_THE_SCAN = ("views", "assessment", "partners", "measured", "picture", "line")
+_DERIVED_FROM_SCAN = ("views", "assessment", "partners", "measured", "picture", "line")
+"""Kinds whose values would keep the previous scan in memory."""
 
 
-class Workroom:
-    """Loads what is asked for, once; safe to be asked by several threads."""
+class Loader:
+    """Loads what a document refers to and caches it; safe for several threads."""
 
     def __init__(self, folder: ProjectFolder) -> None:
         self._folder = folder
-        self._kept: dict[str, BoundedCache[tuple[Any]]] = {
-            kind: BoundedCache(most, most_bytes, lambda held: array_bytes(held[0]), they_grow=most < 100)
-            for kind, (most, most_bytes) in _KEPT.items()
-        }
-        self._picks: EachOnce[PickEntry, Pick] = EachOnce(lambda pick: pick.as_pick())
-        self._locks: dict[str, threading.RLock] = {kind: threading.RLock() for kind in _KEPT}
+        self._cache = GroupedCache(_LIMITS, derived={"scan": _DERIVED_FROM_SCAN})
+        self._picks: ListCache[PickEntry, Pick] = ListCache(lambda pick: pick.as_pick())
 
-    def kept(self, kind: str, key: Hashable, make: Callable[[], T]) -> T:
-        """Return what was made before under a key, or make it; others who ask for the same kind wait."""
-        with self._locks[kind]:
-            shelf = self._kept[kind]
-            held = shelf.get(key)
-            if held is None:
-                held = (make(),)
-                shelf.put(key, held)
-                if kind == "scan":  # what was computed on the last one would keep it in memory
-                    for other in _OF_THE_SCAN:
-                        self._kept[other].clear()
-            return held[0]
+    def cached(self, kind: str, key: Hashable, make: Callable[[], T]) -> T:
+        """Return the cached value of a key, or make it; other callers that need the same kind wait."""
+        return self._cache.get(kind, key, make)
 
     def scan(self, document: Document) -> Scan | None:
         """Return the scan; None where none is open.
 
         Raises:
-            LadarregError: if its file cannot be read any more.
+            LadarregError: if its file can no longer be read.
         """
         source = document.scan
         if source is None:
             return None
-        return self.kept("scan", source, lambda: self.read_scan(source))
+        return self.cached("scan", source, lambda: self.read_scan(source))
 
     def picks(self, entry: PhotoEntry) -> list[Pick]:
-        """Return a photograph's picks, on or off; those that did not change are the same objects."""
-        return self._picks.of(entry.id, entry.picks)
+        """Return a photograph's picks, enabled or not; unchanged ones are the same objects."""
+        return self._picks.get(entry.id, entry.picks)
 
     def read_scan(self, source: Source) -> Scan:
         """Read a scan's file."""
@@ -92,43 +78,44 @@ class Workroom:
         return READERS.run(read_scan, self._folder.source_path(source.path), scan_index=source.index)
 
     def read_matches(self, path: Path, scan: Scan) -> list[Pick]:
-        """Read a file of matches."""
+        """Read a matches file."""
         from ladarreg_core.formats.matches_file import read_matches
 
         return READERS.run(read_matches, path, scan)
 
-    def try_photo(self, entry: PhotoEntry) -> None:
-        """Read a photograph and keep it; meanwhile nobody waits who asks for another one.
+    def preload_photo(self, entry: PhotoEntry) -> None:
+        """Read a photograph and cache it, without blocking readers of other photographs meanwhile.
 
         Raises:
-            LadarregError: if its file cannot be read; a missing or wrong camera is told by `photo`.
+            LadarregError: if its file cannot be read; a missing or unsuitable camera is reported by `photo`.
         """
-        there = self._kept["photo"]
+        photos = self._cache["photo"]
         key, without_camera = (entry.source, entry.camera), (entry.source, "no camera")
-        found = there.get(key) or self._read_photo(entry)
-        self.kept("photo", key, lambda: found)
-        if isinstance(found, CameraError) and without_camera not in there:
-            to_look_at = self._without_camera(entry)
-            self.kept("photo", without_camera, lambda: to_look_at)
+        cached = photos.get(key)
+        found = cached[0] if cached else self._read_photo(entry)
+        self.cached("photo", key, lambda: found)
+        if isinstance(found, CameraError) and without_camera not in photos:
+            viewable = self._with_nominal_camera(entry)
+            self.cached("photo", without_camera, lambda: viewable)
 
     def photo(self, entry: PhotoEntry) -> Photo:
         """Return a photograph.
 
         Raises:
-            CameraError: if nothing tells its focal length, or the camera does not fit.
-            LadarregError: if its file cannot be read any more.
+            CameraError: if its focal length is unknown, or the camera does not fit.
+            LadarregError: if its file can no longer be read.
         """
-        found = self.kept("photo", (entry.source, entry.camera), lambda: self._read_photo(entry))
+        found = self.cached("photo", (entry.source, entry.camera), lambda: self._read_photo(entry))
         if isinstance(found, LadarregError):
             raise found
         return found
 
-    def photo_to_look_at(self, entry: PhotoEntry) -> Photo:
-        """Return a photograph, under a camera that is only good to look through where nothing tells the right one."""
+    def viewable_photo(self, entry: PhotoEntry) -> Photo:
+        """Return a photograph for display; where its camera is unknown, with a nominal one."""
         try:
             return self.photo(entry)
         except CameraError:
-            return self.kept("photo", (entry.source, "no camera"), lambda: self._without_camera(entry))
+            return self.cached("photo", (entry.source, "no camera"), lambda: self._with_nominal_camera(entry))
 
     def _read_photo(self, entry: PhotoEntry) -> Photo | LadarregError:
         from ladarreg_core.formats import read_photo
@@ -136,7 +123,7 @@ class Workroom:
 
         given = entry.camera
         try:
-            # By itself, so that a camera file that cannot be read is not laid to the photograph.
+            # In a run of its own, so that errors name the camera file and not the photograph.
             file = given.file
             camera = None if file is None else READERS.run(read_camera, self._folder.source_path(file.path))
             return READERS.run(
@@ -150,7 +137,7 @@ class Workroom:
         except CameraError as error:
             return error
 
-    def _without_camera(self, entry: PhotoEntry) -> Photo:
+    def _with_nominal_camera(self, entry: PhotoEntry) -> Photo:
         from ladarreg_core.formats import read_photo
 
         path = self._folder.source_path(entry.source.path)
@@ -160,54 +147,58 @@ class Workroom:
         """Return the views of the scan; none where no scan is open.
 
         Raises:
-            LadarregError: if its file cannot be read any more, or it cannot be viewed.
+            LadarregError: if its file can no longer be read, or no view can show it.
         """
         scan = self.scan(document)
-        return () if scan is None else self.kept("views", document.scan, lambda: _views_of(scan))
+        return () if scan is None else self.cached("views", document.scan, lambda: _views_of(scan))
 
-    def try_scan(self, source: Source) -> None:
-        """Read a scan and compute its views, and keep both; of one that is refused nothing is kept.
+    def preload_scan(self, source: Source) -> None:
+        """Read a scan, compute its views and cache both; nothing is cached of a scan that is refused.
 
         Raises:
-            LadarregError: if it cannot be read, or cannot be viewed.
+            LadarregError: if it cannot be read, or no view can show it.
         """
         scan = self.read_scan(source)
         views = _views_of(scan)
-        self.kept("scan", source, lambda: scan)
-        self.kept("views", source, lambda: views)
+        self.cached("scan", source, lambda: scan)
+        self.cached("views", source, lambda: views)
 
-    def answer(self, pose: PoseEntry) -> Registration:
-        """Return a stage's answer."""
+    def registration(self, pose: PoseEntry) -> Registration:
+        """Return the registration that a stored pose belongs to.
+
+        Raises:
+            LadarregError: if its matches are missing or damaged.
+        """
         from ladarreg_core.project.results import registration_of
 
-        return self.kept("answer", id(pose), lambda: (pose, registration_of(pose)))[1]
+        return self.cached("registration", id(pose), lambda: (pose, registration_of(pose)))[1]
 
     def assessment(self, scan: Scan, pose: PoseEntry) -> Assessment:
-        """Return what there is to say of a stage's answer."""
+        """Return the quality assessment of a pose."""
         from ladarreg_core.quality.assessment import assess
 
-        return self.kept("assessment", id(pose), lambda: (pose, assess(scan, self.answer(pose))))[1]
+        return self.cached("assessment", id(pose), lambda: (pose, assess(scan, self.registration(pose))))[1]
 
-    def assessed(self, pose: PoseEntry) -> Assessment | None:
-        """Return what was found to say of a stage's answer; None where nobody has looked yet."""
-        held = self._kept["assessment"].get(id(pose))
-        return None if held is None else held[0][1]
+    def known_assessment(self, pose: PoseEntry) -> Assessment | None:
+        """Return the assessment of a pose; None before it was computed."""
+        cached = self._cache["assessment"].get(id(pose))
+        return None if cached is None else cached[0][1]
 
     def partners(self, scan: Scan, pose: PoseEntry) -> Partners:
-        """Return where a pose puts picks in the other picture."""
+        """Return the prediction of picks from one image to the other under a pose."""
         from ladarreg_core.inspection.partners import Partners
 
         def make() -> tuple[Any, Partners]:
-            answer = self.answer(pose)
-            return pose, Partners(scan, answer.camera, answer.camera_from_scanner)
+            registration = self.registration(pose)
+            return pose, Partners(scan, registration.camera, registration.camera_from_scanner)
 
-        return self.kept("partners", (id(pose), id(scan)), make)[1]
+        return self.cached("partners", (id(pose), id(scan)), make)[1]
 
     def measured(self, scan: Scan, photo: Photo) -> Measured:
-        """Return what the scan measures under picks of a photograph."""
+        """Return the measurements of the scan at picks of a photograph."""
         from ladarreg_core.inspection.picks import Measured
 
-        return self.kept("measured", (id(scan), id(photo)), lambda: Measured(scan, photo))
+        return self.cached("measured", (id(scan), id(photo)), lambda: Measured(scan, photo))
 
 
 def _views_of(scan: Scan) -> tuple[NamedView, ...]:

@@ -1,4 +1,4 @@
-"""The session: the only state of the workbench that changes, behind one lock."""
+"""The session: the document and its history, the only mutable state of a project, behind one lock."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 from ladarreg_core.project.rescue import write_rescue_copy
 
-from .debounce import Quiet
+from .debounce import Debouncer
 
 log = logging.getLogger(__name__)
 Edit = Callable[[Document], Document]
-_ONE_MOVE_S = 1.5
-"""Moves of the same end that follow each other as quickly are one step of the history."""
+_MERGE_WITHIN_S = 1.5
+"""Edits with the same merge key within this time are one step of the history."""
 RETRY_S = 5.0
-"""What could not be saved is tried again as often, and with every edit."""
+"""Interval at which a failed save is retried; every edit retries it, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What listeners are told."""
+    """A change of the document, as listeners receive it."""
 
     before: Document
-    """The document as it was."""
+    """The previous document."""
     document: Document
-    """As it is."""
+    """The present document."""
 
 
 Listener = Callable[[Change], None]
 
 
 class Session:
-    """Keeps the document and its history, and saves every commit before anybody is told of it.
+    """The document and its history; every commit is saved before listeners are notified.
 
     Args:
-        folder: where it is saved.
-        history: what was read from there, or what it was begun with.
-        elsewhere: folders that take the project at the end if its own does not.
+        folder: the project's folder.
+        history: the history read from there, or a new one.
+        elsewhere: folders to save the project to on closing if its own cannot be written.
     """
 
     def __init__(self, folder: ProjectFolder, history: History, *, elsewhere: Sequence[Path] = ()) -> None:
@@ -55,57 +55,56 @@ class Session:
         self._history = history
         self._lock = threading.RLock()
         self._listeners: list[Listener] = []
-        self._last_move: tuple[str, str, float] = ("", "", 0.0)
+        self._last_commit: tuple[str, str, float] = ("", "", 0.0)
         self._saved_at = now()
         self._unsaved = ""
         self._unsettled = ""
-        self._quiet = Quiet()
+        self._debouncer = Debouncer()
         if folder.behind:
-            self._quiet.ask()
+            self._debouncer.request()
         self._thread = threading.Thread(target=self._settle, name="session", daemon=True)
         self._thread.start()
 
     @property
     def history(self) -> History:
-        """The history as it stands."""
+        """The present history."""
         return self._history
 
     @property
     def document(self) -> Document:
-        """The document that counts."""
+        """The present document."""
         return self._history.document
 
     @property
     def saved_at(self) -> str:
-        """When it was saved last, ISO 8601."""
+        """Time of the last save, ISO 8601."""
         return self._saved_at
 
     @property
     def unsaved(self) -> str:
-        """Why something could not be saved, the document or its history; empty where both are on the disk."""
+        """The reason why the document or its history could not be saved; empty if both are on the disk."""
         return self._unsaved or self._unsettled
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
-        """Have a listener called after each change, in their order; return what ends that.
+        """Call a listener after each change, in order; return a function that ends the subscription.
 
-        An exception in a listener is logged: the commit stands, and the other listeners are called all the same.
+        An exception in a listener is logged; the commit stands, and the other listeners are still called.
         """
         with self._lock:
             self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
-    def commit(self, label: str, edit: Edit, *, author: str, one_move: str = "") -> Document:
+    def commit(self, label: str, edit: Edit, *, author: str, merge_key: str = "") -> Document:
         """Edit the document.
 
         Args:
-            label: what is done, for the history.
-            edit: returns another document, or the same for nothing.
-            author: who does it.
-            one_move: names a movement; edits of the same one that follow quickly become one step.
+            label: description for the history.
+            edit: returns the new document, or the same one if nothing changes.
+            author: name of the client.
+            merge_key: edits of one author with the same key in quick succession become one step; empty: never.
 
         Raises:
-            LadarregError: whatever the edit refuses, or a document that could not be read again; nothing has changed
-                then.
+            LadarregError: if the edit is refused, or the new document could not be read again; nothing changes.
         """
         with self._lock:
             before = self.document
@@ -114,46 +113,46 @@ class Session:
                 return before
             check_readable(before, after)
             clock = time.monotonic()
-            amends = bool(one_move) and self._goes_on(one_move, author, clock)
+            amends = bool(merge_key) and self._merges(merge_key, author, clock)
             if amends:
                 self._history = self._history.amended(after, when=now())
             else:
                 self._history = self._history.committed(after, label=label, author=author, when=now())
-            self._last_move = (one_move, author, clock)
+            self._last_commit = (merge_key, author, clock)
             history = self._history
             self._save(lambda: self.folder.save_commit(history, amended=amends))
-            self._tell(before)
+            self._notify(before)
             return after
 
     def undo(self) -> None:
-        """Take the last step back."""
-        self._go(lambda history: history.moved(-1))
+        """Undo the last step."""
+        self._move(lambda history: history.moved(-1))
 
     def redo(self) -> None:
-        """Take it again."""
-        self._go(lambda history: history.moved(1))
+        """Redo the step that was undone last."""
+        self._move(lambda history: history.moved(1))
 
     def go_to(self, number: int) -> None:
         """Go to a step of the history.
 
         Raises:
-            OptionError: if there is none of that number.
+            OptionError: if there is no step of that number.
         """
-        self._go(lambda history: history.gone_to(number))
+        self._move(lambda history: history.gone_to(number))
 
     def save_now(self) -> str:
-        """Save everything, `project.json` included; return what became of edits that the disk has no room for."""
+        """Save everything, `project.json` included; return a sentence on unsaved edits, empty if there are none."""
         with self._lock:
             self._save(self.folder.settle)
             return self._saved_elsewhere() if self.folder.behind else ""
 
     def close(self) -> None:
-        """Save what could not be saved before, and let the folder go.
+        """Save what is not saved yet, and release the folder.
 
         Raises:
-            UnsavedError: if the disk lacks edits still; it says which other place has the whole project, if any.
+            UnsavedError: if the disk still lacks edits; it names the folder the project was saved to instead, if any.
         """
-        self._quiet.close()
+        self._debouncer.close()
         self._thread.join(30)
         with self._lock:
             try:
@@ -164,40 +163,40 @@ class Session:
                 self.folder.close()
 
     def _saved_elsewhere(self) -> str:
-        """Save the project where there is room, and return what there is to say of that."""
-        lacking = f"the project {self.folder.path} lacks what was done since {self._saved_at} ({self.unsaved})"
+        """Save the project to another folder, and return a sentence on the outcome."""
+        lacking = f"the project {self.folder.path} lacks all edits since {self._saved_at} ({self.unsaved})"
         name = f"{self.folder.path.name}-unsaved-{datetime.datetime.now():%Y%m%d-%H%M%S}"
         try:
             place = write_rescue_copy(self.folder, self._history, self._elsewhere, name=name)
         except LadarregError as error:
-            return f"{lacking}, and that is lost: {error}"
-        return f"{lacking}; the whole project, that included, is in {place}: open it with 'ladarreg serve {place}'"
+            return f"{lacking}, and they are lost: {error}"
+        return f"{lacking}; the whole project including them is in {place}: open it with 'ladarreg serve {place}'"
 
-    def _go(self, way: Callable[[History], History]) -> None:
+    def _move(self, way: Callable[[History], History]) -> None:
         with self._lock:
             before, was = self.document, self._history.at
             self._history = history = way(self._history)
-            self._last_move = ("", "", 0.0)
+            self._last_commit = ("", "", 0.0)
             if history.at != was:
                 self._save(lambda: self.folder.save_move(history))
-                self._tell(before)
+                self._notify(before)
 
-    def _goes_on(self, move: str, author: str, clock: float) -> bool:
-        last, by, when = self._last_move
-        return last == move and by == author and clock - when < _ONE_MOVE_S and self._history.redone is None
+    def _merges(self, merge_key: str, author: str, clock: float) -> bool:
+        last, by, when = self._last_commit
+        return last == merge_key and by == author and clock - when < _MERGE_WITHIN_S and self._history.redone is None
 
     def _save(self, save: Callable[[], None]) -> None:
-        """Save; a full disk must not stop the work, which goes on in memory and is saved as soon as it can be."""
+        """Save; with a full disk, work continues in memory and is saved as soon as that is possible."""
         try:
             save()
             self._unsaved, self._saved_at = "", now()
         except LadarregError as error:
             self._unsaved = str(error)
-        self._quiet.ask()
+        self._debouncer.request()
 
     def _settle(self) -> None:
-        """Let project.json follow, and save what could not be saved: again and again, as long as that fails."""
-        while self._quiet.wait(RETRY_S if self.unsaved else None):
+        """Write project.json after edits, and retry failed saves."""
+        while self._debouncer.wait(RETRY_S if self.unsaved else None):
             try:
                 self.folder.settle()
                 why = ""
@@ -209,9 +208,9 @@ class Session:
                 if self._unsaved and not self.folder.behind:
                     self._unsaved, self._saved_at = "", now()
                 if was != self.unsaved:
-                    self._tell(self.document)
+                    self._notify(self.document)
 
-    def _tell(self, before: Document) -> None:
+    def _notify(self, before: Document) -> None:
         change = Change(before, self.document)
         for listener in list(self._listeners):
             try:

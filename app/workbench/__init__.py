@@ -1,1 +1,1 @@
-"""The workbench behind the page: commands in, state out."""
+"""The workbench behind the page: takes commands, publishes state."""

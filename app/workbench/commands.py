@@ -1,4 +1,4 @@
-"""What a page may ask for, by name; every command checks what it is given."""
+"""The commands of a page, by name; every command checks its fields."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import msgspec
 
@@ -15,50 +15,81 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry
 
-if TYPE_CHECKING:
-    from .workbench import Person, Workbench
+from ..jobs.registry import JobRegistry
+from ..jobs.runner import JobRunner
+from ..session.loader import Loader
+from ..session.session import Session
+from .clients import Client, Clients
+from .files import Files
+from .queries import Queries
+from .selection import Selection
+from .settings_form import check_bounds
 
-Fields = Mapping[str, Any]
-Answer = dict[str, Any]
-Command = Callable[["Workbench", "Person", Fields], Answer]
 log = logging.getLogger(__name__)
-_MOST_NAME = 80
-_MOST_PATH, _MOST_PART = 4000, 255
-_QUOTED, _LONGEST_SENTENCE = 40, 600
+_MAX_NAME = 80
+_MAX_PATH, _MAX_PATH_PART = 4000, 255
+_MAX_QUOTE, _MAX_SENTENCE = 40, 600
 _FOCALS = {
     "focal_px": "the focal length",
     "focal_mm": "the focal length",
-    "sensor_mm": "the sensor's width",
+    "sensor_mm": "the sensor width",
     "focal_35mm": "the 35 mm equivalent",
 }
 
 
-def answer(workbench: Workbench, person: Person, message: Fields) -> Answer:
-    """Do what a page asks for and return its reply; whatever goes wrong is a sentence."""
+class Context(Protocol):
+    """The parts of the workbench that commands use."""
+
+    session: Session
+    loader: Loader
+    selection: Selection
+    clients: Clients
+    queries: Queries
+    files: Files
+    runner: JobRunner
+    jobs: JobRegistry
+
+    def set_model(self, wanted: Mapping[str, Any]) -> None:
+        """Change the display of the model in the 3-D scene."""
+
+    def highlight(self, pick_id: str | None) -> None:
+        """Highlight a match in the 3-D scene."""
+
+    def list_served(self) -> None:
+        """List the served folder again."""
+
+
+Fields = Mapping[str, Any]
+Reply = dict[str, Any]
+Command = Callable[[Context, Client, Fields], Reply]
+
+
+def answer(context: Context, client: Client, message: Fields) -> Reply:
+    """Execute a page's command and return the reply; an error becomes a sentence."""
     number, do = message.get("id"), message.get("do")
     number = number if isinstance(number, int | str) else None
     command = COMMANDS.get(do) if isinstance(do, str) else None
     try:
         if command is None:
-            raise OptionError(f"there is no command {_shown(do)}")
-        return {"reply": number, "ok": True, **command(workbench, person, message)}
+            raise OptionError(f"there is no command {_quoted(do)}" if do else "the message names no command")
+        return {"reply": number, "ok": True, **command(context, client, message)}
     except LadarregError as error:
         return {"reply": number, "ok": False, "error": _sentence(str(error))}
     except OSError as error:
         log.warning("%s: %s", do, error)
-        reason = f"the system refuses: {(error.strerror or type(error).__name__).lower()}"
+        reason = f"system error: {(error.strerror or type(error).__name__).lower()}"
         return {
             "reply": number,
             "ok": False,
-            "error": _sentence(f"{reason}; check the path, its permissions and the space"),
+            "error": _sentence(f"{reason}; check the path, its permissions and the free space"),
         }
     except Exception as error:
-        workbench.log_fault(error)
-        return {"reply": number, "ok": False, "error": f"This is a fault of the program ({type(error).__name__})."}
+        log.exception("the command %s failed", do)
+        return {"reply": number, "ok": False, "error": f"Internal error ({type(error).__name__})."}
 
 
-def add_pick(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Put down a match."""
+def add_pick(context: Context, client: Client, fields: Fields) -> Reply:
+    """Add a match."""
     from ladarreg_core.matches import Pick
 
     kind = fields.get("kind")
@@ -72,91 +103,89 @@ def add_pick(workbench: Workbench, person: Person, fields: Fields) -> Answer:
         photo, made = edits.with_picks(photo, [pick])
         return photo
 
-    number = edits.the_photo(workbench.session.document, fields.get("photo")).numbered + 1
-    _edit_photo(workbench, person, fields, f"Draw {kind} {number}", edit)
+    number = _photo(context, fields).numbered + 1
+    _edit_photo(context, client, fields, f"Draw {kind} {number}", edit)
     return {"pick": made[0]}
 
 
-def set_pick(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Move a match, switch it, or weigh it."""
+def set_pick(context: Context, client: Client, fields: Fields) -> Reply:
+    """Move, enable, disable or weight a match."""
     changed: dict[str, Any] = {}
     if "scan" in fields:
         changed["scan"] = edits.rays(fields["scan"])
     if "photo_uv" in fields:
         changed["photo"] = edits.pixels(fields["photo_uv"])
     if "on" in fields:
-        changed["on"] = _switch(fields["on"])
+        changed["on"] = _boolean(fields["on"])
     if "weight" in fields:
         changed["weight"] = edits.weight(fields["weight"])
     name = fields.get("pick")
     if not isinstance(name, str):
-        raise OptionError("say which match; none is chosen")
-    entry = edits.the_photo(workbench.session.document, fields.get("photo"))
+        raise OptionError("no match is selected; select one")
+    entry = _photo(context, fields)
     pick = entry.pick(name)
     number = pick.number if pick else "?"
     if set(changed) == {"on"}:
-        label = f"Switch {'on' if changed['on'] else 'off'} match {number}"
+        label = f"{_enable(changed['on'])} match {number}"
     else:
-        label = f"{'Weigh' if set(changed) == {'weight'} else 'Move'} match {number}"
-    moves = f"{entry.id} {name} {sorted(changed)}" if "scan" in changed or "photo" in changed else ""
-    _edit_photo(workbench, person, fields, label, lambda p: edits.changed_pick(p, name, changed), one_move=moves)
+        label = f"{'Weight' if set(changed) == {'weight'} else 'Move'} match {number}"
+    merge_key = f"{entry.id} {name} {sorted(changed)}" if "scan" in changed or "photo" in changed else ""
+    _edit_photo(context, client, fields, label, lambda p: edits.changed_pick(p, name, changed), merge_key=merge_key)
     return {}
 
 
-def remove_picks(workbench: Workbench, person: Person, fields: Fields) -> Answer:
+def remove_picks(context: Context, client: Client, fields: Fields) -> Reply:
     """Remove matches."""
-    ids = _names(fields.get("picks"))
-    there = _those_there(workbench, fields, ids)
-    _edit_photo(workbench, person, fields, f"Remove {_count(there)}", lambda p: edits.without_picks(p, there))
+    ids = _existing(context, fields, _pick_ids(fields.get("picks")))
+    _edit_photo(context, client, fields, f"Remove {_count(ids)}", lambda p: edits.without_picks(p, ids))
     return {}
 
 
-def switch_picks(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Switch matches on or off."""
-    ids, on = _names(fields.get("picks")), _switch(fields.get("on"))
-    there = _those_there(workbench, fields, ids)
-    label = f"Switch {'on' if on else 'off'} {_count(there)}"
-    _edit_photo(workbench, person, fields, label, lambda p: edits.switched(p, dict.fromkeys(there, on)))
+def switch_picks(context: Context, client: Client, fields: Fields) -> Reply:
+    """Enable or disable matches."""
+    ids, on = _pick_ids(fields.get("picks")), _boolean(fields.get("on"))
+    there = _existing(context, fields, ids)
+    label = f"{_enable(on)} {_count(there)}"
+    _edit_photo(context, client, fields, label, lambda p: edits.switched(p, dict.fromkeys(there, on)))
     return {}
 
 
-def reject(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Switch off what lies above a threshold, and on what lies below."""
+def reject(context: Context, client: Client, fields: Fields) -> Reply:
+    """Disable matches whose error exceeds a threshold, and enable the others."""
     above = _positive(fields.get("above"), "the threshold")
     by = fields.get("by", "depth")
     if by not in ("depth", "px"):
-        raise OptionError("matches are rejected by 'depth' or by 'px'")
-    entry = edits.the_photo(workbench.session.document, fields.get("photo"))
-    judged = workbench.judged(entry.id)["by_pick"]
+        raise OptionError("the threshold applies to 'depth' or to 'px'")
+    errors = context.queries.pick_errors(_photo(context, fields).id)
     name = "depth_m" if by == "depth" else "px"
-    on = {pick: abs(said[name]) <= above for pick, said in judged.items() if said[name] is not None}
+    on = {pick: abs(error[name]) <= above for pick, error in errors.items() if error[name] is not None}
     if not on:
         raise OptionError("no match has an error yet; solve first")
     off = sum(not value for value in on.values())
-    label = f"Reject {off} above {above:.3g} {'m' if by == 'depth' else 'px'}"
-    _edit_photo(workbench, person, fields, label, lambda p: edits.switched(p, on))
+    label = f"Disable {off} above {above:.3g} {'m' if by == 'depth' else 'px'}"
+    _edit_photo(context, client, fields, label, lambda p: edits.switched(p, on))
     return {"off": off}
 
 
-def set_camera(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Tell a photograph's focal length."""
+def set_camera(context: Context, client: Client, fields: Fields) -> Reply:
+    """Set a photograph's focal length."""
     from ladarreg_core.formats.exif import focal_of_35mm
 
-    given = {name: _positive(fields[name], said) for name, said in _FOCALS.items() if fields.get(name) is not None}
+    given = {name: _positive(fields[name], what) for name, what in _FOCALS.items() if fields.get(name) is not None}
     if set(given) not in ({"focal_px"}, {"focal_35mm"}, {"focal_mm", "sensor_mm"}):
-        raise OptionError("give the 35 mm equivalent, or the focal length in mm and the sensor's width, or pixels")
+        raise OptionError("give the 35 mm equivalent, or the focal length in mm and the sensor width, or pixels")
+    entry = _photo(context, fields)
     if "focal_35mm" in given:
-        entry = edits.the_photo(workbench.session.document, fields.get("photo"))
-        size = workbench.room.photo_to_look_at(entry).camera.size
+        size = context.loader.viewable_photo(entry).camera.size
         given = {"focal_px": focal_of_35mm(given["focal_35mm"], *size)}
-    _camera(workbench, person, fields, msgspec.structs.replace(CameraGiven(), **given))
+    camera = msgspec.structs.replace(CameraGiven(), **given)
+    context.queries.check_camera(entry, camera)
+    _edit_photo(context, client, fields, f"Camera of {entry.source.name}", lambda p: edits.with_camera(p, camera))
     return {}
 
 
-def set_settings(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Change thresholds and choices."""
-    from .settings_form import check_bounds
-
+def set_settings(context: Context, client: Client, fields: Fields) -> Reply:
+    """Change settings."""
     values = {name: value for name, value in fields.items() if name not in ("id", "do")}
     check_bounds(values)
 
@@ -164,151 +193,152 @@ def set_settings(workbench: Workbench, person: Person, fields: Fields) -> Answer
         return msgspec.structs.replace(document, settings=document.settings.changed(values))
 
     names = ", ".join(name.replace("_", " ") for name in values)
-    workbench.session.commit(f"Set {names}", edit, author=person.name, one_move=f"settings {sorted(values)}")
+    context.session.commit(f"Set {names}", edit, author=client.name, merge_key=f"settings {sorted(values)}")
     return {}
 
 
-def rename(workbench: Workbench, person: Person, fields: Fields) -> Answer:
+def rename(context: Context, client: Client, fields: Fields) -> Reply:
     """Rename the project."""
     name = _name(fields.get("name"))
-    workbench.session.commit(f"Rename to {name}", lambda d: msgspec.structs.replace(d, name=name), author=person.name)
+    context.session.commit(f"Rename to {name}", lambda d: msgspec.structs.replace(d, name=name), author=client.name)
     return {}
 
 
-def remove_photo(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Take a photograph out of the project."""
-    entry = edits.the_photo(workbench.session.document, fields.get("photo"))
-    workbench.session.commit(
-        f"Remove {entry.source.name}", lambda d: edits.without_photo(d, entry.id), author=person.name
+def remove_photo(context: Context, client: Client, fields: Fields) -> Reply:
+    """Remove a photograph from the project."""
+    entry = _photo(context, fields)
+    context.session.commit(
+        f"Remove {entry.source.name}", lambda d: edits.without_photo(d, entry.id), author=client.name
     )
     return {}
 
 
-def use_stage(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Have another stage's answer count."""
+def use_stage(context: Context, client: Client, fields: Fields) -> Reply:
+    """Show the pose of another stage."""
     stage = fields.get("stage")
     label = f"Show {stage.replace('_', ' ')}" if isinstance(stage, str) else "Show"
-    _edit_photo(workbench, person, fields, label, lambda p: edits.with_stage(p, stage))
+    _edit_photo(context, client, fields, label, lambda p: edits.with_stage(p, stage))
     return {}
 
 
-def undo(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Take the last step back."""
-    workbench.session.undo()
+def undo(context: Context, client: Client, fields: Fields) -> Reply:
+    """Undo the last step."""
+    context.session.undo()
     return {}
 
 
-def redo(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Take it again."""
-    workbench.session.redo()
+def redo(context: Context, client: Client, fields: Fields) -> Reply:
+    """Redo the step that was undone last."""
+    context.session.redo()
     return {}
 
 
-def go_to(workbench: Workbench, person: Person, fields: Fields) -> Answer:
+def go_to(context: Context, client: Client, fields: Fields) -> Reply:
     """Go to a step of the history."""
     number = fields.get("n")
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**53:
         raise OptionError("a step of the history is a number of 0 or more")
-    workbench.session.go_to(number)
+    context.session.go_to(number)
     return {}
 
 
-def show_photo(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Have everybody look at another photograph."""
-    workbench.show_photo(edits.the_photo(workbench.session.document, fields.get("photo")).id)
+def show_photo(context: Context, client: Client, fields: Fields) -> Reply:
+    """Show another photograph to all clients."""
+    context.selection.show(_photo(context, fields).id)
     return {}
 
 
-def set_model(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Change what the 3-D scene shows."""
-    workbench.set_model({name: value for name, value in fields.items() if name not in ("id", "do")})
+def set_model(context: Context, client: Client, fields: Fields) -> Reply:
+    """Change the display of the model in the 3-D scene."""
+    context.set_model({name: value for name, value in fields.items() if name not in ("id", "do")})
     return {}
 
 
-def call_me(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Say who one is."""
-    workbench.rename_person(person, _name(fields.get("name")))
-    return {"you": person.name}
+def call_me(context: Context, client: Client, fields: Fields) -> Reply:
+    """Rename the client."""
+    context.clients.rename(client, _name(fields.get("name")))
+    return {"you": client.name}
 
 
-def hover_pick(workbench: Workbench, person: Person, fields: Fields) -> Answer:
+def hover_pick(context: Context, client: Client, fields: Fields) -> Reply:
     """Highlight a match in the 3-D scene."""
-    workbench.highlight(fields.get("pick") if isinstance(fields.get("pick"), str) else None)
+    context.highlight(fields.get("pick") if isinstance(fields.get("pick"), str) else None)
     return {}
 
 
-def open_served(workbench: Workbench, person: Person, fields: Fields) -> Answer:
+def open_served(context: Context, client: Client, fields: Fields) -> Reply:
     """Open a file of the served folder."""
     path, what, photo = fields.get("path"), fields.get("what"), fields.get("photo")
     if not isinstance(path, str) or not isinstance(what, str):
-        raise OptionError("say which file to open, and as what")
-    opened = workbench.open_served(path, what, photo if isinstance(photo, str) else None, person)
+        raise OptionError("give the file to open and its kind")
+    opened = context.files.open_served(path, what, photo if isinstance(photo, str) else None, client.name)
     return {"opened": opened}
 
 
-def list_served(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Look again which files are served."""
-    workbench.list_served()
+def list_served(context: Context, client: Client, fields: Fields) -> Reply:
+    """List the served folder again."""
+    context.list_served()
     return {}
 
 
-def predict(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Return the partner under the shown pose."""
-    entry = edits.the_photo(workbench.session.document, fields.get("photo"))
-    partners = workbench.partners(entry)
+def predict(context: Context, client: Client, fields: Fields) -> Reply:
+    """Predict the other side of a match under the shown pose."""
+    partners = context.queries.partners(_photo(context, fields))
     if fields.get("side") == "scan":
         rows = partners.in_photo(edits.rays(fields.get("scan")))
-        return {"photo_uv": _or_none(rows.tolist())}
+        return {"photo_uv": _finite_rows(rows.tolist())}
     rows = partners.on_scan(edits.pixels(fields.get("photo_uv")))
-    return {"scan": _or_none(rows.tolist())}
+    return {"scan": _finite_rows(rows.tolist())}
 
 
-def where(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Return where the shown pose puts a ray."""
-    entry = edits.the_photo(workbench.session.document, fields.get("photo"))
-    rows = workbench.partners(entry).in_photo(edits.rays([fields.get("scan")]))
-    return {"photo_uv": _or_none(rows.tolist())[0]}
+def where(context: Context, client: Client, fields: Fields) -> Reply:
+    """Project a ray into the photograph under the shown pose."""
+    partners = context.queries.partners(_photo(context, fields))
+    rows = partners.in_photo(edits.rays([fields.get("scan")]))
+    return {"photo_uv": _finite_rows(rows.tolist())[0]}
 
 
-def snap(workbench: Workbench, person: Person, fields: Fields) -> Answer:
+def snap(context: Context, client: Client, fields: Fields) -> Reply:
     """Return the corner next to a pixel."""
     at = edits.pixels([fields.get("at")])[0]
     view = fields.get("view", 0)
-    found = workbench.corner_near(fields.get("side"), view if isinstance(view, int) else 0, fields.get("photo"), at)
+    view = view if isinstance(view, int) else 0
+    found = context.queries.corner_near(fields.get("side"), view, fields.get("photo"), at)
     return {"at": list(at) if found is None else found, "found": found is not None}
 
 
-def sample_line(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Return the samples of a line that is being drawn."""
-    return workbench.sampled(edits.rays(fields.get("scan")))
+def sample_line(context: Context, client: Client, fields: Fields) -> Reply:
+    """Return the sample points of a line that is being drawn."""
+    return context.queries.sample_line(edits.rays(fields.get("scan")))
 
 
-def probe(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Return what the scan measured along a ray."""
-    return workbench.probed(edits.rays([fields.get("scan")])[0])
+def probe(context: Context, client: Client, fields: Fields) -> Reply:
+    """Return the scan's measurement along a ray."""
+    return context.queries.probe(edits.rays([fields.get("scan")])[0])
 
 
-def run(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Begin a job."""
+def run(context: Context, client: Client, fields: Fields) -> Reply:
+    """Start a job."""
     job = fields.get("job")
     if not isinstance(job, str):
-        raise OptionError("say which job")
-    return {"job": workbench.run(job, fields.get("photo"), person)}
+        raise OptionError("give the name of a job")
+    return {"job": context.jobs.run(job, fields.get("photo"), client.name)}
 
 
-def job_control(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Pause, resume, stop, step or slow down the job."""
+def job_control(context: Context, client: Client, fields: Fields) -> Reply:
+    """Pause, resume, stop, step or change the speed of the job."""
     action = fields.get("action")
     if not isinstance(action, str):
-        raise OptionError("say what the job shall do: pause, resume, stop, step or speed")
-    workbench.runner.control(action[:_MOST_NAME], fields.get("value"))
+        raise OptionError("give an action: pause, resume, stop, step or speed")
+    context.runner.control(action[:_MAX_NAME], fields.get("value"))
     return {}
 
 
-def export_folder(workbench: Workbench, person: Person, fields: Fields) -> Answer:
-    """Write the results into a folder of the server's machine."""
+def export_folder(context: Context, client: Client, fields: Fields) -> Reply:
+    """Export the results into a folder of the server."""
     folder = _folder(fields.get("folder"))
-    return {"job": workbench.run_export(folder, fields.get("photo"), person, force=fields.get("force") is True)}
+    force = fields.get("force") is True
+    return {"job": context.jobs.run_export(folder, fields.get("photo"), client.name, force=force)}
 
 
 COMMANDS: dict[str, Command] = {
@@ -321,94 +351,94 @@ COMMANDS: dict[str, Command] = {
 }  # fmt: skip
 
 
+def _photo(context: Context, fields: Fields) -> PhotoEntry:
+    return edits.the_photo(context.session.document, fields.get("photo"))
+
+
 def _edit_photo(
-    workbench: Workbench,
-    person: Person,
+    context: Context,
+    client: Client,
     fields: Fields,
     label: str,
     edit: Callable[[PhotoEntry], PhotoEntry],
     *,
-    one_move: str = "",
+    merge_key: str = "",
 ) -> None:
-    photo = edits.the_photo(workbench.session.document, fields.get("photo")).id
-    workbench.session.commit(
-        label, partial(edits.edited_photo, photo_id=photo, edit=edit), author=person.name, one_move=one_move
+    photo = _photo(context, fields).id
+    context.session.commit(
+        label, partial(edits.edited_photo, photo_id=photo, edit=edit), author=client.name, merge_key=merge_key
     )
 
 
-def _camera(workbench: Workbench, person: Person, fields: Fields, camera: CameraGiven) -> None:
-    entry = edits.the_photo(workbench.session.document, fields.get("photo"))
-    workbench.check_camera(entry, camera)
-    _edit_photo(workbench, person, fields, f"Camera of {entry.source.name}", lambda p: edits.with_camera(p, camera))
-
-
-def _names(value: object) -> list[str]:
+def _pick_ids(value: object) -> list[str]:
     if not isinstance(value, list) or not value or not all(isinstance(name, str) for name in value):
-        raise OptionError("say which matches; none is chosen")
+        raise OptionError("no matches are selected; select some")
     return value
 
 
-def _those_there(workbench: Workbench, fields: Fields, ids: list[str]) -> list[str]:
-    """Return which of some ids are matches of the photograph, each once."""
+def _existing(context: Context, fields: Fields, ids: list[str]) -> list[str]:
+    """Return those ids that are matches of the photograph, without duplicates."""
     wanted = frozenset(ids)
-    return [
-        pick.id for pick in edits.the_photo(workbench.session.document, fields.get("photo")).picks if pick.id in wanted
-    ]
+    return [pick.id for pick in _photo(context, fields).picks if pick.id in wanted]
 
 
 def _folder(value: object) -> Path:
-    """Return the path of a folder, if a system could have one of that name."""
+    """Return the path of a folder if its name is valid."""
     text = value.strip() if isinstance(value, str) else ""
     if not text:
-        raise OptionError("give the folder that the results shall go to")
+        raise OptionError("give the folder to export to")
     if not text.isprintable():
-        raise OptionError("the folder's path holds control characters; write it anew")
-    if len(text.encode()) > _MOST_PATH or any(len(part.encode()) > _MOST_PART for part in Path(text).parts):
-        raise OptionError(f"the folder's path is too long: {_MOST_PATH} bytes are the most, {_MOST_PART} for each name")
+        raise OptionError("the folder's path contains control characters; enter it again")
+    if len(text.encode()) > _MAX_PATH or any(len(part.encode()) > _MAX_PATH_PART for part in Path(text).parts):
+        raise OptionError(f"the folder's path is too long; the limit is {_MAX_PATH} bytes, {_MAX_PATH_PART} per name")
     return Path(text)
 
 
 def _name(value: object) -> str:
     words = " ".join(str(value).split()) if isinstance(value, str) else ""
-    words = "".join(c for c in words if c.isprintable())[:_MOST_NAME]
+    words = "".join(c for c in words if c.isprintable())[:_MAX_NAME]
     if not words:
         raise OptionError("give a name")
     return words
 
 
-def _switch(value: object) -> bool:
+def _boolean(value: object) -> bool:
     if not isinstance(value, bool):
-        raise OptionError("a switch is on or off")
+        raise OptionError("a match is on or off: give true or false")
     return value
+
+
+def _enable(on: bool) -> str:
+    return "Enable" if on else "Disable"
 
 
 def _positive(value: object, what: str, *, most: float = 1e9) -> float:
     number = edits.finite(value)
     if number is None or not 1 / most <= number <= most:
-        raise OptionError(f"{what} is {_shown(value)}; it must be a positive number, at most {most:g}")
+        raise OptionError(f"{what} is {_quoted(value)}; it must be a positive number, at most {most:g}")
     return number
 
 
-def _shown(value: object) -> str:
-    """Return a value as an error quotes it: short, whatever a page sent."""
+def _quoted(value: object) -> str:
+    """Return a short quotation of any value for an error message."""
     if isinstance(value, str):
-        return repr(value[:_QUOTED])
+        return repr(value[:_MAX_QUOTE])
     number = edits.finite(value)
     if number is not None:
         return f"{number:g}"
-    return "nothing" if value is None else f"no number ({type(value).__name__})"
+    return "missing" if value is None else f"not a number ({type(value).__name__})"
 
 
 def _count(ids: list[str]) -> str:
     return "a match" if len(ids) == 1 else f"{len(ids)} matches"
 
 
-def _or_none(rows: list[list[float]]) -> list[list[float] | None]:
+def _finite_rows(rows: list[list[float]]) -> list[list[float] | None]:
     return [row if all(map(math.isfinite, row)) else None for row in rows]
 
 
 def _sentence(text: str) -> str:
     words = " ".join(text.split())
-    if len(words) > _LONGEST_SENTENCE:
-        words = f"{words[:_LONGEST_SENTENCE]}..."
+    if len(words) > _MAX_SENTENCE:
+        words = f"{words[:_MAX_SENTENCE]}..."
     return f"{words[:1].upper()}{words[1:]}" + ("" if words.endswith((".", "!", "?")) else ".")

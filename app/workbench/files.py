@@ -1,12 +1,13 @@
-"""Files that become part of the project: uploads, and those of a served folder."""
+"""Files that are added to the project: uploads, and files of a served folder."""
 
 from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import msgspec
 
@@ -14,33 +15,48 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 
-if TYPE_CHECKING:
-    from .workbench import Workbench
+from ..session.loader import Loader
+from ..session.session import Session
+from .queries import Queries
+from .selection import Selection
 
 What = Literal["scan", "photo", "camera", "matches"]
-_MOST_SERVED = 2000
-_DEEPEST = 4
+_MAX_SERVED = 2000
+_MAX_DEPTH = 4
 
 
 class Files:
-    """Checks files and makes them sources of the document."""
+    """Checks files and adds them to the document.
 
-    def __init__(self, workbench: Workbench, served: Path | None) -> None:
-        self._workbench = workbench
+    Args:
+        session: the session.
+        loader: its loader.
+        queries: checks cameras.
+        selection: the photograph that all clients see.
+        served: a folder whose files clients may open; None: none.
+    """
+
+    def __init__(
+        self, session: Session, loader: Loader, queries: Queries, selection: Selection, served: Path | None
+    ) -> None:
+        self._session = session
+        self._loader = loader
+        self._queries = queries
+        self._selection = selection
         self._served = served.resolve() if served else None
         self._listed: list[dict[str, Any]] = []
-        self.look_again()
+        self.list_served()
 
     def take(self, path: Path, name: str, what: str, photo: str | None, author: str) -> str:
-        """Open a file that was uploaded; where it is refused it is removed, but never once it is in the project.
+        """Open an uploaded file; one that is refused is deleted, unless the project already uses it.
 
         Raises:
-            LadarregError: if it is not what it is said to be.
+            LadarregError: if it is not of the stated kind.
         """
         try:
             return self.open(path, name, what, photo, author)
         except BaseException:
-            if not self._is_of_the_project(path):
+            if not self._is_in_project(path):
                 path.unlink(missing_ok=True)
             raise
 
@@ -48,46 +64,46 @@ class Files:
         """Open a file of the served folder.
 
         Raises:
-            LadarregError: if it is not there, or not what it is said to be.
+            LadarregError: if it does not exist, or is not of the stated kind.
         """
         if self._served is None:
-            raise OptionError("no folder is served; start with --folder, or upload the file")
+            raise OptionError("no folder is served; restart with --folder, or upload the file")
         offered = self._offered(self._served / path)
-        if offered is None:  # by the rule of the list: a reader's error quotes what it found
-            raise OptionError("there is no such file in the served folder; look again")
+        if offered is None:  # files that are not listed must not be read: errors of the readers quote contents
+            raise OptionError("there is no such file in the served folder; refresh the list")
         wanted, _ = offered
         return self.open(wanted, wanted.name, what, photo, author)
 
     def open(self, path: Path, name: str, what: str, photo: str | None, author: str) -> str:
-        """Make a file part of the project and return the id of what it became part of.
+        """Add a file to the project; return `scan` or the id of its photograph.
 
         Raises:
-            LadarregError: if it is not what it is said to be, or there is no photograph that it belongs to.
+            LadarregError: if it is not of the stated kind, or there is no photograph that it could belong to.
         """
         if what not in get_args(What):
-            raise OptionError(f"a file is opened as {', '.join(get_args(What))}")
-        if not _is_text(name) or not _is_text(str(path)):
-            raise OptionError("the file's name, or its folder's, is no Unicode text; rename it")
+            raise OptionError(f"a file can be opened as {', '.join(get_args(What))}; got {what[:40]!r}")
+        if not _is_unicode(name) or not _is_unicode(str(path)):
+            raise OptionError("the name of the file or of its folder is not valid Unicode; rename it")
         try:
             size = path.stat().st_size
         except OSError as error:
             raise OptionError(f"the file cannot be read: {error.strerror or error}; choose another") from None
-        source = Source(path=self._workbench.session.folder.relative(path), name=name, size=size)
+        source = Source(path=self._session.folder.relative(path), name=name, size=size)
         if what == "scan":
             return self._scan(source, author)
         if what == "photo":
             return self._photo(source, author)
-        entry = self._photo_meant(photo)
+        entry = self._target_photo(photo)
         if what == "camera":
             camera = CameraGiven(file=source)
-            self._workbench.check_camera(entry, camera)
+            self._queries.check_camera(entry, camera)
             self._edit(entry, f"Camera file {name}", lambda p: edits.with_camera(p, camera), author)
             return entry.id
         return self._matches(path, name, entry, author)
 
     def _scan(self, source: Source, author: str) -> str:
-        room, session = self._workbench.room, self._workbench.session
-        room.try_scan(source)  # before the commit: a scan that cannot be viewed would keep everybody out
+        session = self._session
+        self._loader.preload_scan(source)  # before the commit: a scan without views would keep all clients from joining
         name = session.document.name
 
         def edit(document: Document) -> Document:
@@ -98,8 +114,8 @@ class Files:
         return "scan"
 
     def _photo(self, source: Source, author: str) -> str:
-        # Without a camera it is a picture all the same: the page asks for the focal length.
-        self._workbench.room.try_photo(PhotoEntry(id="trial", source=source))
+        # A photograph without a camera is accepted: the page then requests the focal length.
+        self._loader.preload_photo(PhotoEntry(id="trial", source=source))
         made = ""
 
         def edit(document: Document) -> Document:
@@ -107,22 +123,21 @@ class Files:
             document, made = edits.with_photo(document, source)
             return document
 
-        self._workbench.session.commit(f"Open photograph {source.name}", edit, author=author)
-        self._workbench.show_photo(made)
+        self._session.commit(f"Open photo {source.name}", edit, author=author)
+        self._selection.show(made)
         return made
 
     def _matches(self, path: Path, name: str, entry: PhotoEntry, author: str) -> str:
-        room = self._workbench.room
-        scan = room.scan(self._workbench.session.document)
+        scan = self._loader.scan(self._session.document)
         if scan is None:
-            raise OptionError("matches belong to a scan; open the scan first")
-        picks = [replace(pick, origin="file") for pick in room.read_matches(path, scan)]
-        self._edit(entry, f"Read {len(picks)} matches of {name}", lambda p: edits.with_picks(p, picks)[0], author)
+            raise OptionError("matches need a scan; open the scan first")
+        picks = [replace(pick, origin="file") for pick in self._loader.read_matches(path, scan)]
+        self._edit(entry, f"Read {len(picks)} matches from {name}", lambda p: edits.with_picks(p, picks)[0], author)
         return entry.id
 
-    def _is_of_the_project(self, path: Path) -> bool:
+    def _is_in_project(self, path: Path) -> bool:
         """Return whether any step of the history refers to a file."""
-        session = self._workbench.session
+        session = self._session
         name = session.folder.relative(path)
         for document in {id(entry.document): entry.document for entry in session.history.entries}.values():
             sources = [document.scan, *(s for p in document.photos for s in (p.source, p.camera.file))]
@@ -130,26 +145,26 @@ class Files:
                 return True
         return False
 
-    def _photo_meant(self, photo: str | None) -> PhotoEntry:
+    def _target_photo(self, photo: str | None) -> PhotoEntry:
         if photo:
-            return edits.the_photo(self._workbench.session.document, photo)
-        shown = self._workbench.shown
+            return edits.the_photo(self._session.document, photo)
+        shown = self._selection.photo
         if shown is None:
-            raise OptionError("it belongs to a photograph; open the photograph first")
+            raise OptionError("this file belongs to a photograph; open the photograph first")
         return shown
 
-    def _edit(self, entry: PhotoEntry, label: str, edit: Any, author: str) -> None:
-        self._workbench.session.commit(label, lambda d: edits.edited_photo(d, entry.id, edit), author=author)
+    def _edit(self, entry: PhotoEntry, label: str, edit: Callable[[PhotoEntry], PhotoEntry], author: str) -> None:
+        self._session.commit(label, lambda d: edits.edited_photo(d, entry.id, edit), author=author)
 
-    def look_again(self) -> None:
-        """List the served folder anew."""
+    def list_served(self) -> None:
+        """List the served folder again."""
         if self._served is None:
             return
         found: list[dict[str, Any]] = []
         for folder, below, names in os.walk(self._served):
             here = Path(folder)
             depth = len(here.relative_to(self._served).parts)
-            below[:] = sorted(name for name in below if not _is_hidden(here / name)) if depth < _DEEPEST else []
+            below[:] = sorted(name for name in below if not _is_hidden(here / name)) if depth < _MAX_DEPTH else []
             for name in sorted(names):
                 path = here / name
                 offered = self._offered(path)
@@ -161,20 +176,19 @@ class Files:
                 except OSError:
                     continue
                 found.append({"path": path.relative_to(self._served).as_posix(), "size": size, "kind": kind})
-            if len(found) > _MOST_SERVED:
+            if len(found) > _MAX_SERVED:
                 break
-        self._listed = found[:_MOST_SERVED]
+        self._listed = found[:_MAX_SERVED]
 
     def _offered(self, path: Path) -> tuple[Path, str] | None:
-        """Return the file that a path below the served folder means, and its kind; None where it is not for the page.
+        """Return the target of a path below the served folder, and its kind; None if clients may not open it.
 
-        A file is for the page where nothing on the way to it is hidden, by its own name and by that of what a link
-        leads to, and where it is of a kind that can be opened.
+        They may open files of a known kind, unless any part of the path, or of the target of a link, is hidden.
         """
         from ladarreg_core.formats import listed_kind
 
         served = self._served
-        if served is None or not _is_text(str(path)):
+        if served is None or not _is_unicode(str(path)):
             return None
         try:
             target = path.resolve()
@@ -183,7 +197,7 @@ class Files:
                 if any(_is_hidden(served.joinpath(*steps[: k + 1])) for k in range(len(steps))):
                     return None
             kind = listed_kind(target) if target.is_file() else None
-        except (OSError, ValueError, RuntimeError):  # no path at all, one that leads out of the folder, or in circles
+        except (OSError, ValueError, RuntimeError):  # not a path, outside the folder, or a cycle of links
             return None
         return None if kind is None or kind not in get_args(What) else (target, kind)
 
@@ -193,7 +207,7 @@ class Files:
 
 
 def _is_hidden(path: Path) -> bool:
-    """Return whether a file or folder is one that its owner does not show: by a dot, or on Windows by an attribute."""
+    """Return whether a file or folder is hidden by a leading dot, or on Windows by an attribute."""
     if path.name.startswith("."):
         return True
     try:
@@ -202,8 +216,8 @@ def _is_hidden(path: Path) -> bool:
         return True
 
 
-def _is_text(name: str) -> bool:
-    """Return whether a name can be written and sent: on some systems a file's name is any bytes."""
+def _is_unicode(name: str) -> bool:
+    """Return whether a name is valid Unicode: on some systems file names are arbitrary bytes."""
     try:
         name.encode()
     except UnicodeEncodeError:

@@ -1,4 +1,4 @@
-"""Pictures for the page: encoded once, kept for as long as somebody may ask again."""
+"""Images for the page: rendered, encoded and cached."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import LadarregError, OptionError
 
 from ..gateway.protocol import Picture
-from ..session.loader import Workroom
+from ..session.loader import Loader
 from ..session.session import Session
 
 if TYPE_CHECKING:
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _JPEG_ABOVE_PIXELS = 2_500_000
 _JPEG_QUALITY = 93
-_MOST_DIGITS = 9
+_MAX_DIGITS = 9
 
 
-class Pictures:
-    """Draws what the page asks for."""
+class Images:
+    """Renders the images of the page."""
 
-    def __init__(self, session: Session, room: Workroom) -> None:
+    def __init__(self, session: Session, loader: Loader) -> None:
         self._session = session
-        self._room = room
+        self._loader = loader
 
     def picture(self, path: str, query: Mapping[str, str]) -> Picture:
-        """Return a picture.
+        """Return an image.
 
         Args:
-            path: below `picture/`: `scan`, `photo/ID`, `overlay/ID` or `registered/ID`.
-            query: as docs/workbench.md says.
+            path: path below `picture/`: `scan`, `photo/ID`, `overlay/ID` or `registered/ID`.
+            query: query parameters, see docs/workbench.md.
 
         Raises:
-            LadarregError: if there is none.
+            LadarregError: if there is no such image.
         """
         kind, _, photo_id = path.strip("/").partition("/")
         document = self._session.document
@@ -52,27 +52,27 @@ class Pictures:
             raise OptionError("there is no such photograph")
         if kind == "photo":
             key: Any = (entry.source, entry.camera.file)
-            return self._room.kept("picture", ("photo", key), lambda: self._photo(entry))
+            return self._loader.cached("picture", ("photo", key), lambda: self._photo(entry))
         pose = entry.stage(query["stage"]) if query.get("stage") else entry.pose
         if pose is None or kind not in ("overlay", "registered"):
-            raise OptionError("there is no pose, and so no overlay; solve first")
-        words = tuple(sorted((k, v) for k, v in query.items() if k not in ("rev", "stage")))
-        key = (kind, id(pose), words)
+            raise OptionError("there is no pose to overlay; solve first")
+        options = tuple(sorted((k, v) for k, v in query.items() if k not in ("rev", "stage")))
+        key = (kind, id(pose), options)
         make = self._overlay if kind == "overlay" else self._registered
-        return self._room.kept("picture", key, lambda: (pose, make(entry, pose, query)))[1]
+        return self._loader.cached("picture", key, lambda: (pose, make(entry, pose, query)))[1]
 
-    def draw_ahead(self) -> None:
-        """Draw the scan as a page shows it at first, in a thread: it will be the first to be asked for."""
+    def prerender(self) -> None:
+        """Render the scan in its default display, in a thread; it is the first image that a page requests."""
 
-        def draw() -> None:
+        def render() -> None:
             try:
                 self._scan({})
             except LadarregError as error:
-                log.debug("there is nothing to draw: %s", error)
-            except Exception:  # whoever asks for the picture is told
-                log.exception("the scan could not be drawn")
+                log.debug("there is nothing to render: %s", error)
+            except Exception:  # a page that requests the image gets the error
+                log.exception("the scan could not be rendered")
 
-        threading.Thread(target=draw, name="picture", daemon=True).start()
+        threading.Thread(target=render, name="picture", daemon=True).start()
 
     def _scan(self, query: Mapping[str, str]) -> Picture:
         from ladarreg_core.inspection.pictures import Stretch, scan_picture
@@ -85,10 +85,10 @@ class Pictures:
             equalise=query.get("equalise") == "1",
         )
         key = ("scan", id(view), show, stretch)
-        return self._room.kept("picture", key, lambda: (view, _png(scan_picture(view, show, stretch))))[1]
+        return self._loader.cached("picture", key, lambda: (view, _png(scan_picture(view, show, stretch))))[1]
 
     def _photo(self, entry: PhotoEntry) -> Picture:
-        pixels = self._room.photo_to_look_at(entry).pixels
+        pixels = self._loader.viewable_photo(entry).pixels
         if pixels.shape[0] * pixels.shape[1] <= _JPEG_ABOVE_PIXELS:
             return _png(pixels)
         from PIL import Image
@@ -100,34 +100,34 @@ class Pictures:
     def _overlay(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> Picture:
         from ladarreg_core.inspection.overlays import scan_over_photo
 
-        answer = self._room.answer(pose)
+        result = self._loader.registration(pose)
         show = query.get("show", "intensity")
-        return _png(scan_over_photo(self._the_scan(), answer.camera, answer.camera_from_scanner, show))
+        return _png(scan_over_photo(self._scan_or_raise(), result.camera, result.camera_from_scanner, show))
 
     def _registered(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> Picture:
         from ladarreg_core.inspection.model_textures import texture_without_z_buffer
         from ladarreg_core.inspection.overlays import photo_over_scan
         from ladarreg_core.surface.texture import texture_scan
 
-        scan, answer, photo = self._the_scan(), self._room.answer(pose), self._room.photo(entry)
+        scan, result, photo = self._scan_or_raise(), self._loader.registration(pose), self._loader.photo(entry)
         if query.get("z_buffer") == "0":
-            texture = texture_without_z_buffer(scan, photo, answer)
+            texture = texture_without_z_buffer(scan, photo, result)
         else:
-            texture = texture_scan(scan, photo, answer.camera_from_scanner, camera=answer.camera)
+            texture = texture_scan(scan, photo, result.camera_from_scanner, camera=result.camera)
         return _png(photo_over_scan(self._view(query), texture))
 
-    def _the_scan(self) -> Scan:
-        scan = self._room.scan(self._session.document)
+    def _scan_or_raise(self) -> Scan:
+        scan = self._loader.scan(self._session.document)
         if scan is None:
             raise OptionError("there is no scan; open one")
         return scan
 
     def _view(self, query: Mapping[str, str]) -> View:
-        views = self._room.views(self._session.document)
+        views = self._loader.views(self._session.document)
         if not views:
             raise OptionError("there is no scan; open one")
         index = query.get("view", "0")
-        if not index.isdecimal() or len(index) > _MOST_DIGITS or int(index) >= len(views):
+        if not index.isdecimal() or len(index) > _MAX_DIGITS or int(index) >= len(views):
             raise OptionError(f"there is no view {index[:20]!r}; the scan has {len(views)}")
         return views[int(index)].view
 

@@ -1,4 +1,4 @@
-"""A photograph's answers as the page is told them: judged picks, and every stage with its verdict."""
+"""The slices on a photograph's poses: pick errors, and every stage with its verdict."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.inspection.figures import figures, parameters
 from ladarreg_core.project.results import pose_of
+from ladarreg_core.results import STAGE_LABELS
 
-from ..jobs.solve import STAGE_NAMES
 from ..messages import verdict
 
 if TYPE_CHECKING:
@@ -21,19 +21,20 @@ if TYPE_CHECKING:
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.scan import Scan
 
-    from ..session.loader import Workroom
+    from ..session.loader import Loader
 
 
 log = logging.getLogger(__name__)
-_LEAST_TO_WARN = 4
+_LEAST_MATCHES = 4
+"""The number of matches from which on cautions are computed."""
 
 
-def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEntry) -> dict[str, Any]:
-    """Return what the shown pose says of the picks, and what the scan measures under drawn lines."""
+def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEntry) -> dict[str, Any]:
+    """Return the slice `judged`: errors of the picks under the shown pose, samples of lines, losses and cautions."""
     from ladarreg_core.inspection.picks import judge_picks
 
-    picks = room.picks(entry)
-    lines = {pick.id: line_shown(room, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
+    picks = loader.picks(entry)
+    lines = {pick.id: sampled_line(loader, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
     found: dict[str, Any] = {
         "stage": entry.shown_stage,
         "by_pick": {},
@@ -44,16 +45,16 @@ def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEn
     }
     if photo is None:
         return found
-    measured = room.measured(scan, photo)
+    measured = loader.measured(scan, photo)
     found["losses"] = list(measured.losses(picks))
-    found["cautions"] = _cautions(room, measured.joined([pick for pick in picks if pick.on]), photo, entry)
+    found["cautions"] = _cautions(loader, measured.joined([pick for pick in picks if pick.on]), photo, entry)
     if entry.pose is None or not picks:
         return found
     try:
-        answer = room.answer(entry.pose)
-    except LadarregError:  # its matches are missing, which its stage says in its verdict
+        registration = loader.registration(entry.pose)
+    except LadarregError:  # its matches are missing, which the verdict of its stage states
         return found
-    for name, judged in judge_picks(measured, picks, answer).items():
+    for name, judged in judge_picks(measured, picks, registration).items():
         found["by_pick"][name] = {
             "px": number(judged.px),
             "mm": number(judged.mm),
@@ -65,65 +66,65 @@ def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEn
     return found
 
 
-def _cautions(room: Workroom, matches: Matches, photo: Photo, entry: PhotoEntry) -> list[str]:
-    """Return what is to be feared of the thesis's methods on these matches, before anybody solves by them."""
+def _cautions(loader: Loader, matches: Matches, photo: Photo, entry: PhotoEntry) -> list[str]:
+    """Return the limits of the thesis's methods on these matches, before they are solved."""
     from ladarreg_core.quality.stereo_limits import stereo_cautions
 
-    if len(matches) < _LEAST_TO_WARN:
+    if len(matches) < _LEAST_MATCHES:
         return []
     pose = entry.pose
     try:
         known = pose_of(pose) if pose is not None and pose.accepted else None
         return list(stereo_cautions(matches, photo.camera, pose=known))
     except LadarregError as error:
-        log.debug("nothing can be foreseen: %s", error)
+        log.debug("no cautions can be computed: %s", error)
         return []
 
 
-def line_shown(room: Workroom, scan: Scan, ends: Any) -> dict[str, Any]:
-    """Return a line's samples and which of them have a range."""
+def sampled_line(loader: Loader, scan: Scan, ends: Any) -> dict[str, Any]:
+    """Return the sample points of a line on the scan, and which of them have a range."""
     from ladarreg_core.inspection.picks import sample_line
 
     key = ("line", id(scan), tuple(tuple(ray) for ray in ends))
-    line = room.kept("line", key, lambda: sample_line(scan, ends))
+    line = loader.cached("line", key, lambda: sample_line(scan, ends))
     samples = [[ray, known] for ray, known in zip(line.rays.tolist(), line.known, strict=True)]
     return {"scan_samples": samples, "sampled": line.sampled, "used": line.used}
 
 
-def poses_slice(room: Workroom, entry: PhotoEntry) -> dict[str, Any]:
-    """Return every stage's answer, with what there is to say of it where that was looked into."""
-    return {"shown": entry.shown_stage, "stages": [_stage(room, pose) for pose in entry.poses]}
+def poses_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
+    """Return the slice `poses`: every stage with its verdict and, once computed, its assessment."""
+    return {"shown": entry.shown_stage, "stages": [_stage(loader, pose) for pose in entry.poses]}
 
 
-def _stage(room: Workroom, pose: PoseEntry) -> dict[str, Any]:
+def _stage(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
     try:
-        answer = room.answer(pose)
+        registration = loader.registration(pose)
     except LadarregError as error:
-        return {"stage": pose.stage, "label": STAGE_NAMES[pose.stage], "accepted": False, "verdict": str(error)}
+        return {"stage": pose.stage, "label": STAGE_LABELS[pose.stage], "accepted": False, "verdict": str(error)}
     return {
         "stage": pose.stage,
-        "label": STAGE_NAMES[pose.stage],
+        "label": STAGE_LABELS[pose.stage],
         "method": pose.method,
         "accepted": pose.accepted,
         "evidence": pose.evidence,
-        "verdict": verdict(answer),
+        "verdict": verdict(registration),
         "reasons": list(pose.reasons),
         "note": pose.note,
-        "parameters": [asdict(parameter) for parameter in parameters(answer)],
-        "matches": len(answer.matches),
-        **{name: number(value) for name, value in asdict(figures(answer)).items()},
-        "cost": number(answer.chi2_per_dof),
-        "centre": answer.camera_from_scanner.centre.tolist(),
-        "focal_px": answer.camera.focal_px,
-        "camera_sigmas": dict(answer.camera_sigmas),
+        "parameters": [asdict(parameter) for parameter in parameters(registration)],
+        "matches": len(registration.matches),
+        **{name: number(value) for name, value in asdict(figures(registration)).items()},
+        "cost": number(registration.chi2_per_dof),
+        "centre": registration.camera_from_scanner.centre.tolist(),
+        "focal_px": registration.camera.focal_px,
+        "camera_sigmas": dict(registration.camera_sigmas),
         "seconds": pose.seconds,
         "regions": [list(region) for region in pose.diagnostics.get("verification", {}).get("regions", [])],
         "steps": [{"name": step.name, "seconds": step.seconds} for step in pose.steps],
-        **_to_say(room.assessed(pose)),
+        **_assessment_fields(loader.known_assessment(pose)),
     }
 
 
-def _to_say(assessment: Assessment | None) -> dict[str, Any]:
+def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
     if assessment is None:
         return {}
     return {
@@ -149,5 +150,5 @@ def _match_to_check(assessment: Assessment) -> str | None:
 
 
 def number(value: float) -> float | None:
-    """Return a number as JSON knows it."""
+    """Return a finite number; None, JSON's null, for any other."""
     return value if math.isfinite(value) else None

@@ -1,135 +1,155 @@
-"""Between the session and the 3-D stage: what is shown there follows the document."""
+"""Synchronises the 3-D scene with the document."""
 
 from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import LadarregError
 
-from ..session.debounce import Quiet
+from ..scene.model_view import ModelChoice
+from ..session.debounce import Debouncer
+from ..session.loader import Loader
+from ..session.session import Session
+from .selection import Selection
 
 if TYPE_CHECKING:
     from ..jobs.runner import Job
     from ..jobs.simplex import Frame
-    from ..scene import Stage3D
-    from ..scene.model_view import ModelChoice
-    from .workbench import Workbench
+    from ..scene import Scene3D
 
 log = logging.getLogger(__name__)
 
 
-class StageLink:
-    """Refreshes the stage in a thread of its own; without a stage it does nothing."""
+class SceneSync:
+    """Updates the scene in a thread of its own; has no effect before a scene is attached.
 
-    def __init__(self, workbench: Workbench) -> None:
-        self._workbench = workbench
-        self._stage: Stage3D | None = None
-        self._quiet = Quiet()
-        self._drawn: Any = None
-        self._walks = False
+    Args:
+        session: the session.
+        loader: its loader.
+        selection: the photograph to show.
+    """
+
+    def __init__(self, session: Session, loader: Loader, selection: Selection) -> None:
+        self._session = session
+        self._loader = loader
+        self._selection = selection
+        self._scene: Scene3D | None = None
+        self.model = ModelChoice()
+        """The display of the model, which all clients share."""
+        self._model_lock = threading.Lock()
+        self._debouncer = Debouncer()
+        self._shown: Any = None
+        self._simplex_runs = False
         self._iterations = 0
         self._last_iteration = 0
-        self._thread = threading.Thread(target=self._work, name="stage link", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="scene sync", daemon=True)
         self._thread.start()
 
-    def attach(self, stage: Stage3D) -> None:
-        """Draw into this stage from now on."""
-        self._stage = stage
-        self.set_model(self._workbench.model)
+    def attach(self, scene: Scene3D) -> None:
+        """Update this scene from now on."""
+        self._scene = scene
+        scene.set_model(**asdict(self.model))
         self.refresh()
 
     def refresh(self) -> None:
-        """Have the stage follow the document."""
-        self._quiet.ask()
+        """Update the scene soon."""
+        self._debouncer.request()
 
-    def set_model(self, model: ModelChoice) -> None:
-        """Show the model in another way."""
-        if self._stage is not None:
-            self._stage.set_model(**asdict(model))
+    def set_model(self, wanted: Mapping[str, Any]) -> None:
+        """Change the display of the model.
+
+        Raises:
+            OptionError: if there is no such choice.
+        """
+        with self._model_lock:
+            self.model = self.model.changed(wanted)
+        if self._scene is not None:
+            self._scene.set_model(**asdict(self.model))
 
     def highlight(self, pick_id: str | None) -> None:
-        """Mark a match."""
-        if self._stage is not None:
-            self._stage.highlight(pick_id)
+        """Highlight a match; None: no match."""
+        if self._scene is not None:
+            self._scene.highlight(pick_id)
 
     def watch_simplex(self, frame: Frame) -> None:
-        """Draw a moment of the simplex."""
-        if self._stage is None:
+        """Show an iteration of the simplex."""
+        if self._scene is None:
             return
         from ..scene import SimplexFrame
 
-        if not self._walks:
-            self._walks, self._iterations, self._last_iteration = True, 0, 0
-            self._stage.simplex_started()
+        if not self._simplex_runs:
+            self._simplex_runs, self._iterations, self._last_iteration = True, 0, 0
+            self._scene.simplex_started()
         number = frame.step.simplex.iteration
-        if number < self._last_iteration:  # another descent began
+        if number < self._last_iteration:  # another descent has begun
             self._iterations += self._last_iteration
         self._last_iteration = number
-        moment = SimplexFrame.of(frame.step, iteration=self._iterations + number)
+        shown = SimplexFrame.of(frame.step, iteration=self._iterations + number)
         if frame.last:
-            self._walks = False
-            self._stage.simplex_ended(moment)
+            self._simplex_runs = False
+            self._scene.simplex_ended(shown)
         else:
-            self._stage.simplex_step(moment)
+            self._scene.simplex_step(shown)
 
     def job_changed(self, job: Job) -> None:
-        """Let the stage's controls say whether the walk waits, and end a walk that came to nothing."""
-        if self._stage is None or not self._walks:
+        """Show whether the simplex is paused, and end one that failed."""
+        if self._scene is None or not self._simplex_runs:
             return
         if job.runs:
-            self._stage.simplex_paused(paused=job.state == "paused")
+            self._scene.simplex_paused(paused=job.state == "paused")
         else:
-            self._walks = False
-            self._stage.simplex_ended(None)
+            self._simplex_runs = False
+            self._scene.simplex_ended(None)
 
     def close(self) -> None:
-        """End the thread."""
-        self._quiet.close()
+        """End the thread and close the scene."""
+        self._debouncer.close()
         self._thread.join(30)
-        if self._stage is not None:
-            self._stage.close()
+        if self._scene is not None:
+            self._scene.close()
 
     def _work(self) -> None:
-        while self._quiet.wait():
+        while self._debouncer.wait():
             try:
-                self._follow()
+                self._update()
             except LadarregError as error:
-                log.info("the stage cannot follow: %s", error)
+                log.info("the scene cannot be updated: %s", error)
             except Exception:
-                log.exception("the stage cannot follow")
+                log.exception("the scene cannot be updated")
 
-    def _follow(self) -> None:
-        stage, workbench = self._stage, self._workbench
-        if stage is None:
+    def _update(self) -> None:
+        scene = self._scene
+        if scene is None:
             return
         from ladarreg_core.inspection.picks import picks_in_space
 
         from ..scene.colours import MATCH_COLOURS
 
-        room, document = workbench.room, workbench.session.document
-        scan, entry = room.scan(document), workbench.shown
+        loader = self._loader
+        scan, entry = loader.scan(self._session.document), self._selection.photo
         pose = entry.pose if entry is not None else None
         shown = (id(scan), id(pose), None if entry is None else (entry.id, entry.source, entry.camera))
-        if shown != self._drawn:
-            self._drawn = shown
+        if shown != self._shown:
+            self._shown = shown
             if scan is None or entry is None:
-                stage.show_scan(scan)
+                scene.show_scan(scan)
             else:
                 try:
-                    photo = room.photo(entry)
+                    photo = loader.photo(entry)
                 except LadarregError:
                     photo = None
                 try:
-                    answer = None if pose is None or photo is None else room.answer(pose)
-                except LadarregError:  # its matches are missing, which its stage says in its verdict
-                    answer = None
-                stage.show_registration(scan, photo, answer, name=entry.source.name)
+                    registration = None if pose is None or photo is None else loader.registration(pose)
+                except LadarregError:  # its matches are missing, which the verdict of its stage states
+                    registration = None
+                scene.show_registration(scan, photo, registration, name=entry.source.name)
         if scan is None or entry is None:
             return
-        points, ids, on = picks_in_space(scan, room.picks(entry))
+        points, ids, on = picks_in_space(scan, loader.picks(entry))
         numbers = {pick.id: pick.number for pick in entry.picks}
         colours = [MATCH_COLOURS[(numbers[name] - 1) % len(MATCH_COLOURS)] for name in ids]
-        stage.show_picks(points, colours, on, ids)
+        scene.show_picks(points, colours, on, ids)

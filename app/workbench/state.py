@@ -1,4 +1,4 @@
-"""The state as the page is told it, slice by slice (docs/workbench.md)."""
+"""The slices of the state for the page, poses aside (docs/workbench.md)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from msgspec import Struct, json
 
 from ladarreg_core.errors import CameraError, LadarregError
 
-from ..session.loader import Workroom
+from ..session.loader import Loader
 from ..session.session import Session
 
 if TYPE_CHECKING:
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from ladarreg_core.project.history import Entry, History
 
     from ..jobs.runner import Job
-    from ..session.cache import EachOnce
+    from ..session.cache import ListCache
 
 log = logging.getLogger(__name__)
-_TOLD_HISTORY = 300
+_MAX_HISTORY = 300
 
 
 def project_slice(session: Session) -> dict[str, Any]:
-    """Return what the header shows of the project."""
+    """Return the slice `project`."""
     history = session.history
     undone, redone = history.undone, history.redone
     return {
@@ -41,35 +41,35 @@ def project_slice(session: Session) -> dict[str, Any]:
     }
 
 
-def history_slice(history: History, each: EachOnce[Entry, dict[str, Any]]) -> dict[str, Any]:
-    """Return the last entries, as `entry_shown` shows each."""
-    return {"at": history.present.number, "entries": each.of("history", history.entries[-_TOLD_HISTORY:])}
+def history_slice(history: History, entries: ListCache[Entry, dict[str, Any]]) -> dict[str, Any]:
+    """Return the slice `history` with the newest entries, each made by `history_entry`."""
+    return {"at": history.present.number, "entries": entries.get("history", history.entries[-_MAX_HISTORY:])}
 
 
-def entry_shown(entry: Entry) -> dict[str, Any]:
-    """Return one entry of the history."""
+def history_entry(entry: Entry) -> dict[str, Any]:
+    """Return an entry of the slice `history`."""
     return {"n": entry.number, "label": entry.label, "author": entry.author, "when": clock(entry.when)}
 
 
-def scan_slice(room: Workroom, document: Document) -> dict[str, Any] | None:
-    """Return the scan and its views; with `error` where it cannot be read any more, or not be viewed."""
+def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
+    """Return the slice `scan`; with `error` if it can no longer be read, or no view can show it."""
     from ladarreg_core.inspection.views import resolution_note
 
     source = document.scan
     if source is None:
         return None
     try:
-        scan, views = room.scan(document), room.views(document)
+        scan, views = loader.scan(document), loader.views(document)
     except LadarregError as error:
         return _missing_scan(source.name, str(error))
-    except Exception as error:  # what one scan does must not keep everybody out
-        log.exception("the scan")
+    except Exception as error:  # a faulty scan must not keep clients from joining
+        log.exception("the scan cannot be loaded")
         return _missing_scan(source.name, f"it cannot be read ({type(error).__name__}); open another scan")
     assert scan is not None
     rows, columns = scan.shape
     note = resolution_note(scan, views)
     return {
-        "id": f"s{_mark(source)}",
+        "id": f"s{_digest(source)}",
         "name": source.name,
         "rows": rows,
         "columns": columns,
@@ -96,19 +96,19 @@ def _missing_scan(name: str, error: str) -> dict[str, Any]:
     return {"id": "missing", "name": name, "error": error, "views": [], "notes": []}
 
 
-def _mark(*known: Struct) -> str:
-    """Return a short name of what is known of a file: after a restart the same, or pages would drop what they hold."""
-    return blake2b(json.encode(known), digest_size=8).hexdigest()
+def _digest(*parts: Struct) -> str:
+    """Return a digest that is the same after a restart, so that pages keep their images."""
+    return blake2b(json.encode(parts), digest_size=8).hexdigest()
 
 
-def photo_slice(room: Workroom, entry: PhotoEntry) -> dict[str, Any]:
-    """Return one photograph; without a camera where nothing tells its focal length."""
+def photo_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
+    """Return an entry of the slice `photos`; without a camera if its focal length is unknown."""
     found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
-    found["rev"] = _mark(entry.source, entry.camera)
+    found["rev"] = _digest(entry.source, entry.camera)
     photo: Photo | None = None
     try:
         try:
-            photo = room.photo(entry)
+            photo = loader.photo(entry)
             camera = photo.camera
             found["camera"] = {
                 **camera.as_fields(),
@@ -118,13 +118,13 @@ def photo_slice(room: Workroom, entry: PhotoEntry) -> dict[str, Any]:
             }
         except CameraError as error:
             found["camera_error"] = str(error)
-            photo = room.photo_to_look_at(entry)
+            photo = loader.viewable_photo(entry)
     except LadarregError as error:
         return {**found, "width": 0, "height": 0, "thermal": False, "error": str(error)}
-    except Exception as error:  # what one photograph does must not keep everybody out
-        log.exception("the photograph %s", entry.id)
-        trouble = f"it cannot be read ({type(error).__name__}); remove it, or open it anew"
-        return {**found, "width": 0, "height": 0, "thermal": False, "error": trouble}
+    except Exception as error:  # a faulty photograph must not keep clients from joining
+        log.exception("the photograph %s cannot be loaded", entry.id)
+        problem = f"it cannot be read ({type(error).__name__}); remove it, or open it again"
+        return {**found, "width": 0, "height": 0, "thermal": False, "error": problem}
     height, width = photo.pixels.shape[:2]
     found.update(width=width, height=height, thermal=photo.temperature_k is not None, notes=list(photo.notes))
     pose = entry.pose
@@ -133,8 +133,8 @@ def photo_slice(room: Workroom, entry: PhotoEntry) -> dict[str, Any]:
     return found
 
 
-def pick_shown(pick: PickEntry) -> dict[str, Any]:
-    """Return one pick."""
+def pick_entry(pick: PickEntry) -> dict[str, Any]:
+    """Return an entry of the slice `picks`."""
     return {
         "id": pick.id,
         "number": pick.number,
@@ -148,7 +148,7 @@ def pick_shown(pick: PickEntry) -> dict[str, Any]:
 
 
 def job_slice(job: Job | None) -> dict[str, Any] | None:
-    """Return the present job, or the last one."""
+    """Return the slice `job`: the present job, or the last one."""
     if job is None:
         return None
     return {
@@ -160,19 +160,19 @@ def job_slice(job: Job | None) -> dict[str, Any] | None:
         "state": job.state,
         "done": job.done,
         "total": job.total,
-        "said": job.said,
+        "said": job.message,
         "seconds": round(job.seconds, 1),
         "can": list(job.can) if job.runs else [],
         "speed": job.speed,
         "steps": [
-            {"name": step.name, "seconds": round(step.seconds, 3), "said": detail_in_words(step.detail)}
+            {"name": step.name, "seconds": round(step.seconds, 3), "said": describe_detail(step.detail)}
             for step in list(job.steps)
         ],
     }
 
 
-def detail_in_words(detail: Any) -> str:
-    """Return a step's figures in one line."""
+def describe_detail(detail: Any) -> str:
+    """Return the figures of a step in one line."""
     parts = []
     for name, value in dict(detail).items():
         if isinstance(value, str):

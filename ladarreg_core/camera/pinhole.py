@@ -1,4 +1,4 @@
-"""The camera model: a pinhole with OpenCV's radial and tangential distortion."""
+"""The pinhole camera with OpenCV's radial and tangential distortion."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from ladarreg_core.errors import CameraError
 
 _TERMS = (0, 4, 5, 8)
 _NEWTON_STEPS = 20
-_FOCAL_PX = (1e-6, 1e12)  # beyond, squares leave the range of numbers, and no lens is left
+_FOCAL_PX = (1e-6, 1e12)  # squares of others leave the range of floating point
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics of a camera; pixels are (u, v), and (0, 0) is the centre of the top-left pixel.
+    """Camera intrinsics; pixels are (u, v), with (0, 0) at the centre of the top-left pixel.
 
     Raises:
-        CameraError: if a size or focal length is not positive, a focal length is absurd, a number is not finite, or the
-            distortion has not 0, 4, 5 or 8 terms.
+        CameraError: if a size or focal length is not positive, a focal length is implausible, a number is not finite,
+            or the distortion does not have 0, 4, 5 or 8 terms.
     """
 
     width: int
@@ -66,7 +66,7 @@ class Camera:
 
     @staticmethod
     def from_focal(width: int, height: int, focal_px: float) -> Camera:
-        """Return an ideal camera of one focal length with its principal point in the middle of the picture."""
+        """Return a camera without distortion, of one focal length, its principal point in the middle of the image."""
         return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
 
     def as_fields(self) -> dict[str, Any]:
@@ -97,15 +97,15 @@ class Camera:
         return float(np.sqrt(self.fx * self.fy))
 
     def without_distortion(self) -> Camera:
-        """Return the same camera with an ideal lens."""
+        """Return the same camera without distortion."""
         return replace(self, distortion=())
 
     def scaled(self, factor: float) -> Camera:
-        """Return the camera of the picture resized by `factor` (by area: outer borders stay); sizes are rounded."""
+        """Return the camera of the image resized by `factor`, outer borders fixed; sizes are rounded."""
         return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
 
     def resized(self, width: int, height: int) -> Camera:
-        """Return the camera of the picture resized to `width` x `height` pixels (by area: outer borders stay)."""
+        """Return the camera of the image resized to `width` x `height` pixels, outer borders fixed."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,
@@ -118,7 +118,7 @@ class Camera:
         )
 
     def contains(self, uv: ArrayLike, *, border: float = 0.0) -> NDArray[np.bool_]:
-        """Return which pixels (..., 2) lie within the picture, `border` pixels inside its outermost pixel centres."""
+        """Return which pixels (..., 2) lie within the image, `border` pixels inside its outermost pixel centres."""
         p = np.asarray(uv)
         u, v = p[..., 0], p[..., 1]
         with np.errstate(invalid="ignore"):
@@ -126,14 +126,14 @@ class Camera:
         return np.asarray(inside, dtype=np.bool_)
 
     def project(self, points_camera: ArrayLike) -> FloatArray:
-        """Project points into the picture.
+        """Project points into the image.
 
         Args:
             points_camera: (..., 3), camera frame, m; float32 stays float32.
 
         Returns:
             uv (..., 2), pixels; NaN for points at or behind the camera, and for points so far off the axis that the
-            lens polynomial folds back into the picture.
+            distortion polynomial folds back into the image.
         """
         p = np.asarray(points_camera)
         if p.dtype.kind != "f":
@@ -147,7 +147,7 @@ class Camera:
                          y * p.dtype.type(self.fy) + p.dtype.type(self.cy)], axis=-1)  # fmt: skip
 
     def project_with_jacobian(self, points_camera: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Project points, with the derivative of the pixel by the point.
+        """Project points, with the derivative of the pixel with respect to the point.
 
         Args:
             points_camera: (..., 3), camera frame, m.
@@ -179,7 +179,7 @@ class Camera:
             uv: (..., 2), pixels.
 
         Returns:
-            rays_camera (..., 3), unit; NaN where no ray of the lens meets the pixel.
+            rays_camera (..., 3), unit; NaN for pixels that the distortion maps no ray to.
         """
         p = np.asarray(uv, dtype=np.float64)
         xd, yd = (p[..., 0] - self.cx) / self.fx, (p[..., 1] - self.cy) / self.fy
@@ -188,13 +188,13 @@ class Camera:
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
     def intrinsics_jacobian(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the derivative of pixels by (log f, k1, cx, cy), f scaling fx and fy alike.
+        """Return the derivative of pixels with respect to (log f, k1, cx, cy), where f scales fx and fy alike.
 
         Args:
-            xy: (..., 2), ideal picture coordinates (tangents).
+            xy: (..., 2), undistorted image coordinates (tangents).
 
         Returns:
-            d uv / d (log f, k1, cx, cy), (..., 2, 4), px; NaN in its first columns beyond the lens.
+            d uv / d (log f, k1, cx, cy), (..., 2, 4), px; the first columns are NaN beyond the fold of the distortion.
         """
         x, y = np.moveaxis(np.asarray(xy, dtype=np.float64), -1, 0)
         _, _, _, _, _, k4, k5, k6 = self._coefficients
@@ -214,7 +214,7 @@ class Camera:
 
     @cached_property
     def _fold_radius_squared(self) -> float:
-        """The squared radius (x^2 + y^2) beyond which the radial polynomial turns back; infinite if it never does."""
+        """The squared radius (x^2 + y^2) beyond which the radial polynomial folds back; infinite if it never does."""
         k1, k2, _, _, k3, k4, k5, k6 = self._coefficients
         r = np.tan(np.linspace(0, np.deg2rad(89), 4000))
         s = r * r
@@ -244,7 +244,7 @@ class Camera:
         return np.asarray(J)
 
     def _undistort(self, xd: FloatArray, yd: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Invert `_distort` by Newton's method: OpenCV's default iteration errs by .4 px on strong lenses."""
+        """Invert `_distort` by Newton's method: OpenCV's default iteration is off by .4 px for strong distortion."""
         x, y = self._radial_start(xd, yd)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for _ in range(_NEWTON_STEPS):
@@ -256,14 +256,14 @@ class Camera:
                 dy = (J[..., 0, 0] * ey - J[..., 1, 0] * ex) / det
                 x, y = x + dx, y + dy
                 step = np.hypot(dx, dy)
-                if not (step >= 1e-14).any():  # NaN: beyond the lens, and settled as such
+                if not (step >= 1e-14).any():  # NaN: beyond the fold, final
                     break
             fx, fy = self._distort(x, y)
             found = np.hypot(fx - xd, fy - yd) < 1e-9
         return np.where(found, x, np.nan), np.where(found, y, np.nan)
 
     def _radial_start(self, xd: FloatArray, yd: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Invert the radial part by a table, so that Newton starts inside the lens's domain."""
+        """Invert the radial part by a table, so that Newton's method starts inside the domain of the distortion."""
         limit = np.sqrt(min(self._fold_radius_squared, np.tan(np.deg2rad(89)) ** 2)) * 0.999
         r = np.tan(np.linspace(0, np.arctan(limit), 2000))
         mapped = np.hypot(*self._distort(r, np.zeros_like(r)))
@@ -274,7 +274,7 @@ class Camera:
 
 
 def _number(value: Any) -> float:
-    """Return what is given as a float; NaN for what is no number."""
+    """Return a value as a float; NaN if it is not a number."""
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):

@@ -9,17 +9,9 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.comparison import Column, Comparison
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.results import PoseResult, StageName
+from ladarreg_core.results import STAGE_LABELS, PoseResult
 from ladarreg_core.scan import Scan
 
-TITLES: dict[StageName, str] = {
-    "linear": "Unconstrained least squares",
-    "constrained_linear": "Constrained least squares",
-    "simplex": "Simplex",
-    "simplex_outliers_removed": "Simplex, outliers removed",
-    "default": "Default",
-}
-"""Title of each stage, after the thesis's column heads."""
 NOTHING = "-"
 """Placeholder for undefined numbers."""
 _COMPARED_POINTS = 20_000
@@ -50,7 +42,7 @@ class Table:
 
 def title_of(column: Column) -> str:
     """Return the title of a column."""
-    return TITLES.get(column.stage.name, str(column.stage.name))
+    return STAGE_LABELS.get(column.stage.name, str(column.stage.name))
 
 
 def verdict_of(column: Column) -> str:

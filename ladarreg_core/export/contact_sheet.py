@@ -66,8 +66,7 @@ from ladarreg_core.export.match_panels import best_enlargement, match_panel
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.blend import intensity_picture
-from ladarreg_core.surface.texture import RegisteredTexture, model_picture
+from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture, model_picture
 
 SHEET_WIDTH = 2560
 """Width of the sheet, pixels."""

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.blend import intensity_picture
 from ladarreg_core.surface.mesh import grid_edges
-from ladarreg_core.surface.texture import RegisteredTexture
+from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture
 
 DETAIL_ASPECT = 4 / 3
 _DETAIL_SHARE = 0.17

@@ -1,1 +1,1 @@
-"""What is found in one picture: corners, orientation channels, descriptors."""
+"""Image features: corners, orientation channels, descriptors, and their correlation."""

@@ -1,6 +1,7 @@
-"""Orientation channels: what a laser and a camera agree on when their gray levels do not.
+"""Illumination-invariant orientation channels, comparable between laser and camera.
 
-Eight rectified, locally normalised responses to edge direction (mod pi, so contrast may reverse).
+Eight rectified, locally normalised responses to edge direction, modulo pi, so that they do not depend on the sign of
+the contrast.
 """
 
 from __future__ import annotations
@@ -14,17 +15,17 @@ ORIENTATIONS = 8
 _PRE_BLUR_PX = 0.8
 _SELECTIVITY = 0.83
 _STRIP_ROWS = 48
-_LEAST_FACTOR, _NOISE_FACTOR = 0.02, 1.0
+_MIN_FACTOR, _NOISE_FACTOR = 0.02, 1.0
 _ANGLES = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
 
 
 def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX) -> FloatArray:
     """Return the summed rectified channels of several gray planes.
 
-    The channels of each plane are summed, not their gradients: that would be one gray picture again.
+    The channels of the planes are summed, not their gradients: that would be equivalent to a single gray image.
 
     Args:
-        planes: pictures (H, W) of one size, in gray levels.
+        planes: images (H, W) of one size, in gray levels.
         pre_blur_px: Gaussian sigma before the gradients.
 
     Returns:
@@ -35,8 +36,8 @@ def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX)
     for plane in planes:
         smooth = cv2.GaussianBlur(np.ascontiguousarray(plane, dtype=np.float32), (0, 0), pre_blur_px)
         gradient = [np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *order), dtype=np.float32) for order in ((1, 0), (0, 1))]
-        # Strip by strip: the passes then run in the processor's cache. Sums and roots are NumPy's: OpenCV's differ in
-        # the last digit with the place of the array in memory, and the same picture must give the same pose.
+        # Strip by strip, so that the passes run in the processor's cache. Sums and roots are NumPy's: OpenCV's differ
+        # in the last digit with the alignment of the array in memory, and equal images must give equal poses.
         for top in range(0, height, _STRIP_ROWS):
             gx, gy = (g[top : top + _STRIP_ROWS] for g in gradient)
             floor = np.sqrt(gx * gx + gy * gy)
@@ -56,21 +57,21 @@ def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX)
 def normalised_channels(
     raw: FloatArray, *, blur_px: float = 1.5, local_px: float = 8.0, local_factor: float = 0.5
 ) -> FloatArray:
-    """Blur the channels and divide by their local strength, so that faint and strong edges count alike.
+    """Blur the channels and divide by their local strength, so that faint and strong edges have similar weight.
 
-    The picture's median strength is added to the divisor: most of a picture is not edges, so the median tells what is
-    noise, and noise is not to be lifted to the height of an edge. (Without it the speckle of a time-of-flight camera
-    on its flat walls outweighs what it shares with the photo.)
+    The median strength of the image is added to the divisor: most pixels are not edges, so the median measures the
+    noise, which must not be amplified to the strength of an edge. (Without it the speckle of a time-of-flight camera on
+    flat walls outweighs the structure that it shares with the photo.)
 
     Args:
         raw: (8, H, W).
         blur_px: Gaussian sigma of the blur.
-        local_px: Gaussian sigma of the neighbourhood whose mean strength divides.
-        local_factor: how strongly it divides.
+        local_px: Gaussian sigma of the neighbourhood for the local strength.
+        local_factor: weight of the local strength in the divisor.
 
     Returns:
-        (H, W, 8) float32, C / (n + factor blur(n) + median n + .02 max n) with n the norm over the channels; below
-        1 in norm.
+        (H, W, 8) float32, C / (n + factor blur(n) + median n + .02 max n) with n the norm over the channels; its norm
+        is below 1.
     """
     side = 2 * int(np.ceil(3 * blur_px)) - 1
     planes = [np.asarray(cv2.GaussianBlur(plane, (side, side), blur_px), dtype=np.float32) for plane in raw]
@@ -83,14 +84,14 @@ def normalised_channels(
         return np.zeros((*norm.shape, len(planes)), np.float32)
     noise = float(np.median(norm[norm > 0]))
     norm += np.float32(local_factor) * _broad_blur(norm, local_px)
-    norm += np.float32(_LEAST_FACTOR * largest + _NOISE_FACTOR * noise)
+    norm += np.float32(_MIN_FACTOR * largest + _NOISE_FACTOR * noise)
     for plane in planes:
         plane /= norm
     return np.asarray(cv2.merge(planes), dtype=np.float32)
 
 
 def _broad_blur(image: FloatArray, sigma_px: float) -> FloatArray:
-    """Blur with a broad Gaussian, at a quarter of the resolution: nothing finer is left anyway."""
+    """Blur with a broad Gaussian at a quarter of the resolution, which loses no detail at this width."""
     height, width = image.shape
     small = cv2.resize(image, (max(width // 4, 1), max(height // 4, 1)), interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(small, (0, 0), sigma_px / 4)
@@ -98,12 +99,12 @@ def _broad_blur(image: FloatArray, sigma_px: float) -> FloatArray:
 
 
 def channel_products(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the scalar products (...) of channel vectors (..., 8); as a matrix product, that is quick."""
+    """Return the scalar products (...) of channel vectors (..., 8), by a matrix product for speed."""
     return np.asarray((first * second) @ np.ones(ORIENTATIONS, first.dtype))
 
 
 def add_channels(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the sum of two normalised channel pictures (H, W, 8), shortened to unit norm where it is longer."""
+    """Return the sum of two normalised channel images (H, W, 8), with its norm limited to 1."""
     total = first + second
     square = channel_products(total, total)
     longer = square > 1

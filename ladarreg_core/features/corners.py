@@ -18,31 +18,31 @@ _LARGEST_REACH_PX = 1000
 
 @dataclass(frozen=True, slots=True)
 class CornerOptions:
-    """How corners are found.
+    """Options of corner detection.
 
     Raises:
-        OptionError: if a value has no meaning.
+        OptionError: if a value is out of range.
     """
 
     count: int | None = 800
-    """Keep the best so many by w; None: all above the thresholds."""
+    """Maximum number of corners, the largest w first; None: all above the thresholds."""
     w_min: float = 0.0
-    """Least w: strength of the weaker gradient direction, squared gray levels."""
+    """Minimum w: strength of the weaker gradient direction, squared gray levels."""
     q_min: float = 0.5
-    """Least q: roundness, 1 where all directions are equally strong, 0 on a straight edge."""
+    """Minimum q: roundness, 1 if all directions are equally strong, 0 on a straight edge."""
     pre_blur_px: float = 0.0
-    """Gaussian sigma before the gradients; 0: none, as in the thesis."""
+    """Gaussian sigma of the blur before the gradients; 0: none, as in the thesis."""
     non_maximum_px: int = 1
-    """A corner is the largest w within so many pixels each way."""
+    """Radius of non-maximum suppression of w, pixels."""
     sub_pixel: bool = False
-    """Move each to the peak of a parabola through w."""
+    """Whether corners are moved to the peak of a parabola through w."""
     border_px: int = 8
-    """No corner nearer to the picture's border."""
+    """Minimum distance from the border of the image."""
     maxima_of: MaximaOf = "every_pixel"
-    """Which w a corner must exceed: that of `every_pixel` around it, or only of those above the thresholds.
+    """Pixels that take part in non-maximum suppression: `every_pixel`, or only those above the thresholds.
 
-    `thresholded` is the thesis's own order (w* first, then its relative maxima): it also finds corners on the slope of
-    a stronger edge, a little beside their true place.
+    `thresholded` is the order of the thesis (w* first, then its relative maxima): it also finds corners on the slope of
+    a stronger edge, slightly displaced.
     """
 
     def __post_init__(self) -> None:
@@ -71,7 +71,7 @@ class CornerOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corners:
-    """Corners of one picture, strongest first."""
+    """Corners of one image, strongest first."""
 
     uv: NDArray[np.float64]
     """(N, 2) pixels."""
@@ -91,7 +91,7 @@ def corner_maps(image: FloatArray) -> tuple[FloatArray, FloatArray]:
         image: (H, W), gray levels.
 
     Returns:
-        w and q, (H, W) float32; both 0 where the picture is flat.
+        w and q, (H, W) float32; both 0 where the image is uniform.
 
     Source: thesis 2.3.2, steps 1-3 (after Foerstner).
     """
@@ -100,7 +100,7 @@ def corner_maps(image: FloatArray) -> tuple[FloatArray, FloatArray]:
     n_vv, n_vh, n_hh = (cv2.boxFilter(p, cv2.CV_32F, (5, 5), normalize=False) for p in (fv * fv, fv * fh, fh * fh))
     det = np.maximum(n_vv * n_hh - n_vh * n_vh, 0)
     trace = n_vv + n_hh
-    floor = np.float32(1e-6) * max(float(trace.max(initial=0.0)), 1e-12)  # rounding noise of a flat picture
+    floor = np.float32(1e-6) * max(float(trace.max(initial=0.0)), 1e-12)  # rounding noise of a uniform image
     safe = np.where(trace > floor, trace, np.float32(1))
     flat = trace <= floor
     return np.where(flat, 0, 2 * det / safe), np.where(flat, 0, 4 * det / safe**2)
@@ -114,34 +114,34 @@ def find_corners(
     Args:
         image: (H, W), gray levels.
         options: thresholds and count.
-        usable: (H, W) bool, where corners may lie; None: everywhere.
+        usable: (H, W) bool, mask of pixels at which corners may lie; None: all.
 
     Returns:
-        corners, strongest first; none in a flat picture.
+        corners, strongest first; none in a uniform image.
 
     Raises:
-        ShapeError: if the image is not (H, W) or holds what is not finite, or `usable` is of another shape.
+        ShapeError: if the image is not (H, W) or not finite, or `usable` has another shape.
 
     Source: thesis 2.3.2, steps 1-5.
     """
     o = options or CornerOptions()
     if np.ndim(image) != 2 or 0 in np.shape(image):
-        raise ShapeError(f"corners are found in a gray picture (H, W); this one has the shape {np.shape(image)}")
+        raise ShapeError(f"the image has the shape {np.shape(image)}; corner detection needs a gray image (H, W)")
     if usable is not None and np.shape(usable) != np.shape(image):
         raise ShapeError(
-            f"the mask of usable pixels has the shape {np.shape(usable)}; it must be that of the picture, "
+            f"the mask of usable pixels has the shape {np.shape(usable)}; it must be that of the image, "
             f"{np.shape(image)}"
         )
     gray = np.ascontiguousarray(image, dtype=np.float32)
     if not np.isfinite(gray).all():
-        raise ShapeError("the gray picture holds NaN or infinity; fill such pixels before corners are looked for")
+        raise ShapeError("the gray image contains NaN or infinity; fill these pixels before corner detection")
     if o.pre_blur_px > 0:
         gray = np.asarray(cv2.GaussianBlur(gray, (0, 0), o.pre_blur_px), dtype=np.float32)
     w, q = corner_maps(gray)
     side = 2 * o.non_maximum_px + 1
     strong = (w > o.w_min) & (q > o.q_min)
-    rivals = w if o.maxima_of == "every_pixel" else np.where(strong, w, np.float32(0))
-    peak = (w >= cv2.dilate(rivals, np.ones((side, side), np.uint8))) & strong
+    competitors = w if o.maxima_of == "every_pixel" else np.where(strong, w, np.float32(0))
+    peak = (w >= cv2.dilate(competitors, np.ones((side, side), np.uint8))) & strong
     border = max(o.border_px, 1)
     peak[:border] = peak[-border:] = False
     peak[:, :border] = peak[:, -border:] = False
@@ -161,7 +161,7 @@ def _is_number(value: object) -> bool:
 
 
 def _parabola(before: FloatArray, at: FloatArray, after: FloatArray) -> FloatArray:
-    """Return where the parabola through three neighbours peaks, within half a pixel of the middle one."""
+    """Return the peak of the parabola through three neighbours, within half a pixel of the central one."""
     curvature = before - 2 * at + after
     with np.errstate(divide="ignore", invalid="ignore"):
         offset = np.where(curvature < 0, 0.5 * (before - after) / curvature, 0.0)

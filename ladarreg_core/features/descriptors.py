@@ -1,4 +1,4 @@
-"""Orientation descriptors: a corner's surroundings in channels, comparable between laser and camera."""
+"""Orientation descriptors: samples of the channels around a corner, comparable between laser and camera."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def describe(channels: FloatArray, uv: FloatArray) -> FloatArray:
 
     Args:
         channels: (H, W, 8) normalised channels.
-        uv: (N, 2) pixels; samples beyond the picture take its border's value.
+        uv: (N, 2) pixels; samples outside the image take the value of its border.
 
     Returns:
-        (N, 392) float32, mean removed, unit length; zeros where there is no structure.
+        (N, 392) float32, mean removed, unit length; zeros without structure.
     """
     height, width = channels.shape[:2]
     reach = np.arange(_SIDE) - _SIDE // 2

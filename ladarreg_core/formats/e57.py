@@ -192,7 +192,7 @@ def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDA
             color=cloud.color,
             world_from_scanner=scan.world_from_scanner,
             name=name,
-            notes=(*notes, cloud.in_words(), *unit_notes(cloud.ranges)),
+            notes=(*notes, cloud.describe(), *unit_notes(cloud.ranges)),
         )
     row, column, shape, thinned = grid
     if thinned > 1:

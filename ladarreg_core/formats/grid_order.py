@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.scanner.gridding import away_from_the_pole
+from ladarreg_core.scanner.gridding import rotation_from_pole
 
 _JUMP_STEPS = 4.0
 _MOST_JUMPS = 0.005
@@ -79,7 +79,7 @@ def order_of(rays: FloatArray) -> GridOrder:
     Afterwards latitude decreases along the rows and columns run to the right as seen from the scanner. In a depth
     camera's optical frame (Z forward, Y down) up is -Y. If latitude varies along neither axis, rows keep their order.
     """
-    pole = away_from_the_pole(rays[np.isfinite(rays[..., 0])])
+    pole = rotation_from_pole(rays[np.isfinite(rays[..., 0])])
     rays = rays if pole is None else rays @ pole.T
     latitude = np.arcsin(np.clip(rays[..., 2], -1, 1))
     by_row, by_column = _travel(latitude, 0), _travel(latitude, 1)

@@ -352,7 +352,7 @@ def _to_scan(
             )
         notes.append(f"the header says {header.width} x {header.height}, but the points are not in this order")
     cloud = grid_points(points, intensity, color, ring=_whole_rings(ring), most_cells=most_cells)
-    notes.append(cloud.in_words())
+    notes.append(cloud.describe())
     return Scan(
         cloud.geometry,
         cloud.ranges,

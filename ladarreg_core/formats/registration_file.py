@@ -13,8 +13,7 @@ from ladarreg_core.formats.json_file import choice, number, parsed_once, read_js
 from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.matches import Matches
-from ladarreg_core.mount import STATED_OFFSET_SIGMA_M, STATED_OFFSET_SIGMA_RAD, Offset
-from ladarreg_core.results import Evidence, Registration
+from ladarreg_core.results import STATED_OFFSET_SIGMA_M, STATED_OFFSET_SIGMA_RAD, Evidence, Offset, Registration
 
 _ASYMMETRY = 1e-6
 

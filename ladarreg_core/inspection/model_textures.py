@@ -16,10 +16,9 @@ from ladarreg_core.export.images import scale_end
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.blend import intensity_picture
 from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.surface.texture import Label, RegisteredTexture, model_picture, texture_scan
+from ladarreg_core.surface.texture import Label, RegisteredTexture, intensity_picture, model_picture, texture_scan
 from ladarreg_core.surface.uncertainty import picture_sigma
 
 TextureKind = Literal["colour", "intensity", "range", "residual", "uncertainty", "label"]

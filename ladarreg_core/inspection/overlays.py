@@ -12,10 +12,9 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.blend import intensity_picture
 from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.render import render_scan_colors
-from ladarreg_core.surface.texture import RegisteredTexture
+from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture
 
 OverlayShow = Literal["intensity", "edges", "range"]
 _EDGE_COLOUR = (92, 200, 255)

@@ -15,7 +15,7 @@ from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lines import along_line, line_on_scan
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE, matches_from_picks
-from ladarreg_core.pose.describe import describe_pose
+from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.quality.influence import influence
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan

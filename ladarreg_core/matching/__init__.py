@@ -1,1 +1,1 @@
-"""Finding where the photo was taken: hypotheses, direct alignment, verification."""
+"""Automatic registration: initial poses, direct alignment, image verification."""

@@ -1,7 +1,8 @@
-"""How well scan and photo agree at a pose, against every other small displacement: the pair's own null.
+"""Agreement of scan and photo at a pose, relative to that at all small shifts (the pair's own null distribution).
 
-For each block and each whole-pixel shift the centred channels are correlated; blocks are pooled over 3 x 3. A true
-pose has its peaks at zero shift all over the picture; a wrong one has them anywhere.
+The centred channels of each block are correlated with the photo at each whole-pixel shift; a window pools 3 x 3 blocks.
+(Messages and the verdict call a window a region.) At the true pose the correlation peaks lie at zero shift all over the
+image; at a wrong pose they are spread over all shifts.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from ladarreg_core.matching.blocks import Target, project_visible
 from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.matching.zbuffer import Occluder
 
-_LEAST_POINTS = 12
-_LEAST_NEIGHBOURS = 5
-LEAST_WINDOWS = 12
-"""Fewer windows than this say nothing."""
+_MIN_POINTS = 12
+_MIN_NEIGHBOURS = 5
+MIN_WINDOWS = 12
+"""Least number of windows that a verdict can rest on."""
 _NEAR_PX, _FAR_PX = 3.0, 7.0
-_NO_CORRELATION = 1e-9
-_DRAWN_BY_CLIMB = 0.25  # the most that was seen of the blocks of climbed wrong poses; by their area 9 of 169
-_EACH_CHANNEL = np.eye(CHANNELS, dtype=np.float32)
+_TINY = 1e-9
+_MIN_CHANCE = 0.25  # largest fraction of blocks that agreed at refined wrong poses; by area it would be 9 of 169
+_CHANNEL_IDENTITY = np.eye(CHANNELS, dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,27 +35,27 @@ class Agreement:
     """Pooled correlation maps of one level at one pose."""
 
     level: int
-    """Which level."""
+    """Pyramid level."""
     radius: int
     """Largest shift, level pixels."""
     maps: FloatArray
     """(W, 2r+1, 2r+1) pooled correlation of each window over shifts (row: v, column: u)."""
     grid: IntArray
-    """(W, 2) row and column of each window's middle block."""
+    """(W, 2) row and column of each window's central block."""
     pooled_blocks: IntArray
-    """(W,) how many blocks each window pools."""
+    """(W,) number of blocks pooled in each window."""
     members: tuple[IntArray, ...]
-    """Indices of the visible points of each window's middle block."""
+    """Indices of the visible points of each window's central block."""
     uv: FloatArray
     """(N, 2) level pixels of all points at this pose."""
     visible: BoolArray
     """(N,) bool."""
     block_maps: FloatArray = field(default_factory=lambda: np.zeros((0, 1, 1)))
-    """(B, 2r+1, 2r+1) correlation of every block alone, less its mean: what the windows pool."""
+    """(B, 2r+1, 2r+1) correlation of every single block minus its mean over the shifts, before pooling."""
 
     @property
     def windows(self) -> int:
-        """How many windows could be judged."""
+        """Number of windows."""
         return len(self.maps)
 
     @property
@@ -62,8 +63,8 @@ class Agreement:
         return 0.5**self.level
 
     def peaks(self) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Return each window's sub-pixel peak (W, 2) as (u, v) in level pixels, its height in sd of the window's map
-        (W,), and whether it lies on the border (W,)."""
+        """Return the sub-pixel peaks (W, 2) as (u, v) in level pixels, their heights (W,) in standard deviations of
+        the window's map, and a mask (W,) of those on the border of the map."""
         side = 2 * self.radius + 1
         flat = self.maps.reshape(len(self.maps), -1)
         best = flat.argmax(axis=1)
@@ -78,14 +79,15 @@ class Agreement:
         return shift, height, border
 
     def agreeing(self, tolerance_px: float) -> BoolArray:
-        """Return which windows (W,) peak within `tolerance_px` working pixels of zero shift."""
+        """Return a mask (W,) of the windows that peak within `tolerance_px` working pixels of zero shift."""
         return np.asarray(self._peak_distances(self.maps) <= tolerance_px * self._scale + 1e-9)
 
     def false_alarm(self, tolerance_px: float) -> float:
-        """Return a bound on how probably so many blocks agree by accident: single ones, which share no pixels.
+        """Return a bound on the probability that so many blocks agree by chance.
 
-        How probably one does is taken from the pair itself, for a repeated pattern agrees at many shifts: it is the
-        largest share of blocks that agree with any one far shift. A climb also draws some blocks to zero where it ends.
+        Single blocks are counted, because they share no pixels. The probability for one block is estimated from the
+        pair itself, since a repeated pattern agrees at many shifts: it is the largest fraction of blocks that agree
+        with any one far shift. It is at least 0.25, because refinement pulls some blocks to zero shift at any pose.
 
         Source: the binomial distribution's upper tail.
         """
@@ -98,18 +100,18 @@ class Agreement:
         best = self.block_maps.reshape(count, -1).argmax(axis=1)
         far = np.hypot(u, v) > 2 * near
         apart = np.hypot(u[far, None] - u[best], v[far, None] - v[best])
-        p = max(_DRAWN_BY_CLIMB, float((apart <= near).mean(axis=1).max(initial=0.0)))
+        p = max(_MIN_CHANCE, float((apart <= near).mean(axis=1).max(initial=0.0)))
         return float(sum(comb(count, k) * p**k * (1 - p) ** (count - k) for k in range(agreeing, count + 1)))
 
     def _peak_distances(self, maps: FloatArray) -> FloatArray:
-        """Return how far from zero shift each map (n, 2r+1, 2r+1) peaks, (n,), level pixels."""
+        """Return the distance (n,) of each map's (n, 2r+1, 2r+1) peak from zero shift, level pixels."""
         if not len(maps):
             return np.zeros(0)
         u, v = self._shifts()
         return np.asarray(np.hypot(u, v).reshape(-1)[maps.reshape(len(maps), -1).argmax(axis=1)])
 
     def contrast(self) -> float:
-        """Return zb: by how many standard deviations of the far shifts the near ones stand out, mean over windows."""
+        """Return zb: peak at near shifts above the mean of far ones, in standard deviations; mean over windows."""
         if not len(self.maps):
             return 0.0
         distance = np.hypot(*self._shifts()) / self._scale
@@ -134,12 +136,12 @@ def _vertex(before: FloatArray, at: FloatArray, after: FloatArray) -> FloatArray
 def agreement(
     points: ViewPoints, target: Target, occluder: Occluder, pose: Rigid, *, level: int, radius: int
 ) -> Agreement:
-    """Correlate every block with the photo at every shift within `radius` level pixels of a pose."""
+    """Return the agreement at a pose: every block correlated at every shift within `radius` level pixels."""
     buffer = occluder.depth_buffer(pose)
     _, uv, visible = project_visible(points, target, occluder, buffer, pose, border=radius + 1)
     of = points.blocks.of_point
     count = points.blocks.sum(visible.astype(np.int64))
-    blocks = np.flatnonzero(count >= _LEAST_POINTS)
+    blocks = np.flatnonzero(count >= _MIN_POINTS)
     side = 2 * radius + 1
     if not len(blocks):
         none = np.zeros(0, np.intp)
@@ -150,7 +152,7 @@ def agreement(
     starts = np.searchsorted(rank[of[kept]], np.arange(len(blocks)))
     rho = _correlations(points.channels[kept], uv[kept], starts, target, radius)
 
-    # Pool over 3 x 3 blocks, each less its own mean over the shifts.
+    # Subtract each block's mean over the shifts, then pool over 3 x 3 blocks.
     rho -= rho.mean(axis=(1, 2), keepdims=True)
     grid = points.blocks.grid[blocks]
     extent = grid.max(axis=0) + 3
@@ -163,17 +165,17 @@ def agreement(
         for j in range(3):
             pooled += dense[grid[:, 0] + i, grid[:, 1] + j]
             neighbours += there[grid[:, 0] + i, grid[:, 1] + j]
-    judged = np.flatnonzero(neighbours >= _LEAST_NEIGHBOURS)
+    selected = np.flatnonzero(neighbours >= _MIN_NEIGHBOURS)
     ends = np.append(starts[1:], len(kept))
-    members = tuple(kept[starts[k] : ends[k]] for k in judged)
-    return Agreement(level, radius, pooled[judged], grid[judged], neighbours[judged], members, uv, visible, rho)
+    members = tuple(kept[starts[k] : ends[k]] for k in selected)
+    return Agreement(level, radius, pooled[selected], grid[selected], neighbours[selected], members, uv, visible, rho)
 
 
 def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target: Target, radius: int) -> FloatArray:
     """Return rho (B, 2r+1, 2r+1): normalised correlation of each block at each shift.
 
-    The photo is read at whole pixels: rounding the projections jitters the points by less than a third of a pixel,
-    without a preferred direction.
+    The photo is sampled at whole pixels: rounding the projections displaces the points by less than a third of a pixel
+    rms, in no preferred direction.
     """
     width = target.camera.width
     side = 2 * radius + 1
@@ -186,8 +188,10 @@ def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target
     of = np.repeat(np.arange(len(starts)), count)
     A = channels - (np.add.reduceat(channels, starts) / count[:, None].astype(np.float32)).take(of, axis=0)
     norm_a = np.sqrt(np.add.reduceat(channel_products(A, A), starts))
-    # One product gives the correlation with A (which is centred, so B need not be) and the sums of B's channels.
-    right = np.tile(np.column_stack([np.zeros(CHANNELS, np.float32), _EACH_CHANNEL]), (int(count.max(initial=0)), 1))
+    # One matrix product gives the correlation with A (A is centred, so B need not be) and the sums of B's channels.
+    right = np.tile(
+        np.column_stack([np.zeros(CHANNELS, np.float32), _CHANNEL_IDENTITY]), (int(count.max(initial=0)), 1)
+    )
     rho = np.empty((len(starts), side * side))
     for k, (first, n) in enumerate(zip(starts, count, strict=True)):
         pixels = offsets[:, None] + base[first : first + n]
@@ -195,5 +199,5 @@ def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target
         right[: n * CHANNELS, 0] = A[first : first + n].reshape(-1)
         products = B @ right[: n * CHANNELS]
         length = squares.take(pixels).sum(axis=1) - (products[:, 1:] ** 2).sum(axis=1) / n
-        rho[k] = products[:, 0] / (norm_a[k] * np.sqrt(np.maximum(length, 0)) + _NO_CORRELATION)
+        rho[k] = products[:, 0] / (norm_a[k] * np.sqrt(np.maximum(length, 0)) + _TINY)
     return rho.reshape(-1, side, side)

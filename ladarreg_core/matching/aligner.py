@@ -1,4 +1,4 @@
-"""One photo against one view of the scan: climbs, flow steps, the finish and the verification."""
+"""Alignment of one photo with one view of the scan: refinement, flow steps, finish and verification."""
 
 from __future__ import annotations
 
@@ -10,28 +10,35 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement, agreement
-from ladarreg_core.matching.block_matches import BlockMatches, block_matches
-from ladarreg_core.matching.blocks import BlockComparison, Target, compare_blocks
-from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
+from ladarreg_core.matching.blocks import BlockComparison, BlockMatches, Target, block_matches, compare_blocks
 from ladarreg_core.matching.covariance import RegionEvidence, region_evidence
-from ladarreg_core.matching.ecc import ClimbOptions, climb
-from ladarreg_core.matching.flow import flow_step
-from ladarreg_core.matching.pyramid import LEVELS, PhotoLevels, ScanLevels
+from ladarreg_core.matching.ecc import NO_CHANGE, CameraChange, RefineOptions, refine_pose
+from ladarreg_core.matching.pyramid import LEVELS, PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.sampling import ViewPoints, draw_points, edge_strength
 from ladarreg_core.matching.verification import GateOptions, Verification, verify
+from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.matching.zbuffer import Occluder
+from ladarreg_core.photo import Photo
+from ladarreg_core.pose.ransac import ransac_pose
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.perspective import perspective_view
 
-_CLIMB = {2: ClimbOptions(tau_px=8, iterations=8), 1: ClimbOptions(tau_px=6, iterations=6)}
-_FINISH = ClimbOptions(tau_px=3, iterations=6)
-_FINE = ClimbOptions(tau_px=2, iterations=8)
-_FINE_POINTS = _JUDGED_POINTS = 20_000
+_REFINEMENT = {2: RefineOptions(tau_px=8, iterations=8), 1: RefineOptions(tau_px=6, iterations=6)}
+_FINISH = RefineOptions(tau_px=3, iterations=6)
+_FINE = RefineOptions(tau_px=2, iterations=8)
+_FINE_POINTS = _VERIFICATION_POINTS = 20_000
 _RADIUS = {0: 6, 1: 6, 2: 8}
 _DAMPING = 3.0
-_SURE_FRACTION = 0.8
+_SUFFICIENT_FRACTION = 0.8
 _FINISH_ROUNDS = 5
-_LOOSE_STEPS = 2
-_REFOCUS_ROUNDS = 3
+_FREE_CAMERA_STEPS = 2
+_FREE_CAMERA_ROUNDS = 3
 _STILL_PX = 0.05
+_MIN_HEIGHT_SD = 2.2
+_POINTS_PER_WINDOW = 3
+_RANSAC_PX = 1.5
+_RANSAC_ITERATIONS = 200
+_MIN_MATCHES, _MIN_INLIERS = 24, 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,17 +49,24 @@ class Candidate:
     """The pose."""
     coarse: Agreement
     """Agreement at level 1."""
-    first_look: Verification
-    """The gate at level 1."""
+    coarse_verdict: Verification
+    """Preliminary verdict, from level 1 alone."""
 
     @property
     def fraction(self) -> float:
-        """Share of windows that agree."""
-        return self.first_look.fraction
+        """Fraction of windows that agree at level 1."""
+        return self.coarse_verdict.fraction
 
 
 class Aligner:
-    """Holds what is computed once for a pair, and aligns from any start."""
+    """Aligns one photo with one view of the scan from any initial pose; data of the pair are computed once.
+
+    Args:
+        scan: the scan's levels in one view.
+        photo: the photo's levels.
+        gate: thresholds of verification.
+        seed: random seed of the points drawn.
+    """
 
     def __init__(self, scan: ScanLevels, photo: PhotoLevels, *, gate: GateOptions, seed: int) -> None:
         self.scan = scan
@@ -69,12 +83,12 @@ class Aligner:
 
     @property
     def usable(self) -> bool:
-        """Whether the scan has anything to compare."""
+        """Whether the view has points to compare on every level."""
         return len(self.points) == len(LEVELS)
 
     @cached_property
     def occluder(self) -> Occluder:
-        """The scan's surface for the photo's camera."""
+        """Occlusion test by the scan's surface, for the photo's camera."""
         return Occluder(self.scan, self.photo.cameras[0])
 
     @cached_property
@@ -95,52 +109,52 @@ class Aligner:
         return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=_FINE_POINTS)
 
     @cached_property
-    def judged_points(self) -> ViewPoints:
-        """The level-0 points of the verdict: more of them than a climb needs, so that a window's peak is its own."""
-        assert 0 in self._strength, "an aligner without points must not be asked to judge"
+    def verification_points(self) -> ViewPoints:
+        """Level-0 points of the verdict: more than refinement needs, so that each window's peak is well determined."""
+        assert 0 in self._strength, "an aligner that is not usable cannot verify"
         channels, strength = self.scan.channels[0], self._strength[0]
-        return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=_JUDGED_POINTS)
+        return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=_VERIFICATION_POINTS)
 
-    def look(self, pose: Rigid, level: int) -> Agreement:
+    def agreement_at(self, pose: Rigid, level: int) -> Agreement:
         """Return the agreement at a pose."""
-        points = self.judged_points if level == 0 else self.points[level]
+        points = self.verification_points if level == 0 else self.points[level]
         return agreement(points, self.targets[level], self.occluder, pose, level=level, radius=_RADIUS[level])
 
-    def approach(self, start: Rigid) -> Candidate | None:
-        """Climb at levels 2 and 1, with up to two flow steps where the result is not sure yet."""
-        best = self._climb_from(start, (2, 1))
+    def refine(self, start: Rigid) -> Candidate | None:
+        """Refine a pose at levels 2 and 1, with up to two flow steps while the agreement is not sufficient."""
+        best = self._refine_from(start, (2, 1))
         for level in (2, 1):
-            if best is None or best.fraction >= _SURE_FRACTION:
+            if best is None or best.fraction >= _SUFFICIENT_FRACTION:
                 break
-            maps = best.coarse if level == 1 else self.look(best.camera_from_scanner, level)
+            maps = best.coarse if level == 1 else self.agreement_at(best.camera_from_scanner, level)
             pulled = flow_step(self.points[level], self.targets[level], maps, seed=self.seed)
             if pulled is None:
                 continue
-            again = self._climb_from(pulled, (2, 1) if level == 2 else (1,))
+            again = self._refine_from(pulled, (2, 1) if level == 2 else (1,))
             if again is not None and again.fraction > best.fraction:
                 best = again
         return best
 
-    def _climb_from(self, start: Rigid, levels: tuple[int, ...]) -> Candidate | None:
+    def _refine_from(self, start: Rigid, levels: tuple[int, ...]) -> Candidate | None:
         pose = start
         for level in levels:
-            result = climb(self.points[level], self.targets[level], self.occluder, pose, _CLIMB[level])
+            result = refine_pose(self.points[level], self.targets[level], self.occluder, pose, _REFINEMENT[level])
             if result is None:
                 return None
             pose = result.camera_from_scanner
-        coarse = self.look(pose, 1)
+        coarse = self.agreement_at(pose, 1)
         return Candidate(pose, coarse, verify(coarse, None, self.gate))
 
     def finish(self, start: Rigid) -> Rigid:
-        """Refine at level 0, then on intensity alone, until the pose stops moving."""
-        return self.finish_free(start, free=0)[0]
+        """Refine a pose at level 0, then on intensity alone, until it stops moving."""
+        return self.finish_with_free_camera(start, free=0)[0]
 
-    def refocus(self, start: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
-        """Climb at level 1 with the first `free` of (log f, k1) free, damped, until the pose stops moving."""
-        pose, change = start, AS_STATED
-        options = replace(_CLIMB[1], free=free, damping=_DAMPING)
-        for _ in range(_REFOCUS_ROUNDS):
-            result = climb(self.points[1], self.targets[1], self.occluder, pose, options, change=change)
+    def refine_with_free_camera(self, start: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
+        """Refine at level 1 with the first `free` of (log f, k1) free, damped, until the pose stops moving."""
+        pose, change = start, NO_CHANGE
+        options = replace(_REFINEMENT[1], free=free, damping=_DAMPING)
+        for _ in range(_FREE_CAMERA_ROUNDS):
+            result = refine_pose(self.points[1], self.targets[1], self.occluder, pose, options, change=change)
             if result is None:
                 break
             pose, change = result.camera_from_scanner, result.change
@@ -148,62 +162,64 @@ class Aligner:
                 break
         return pose, change
 
-    def finish_free(self, start: Rigid, *, free: int, change: CameraChange = AS_STATED) -> tuple[Rigid, CameraChange]:
+    def finish_with_free_camera(
+        self, start: Rigid, *, free: int, change: CameraChange = NO_CHANGE
+    ) -> tuple[Rigid, CameraChange]:
         """Finish with the first `free` of (log f, k1) free.
 
         Args:
-            start: the pose, climbed to.
+            start: the refined pose.
             free: 0, 1 or 2.
-            change: how the camera differs from the stated one at the start.
+            change: initial change of the camera relative to the stated one.
         """
         pose = start
         rounds = [(self.points[0], self.targets[0], replace(_FINISH, free=free))]
         if self._fine_points is not None:
             rounds += [(self._fine_points, self._fine_target, replace(_FINE, free=free))] * _FINISH_ROUNDS
         for number, (points, target, options) in enumerate(rounds):
-            result = climb(points, target, self.occluder, pose, options, change=change)
+            result = refine_pose(points, target, self.occluder, pose, options, change=change)
             if result is None:
                 if number:
                     break
                 continue
             before, changed = pose, change
             pose, change = result.camera_from_scanner, result.change
-            if number and self._moved(before, changed, pose, change) < _STILL_PX:
+            if number and self._median_shift_px(before, changed, pose, change) < _STILL_PX:
                 break
         return pose, change
 
-    def loosen(self, pose: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
-        """Make a few of the last steps of a finish again, from its end, with the first `free` of (log f, k1) free."""
+    def preview_free_camera(self, pose: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
+        """Make two further steps from a finished pose, with the first `free` of (log f, k1) free."""
         if self._fine_points is None:
-            return pose, AS_STATED
-        options = replace(_FINE, free=free, iterations=_LOOSE_STEPS)
-        result = climb(self._fine_points, self._fine_target, self.occluder, pose, options)
-        return (pose, AS_STATED) if result is None else (result.camera_from_scanner, result.change)
+            return pose, NO_CHANGE
+        options = replace(_FINE, free=free, iterations=_FREE_CAMERA_STEPS)
+        result = refine_pose(self._fine_points, self._fine_target, self.occluder, pose, options)
+        return (pose, NO_CHANGE) if result is None else (result.camera_from_scanner, result.change)
 
-    def _moved(self, first: Rigid, before: CameraChange, second: Rigid, after: CameraChange) -> float:
+    def _median_shift_px(self, first: Rigid, before: CameraChange, second: Rigid, after: CameraChange) -> float:
         """Return the median displacement of the level-0 points between two poses and cameras, working pixels."""
         camera, points = self.photo.cameras[0], self.points[0].points
-        shift = before.applied(camera).project(first @ points) - after.applied(camera).project(second @ points)
+        shift = before.applied_to(camera).project(first @ points) - after.applied_to(camera).project(second @ points)
         length = np.hypot(shift[:, 0], shift[:, 1])
         known = np.isfinite(length)
         return float(np.median(length[known])) if known.any() else np.inf
 
-    def judge(self, pose: Rigid) -> tuple[Verification, Agreement, Agreement]:
-        """Verify a finished pose; also return its agreement at levels 1 and 0."""
-        coarse, fine = self.look(pose, 1), self.look(pose, 0)
+    def verify(self, pose: Rigid) -> tuple[Verification, Agreement, Agreement]:
+        """Return the verdict on a finished pose, and its agreement at levels 1 and 0."""
+        coarse, fine = self.agreement_at(pose, 1), self.agreement_at(pose, 0)
         return verify(coarse, fine, self.gate), coarse, fine
 
-    def regions(self, pose: Rigid, *, free: int, change: CameraChange = AS_STATED) -> RegionEvidence | None:
-        """Return what the regions say of a finished pose, and of the first `free` of (log f, k1)."""
+    def regions(self, pose: Rigid, *, free: int, change: CameraChange = NO_CHANGE) -> RegionEvidence | None:
+        """Return the covariance of a finished pose and of the first `free` of (log f, k1), by leaving out regions."""
         seen = self._fine_blocks(pose, change)
         if seen is None or self._fine_points is None:
             return None
-        camera = change.applied(self.photo.cameras[0])
+        camera = change.applied_to(self.photo.cameras[0])
         return region_evidence(seen, self._fine_points, camera, pose, replace(_FINE, free=free))
 
     def block_matches(self, pose: Rigid) -> BlockMatches | None:
-        """Return the sub-pixel point matches of a finished pose, or None where too little is seen."""
-        seen = self._fine_blocks(pose, AS_STATED)
+        """Return the sub-pixel point matches of a finished pose, or None if too few blocks are visible."""
+        seen = self._fine_blocks(pose, NO_CHANGE)
         if seen is None or self._fine_points is None:
             return None
         return block_matches(seen, self._fine_points, self.photo.cameras[0], self.photo.source)
@@ -212,5 +228,57 @@ class Aligner:
         if self._fine_points is None:
             return None
         buffer = self.occluder.depth_buffer(pose)
-        target = self._fine_target.seen_by(change.applied(self.photo.cameras[0]))
+        target = self._fine_target.seen_by(change.applied_to(self.photo.cameras[0]))
         return compare_blocks(self._fine_points, target, self.occluder, buffer, pose)
+
+
+def verify_pose(
+    scan: Scan, photo: Photo, camera_from_scanner: Rigid, *, gate: GateOptions | None = None, seed: int = 0
+) -> Verification | None:
+    """Verify a given pose against the image; return None if there is too little structure to compare.
+
+    Args:
+        scan: the scan.
+        photo: the photograph, with the camera used in finding the pose.
+        camera_from_scanner: the pose.
+        gate: thresholds of verification.
+        seed: random seed of the points drawn.
+    """
+    working = working_camera(scan, photo.camera)
+    direction = viewing_directions(scan, working, initial=camera_from_scanner)[0]
+    view = perspective_view(scan, working, view_from_scanner=direction)
+    aligner = Aligner(scan_levels(scan, view), photo_levels(photo, working), gate=gate or GateOptions(), seed=seed)
+    return aligner.verify(camera_from_scanner)[0] if aligner.usable else None
+
+
+def flow_step(points: ViewPoints, target: Target, maps: Agreement, *, seed: int) -> Rigid | None:
+    """Return the pose that most windows' correlation peaks agree on, by RANSAC; None if there is no consensus.
+
+    Args:
+        points: the level's scan points.
+        target: the photo at that level.
+        maps: agreement of that level at the current pose.
+        seed: random seed of RANSAC.
+    """
+    if not maps.windows:
+        return None
+    shift, height, border = maps.peaks()
+    index, uv = [], []
+    for k in np.flatnonzero((height >= _MIN_HEIGHT_SD) & ~border):
+        members = maps.members[k]
+        chosen = members[np.linspace(0, len(members) - 1, _POINTS_PER_WINDOW).astype(np.intp)]
+        index.append(chosen)
+        uv.append(maps.uv[chosen] + shift[k])
+    if _POINTS_PER_WINDOW * len(index) < _MIN_MATCHES:
+        return None
+    result = ransac_pose(
+        points.points[np.concatenate(index)].astype(np.float64),
+        np.concatenate(uv).astype(np.float64),
+        target.camera,
+        threshold_px=_RANSAC_PX,
+        iterations=_RANSAC_ITERATIONS,
+        seed=seed,
+    )
+    if result is None or np.count_nonzero(result.inliers) < _MIN_INLIERS:
+        return None
+    return result.camera_from_scanner

@@ -1,4 +1,4 @@
-"""Whether a verified photo would be verified elsewhere, too: mirrored about a flat scene, or a repetition further.
+"""Search for a second pose that explains the image as well: the mirrored pose of a flat scene, or a repetition.
 
 Source: Schweighofer and Pinz, Robust pose estimation from a planar target (2006), for the two-fold ambiguity.
 """
@@ -11,109 +11,168 @@ import cv2
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import ORIENTATIONS
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.alike import Places
 from ladarreg_core.matching.blocks import project_visible
-from ladarreg_core.matching.ecc import ClimbOptions, climb
+from ladarreg_core.matching.ecc import RefineOptions, refine_pose
 from ladarreg_core.matching.pyramid import LEVELS
 from ladarreg_core.matching.verification import Verification
 from ladarreg_core.pose.ambiguity import mirrored
+from ladarreg_core.scan import Scan
 
 _COARSEST = LEVELS[-1]
-_CLIMB = ClimbOptions(tau_px=8, iterations=8)
-_LEAST_SHIFT_PX = 3.0  # level pixels; less is the same basin
-_LEAST_OVERLAP = 0.4
+_REFINEMENT = RefineOptions(tau_px=8, iterations=8)
+_MIN_SHIFT_PX = 3.0  # level pixels; smaller shifts lie in the same basin
+_MIN_OVERLAP = 0.4
 _PEAK_OF_ZERO = 0.4
-_MOST_PEAKS = 2
-_RIVAL_CORRELATION = 0.8
-_NEARLY, _NEARLY_AS_MANY = 0.8, 0.6
-_MOST_CLIMBED = 2
-_TURNED_RAD = np.deg2rad(3.0)
-_LEAST_POINTS = 30
+_MAX_PEAKS = 2
+_MIN_RELATIVE_CORRELATION = 0.8
+_MIN_RELATIVE_FRACTION, _MIN_RELATIVE_COUNT = 0.8, 0.6
+_MAX_REFINED = 2
+_DIFFERENT_ANGLE_RAD = np.deg2rad(3.0)
+_MIN_POINTS = 30
+_SAMPLES = 10_000
+_SAME_START_PX = 40.0  # radius of the basin of refinement
+_SAME_POSE_PX = 8.0
 
 
-def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, places: Places) -> Rigid | None:
-    """Return another pose that the same pictures verify, or nearly so, or None where none was found.
+class KnownPoses:
+    """Poses at which a photo was verified, and their distances in the image.
 
-    A wall of bricks agrees with the picture of any such wall, and with the next brick nearly as well as with this one.
-    So a rival need not pass the gate that the pose itself has just passed.
+    Args:
+        scan: the scan.
+        camera: the photo's camera.
+    """
+
+    def __init__(self, scan: Scan, camera: Camera) -> None:
+        stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLES)))
+        points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
+        self._points = points[np.isfinite(points).all(axis=-1)]
+        self._camera = camera
+        self._poses: list[Rigid] = []
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    def add(self, pose: Rigid) -> None:
+        """Add a verified pose."""
+        self._poses.append(pose)
+
+    def covers_start(self, start: Rigid) -> bool:
+        """Return whether a start lies in the basin of a known pose, so that refining it would give nothing new."""
+        return any(self._distance_px(pose, start) < _SAME_START_PX for pose in self._poses)
+
+    def different_from(self, pose: Rigid) -> Rigid | None:
+        """Return a known pose that differs from this one; None if there is none."""
+        return next((other for other in self._poses if self._distance_px(other, pose) > _SAME_POSE_PX), None)
+
+    def differ(self, first: Rigid, second: Rigid) -> bool:
+        """Return whether two poses project the scan to different places in the photo."""
+        return self._distance_px(first, second) > _SAME_POSE_PX
+
+    def _distance_px(self, first: Rigid, second: Rigid) -> float:
+        """Return the median displacement in the photo of the points that the first pose sees; inf if it sees none."""
+        uv = self._camera.project(first @ self._points)
+        seen = self._camera.contains(uv)
+        if not seen.any():
+            return float("inf")
+        off = np.hypot(*(self._camera.project(second @ self._points[seen]) - uv[seen]).T)
+        return float(np.median(np.where(np.isfinite(off), off, np.inf)))
+
+
+def ambiguity_sentence(first: Rigid, second: Rigid) -> str:
+    """Return the sentence that reports two verified poses."""
+    apart_m, angle_deg = first.distance_to(second), float(np.degrees(first.angle_to(second)))
+    return (
+        f"The pose is ambiguous: two poses, {apart_m:.2f} m and {angle_deg:.1f} deg apart, agree with the images "
+        "about equally well."
+    )
+
+
+def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: KnownPoses) -> Rigid | None:
+    """Return another pose that the image verifies, or nearly verifies; None if none is found.
+
+    A brick wall agrees with the image when shifted by one brick, nearly as well as at its own position. The second pose
+    therefore need not pass the thresholds that the first one has passed.
 
     Args:
         aligner: the pair that the pose was verified with.
         pose: `camera_from_scanner`, verified.
         own: its verdict.
-        places: what tells that two poses are one place.
+        known: decides which poses are different.
     """
     ends = []
     for start in (pose, *_starts(aligner, pose)):
-        end = climb(aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder, start, _CLIMB)
+        end = refine_pose(aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder, start, _REFINEMENT)
         if end is not None:
             ends.append(end)
         elif start is pose:
             return None
     first, *others = ends
-    others = [e for e in others if e.correlation >= _RIVAL_CORRELATION * first.correlation]
+    others = [e for e in others if e.correlation >= _MIN_RELATIVE_CORRELATION * first.correlation]
     others.sort(key=lambda e: -e.correlation)
-    elsewhere = [e for e in others if _differ(places, pose, e.camera_from_scanner)]
-    for end in elsewhere[:_MOST_CLIMBED]:
-        candidate = aligner.approach(end.camera_from_scanner)
-        if candidate is None or not _rivals(candidate.first_look, own):
+    elsewhere = [e for e in others if _differ(known, pose, e.camera_from_scanner)]
+    for end in elsewhere[:_MAX_REFINED]:
+        candidate = aligner.refine(end.camera_from_scanner)
+        if candidate is None or not _competes(candidate.coarse_verdict, own):
             continue
-        if not _differ(places, pose, candidate.camera_from_scanner):
+        if not _differ(known, pose, candidate.camera_from_scanner):
             continue
-        rival = aligner.finish(candidate.camera_from_scanner)
-        if _differ(places, pose, rival) and _rivals(aligner.judge(rival)[0], own):
-            return rival
+        second = aligner.finish(candidate.camera_from_scanner)
+        if _differ(known, pose, second) and _competes(aligner.verify(second)[0], own):
+            return second
     return None
 
 
-def _rivals(other: Verification, own: Verification) -> bool:
-    """Return whether another pose is verified, or agrees with nearly as much of the picture as the verified one."""
-    nearly = other.fraction >= _NEARLY * own.fraction and other.agreeing >= _NEARLY_AS_MANY * own.agreeing
+def _competes(other: Verification, own: Verification) -> bool:
+    """Return whether another pose is verified, or agrees with nearly as much of the image as the verified one."""
+    nearly = (
+        other.fraction >= _MIN_RELATIVE_FRACTION * own.fraction and other.agreeing >= _MIN_RELATIVE_COUNT * own.agreeing
+    )
     return other.accepted or nearly
 
 
-def _differ(places: Places, first: Rigid, second: Rigid) -> bool:
-    """Return whether two poses put the photo elsewhere, or show it there from another side."""
-    return places.apart(first, second) or first.angle_to(second) > _TURNED_RAD
+def _differ(known: KnownPoses, first: Rigid, second: Rigid) -> bool:
+    """Return whether two poses differ in the image, or in camera orientation."""
+    return known.differ(first, second) or first.angle_to(second) > _DIFFERENT_ANGLE_RAD
 
 
 def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
-    """Yield the mirrored pose, and where the coarse picture agrees again if it is shifted as a whole."""
+    """Yield the mirrored pose, and the poses at which the coarse image, shifted as a whole, agrees again."""
     points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
     buffer = aligner.occluder.depth_buffer(pose)
     in_camera, uv, visible = project_visible(points, target, aligner.occluder, buffer, pose, border=1)
-    if np.count_nonzero(visible) < _LEAST_POINTS:
+    if np.count_nonzero(visible) < _MIN_POINTS:
         return
     seen = points.points[visible].astype(np.float64)
     yield mirrored(pose, seen)
     depth, camera = float(np.median(in_camera[visible, 2])), target.camera
     for du, dv in _peaks(points.channels[visible], uv[visible], target.channels):
-        # Seen from further left, a wall stands further right; a turned camera moves what is near and far alike.
+        # An image shift is either a translation, at the median depth, or a rotation, which does not depend on depth.
         shift = np.array([du / camera.fx, dv / camera.fy, 0.0]) * depth
         yield Rigid(pose.rotation, pose.translation + shift)
         turn = rotation_about("y", np.arctan2(du, camera.fx)) @ rotation_about("x", -np.arctan2(dv, camera.fy))
         yield Rigid(turn, np.zeros(3)) @ pose
 
 
-def _peaks(channels: FloatArray, uv: FloatArray, picture: FloatArray) -> list[tuple[int, int]]:
-    """Return the far shifts (du, dv), level pixels, at which points agree with the picture nearly as well, best first.
+def _peaks(channels: FloatArray, uv: FloatArray, image: FloatArray) -> list[tuple[int, int]]:
+    """Return the far shifts (du, dv), level pixels, at which points agree with the image nearly as well, best first.
 
     Args:
         channels: (N, 8) of the points.
-        uv: (N, 2) where they are in the picture.
-        picture: (h, w, 8) its channels.
+        uv: (N, 2) their pixels in the image.
+        image: (h, w, 8) its channels.
     """
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     shape = (2 * height, 2 * width)
     column, row = np.rint(uv).astype(np.intp).T
     mask = np.zeros((height, width), np.float32)
     mask[row, column] = 1
     scan = np.zeros((height, width, ORIENTATIONS), np.float32)
     scan[row, column] = channels - channels.mean(axis=0)
-    centred = picture - picture.mean(axis=(0, 1))
+    centred = image - image.mean(axis=(0, 1))
     seen = np.conj(np.fft.rfft2(mask, shape))
     product = sum(
         np.conj(np.fft.rfft2(scan[..., k], shape)) * np.fft.rfft2(centred[..., k], shape) for k in range(ORIENTATIONS)
@@ -121,12 +180,12 @@ def _peaks(channels: FloatArray, uv: FloatArray, picture: FloatArray) -> list[tu
     energy = np.fft.irfft2(seen * np.fft.rfft2((centred**2).sum(axis=-1), shape), shape)
     overlap = np.fft.irfft2(seen * np.fft.rfft2(np.ones_like(mask), shape), shape) / mask.sum()
     score = np.fft.irfft2(product, shape) / np.sqrt(np.maximum(energy, 1e-6 * float(energy.max()) + 1e-12))
-    score = np.fft.fftshift(np.where(overlap >= _LEAST_OVERLAP, score, -np.inf))
+    score = np.fft.fftshift(np.where(overlap >= _MIN_OVERLAP, score, -np.inf))
     at_zero = float(score[height, width])
     v, u = np.mgrid[-height:height, -width:width]
-    near = int(2 * _LEAST_SHIFT_PX) | 1
+    near = int(2 * _MIN_SHIFT_PX) | 1
     highest = score >= cv2.dilate(score, np.ones((near, near)))
-    peak = highest & (np.hypot(u, v) > _LEAST_SHIFT_PX) & (score > _PEAK_OF_ZERO * at_zero)
+    peak = highest & (np.hypot(u, v) > _MIN_SHIFT_PX) & (score > _PEAK_OF_ZERO * at_zero)
     rows, columns = np.nonzero(peak)
-    best = np.argsort(-score[rows, columns], kind="stable")[:_MOST_PEAKS]
+    best = np.argsort(-score[rows, columns], kind="stable")[:_MAX_PEAKS]
     return [(int(columns[k]) - width, int(rows[k]) - height) for k in best]

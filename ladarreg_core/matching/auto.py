@@ -1,8 +1,7 @@
-"""The automatic registration: from two pictures to a verified pose, without a first guess."""
+"""Automatic registration: from a scan and a photo to a verified pose, without an initial pose."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
@@ -13,48 +12,44 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner, Candidate
-from ladarreg_core.matching.alike import Places, alike_in_words
-from ladarreg_core.matching.ambiguity import second_minimum
-from ladarreg_core.matching.block_matches import BlockMatches
+from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum
+from ladarreg_core.matching.blocks import BlockMatches
 from ladarreg_core.matching.covariance import WindowEvidence, window_evidence
-from ladarreg_core.matching.density import density_in
-from ladarreg_core.matching.pictures import Pictures
-from ladarreg_core.matching.pyramid import ChannelSet
-from ladarreg_core.matching.roll import Turn
-from ladarreg_core.matching.self_calibration import FreeCamera, check_free_camera, finished, with_camera_free
-from ladarreg_core.matching.verification import GateOptions, Verification
-from ladarreg_core.matching.verify_finished import judged_by_precision, regions_of
+from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
+from ladarreg_core.matching.roll import Roll
+from ladarreg_core.matching.self_calibration import FreeCamera, check_free_camera, estimate_camera, verify_finished
+from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers
 from ladarreg_core.matching.view_search import ViewSearch
-from ladarreg_core.matching.views import rolled, viewing_directions
+from ladarreg_core.matching.views import rolled_view, scan_density, viewing_directions
 from ladarreg_core.photo import Photo
+from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
-from ladarreg_core.steps import StepLog
 
-log = logging.getLogger(__name__)
 Reach = Literal["everywhere", "near_start"]
-_MOST_TURNED, _MOST_FROM_EVERYWHERE = 2, 3
-_SURE_FRACTION = 0.6
-_RANGE_M = (1e-6, 1e7)  # generous, for millimetres taken for metres; the estimator of matches ends there, too
+_MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
+_SUFFICIENT_FRACTION = 0.6
+_RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
+_ADVICE = "Draw a few matches by hand, or give an initial pose."
 
 
 @dataclass(frozen=True, slots=True)
 class AutoOptions:
-    """How the automatic method works."""
+    """Options of the automatic method."""
 
     seed: int = 0
-    """Of every draw."""
+    """Random seed; equal seeds give equal results."""
     good_fraction: float = 0.6
-    """A climb that reaches this share of agreeing windows ends the search, if it passes the gate."""
+    """A candidate with at least this fraction of agreeing regions ends the search, if it is verified."""
     least_fraction: float = 0.35
-    """A best climb below this is not worth finishing."""
+    """A candidate with a smaller fraction of agreeing regions is not finished."""
     gate: GateOptions = field(default_factory=GateOptions)
-    """What a pose must show."""
+    """Thresholds of image verification."""
     intrinsics: FreeCamera = "auto"
-    """What of the camera may be estimated with the pose."""
+    """Intrinsics that may be estimated with the pose."""
     channel_set: ChannelSet = "both"
-    """What of the scan the photo is compared with."""
+    """Channels of the scan that the photo is compared with."""
     reach: Reach = "everywhere"
-    """How far the photo's place is looked for; `near_start` needs a first pose, and takes a fraction of the time."""
+    """Extent of the search; `near_start` needs an initial pose and takes a fraction of the time."""
 
     def __post_init__(self) -> None:
         check_free_camera(self.intrinsics)
@@ -64,22 +59,22 @@ class AutoOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AutoResult:
-    """The best pose found, and what is to be said for it."""
+    """The best pose found, with its verdict and uncertainty."""
 
     camera_from_scanner: Rigid | None
-    """None where nothing could even be tried."""
+    """The pose; None if no candidate was found."""
     verification: Verification | None
-    """The verdict on it; None where no pose was worth verifying."""
+    """The verdict; None if no candidate was good enough to verify."""
     evidence: WindowEvidence | None
-    """How uncertain it is."""
+    """Uncertainty of the pose."""
     reasons: tuple[str, ...]
     """The verdict in sentences."""
     blocks: BlockMatches | None = None
-    """Its sub-pixel point matches."""
+    """Sub-pixel point matches at the pose."""
     camera: Camera | None = None
-    """The camera that was estimated with it; None: as stated."""
+    """The camera estimated with the pose; None: as stated."""
     camera_sigmas: Mapping[str, float] = field(default_factory=dict)
-    """The standard deviations of what was estimated, as in `PoseResult`."""
+    """Standard deviations of the estimated intrinsics, as in `PoseResult`."""
 
 
 def register_auto(
@@ -89,215 +84,218 @@ def register_auto(
     *,
     initial: Rigid | None = None,
     options: AutoOptions | None = None,
-    pictures: Pictures | None = None,
+    pair: PairLevels | None = None,
 ) -> AutoResult:
-    """Find the photo's pose from the pictures alone.
+    """Find the pose of a photo from the images alone.
 
-    Channels, points, hypotheses, climbs, finish and verification, in that order; the first climb that convinces ends
-    the search. Where nothing does, the photo is taken to be turned about its axis, if its corners say so, and then
-    compared as a whole from a grid of places. The scan's view is what is rolled, so that all pixels stay the photo's.
-    Views are tried one after the other where the scan is much wider than the photo, and all of them: a photo that is
-    verified at two places is not accepted.
+    The steps are channels, points, hypotheses, refinement, finish and verification; the first sufficient candidate ends
+    the search. Without one, a roll of the camera is detected from corners and the search repeated in a rolled view;
+    after that, the photo is compared as a whole with the scan as seen from a grid of camera positions. The view of the
+    scan is rolled, never the photo, so that all pixels remain those of the photo. If the scan is much wider than the
+    photo, all views are searched: a photo that is verified at two poses is not accepted.
 
     Args:
         scan: the scan.
         photo: the photograph.
         steps: receives every step.
-        initial: a rough pose to try first.
+        initial: an initial pose, tried first.
         options: thresholds and seed.
-        pictures: of the pair, where it was looked at before.
+        pair: the levels of the pair, if they have been computed already.
     """
     o = options or AutoOptions()
-    pictures = pictures or Pictures(scan, photo)
-    working = pictures.working
+    pair = pair or PairLevels(scan, photo)
+    working = pair.working
     with steps.step("photo") as note:
-        photo_side = pictures.photo
+        photo_side = pair.photo
         contrast = max(float(plane.max() - plane.min()) for plane in photo_side.planes[0])
         note.update(width=working.width, height=working.height, focal_px=round(working.fx, 3))
     if contrast < 1:
-        return AutoResult(initial, None, None, ("The photo is one flat colour: there is nothing in it to match.",))
+        return AutoResult(initial, None, None, ("The photo is uniform and has no structure to match.",))
 
     nearest, farthest = float(np.nanmin(scan.ranges)), float(np.nanmax(scan.ranges))
     if nearest == farthest:
-        reason = f"Every return of the scan has the same range, {nearest:g} m: nothing was measured that fixes a pose."
+        reason = f"All returns of the scan have the same range, {nearest:g} m, so the scan does not determine a pose."
         return AutoResult(initial, None, None, (reason,))
 
     median = float(np.nanmedian(scan.ranges))
     if not _RANGE_M[0] <= median <= _RANGE_M[1]:
-        reason = f"The scan's median range is {median:.3g} m, which no laser measures: check its unit and scale."
+        reason = f"The median range of the scan is {median:.3g} m, which is implausible: check its unit and scale."
         return AutoResult(initial, None, None, (reason,))
 
     search = ViewSearch(
-        pictures,
+        pair,
         steps,
         gate=o.gate,
         good_fraction=o.good_fraction,
         seed=o.seed,
         channel_set=o.channel_set,
     )
-    found = _Findings(search, photo, Places(scan, photo.camera), steps, o)
+    found = CandidateSet(search, photo, KnownPoses(scan, photo.camera), steps, o)
     directions = viewing_directions(scan, working, initial=initial)
     if initial is not None and o.reach == "near_start":
-        _look_near(search, found, directions[0], initial)
+        _search_near(search, found, directions[0], initial)
     else:
-        _look_everywhere(search, found, directions, initial)
-    return _told_if_sparse(found.answer(initial), scan, photo, [*directions, *([initial] if initial else [])])
+        _search_everywhere(search, found, directions, initial)
+    return _explain_if_sparse(found.result(initial), scan, photo, [*directions, *([initial] if initial else [])])
 
 
-class _Findings:
-    """What the views gave: the verified poses, and the best of what was not verified."""
+class CandidateSet:
+    """Candidates of all views: the verified poses, and the best of those that were not verified."""
 
-    def __init__(self, search: ViewSearch, photo: Photo, places: Places, steps: StepLog, options: AutoOptions) -> None:
-        self.places = places
+    def __init__(
+        self, search: ViewSearch, photo: Photo, known: KnownPoses, steps: StepLog, options: AutoOptions
+    ) -> None:
+        self.known = known
         self._search = search
         self._photo = photo
         self._steps = steps
         self._options = options
         self._accepted: AutoResult | None = None
         self._accepted_by: Aligner | None = None
-        self._alike: tuple[Rigid, Rigid] | None = None
+        self._ambiguous_poses: tuple[Rigid, Rigid] | None = None
         self._refused: AutoResult | None = None
         self._unfinished: Candidate | None = None
 
     @property
-    def settled(self) -> bool:
-        """Whether two places are known to look alike, so that no further view can change the answer."""
-        return self._alike is not None
+    def is_ambiguous(self) -> bool:
+        """Whether two different poses were verified, so that no further view can change the result."""
+        return self._ambiguous_poses is not None
 
-    def consider(self, aligner: Aligner, candidate: Candidate | None) -> None:
-        """Finish and judge the best climb of a view, if it is worth it."""
+    def add_candidate(self, aligner: Aligner, candidate: Candidate | None) -> None:
+        """Finish and verify the best candidate of a view, if enough regions agree."""
         if candidate is None:
             return
         if candidate.fraction < self._options.least_fraction:
             if self._unfinished is None or candidate.fraction > self._unfinished.fraction:
                 self._unfinished = candidate
             return
-        aligner, candidate = self._search.seen_whole(aligner, candidate)
+        aligner, candidate = self._search.with_full_overlap(aligner, candidate)
         result, aligner = _finish(aligner, candidate, self._photo, self._steps, self._options.intrinsics)
         pose = result.camera_from_scanner
         if result.verification is None or not result.verification.accepted or pose is None:
             if self._refused is None or _fraction(result) > _fraction(self._refused):
                 self._refused = result
             return
-        other = self.places.other_than(pose)
+        other = self.known.different_from(pose)
         if other is not None:
-            self._alike = (other, pose)
-        self.places.add(pose)
+            self._ambiguous_poses = (other, pose)
+        self.known.add(pose)
         if self._accepted is None or _fraction(result) > _fraction(self._accepted):
             self._accepted, self._accepted_by = result, aligner
 
-    def answer(self, initial: Rigid | None) -> AutoResult:
-        """Return the result."""
+    def result(self, initial: Rigid | None) -> AutoResult:
+        """Return the accepted result, else the best refused one."""
         if self._accepted is not None:
-            # Which of alike places is meant, a given pose tells; not that there is one of which much agrees.
-            if self._alike is None and (initial is None or _fraction(self._accepted) < _SURE_FRACTION):
-                self._alike = self._second_minimum()
-            return self._accepted if self._alike is None else _undecided(self._accepted, *self._alike)
+            # A given pose decides which of several similar places is meant, but only if most regions agree there.
+            if self._ambiguous_poses is None and (initial is None or _fraction(self._accepted) < _SUFFICIENT_FRACTION):
+                self._ambiguous_poses = self._second_minimum()
+            if self._ambiguous_poses is not None:
+                return _refused_as_ambiguous(self._accepted, *self._ambiguous_poses)
+            return self._accepted
         if self._refused is not None:
             return self._refused
         if self._unfinished is None:
-            reason = "No start could be found: too few features of the scan and the photo look alike."
+            reason = "No initial pose was found: too few features of the scan match features of the photo."
             return AutoResult(initial, None, None, (reason, _ADVICE))
         best = self._unfinished
-        reason = f"The best start found agrees in only {best.fraction:.0%} of the picture."
-        return AutoResult(best.camera_from_scanner, best.first_look, None, (reason, _ADVICE))
+        reason = f"At the best candidate pose only {best.fraction:.0%} of the image regions agree."
+        return AutoResult(best.camera_from_scanner, best.coarse_verdict, None, (reason, _ADVICE))
 
     def _second_minimum(self) -> tuple[Rigid, Rigid] | None:
-        """Return the accepted pose and another one near it that is verified, too."""
+        """Return the accepted pose and a second one that explains the image as well; None if there is none."""
         accepted, aligner = self._accepted, self._accepted_by
         if accepted is None or aligner is None or accepted.verification is None:
             return None
         pose = accepted.camera_from_scanner
-        assert pose is not None, "what was accepted has a pose"
+        assert pose is not None, "an accepted result has a pose"
         with self._steps.step("second minimum") as note:
-            other = second_minimum(aligner, pose, accepted.verification, self.places)
+            other = second_minimum(aligner, pose, accepted.verification, self.known)
             note.update(found=other is not None)
             self._steps.pose = pose
         return None if other is None else (pose, other)
 
 
-def _told_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequence[Rigid]) -> AutoResult:
-    """Return a refusal with the scan's want of points as its first reason, and the only one where nothing was tried."""
+def _explain_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequence[Rigid]) -> AutoResult:
+    """Return a refused result with a sparse scan as its first reason, or as its only one if nothing was verified."""
     if result.verification is not None and result.verification.accepted:
         return result
-    density = density_in(scan, photo.camera, poses)
+    density = scan_density(scan, photo.camera, poses)
     if density is None or not density.too_sparse:
         return result
     if result.verification is None:
-        return replace(result, reasons=(density.in_words(), _ADVICE))
-    return replace(result, reasons=(density.in_words(), *result.reasons))
+        return replace(result, reasons=(density.summary(), _ADVICE))
+    return replace(result, reasons=(density.summary(), *result.reasons))
 
 
-def _look_near(search: ViewSearch, found: _Findings, direction: Rigid, initial: Rigid) -> None:
-    """Look from the given pose, and from places around it."""
+def _search_near(search: ViewSearch, found: CandidateSet, direction: Rigid, initial: Rigid) -> None:
+    """Search from the given pose, then from a grid around it."""
     aligner = search.view(direction, name="the given pose")
     if aligner is None:
         return
-    found.consider(aligner, search.from_start(aligner, found.places, initial))
-    if not found.places:
-        found.consider(aligner, search.from_places(aligner, found.places, around=initial))
+    found.add_candidate(aligner, search.from_start(aligner, found.known, initial))
+    if not found.known:
+        found.add_candidate(aligner, search.from_grid(aligner, found.known, around=initial))
 
 
-def _look_everywhere(search: ViewSearch, found: _Findings, directions: Sequence[Rigid], initial: Rigid | None) -> None:
-    """Look upright in every view; then rolled, where corners speak for a roll; then from everywhere.
+def _search_everywhere(
+    search: ViewSearch, found: CandidateSet, directions: Sequence[Rigid], initial: Rigid | None
+) -> None:
+    """Search every upright view; then rolled views, if corners indicate a roll; then from a grid of positions.
 
-    One verified pose ends the search where the scan has one view. Where it has several the others are looked at, too:
-    what looks alike elsewhere would be verified there as well.
+    With one view of the scan, one verified pose ends the search. With several views the others are searched as well,
+    because a similar place elsewhere would be verified there.
     """
     upright = directions[0 if initial is None else 1 :]
     several = len(upright) > 1
-    turns: list[tuple[Turn, Rigid]] = []
+    rolls: list[tuple[Roll, Rigid]] = []
     for number, direction in enumerate(directions):
         given = initial if number == 0 else None
         aligner = search.view(direction, name=number)
         if aligner is None:
             continue
-        found.consider(aligner, search.from_corners(aligner, found.places, given=given))
-        if given is not None and not found.places:
-            found.consider(aligner, search.from_places(aligner, found.places, around=given))
-        # Which of alike places is meant is told by a pose that was given.
-        if found.settled or (found.places and (given is not None or not several)):
+        found.add_candidate(aligner, search.from_corners(aligner, found.known, given=given))
+        if given is not None and not found.known:
+            found.add_candidate(aligner, search.from_grid(aligner, found.known, around=given))
+        # A given pose decides which of several similar places is meant.
+        if found.is_ambiguous or (found.known and (given is not None or not several)):
             return
-        turn = None if found.places else search.turn(aligner)
-        if turn is not None:
-            turns.append((turn, direction))
-    if found.places:
+        roll = None if found.known else search.detect_roll(aligner)
+        if roll is not None:
+            rolls.append((roll, direction))
+    if found.known:
         return
 
-    turns.sort(key=lambda item: -item[0].matches)
-    likely = [rolled(direction, turn.angle_rad) for turn, direction in turns[:_MOST_TURNED]]
-    others = [rolled(direction, turns[0][0].angle_rad) for direction in upright if several and likely]
-    _compare(search, found, "rolled", likely, others, search.from_corners)
-    if not found.places:
-        likely, others = list(upright[:_MOST_FROM_EVERYWHERE]), list(upright[_MOST_FROM_EVERYWHERE:])
-        _compare(search, found, "again", likely, others, search.from_places)
+    rolls.sort(key=lambda item: -item[0].matches)
+    likely = [rolled_view(direction, roll.angle_rad) for roll, direction in rolls[:_MAX_ROLLED_VIEWS]]
+    others = [rolled_view(direction, rolls[0][0].angle_rad) for direction in upright if several and likely]
+    _search_views(search, found, "rolled", likely, others, search.from_corners)
+    if not found.known:
+        likely, others = list(upright[:_MAX_GRID_VIEWS]), list(upright[_MAX_GRID_VIEWS:])
+        _search_views(search, found, "again", likely, others, search.from_grid)
 
 
-def _compare(
+def _search_views(
     search: ViewSearch,
-    found: _Findings,
+    found: CandidateSet,
     name: str,
     likely: Sequence[Rigid],
     others: Sequence[Rigid],
-    find: Callable[[Aligner, Places], Candidate | None],
+    find: Callable[[Aligner, KnownPoses], Candidate | None],
 ) -> None:
-    """Look in the likely views, and after a verified pose in all others for what looks alike."""
+    """Search the likely views, and after a verified pose all others for a second one."""
     for number, direction in enumerate([*likely, *others]):
-        if found.settled or (number >= len(likely) and not found.places):
+        if found.is_ambiguous or (number >= len(likely) and not found.known):
             return
         aligner = search.view(direction, name=f"{name} {number}")
         if aligner is not None:
-            found.consider(aligner, find(aligner, found.places))
+            found.add_candidate(aligner, find(aligner, found.known))
 
 
-def _undecided(result: AutoResult, first: Rigid, second: Rigid) -> AutoResult:
-    """Return a verified result as not accepted, since another place was verified as well."""
-    assert result.verification is not None, "only what was verified can look alike"
-    reasons = (alike_in_words(first, second), _ADVICE)
+def _refused_as_ambiguous(result: AutoResult, first: Rigid, second: Rigid) -> AutoResult:
+    """Return a verified result as refused, since a second pose explains the image as well."""
+    assert result.verification is not None, "only verified poses are compared"
+    reasons = (ambiguity_sentence(first, second), _ADVICE)
     return replace(result, verification=replace(result.verification, accepted=False, reasons=reasons), reasons=reasons)
-
-
-_ADVICE = "Draw a few matching lines by hand, or give a rough pose."
 
 
 def _fraction(result: AutoResult) -> float:
@@ -307,33 +305,33 @@ def _fraction(result: AutoResult) -> float:
 def _finish(
     aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog, intrinsics: FreeCamera
 ) -> tuple[AutoResult, Aligner]:
-    """Return the finished and judged pose, and the pair as its camera sees it."""
+    """Return the finished and verified result, and the aligner of its camera."""
     start = candidate.camera_from_scanner
     with steps.step("finish"):
         pose = aligner.finish(start)
         steps.pose = pose
     with steps.step("verify") as note:
-        found = finished(aligner, photo.camera, pose)
+        found = verify_finished(aligner, photo.camera, pose)
         note.update(found.verification.as_dict())
     if intrinsics != "fixed":
         with steps.step("camera") as note:
-            found = with_camera_free(found, photo, start, intrinsics)
+            found = estimate_camera(found, photo, start, intrinsics)
             note.update(estimated=bool(found.free), focal_px=round(found.camera.focal_px, 3))
             note.update(found.verification.as_dict())
             steps.pose = found.camera_from_scanner
     with steps.step("evidence"):
         aligner, camera, pose = found.aligner, found.camera, found.camera_from_scanner
-        evidence = window_evidence(found.fine, aligner.judged_points, aligner.photo.cameras[0], camera, pose)
+        evidence = window_evidence(found.fine, aligner.verification_points, aligner.photo.cameras[0], camera, pose)
         if found.regions is not None:
-            evidence = replace(evidence, covariance=found.regions.of_pose)
+            evidence = replace(evidence, covariance=found.regions.pose_covariance)
         blocks = aligner.block_matches(pose)
         steps.pose, steps.matches = pose, blocks.matches if blocks else None
-    points = aligner.judged_points.points[found.fine.visible]
-    verification = judged_by_precision(found.verification, points, camera, pose, evidence.covariance)
-    verification = replace(verification, regions=regions_of(found.fine, aligner.photo.cameras[0], camera))
+    points = aligner.verification_points.points[found.fine.visible]
+    verification = check_precision(found.verification, points, camera, pose, evidence.covariance)
+    verification = replace(verification, regions=region_markers(found.fine, aligner.photo.cameras[0], camera))
     reasons: tuple[Any, ...] = verification.reasons
     advice = () if verification.accepted else (_ADVICE,)
     return AutoResult(
-        pose, verification, evidence, (*reasons, *found.in_words(photo.camera), *advice), blocks,
+        pose, verification, evidence, (*reasons, *found.summary(photo.camera), *advice), blocks,
         camera if found.free else None, found.camera_sigmas,
     ), aligner  # fmt: skip

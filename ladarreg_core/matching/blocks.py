@@ -1,4 +1,4 @@
-"""The scan's points beside the photo at a pose, block by block: how alike they are, and where each block would move."""
+"""Block-wise comparison of scan points with the photo at a pose: correlation, step and sub-pixel match of a block."""
 
 from __future__ import annotations
 
@@ -12,13 +12,20 @@ from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import channel_products
 from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
 from ladarreg_core.matching.sampling import Blocks, ViewPoints, runs
 from ladarreg_core.matching.zbuffer import Occluder
 
-LEAST_POINTS = 8
-"""Visible points that a block needs."""
-LEAST_BLOCKS = 8
-"""Such blocks that a comparison needs."""
+MIN_POINTS = 8
+"""Least number of visible points of a block."""
+MIN_BLOCKS = 8
+"""Least number of such blocks in a comparison."""
+_MIN_CORRELATION = 0.4  # a block that correlates less is no match
+_MIN_SHARED = 0.1
+_DAMPING = 0.3
+_SD_OF_MEDIAN = 1.4826
+_MIN_SCATTER_PX = 0.02
+_OUTLIER_SIGMA = 3.5
 
 
 class Target:
@@ -36,13 +43,13 @@ class Target:
         return channel_products(self._values, self._values)
 
     def seen_by(self, camera: Camera) -> Target:
-        """Return the same picture, taken for that of another camera of its size."""
+        """Return the same image attributed to another camera of the same size."""
         return Target(camera, self.channels, self.usable)
 
     def sample(self, uv: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return channels and their derivatives by u and v, each (N, 8), at pixels (N, 2) inside the picture.
+        """Return channels and their derivatives by u and v, each (N, 8), at pixels (N, 2) inside the image.
 
-        The derivatives are the central differences at the nearest pixel: the channels are smooth enough.
+        The derivatives are central differences at the nearest pixel; the channels are smooth enough for that.
         """
         width = self.camera.width
         base = np.floor(uv).astype(np.intp)
@@ -64,12 +71,15 @@ class Target:
 def project_visible(
     points: ViewPoints, target: Target, occluder: Occluder, buffer: FloatArray, pose: Rigid, *, border: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return points in the camera frame (N, 3), their pixels (N, 2), and which are visible `border` inside."""
+    """Return the points in the camera frame (N, 3), their pixels (N, 2), and a mask of those visible.
+
+    A visible point lies at least `border` pixels inside the image, on a usable pixel, and is not occluded.
+    """
     points_camera = pose @ points.points
     camera = target.camera
     depth = np.where(points_camera[:, 2] > 0.05, points_camera[:, 2], 1)[:, None]
     xy = points_camera[:, :2] / depth
-    if camera.distortion:  # the change of a lens, where it is being estimated
+    if camera.distortion:  # only while a change of the lens is being estimated
         uv = camera.project(np.column_stack([xy, np.ones(len(xy), np.float32)]))
     else:
         uv = xy * np.array([camera.fx, camera.fy], np.float32) + np.array([camera.cx, camera.cy], np.float32)
@@ -80,25 +90,25 @@ def project_visible(
 
 
 def block_counts(blocks: Blocks, visible: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """Return the visible points of each block (B,), and which blocks have enough."""
+    """Return the number of visible points of each block (B,), and a mask of the blocks that have enough."""
     count = blocks.sum(visible.astype(np.float32))
-    return count, count >= LEAST_POINTS
+    return count, count >= MIN_POINTS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockComparison:
-    """n visible points in b blocks; both sides' channels are centred and of length 1 in each block."""
+    """Comparison of n visible points in b blocks; the channels of both sides are centred and normalised per block."""
 
     points_camera: FloatArray
     """(n, 3) m, camera frame."""
     index: NDArray[np.intp]
-    """(n,) into the points compared."""
+    """(n,) indices into the points compared."""
     uv: FloatArray
-    """(n, 2) level pixels of the photo where the pose puts them."""
+    """(n, 2) their projections, level pixels of the photo."""
     blocks: Blocks
     """Their blocks."""
     count: FloatArray
-    """(b,) points."""
+    """(b,) number of points."""
     rho: FloatArray
     """(b,) correlation, at least 0."""
     by_u: FloatArray
@@ -115,7 +125,7 @@ class BlockComparison:
     """(n,) likewise `by_v`."""
 
     def normal_equations(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return uu, uv, vv and the right side u, v, (b,) each, of every block's own Lucas-Kanade step."""
+        """Return uu, uv, vv and the right-hand sides u, v, (b,) each, of every block's own Lucas-Kanade step."""
         sum_u, sum_v = self.blocks.sum(self.by_u), self.blocks.sum(self.by_v)
 
         def gram(first: FloatArray, second: FloatArray, sums: FloatArray, along: FloatArray) -> FloatArray:
@@ -138,10 +148,10 @@ class BlockComparison:
 def compare_blocks(
     points: ViewPoints, target: Target, occluder: Occluder, buffer: FloatArray, pose: Rigid
 ) -> BlockComparison | None:
-    """Compare the points that the photo sees at a pose, or return None where too few blocks are left."""
+    """Compare the scan points visible at a pose with the photo; return None if too few blocks remain."""
     points_camera, uv, visible = project_visible(points, target, occluder, buffer, pose, border=2)
     _, enough = block_counts(points.blocks, visible)
-    if np.count_nonzero(enough) < LEAST_BLOCKS:
+    if np.count_nonzero(enough) < MIN_BLOCKS:
         return None
     kept = np.flatnonzero(visible & enough[points.blocks.of_point])
     blocks = _sub_blocks(points.blocks.of_point[kept])
@@ -168,6 +178,65 @@ def compare_blocks(
         points_camera.take(kept, axis=0), kept, seen, blocks, count, rho, Bu, Bv,
         channel_products(A, Bu), channel_products(A, Bv), channel_products(B, Bu), channel_products(B, Bv),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockMatches:
+    """Sub-pixel point matches, one for each block."""
+
+    matches: Matches
+    """M matches, in the photo's own pixels."""
+    inliers: BoolArray
+    """(M,) bool, offset within 3.5 robust standard deviations."""
+    scatter_px: float
+    """Standard deviation of the inliers' offsets from the projection, photo pixels; NaN without matches."""
+
+
+def block_matches(seen: BlockComparison, points: ViewPoints, working: Camera, camera: Camera) -> BlockMatches:
+    """Return one match for each block, displaced from its projection by the block's own Lucas-Kanade step.
+
+    The step is damped along straight edges, where a block does not constrain it, so that the match stays at the
+    projection in that direction. The least-squares pose of these matches is therefore the finished pose, apart from
+    the weighting of blocks.
+
+    Args:
+        seen: the blocks at the finished pose.
+        points: the points that were compared.
+        working: the ideal camera of the comparison.
+        camera: the photo's own camera.
+    """
+    uu, uv, vv, right_u, right_v = (np.asarray(value, np.float64) for value in seen.normal_equations())
+    # Only the signal that a block shares with the photo contributes curvature; the rest of its gradient is noise.
+    shared = np.maximum(seen.rho, _MIN_SHARED).astype(np.float64)
+    damping = _DAMPING * float(np.median(shared * (uu + vv)))
+    uu, uv, vv = shared * uu + damping, shared * uv, shared * vv + damping
+    det = np.maximum(uu * vv - uv * uv, np.finfo(np.float64).tiny)  # flat blocks do not move
+    offset = np.stack([vv * right_u - uv * right_v, uu * right_v - uv * right_u], axis=-1) / det[:, None]
+
+    nearest = _centre_points(seen)
+    at = points.points[seen.index[nearest]].astype(np.float64)
+    ranges = np.linalg.norm(at, axis=-1)
+    pixel = seen.uv[nearest].astype(np.float64) + offset
+    own = camera.project(working.unproject(pixel))
+    matched = (seen.rho >= _MIN_CORRELATION) & np.isfinite(own).all(axis=-1)
+    grid = points.blocks.grid[points.blocks.of_point[seen.index[nearest]]][matched]
+    names = tuple(f"b{row}.{column}" for row, column in grid.tolist())
+    matches = Matches(at[matched] / ranges[matched, None], ranges[matched], own[matched], names)
+    if not len(matches):
+        return BlockMatches(matches, np.zeros(0, np.bool_), float("nan"))
+    off = np.abs(offset[matched])
+    scatter = _SD_OF_MEDIAN * float(np.median(off)) + _MIN_SCATTER_PX
+    inliers = off.max(axis=-1) <= _OUTLIER_SIGMA * scatter
+    return BlockMatches(matches, inliers, scatter * camera.focal_px / working.focal_px)
+
+
+def _centre_points(seen: BlockComparison) -> NDArray[np.intp]:
+    """Return the index of the point of each block (b,) nearest to the block's centroid."""
+    of = seen.blocks.of_point
+    middle: FloatArray = seen.blocks.sum(seen.uv) / seen.count[:, None]
+    distance = ((seen.uv - middle[of]) ** 2).sum(axis=-1)
+    order = np.lexsort((distance, of))
+    return np.asarray(order[np.searchsorted(of[order], np.arange(len(seen.blocks)))])
 
 
 def _sub_blocks(labels: NDArray[np.intp]) -> Blocks:

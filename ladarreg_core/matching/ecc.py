@@ -1,13 +1,14 @@
 """Direct alignment: Gauss-Newton on the correlation of blocks of channels (block-wise ECC).
 
-Each block of the scan's view is compared with the photo by normalised correlation alone, so a block may be brighter
-or fainter there; a block that does not agree, or wants to move elsewhere, loses its weight. The focal length and the
-lens may be free with the pose: the photo is then compared as it is, through the change of the camera.
+Each block of the scan's view is compared with the photo by normalised correlation, which is invariant to gain. A block
+that correlates poorly, or whose own step is long, is down-weighted. The focal length and k1 can be estimated with the
+pose; the photo is then not resampled, but projected into through the changed camera.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,68 +17,99 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import channel_products
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.blocks import BlockComparison, Target, compare_blocks
-from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
 from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.matching.zbuffer import Occluder
 
-_MOST_MOTION_PX = 4.0
+_MAX_MOTION_PX = 4.0
 _STILL_PX = 0.02
 _REFRESH_VISIBILITY = 3
+_MAX_LOG_FOCAL, _MAX_K1 = math.log(1.6), 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class ClimbOptions:
-    """One climb."""
+class CameraChange:
+    """A change of (log f, k1), relative to the ideal camera of the undistorted photo."""
+
+    log_focal: float = 0.0
+    """Added to the logarithm of both fx and fy."""
+    k1: float = 0.0
+    """Added to the first radial distortion coefficient."""
+
+    def after(self, step: FloatArray) -> CameraChange:
+        """Return the change after a step (K,) of (log f, k1), clipped to a plausible range."""
+        if not len(step):
+            return self
+        log_focal, k1 = (*map(float, step), 0.0)[:2]
+        return CameraChange(_clipped(self.log_focal + log_focal, _MAX_LOG_FOCAL), _clipped(self.k1 + k1, _MAX_K1))
+
+    def applied_to(self, camera: Camera) -> Camera:
+        """Return the changed camera; further distortion terms are kept, an ideal camera gets four."""
+        factor = math.exp(self.log_focal)
+        first, *others = camera.distortion or (0.0,) * 4
+        return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor, distortion=(first + self.k1, *others))
+
+
+NO_CHANGE = CameraChange()
+"""No change."""
+
+
+def _clipped(value: float, most: float) -> float:
+    return min(max(value, -most), most)
+
+
+@dataclass(frozen=True, slots=True)
+class RefineOptions:
+    """Options of one refinement."""
 
     tau_px: float
-    """A block whose own step is this long counts a quarter."""
+    """Length of a block's own step at which its weight falls to a quarter."""
     iterations: int
-    """Gauss-Newton steps at the most."""
+    """Maximum number of Gauss-Newton steps."""
     free: int = 0
-    """How many of (log f, k1) are free with the pose."""
+    """Number of (log f, k1) estimated with the pose."""
     damping: float = 0.0
-    """Added to their diagonal entries."""
+    """Added to the diagonal entries of (log f, k1)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ClimbResult:
-    """Where a climb ended."""
+class RefineResult:
+    """Result of one refinement."""
 
     camera_from_scanner: Rigid
     """The pose."""
     change: CameraChange
-    """What is different in the camera."""
+    """The change of the camera."""
     iterations: int
-    """Steps made."""
+    """Number of steps."""
     correlation: float
-    """Mean block correlation at the last step but one."""
+    """Mean block correlation before the last step."""
     blocks: int
-    """Blocks that took part."""
+    """Number of blocks used."""
     motion_px: float
     """Median motion of the last step."""
 
 
-def climb(
+def refine_pose(
     points: ViewPoints,
     target: Target,
     occluder: Occluder,
     start: Rigid,
-    options: ClimbOptions,
+    options: RefineOptions,
     *,
-    change: CameraChange = AS_STATED,
-) -> ClimbResult | None:
-    """Climb from a start pose to the best agreement of blocks.
+    change: CameraChange = NO_CHANGE,
+) -> RefineResult | None:
+    """Refine a pose by maximising the correlation of blocks.
 
     Args:
         points: the scan's points of a level.
         target: the photo at that level, with its ideal camera.
         occluder: the scan's surface.
-        start: `camera_from_scanner`.
-        options: how far.
-        change: how the camera differs from the target's at the start.
+        start: initial `camera_from_scanner`.
+        options: weights and number of steps.
+        change: initial change of the camera relative to the target's.
 
     Returns:
-        the end, or None where too little of the scan is visible in the photo.
+        the refined pose, or None if too little of the scan is visible in the photo.
     """
     pose = start
     buffer = occluder.depth_buffer(pose)
@@ -85,7 +117,7 @@ def climb(
     for iteration in range(options.iterations):
         if iteration and iteration % _REFRESH_VISIBILITY == 0:
             buffer = occluder.depth_buffer(pose)
-        seen_by = target.seen_by(change.applied(target.camera)) if options.free or change != AS_STATED else target
+        seen_by = target.seen_by(change.applied_to(target.camera)) if options.free or change != NO_CHANGE else target
         step = _gauss_newton_step(points, seen_by, occluder, buffer, pose, options)
         if step is None:
             return result
@@ -93,14 +125,14 @@ def climb(
         turn = rotation_from_rotvec(delta[:3])
         pose = Rigid(turn @ pose.rotation, turn @ pose.translation + delta[3:6])
         change = change.after(delta[6:])
-        result = ClimbResult(pose, change, iteration + 1, correlation, blocks, motion)
+        result = RefineResult(pose, change, iteration + 1, correlation, blocks, motion)
         if motion < _STILL_PX:
             break
     return result
 
 
 def _gauss_newton_step(
-    points: ViewPoints, target: Target, occluder: Occluder, buffer: FloatArray, pose: Rigid, options: ClimbOptions
+    points: ViewPoints, target: Target, occluder: Occluder, buffer: FloatArray, pose: Rigid, options: RefineOptions
 ) -> tuple[FloatArray, float, float, int] | None:
     seen = compare_blocks(points, target, occluder, buffer, pose)
     if seen is None:
@@ -108,20 +140,20 @@ def _gauss_newton_step(
     blocks, count, rho, Bu, Bv = seen.blocks, seen.count, seen.rho, seen.by_u, seen.by_v
     of = blocks.of_point
 
-    # What follows are the sums of products of the centred gradient, projected off B, without ever forming it.
+    # The sums below are products of the centred gradient with its component along B removed, without forming it.
     m_uu, m_uv, m_vv = (channel_products(*pair) for pair in ((Bu, Bu), (Bu, Bv), (Bv, Bv)))
     Ju, Jv = _jacobian(seen.points_camera, target.camera, options.free)
     along_b = blocks.sum(seen.b_u[:, None] * Ju + seen.b_v[:, None] * Jv)
     along_a = blocks.sum(seen.a_u[:, None] * Ju + seen.a_v[:, None] * Jv)
 
     weight = _weights(seen, options.tau_px)
-    # What a block shares with the photo is rho of it, and only that part curves: the rest of B's gradient is noise,
-    # and counting it would shorten every step by rho.
+    # Only the fraction rho of a block's signal is shared with the photo and contributes curvature; the rest of B's
+    # gradient is noise, and including it would shorten every step by rho.
     curvature = weight * rho
     w = curvature.take(of)[:, None]
     cross = (w * m_uv[:, None] * Ju).T @ Jv
     H = (w * m_uu[:, None] * Ju).T @ Ju + (w * m_vv[:, None] * Jv).T @ Jv + cross + cross.T
-    # The centring of the gradient, at each block's mean Jacobian: it only steers the step, not where it ends.
+    # Centring of the gradient, at each block's mean Jacobian: it affects the step, not the point of convergence.
     mean_u, mean_v = blocks.sum(Ju) / count[:, None], blocks.sum(Jv) / count[:, None]
     sum_u, sum_v = blocks.sum(Bu), blocks.sum(Bv)
     channel_sums = sum_u[:, :, None] * mean_u[:, None] + sum_v[:, :, None] * mean_v[:, None]
@@ -132,29 +164,29 @@ def _gauss_newton_step(
     g = (weight[:, None] * (along_a - rho[:, None] * along_b)).sum(axis=0)
     H, g = H.astype(np.float64), g.astype(np.float64)
     H[range(6, len(H)), range(6, len(H))] += options.damping
-    # what is projected off may leave a diagonal of rounding alone, on either side of zero
+    # the projection may leave diagonal entries of rounding error only, of either sign
     scale = np.sqrt(np.maximum(np.diag(H), 0)) + 1e-12
     try:
         delta = np.linalg.solve(H / np.outer(scale, scale) + 1e-6 * np.eye(len(H)), g / scale) / scale
     except np.linalg.LinAlgError:
         return None
     motion = float(np.median(np.hypot(Ju @ delta, Jv @ delta)))
-    if motion > _MOST_MOTION_PX:
-        delta *= _MOST_MOTION_PX / motion
+    if motion > _MAX_MOTION_PX:
+        delta *= _MAX_MOTION_PX / motion
     return delta, motion, float(np.average(rho)), len(blocks)
 
 
-def block_systems(seen: BlockComparison, camera: Camera, options: ClimbOptions) -> tuple[FloatArray, FloatArray]:
-    """Return what each block contributes to a Gauss-Newton step.
+def block_systems(seen: BlockComparison, camera: Camera, options: RefineOptions) -> tuple[FloatArray, FloatArray]:
+    """Return the contribution of each block to a Gauss-Newton step.
 
     Args:
         seen: the b blocks at a pose.
-        camera: the level's camera there.
-        options: as of the climb that ended at the pose.
+        camera: the level's camera at that pose.
+        options: those of the refinement that ended at the pose.
 
     Returns:
-        H (b, 6 + K, 6 + K) and g (b, 6 + K), by (w, t) of X' = exp([w]x) X + t and (log f, k1); H of the block's own
-        mean motion, which is all that regions are compared by.
+        H (b, 6 + K, 6 + K) and g (b, 6 + K), in (w, t) of X' = exp([w]x) X + t and (log f, k1). H uses each block's
+        mean motion, which is sufficient for the jackknife over regions.
     """
     blocks = seen.blocks
     Ju, Jv = _jacobian(seen.points_camera, camera, options.free)
@@ -174,13 +206,13 @@ def block_systems(seen: BlockComparison, camera: Camera, options: ClimbOptions) 
 
 
 def _weights(seen: BlockComparison, tau_px: float) -> FloatArray:
-    return np.asarray(seen.rho**2 / (1 + (_own_steps(seen) / tau_px) ** 2) ** 2)
+    return np.asarray(seen.rho**2 / (1 + (_block_steps(seen) / tau_px) ** 2) ** 2)
 
 
-def _own_steps(seen: BlockComparison) -> FloatArray:
-    """Return how far each block (B,) would move by its own Lucas-Kanade step, level pixels."""
+def _block_steps(seen: BlockComparison) -> FloatArray:
+    """Return the length of each block's own Lucas-Kanade step (B,), level pixels."""
     uu, uv, vv, right_u, right_v = seen.normal_equations()
-    # A straight edge says nothing of its own direction: the damping keeps that from becoming a long step.
+    # A straight edge does not constrain motion along itself: the damping prevents a long step in that direction.
     det = uu * vv - uv * uv + 1e-3 * (uu + vv) ** 2 + 1e-12
     return np.hypot((vv * right_u - uv * right_v) / det, (uu * right_v - uv * right_u) / det)
 

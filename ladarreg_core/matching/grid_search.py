@@ -1,7 +1,7 @@
-"""Starts where no corners match: the scan's coarse channels, seen from a grid of places, slid over the photo's.
+"""Initial poses without corner matches: the scan, rendered from a grid of positions, is correlated with the photo.
 
-From each place a virtual camera sees the scan; the Fourier transform then compares all small turns of it at once. It
-needs no single feature to be alike, only the picture as a whole.
+A virtual camera renders the coarse channels of the scan at each position; the Fourier transform correlates them with
+the photo at all small rotations at once. No single feature has to match, only the image as a whole.
 """
 
 from __future__ import annotations
@@ -18,67 +18,72 @@ from ladarreg_core.features.channels import ORIENTATIONS
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels
 
-MOST_STARTS = 5
-"""So many places, the likeliest first, are given at the most."""
+MAX_STARTS = 5
+"""Maximum number of poses returned."""
 _LEVEL = 2
-_SCALE = 0.5  # of that level: what a climb bears is some of these pixels
+_SCALE = 0.5  # of that level: the basin of refinement is several of these pixels wide
 _STEP_OF_RANGE = 0.06
-_PLACES = tuple((x, y, z) for x in range(-4, 5) for y in (-0.5, 0.5) for z in (-0.6, 0.6))
+_GRID = tuple((x, y, z) for x in range(-4, 5) for y in (-0.5, 0.5) for z in (-0.6, 0.6))
 _NEAR_STEP_M = 0.2
-_PLACES_NEAR = tuple((x, y, z) for x in range(-2, 3) for y in (-1, 0, 1) for z in (-1, 0, 1))
-_MOST_TURN_RAD, _MOST_TURN_NEAR_RAD = np.deg2rad(16), np.deg2rad(7)  # beyond, false peaks win
-_LEAST_OVERLAP = 0.3
+_GRID_NEAR = tuple((x, y, z) for x in range(-2, 3) for y in (-1, 0, 1) for z in (-1, 0, 1))
+_MAX_ROTATION_RAD, _MAX_ROTATION_NEAR_RAD = np.deg2rad(16), np.deg2rad(7)  # beyond, false peaks dominate
+_MIN_OVERLAP = 0.3
 _NEAREST_DEPTH_M = 0.05
-_LEAST_POINTS = 100
+_MIN_POINTS = 100
 _APART_PX = 16.0
-_TOLD_APART_BY = 300
+_BASIN_SAMPLES = 300
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """A start and how well the pictures agree there."""
+class ScoredPose:
+    """An initial pose with its score."""
 
     camera_from_scanner: Rigid
     """The pose."""
     score: float
-    """The correlation of the channels times the root of the pixels compared: standard deviations from none."""
+    """Correlation of the channels times the square root of the pixels compared: standard deviations above zero."""
 
 
-def likely_places(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None = None) -> list[Place]:
-    """Return the poses, likeliest first, from which the scan looks most like the photo.
+def likely_poses(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None = None) -> list[ScoredPose]:
+    """Return the poses at which the scan correlates best with the photo, best first.
 
     Args:
-        scan: the scan's levels; the photo is taken to stand as upright as the view does.
+        scan: the scan's levels; the photo is assumed to have the roll of the view.
         photo: the photo's levels.
-        around: a rough pose to look near to; None: around the scanner, in the direction of the view.
+        around: the pose to search around; None: the scanner, in the direction of the view.
 
     Returns:
-        at most `MOST_STARTS`, each in another basin; none where the scan shows hardly anything.
+        at most `MAX_STARTS` poses, each in a basin of its own; none if the view has hardly any returns.
     """
     cloud = _Cloud.of(scan)
-    if len(cloud.points) < _LEAST_POINTS:
+    if len(cloud.points) < _MIN_POINTS:
         return []
     middle = float(np.median(np.linalg.norm(cloud.points, axis=-1)))
     if around is None:
-        base, places, step, most = scan.view.view_from_scanner, _PLACES, _STEP_OF_RANGE * middle, _MOST_TURN_RAD
+        base, positions, step, max_rotation = (
+            scan.view.view_from_scanner,
+            _GRID,
+            _STEP_OF_RANGE * middle,
+            _MAX_ROTATION_RAD,
+        )
     else:
-        base, places, most = around, _PLACES_NEAR, _MOST_TURN_NEAR_RAD
+        base, positions, max_rotation = around, _GRID_NEAR, _MAX_ROTATION_NEAR_RAD
         step = max(_NEAR_STEP_M, _STEP_OF_RANGE * middle)
-    slider = _Slider(photo, most)
+    slider = _Slider(photo, max_rotation)
     found = []
-    for place in places:
-        seen_from = Rigid(base.rotation, base.translation - step * np.array(place))
+    for position in positions:
+        seen_from = Rigid(base.rotation, base.translation - step * np.array(position))
         best = slider.best(*cloud.seen_by(slider.camera, seen_from))
         if best is not None:
             turn, score = best
-            found.append(Place(turn @ seen_from, score))
+            found.append(ScoredPose(turn @ seen_from, score))
     found.sort(key=lambda item: -item.score)
-    return _in_other_basins(found, photo.cameras[0], cloud.points)
+    return _one_per_basin(found, photo.cameras[0], cloud.points)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cloud:
-    """The scan's returns of the coarse level, with their channels."""
+    """Returns of the scan at the coarse level, with their channels."""
 
     points: FloatArray
     """(N, 3) float32, scanner frame, m."""
@@ -97,7 +102,7 @@ class _Cloud:
         return _Cloud((rays.T * ranges[v, u][:, None]).astype(np.float32), channels[v, u])
 
     def seen_by(self, camera: Camera, pose: Rigid) -> tuple[FloatArray, BoolArray]:
-        """Return the channels (8, h, w) of the nearest return in each pixel, and where (h, w) there is one."""
+        """Return the channels (8, h, w) of the nearest return in each pixel, and a mask (h, w) of pixels with one."""
         there = pose @ self.points
         in_front = np.flatnonzero(there[:, 2] > _NEAREST_DEPTH_M)
         uv = camera.project(there[in_front])
@@ -111,18 +116,18 @@ class _Cloud:
         mask = np.isfinite(nearest)
         first = np.zeros(len(nearest), np.intp)
         first[pixel[shown]] = index[shown]
-        picture = self.channels.take(first, axis=0) * mask[:, None]
+        image = self.channels.take(first, axis=0) * mask[:, None]
         shape = (camera.height, camera.width)
-        return np.ascontiguousarray(picture.T).reshape(ORIENTATIONS, *shape), mask.reshape(shape)
+        return np.ascontiguousarray(image.T).reshape(ORIENTATIONS, *shape), mask.reshape(shape)
 
 
 class _Slider:
-    """The photo's coarse channels, transformed once, to be compared with pictures of the scan at every shift."""
+    """Correlates rendered views of the scan with the photo at every shift; the photo is transformed once."""
 
-    def __init__(self, photo: PhotoLevels, most_turn_rad: float) -> None:
+    def __init__(self, photo: PhotoLevels, max_rotation_rad: float) -> None:
         level = photo.cameras[_LEVEL]
         self.camera = level.scaled(_SCALE)
-        # Plane by plane: OpenCV averages areas of four channels at the most.
+        # Plane by plane: OpenCV's area interpolation supports at most four channels.
         planes = [*np.moveaxis(photo.channels[_LEVEL], -1, 0), photo.usable[_LEVEL].astype(np.float32)]
         small = [
             np.asarray(cv2.resize(np.ascontiguousarray(p), self.camera.size, interpolation=cv2.INTER_AREA))
@@ -131,7 +136,7 @@ class _Slider:
         mask = (small.pop() > 0.99).astype(np.float32)
         channels = np.stack(small) * mask
         channels -= mask * (channels.sum(axis=(1, 2)) / max(float(mask.sum()), 1.0))[:, None, None]
-        reach = self.camera.fx * np.tan(most_turn_rad)
+        reach = self.camera.fx * np.tan(max_rotation_rad)
         height, width = self.camera.height, self.camera.width
         self._reach = tuple(int(min(reach, side - 1)) for side in (height, width))
         padded = [n + r for n, r in zip((height, width), self._reach, strict=True)]
@@ -140,10 +145,10 @@ class _Slider:
         self._energy = self._transform((channels**2).sum(axis=0))
 
     def best(self, channels: FloatArray, mask: BoolArray) -> tuple[Rigid, float] | None:
-        """Return the turn of the virtual camera that fits best, and its score; None where nothing can be compared."""
+        """Return the best rotation of the virtual camera and its score, or None if too little overlaps."""
         where = mask.astype(np.float32)
         total = float(where.sum())
-        if total < _LEAST_OVERLAP * mask.size:
+        if total < _MIN_OVERLAP * mask.size:
             return None
         centred = channels - where * (channels.sum(axis=(1, 2)) / total)[:, None, None]
         seen = self._transform(where)
@@ -151,21 +156,21 @@ class _Slider:
         pixels = self._at_shifts(np.conj(seen) * self._mask)
         of_photo = self._at_shifts(np.conj(seen) * self._energy)
         of_scan = self._at_shifts(np.conj(self._transform((centred**2).sum(axis=0))) * self._mask)
-        enough = (pixels >= _LEAST_OVERLAP * mask.size) & (of_photo > 1e-6) & (of_scan > 1e-6)
+        enough = (pixels >= _MIN_OVERLAP * mask.size) & (of_photo > 1e-6) & (of_scan > 1e-6)
         if not enough.any():
             return None
         length = np.sqrt(np.where(enough, of_photo * of_scan, 1))
         score = np.where(enough, product / length * np.sqrt(np.maximum(pixels, 0)), -np.inf)
         row, column = np.unravel_index(int(score.argmax()), score.shape)
         dv, du = int(row) - self._reach[0], int(column) - self._reach[1]
-        # A turn about y to the right moves what is seen to the right, one about x moves it up.
+        # A positive rotation about y shifts the image to the right, one about x shifts it up.
         turn = rotation_about("y", np.arctan2(du, self.camera.fx)) @ rotation_about(
             "x", -np.arctan2(dv, self.camera.fy)
         )
         return Rigid(turn, np.zeros(3)), float(score[row, column])
 
-    def _transform(self, picture: FloatArray) -> NDArray[np.complex64]:
-        return np.asarray(np.fft.rfft2(picture, self._shape))
+    def _transform(self, image: FloatArray) -> NDArray[np.complex64]:
+        return np.asarray(np.fft.rfft2(image, self._shape))
 
     def _at_shifts(self, product: NDArray[np.complex64]) -> FloatArray:
         """Return the correlation (2 r_v + 1, 2 r_u + 1) at all shifts within reach."""
@@ -173,15 +178,15 @@ class _Slider:
         return np.asarray(whole[: 2 * self._reach[0] + 1, : 2 * self._reach[1] + 1])
 
 
-def _in_other_basins(found: list[Place], camera: Camera, points: FloatArray) -> list[Place]:
-    """Return the best of those places from which the same climb would start."""
-    some = points[:: max(1, len(points) // _TOLD_APART_BY)].astype(np.float64)
-    kept: list[tuple[Place, FloatArray]] = []
+def _one_per_basin(found: list[ScoredPose], camera: Camera, points: FloatArray) -> list[ScoredPose]:
+    """Return the best pose of each basin of refinement, at most `MAX_STARTS`."""
+    some = points[:: max(1, len(points) // _BASIN_SAMPLES)].astype(np.float64)
+    kept: list[tuple[ScoredPose, FloatArray]] = []
     for item in found:
         uv = camera.project(item.camera_from_scanner @ some)
         apart = (np.nanmedian(np.hypot(*(uv - other).T)) > _APART_PX for _, other in kept)
         if all(apart):
             kept.append((item, uv))
-        if len(kept) == MOST_STARTS:
+        if len(kept) == MAX_STARTS:
             break
     return [item for item, _ in kept]

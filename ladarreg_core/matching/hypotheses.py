@@ -1,4 +1,4 @@
-"""First guesses of the pose, cheapest first: corners matched by descriptors or by correlation, and RANSAC."""
+"""Pose hypotheses, cheapest first: corners matched by descriptors or by correlation, then RANSAC."""
 
 from __future__ import annotations
 
@@ -27,35 +27,35 @@ _FIRST_INLIERS, _LATER_INLIERS = 12, 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """A first guess."""
+    """A pose hypothesis with its matches."""
 
     source: str
-    """How it was found."""
+    """The kind of matches it was found from."""
     camera_from_scanner: Rigid
     """The pose."""
     inliers: int
-    """Matches that support it."""
+    """Number of inliers."""
     points: FloatArray
-    """(M, 3) scan points of all its matches, scanner frame, m."""
+    """(M, 3) scan points of all matches, scanner frame, m."""
     uv: FloatArray
-    """(M, 2) working pixels of all its matches."""
+    """(M, 2) working pixels of all matches."""
     supported: BoolArray
-    """(M,) bool: its inliers."""
+    """(M,) bool: the inliers."""
 
 
 def hypotheses(scan: ScanLevels, photo: PhotoLevels, *, seed: int) -> Iterator[Hypothesis | str]:
-    """Yield hypotheses as they are found; a string tells of an attempt that gave none.
+    """Yield hypotheses as they are found; a string reports an attempt that gave none.
 
     Args:
         scan: the scan's levels.
         photo: the photo's levels.
-        seed: of RANSAC.
+        seed: random seed of RANSAC.
     """
-    described = _Described(scan, photo)
+    described = _DescriptorMatcher(scan, photo)
     attempts: list[tuple[str, Callable[[], tuple[FloatArray, FloatArray]]]] = [
         ("descriptors of intensity", lambda: described.matches(scan.intensity_channels[0])),
         ("descriptors of intensity and geometry", lambda: described.matches(scan.channels[0])),
-        ("gray and edge correlation", lambda: _correlated(scan, photo)),
+        ("gray and edge correlation", lambda: _correlation_matches(scan, photo)),
     ]
     needed = _FIRST_INLIERS
     for k, (source, find) in enumerate(attempts):
@@ -65,11 +65,11 @@ def hypotheses(scan: ScanLevels, photo: PhotoLevels, *, seed: int) -> Iterator[H
         needed = _LATER_INLIERS
 
 
-class _Described:
-    """Descriptor matching; the photo's side and the corners are shared by both attempts."""
+class _DescriptorMatcher:
+    """Matches corners by descriptors; the corners and the photo's descriptors are shared by both attempts."""
 
     def __init__(self, scan: ScanLevels, photo: PhotoLevels) -> None:
-        self._scan_uv, self._photo_uv = described_corners(scan, photo)
+        self._scan_uv, self._photo_uv = descriptor_corners(scan, photo)
         self._photo = describe(photo.channels[0], self._photo_uv)
 
     def matches(self, channels: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -78,8 +78,8 @@ class _Described:
         return self._scan_uv[first], self._photo_uv[second]
 
 
-def described_corners(scan: ScanLevels, photo: PhotoLevels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners, pixels (N, 2) of the view and (M, 2) of the photo, that descriptors are taken at."""
+def descriptor_corners(scan: ScanLevels, photo: PhotoLevels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the corners that are described: pixels (N, 2) of the view and (M, 2) of the photo."""
     usable = np.isfinite(scan.ranges)
     return (
         find_corners(scan.gray_planes[0], _DESCRIPTOR_CORNERS, usable=usable).uv,
@@ -88,18 +88,18 @@ def described_corners(scan: ScanLevels, photo: PhotoLevels) -> tuple[NDArray[np.
 
 
 def points_at(scan: ScanLevels, uv: FloatArray) -> FloatArray:
-    """Return the scan's points (N, 3), scanner frame, m, at pixels (N, 2) of the view; NaN where it has no return."""
+    """Return the scan points (N, 3), scanner frame, m, at pixels (N, 2) of the view; NaN without a return."""
     pixel = np.rint(uv).astype(np.intp)
     return np.asarray(scan.view.rays_at(uv) * scan.ranges[pixel[:, 1], pixel[:, 0], None])
 
 
-def inliers_of(scan: ScanLevels, photo: PhotoLevels, scan_uv: FloatArray, photo_uv: FloatArray, *, seed: int) -> int:
-    """Return how many matches, pixels (K, 2) of the view and of the photo, the best pose of RANSAC explains."""
+def count_inliers(scan: ScanLevels, photo: PhotoLevels, scan_uv: FloatArray, photo_uv: FloatArray, *, seed: int) -> int:
+    """Return the number of RANSAC inliers among matches given as pixels (K, 2) of the view and of the photo."""
     found = _solve(scan, photo, scan_uv, photo_uv, source="", needed=_LATER_INLIERS, seed=seed)
     return 0 if found is None else found.inliers
 
 
-def _correlated(scan: ScanLevels, photo: PhotoLevels) -> tuple[FloatArray, FloatArray]:
+def _correlation_matches(scan: ScanLevels, photo: PhotoLevels) -> tuple[FloatArray, FloatArray]:
     scan_gray = scan.gray_planes[0]
     scan_uv = find_corners(scan_gray, _NCC_CORNERS, usable=np.isfinite(scan.ranges)).uv
     photo_uv = find_corners(photo.gray, _NCC_CORNERS, usable=photo.usable[0]).uv

@@ -1,7 +1,8 @@
-"""The ladder of modalities: which of the scan's channels a photograph that is not in colour shares, by measurement.
+"""Registration of gray and thermal photos: selects the scan channels that the photo shares, by measurement.
 
-A thermal picture shows no albedo, so laser intensity may have nothing in common with it; edges of bodies are edges of
-both. What carries information is not foretold: each channel set is tried and scored against the pair's own null.
+A thermal image shows no albedo, so it may have nothing in common with laser intensity, but the edges of objects appear
+in both. The informative channels are not known in advance: each channel set is tried and scored against the pair's own
+null distribution.
 """
 
 from __future__ import annotations
@@ -13,46 +14,45 @@ import numpy as np
 
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
-from ladarreg_core.matching.pictures import Pictures
-from ladarreg_core.matching.pyramid import ChannelSet
+from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
 from ladarreg_core.matching.verification import GateOptions, Verification
 from ladarreg_core.photo import Photo
+from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
-from ladarreg_core.steps import StepLog
 
 COARSE_GATE = GateOptions(
     contrast=2.1, many=35, few=35, few_contrast=2.1, few_fraction=0.5, fine_fraction=0.30, false_alarm=0.0
 )
-"""What a thermal pose must show: in fewer regions than one in colour, for the picture is small; it is called coarse."""
+"""Thresholds for thermal images: fewer regions than for colour, since the images are small; poses are called coarse."""
 
-_SHOWN_AS: dict[ChannelSet, str] = {
+_CHANNEL_LABELS: dict[ChannelSet, str] = {
     "both": "intensity and geometry together",
     "geometry": "geometry alone",
     "intensity": "intensity alone",
 }
-_WORTH_A_START = 0.3
+_PROMISING_FRACTION = 0.3
 _COARSE_VARIANCE = 4.5
-"""A thermal pose's variance over that of the same scatter in colour, on simulated pictures: the edges of what is warm
-lie beside those of what is seen, and alike all over the picture."""
+"""Variance factor of thermal over colour poses at the same scatter, from simulated images: thermal edges are displaced
+from visible ones, in the same direction over the whole image."""
 
 
 @dataclass(frozen=True, slots=True)
-class LadderVerification(Verification):
-    """A verdict that tells which of the scan's channels it was found by."""
+class ModalityVerification(Verification):
+    """Verdict with the channel set that it was found with."""
 
     channel_set: ChannelSet = "both"
-    """The channels."""
+    """The channel set."""
     label: str = ""
-    """`coarse` where the gate was that of thermal pictures."""
+    """`coarse` if the thresholds were those of thermal images."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures, JSON-ready."""
-        figures = super(LadderVerification, self).as_dict()
+        """Return the statistics, JSON-ready."""
+        figures = super(ModalityVerification, self).as_dict()
         return {**figures, "channels": self.channel_set, **({"label": self.label} if self.label else {})}
 
 
 def is_gray(photo: Photo) -> bool:
-    """Return whether a photo has no colour: a thermal picture, or one of three equal channels."""
+    """Return whether a photo has no colour: a thermal image, or three equal channels."""
     pixels = photo.pixels
     return photo.temperature_k is not None or bool((pixels == pixels[..., :1]).all())
 
@@ -60,34 +60,34 @@ def is_gray(photo: Photo) -> bool:
 def register_by_modality(
     scan: Scan, photo: Photo, steps: StepLog, *, initial: Rigid | None = None, options: AutoOptions | None = None
 ) -> AutoResult:
-    """Find the photo's pose from the pictures alone, by the channels of the scan that it shares most with.
+    """Find the pose of a photo from the images alone, with the scan channels that agree best with it.
 
-    A colour photo is compared with intensity and geometry together, as `register_auto` does. A gray one that is
-    refused so is tried with geometry and with intensity alone, before the same gate. A thermal picture is tried with
-    each and judged by `COARSE_GATE`. Which sets carry information is told by the gate, with the pair's own null; of
-    those that pass, the one counts that agrees best at full resolution, for its edges lie where the photo's do.
+    A colour photo is compared with intensity and geometry together, as in `register_auto`. If a gray photo is refused
+    that way, geometry alone and intensity alone are tried with the same thresholds. A thermal image is tried with every
+    channel set and verified with `COARSE_GATE`. Of the channel sets that pass, the one that agrees best at full
+    resolution is used, because its edges coincide best with those of the photo.
 
     Args:
         scan: the scan.
         photo: the photograph.
         steps: receives every step.
-        initial: a rough pose to try first.
-        options: thresholds and seed; a thermal picture has its own gate.
+        initial: an initial pose, tried first.
+        options: thresholds and seed; thermal images have their own thresholds.
     """
     o = options or AutoOptions()
     if not is_gray(photo):
         return register_auto(scan, photo, steps, initial=initial, options=o)
     thermal = photo.temperature_k is not None
     if thermal:
-        # A few soft regions fix a pose, and no lens besides.
+        # A few blurred regions determine a pose, but not the lens as well.
         o = replace(o, gate=COARSE_GATE, intrinsics="fixed" if o.intrinsics == "auto" else o.intrinsics)
     found: dict[ChannelSet, AutoResult] = {}
-    pictures = Pictures(scan, photo)
+    pair = PairLevels(scan, photo)
     start = initial
     for channel_set in get_args(ChannelSet):
-        if len(found) == 2 and not any(map(_leads_somewhere, found.values())):
-            break  # intensity alone has never found what neither the sum nor geometry had an inkling of
-        # what one set of channels has found need only be looked at by the others
+        if len(found) == 2 and not any(map(_is_promising, found.values())):
+            break  # in no test did intensity alone find a pose when neither the sum nor geometry came near one
+        # a pose found with one channel set need only be refined with the others
         reach: Reach = o.reach if start is initial else "near_start"
         found[channel_set] = register_auto(
             scan,
@@ -95,11 +95,11 @@ def register_by_modality(
             steps,
             initial=start,
             options=replace(o, channel_set=channel_set, reach=reach),
-            pictures=pictures,
+            pair=pair,
         )
         if _accepted(found[channel_set]) and not thermal:
             break
-        if _leads_somewhere(found[channel_set]) and not any(
+        if _is_promising(found[channel_set]) and not any(
             _accepted(r) for name, r in found.items() if name != channel_set
         ):
             start = found[channel_set].camera_from_scanner
@@ -113,35 +113,35 @@ def register_by_modality(
         steps.pose = found[best].camera_from_scanner
     others = [result for name, result in found.items() if name != best and _accepted(result)]
     answer = _with_disagreement(found[best], others)
-    return _labelled(_widened(answer, _COARSE_VARIANCE) if thermal else answer, best, thermal=thermal)
+    return _labelled(_scaled_covariance(answer, _COARSE_VARIANCE) if thermal else answer, best, thermal=thermal)
 
 
 def _accepted(result: AutoResult) -> bool:
     return result.verification is not None and result.verification.accepted
 
 
-def _leads_somewhere(result: AutoResult) -> bool:
-    return result.verification is not None and result.verification.fraction >= _WORTH_A_START
+def _is_promising(result: AutoResult) -> bool:
+    return result.verification is not None and result.verification.fraction >= _PROMISING_FRACTION
 
 
 def _with_disagreement(result: AutoResult, others: list[AutoResult]) -> AutoResult:
-    """Return the result with what the other channels' poses differ by counted into its covariance.
+    """Return the result with the differences to the poses of other channel sets added to its covariance.
 
-    The channels of a soft picture are each biased in their own way, of which their windows' scatter knows nothing.
+    Each channel set of a blurred image has a bias of its own, which the scatter of its windows does not show.
     """
     pose, evidence = result.camera_from_scanner, result.evidence
     if pose is None or evidence is None:
         return result
     covariance = np.array(evidence.covariance)
     for other in (r.camera_from_scanner for r in others):
-        assert other is not None, "what was accepted has a pose"
+        assert other is not None, "an accepted result has a pose"
         turn = rotvec_from_rotation(other.rotation @ pose.rotation.T)
         apart = np.concatenate([turn, other.centre - pose.centre])
         covariance += np.outer(apart, apart) / len(others)
     return replace(result, evidence=replace(evidence, covariance=covariance))
 
 
-def _widened(result: AutoResult, factor: float) -> AutoResult:
+def _scaled_covariance(result: AutoResult, factor: float) -> AutoResult:
     evidence = result.evidence
     if evidence is None:
         return result
@@ -149,13 +149,13 @@ def _widened(result: AutoResult, factor: float) -> AutoResult:
 
 
 def _score(result: AutoResult) -> tuple[bool, float, float]:
-    """Return whether a result passes, then its agreement at full resolution, then how it stands out from its null."""
+    """Return the sort key of a result: accepted, agreement at full resolution, contrast."""
     verdict = result.verification
     return (False, 0.0, 0.0) if verdict is None else (verdict.accepted, verdict.fine_fraction or 0.0, verdict.contrast)
 
 
 def _labelled(result: AutoResult, channel_set: ChannelSet, *, thermal: bool) -> AutoResult:
-    """Return the result with the channels, and whether it is coarse, in its verdict and reasons."""
+    """Return the result with the channel set and the label `coarse` in its verdict and reasons."""
     verdict = result.verification
     if verdict is None:
         return result
@@ -164,11 +164,11 @@ def _labelled(result: AutoResult, channel_set: ChannelSet, *, thermal: bool) -> 
     reasons = result.reasons
     if thermal:
         kind = "Coarse" if verdict.accepted else "Not even coarsely registered"
-        reasons = (*reasons, f"{kind}: a thermal picture, compared with the scan's {_SHOWN_AS[channel_set]}.")
+        reasons = (*reasons, f"{kind}: thermal image, compared with the scan's {_CHANNEL_LABELS[channel_set]}.")
     elif channel_set != "both":
-        reasons = (*reasons, f"The photo was compared with the scan's {_SHOWN_AS[channel_set]}.")
+        reasons = (*reasons, f"The photo was compared with the scan's {_CHANNEL_LABELS[channel_set]}.")
     return replace(
         result,
-        verification=LadderVerification(**figures, channel_set=channel_set, label=label),
+        verification=ModalityVerification(**figures, channel_set=channel_set, label=label),
         reasons=reasons,
     )

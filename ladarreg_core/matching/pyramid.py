@@ -1,10 +1,11 @@
-"""The two pictures as the matcher sees them: channels at three resolutions, computed once.
+"""Image pyramids of photo and scan: channels at three resolutions, computed once.
 
-The photo is undistorted and never warped again; the scan is seen in perspective at the photo's focal length.
+The photo is undistorted once and not resampled again; the scan is rendered in perspective at the photo's focal length.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -16,27 +17,29 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import add_channels, normalised_channels, raw_channels
+from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.perspective import View, native_focal_px
+from ladarreg_core.surface.perspective import View, native_focal_px, perspective_view
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.spikes import fill_from_nearest, gate_spikes, median_range
 from ladarreg_core.thermal import thermal_gray
 
 ChannelSet = Literal["both", "geometry", "intensity"]
-"""What of the scan a photo is compared with: laser intensity, normals and log range, or the sum of both."""
+"""Scan channels compared with the photo: laser intensity, geometry (normals and log range), or the sum of both."""
 LEVELS = (0, 1, 2)
-"""Level L has 1 / 2^L of the working resolution."""
-_MOST_PIXELS = 1_000_000
+"""Pyramid levels; level L has 1 / 2^L of the working resolution."""
+_MAX_PIXELS = 1_000_000
 _FEW_PIXELS = 160_000
-_MOST_ENLARGED = 2.0
+_MAX_ENLARGED = 2.0
 _STANDARD_RANGE_M = 2.5
 _RANGE_RATIO = (0.4, 4.0)
 _STRETCH_PERCENT = (1.0, 99.5)
 _RANGE_SPAN_M = (0.3, 30.0)
 _HOLE_REACH_PX = 2.0
 _FINE = {"blur_px": 1.2, "local_factor": 2.0}
-_OF_EVERY_SET = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
+_SHARED_BY_SETS = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
+_KEPT_VIEWS = 2  # about ten bytes per pixel and channel; a scan of one view needs two, upright and rolled
 
 
 def _normalised(raw: FloatArray, level: int) -> FloatArray:
@@ -49,32 +52,32 @@ def _halved(planes: list[FloatArray], camera: Camera) -> list[FloatArray]:
 
 
 def working_camera(scan: Scan, camera: Camera) -> Camera:
-    """Return the ideal camera in which matching works: the photo's, at most 1 Mpixel and never finer than the scan.
+    """Return the ideal camera used for matching: the photo's, with at most 1 Mpixel and no finer than the scan.
 
-    A small photo is enlarged, up to twice, as far as the scan is finer: regions are of a fixed number of pixels, and
-    few regions cannot tell. A coarse scan is never interpolated so: what was not measured must not count as agreeing.
-    (Enlarged more, the regions of a soft picture hold no detail: of a thermal one 320 pixels wide, enlarged 1.44 times,
-    twice the share agrees as of one enlarged to the scan's resolution.)
+    A small photo is enlarged, at most twice, if the scan is finer: regions have a fixed size in pixels, and a verdict
+    needs enough of them. A coarse scan is not interpolated for this purpose: unmeasured detail must not count as
+    agreement. (With more enlargement the regions of a blurred image hold no detail: of a thermal image 320 pixels wide,
+    enlarged 1.44 times, twice as large a fraction agrees as when it is enlarged to the scan's resolution.)
     """
     pixels = camera.width * camera.height
-    enlarged = min(max(1.0, float(np.sqrt(_FEW_PIXELS / pixels))), _MOST_ENLARGED)
-    factor = min(enlarged, native_focal_px(scan) / camera.focal_px, float(np.sqrt(_MOST_PIXELS / pixels)))
+    enlarged = min(max(1.0, float(np.sqrt(_FEW_PIXELS / pixels))), _MAX_ENLARGED)
+    factor = min(enlarged, native_focal_px(scan) / camera.focal_px, float(np.sqrt(_MAX_PIXELS / pixels)))
     scaled = camera.scaled(factor)
     return Camera(scaled.width, scaled.height, scaled.focal_px, scaled.focal_px, scaled.cx, scaled.cy)
 
 
 @dataclass(frozen=True, eq=False)
 class PhotoLevels:
-    """The photo, undistorted, at three resolutions."""
+    """The undistorted photo at three resolutions."""
 
     source: Camera
     """The photo's own camera."""
     cameras: tuple[Camera, ...]
     """The ideal camera of each level."""
     planes: tuple[list[FloatArray], ...]
-    """R, G and B of each level, float32, 0 to 255; of a thermal picture one, gray levels around 0."""
+    """R, G and B of each level, float32, 0 to 255; a thermal image has one plane, gray levels around 0."""
     usable: tuple[BoolArray, ...]
-    """Where each level's picture shows something: an undistorted picture has empty corners."""
+    """Mask of pixels with data, by level: the corners of an undistorted image may be empty."""
 
     @cached_property
     def gray(self) -> FloatArray:
@@ -96,16 +99,16 @@ class PhotoLevels:
 
     @cached_property
     def fine_channels(self) -> FloatArray:
-        """(h, w, 8), level 0, sharper and more strongly normalised: for the last pixel fractions."""
+        """(h, w, 8), level 0, sharper and more strongly normalised, for the final sub-pixel refinement."""
         return normalised_channels(self._raw_fine, **_FINE)
 
 
 def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
-    """Return the photo as the matcher sees it.
+    """Return the levels of a photo.
 
     Args:
         photo: the photograph.
-        working: the ideal camera to work in, of the photo's shape.
+        working: the ideal camera of level 0, with the photo's aspect ratio.
     """
     scaled = photo.camera.resized(*working.size)
     kelvin = photo.temperature_k
@@ -134,7 +137,7 @@ def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
 
 @dataclass(frozen=True, eq=False)
 class ScanLevels:
-    """The scan's perspective view at three resolutions, with its surface."""
+    """The scan's perspective view at three resolutions, with its ranges."""
 
     view: View
     """The view at level 0."""
@@ -145,18 +148,18 @@ class ScanLevels:
     geometry_planes: tuple[list[FloatArray], ...]
     """Normals and log range of each level, about 0 to 255."""
     ranges: FloatArray
-    """(h, w) float32 m, level 0: spike-gated and median-filtered, the foreground at depth edges; NaN = no return."""
+    """(h, w) float32 m, level 0: without spikes, median-filtered, the foreground at depth edges; NaN: no return."""
     edge: BoolArray
     """(h, w) bool, level 0: within three pixels of a depth edge or a hole."""
     channel_set: ChannelSet = "both"
-    """What `channels` are made of."""
+    """The set that `channels` are computed from."""
 
     def with_channels(self, channel_set: ChannelSet) -> ScanLevels:
-        """Return the same levels with other channels to be compared; what was made of either is kept."""
+        """Return the same levels with another channel set; channels already computed are shared."""
         if channel_set == self.channel_set:
             return self
         other = replace(self, channel_set=channel_set)
-        shared = {name: made for name, made in vars(self).items() if name in _OF_EVERY_SET}
+        shared = {name: made for name, made in vars(self).items() if name in _SHARED_BY_SETS}
         vars(other).update(shared)
         return other
 
@@ -168,7 +171,7 @@ class ScanLevels:
 
     @cached_property
     def _near_returns(self) -> tuple[FloatArray, ...]:
-        """1 within some pixels of a return, per level: beyond, the filling would print its own edges."""
+        """1 within a few pixels of a return, by level: farther away the filled ranges would produce false edges."""
         near = []
         valid = np.isfinite(self.ranges).astype(np.float32)
         for camera in self.cameras:
@@ -179,43 +182,43 @@ class ScanLevels:
 
     @cached_property
     def intensity_channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 8) of each level, from intensity alone."""
+        """(h, w, 8) of each level, from intensity."""
         coarser = zip(self.gray_planes[1:], self._near_returns[1:], strict=True)
         raw = [self._raw_intensity, *(raw_channels([plane]) * near for plane, near in coarser)]
         return tuple(map(_normalised, raw, LEVELS))
 
     @cached_property
     def geometry_channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 8) of each level, from normals and log range alone."""
+        """(h, w, 8) of each level, from normals and log range."""
         pairs = zip(self.geometry_planes, self._near_returns, strict=True)
         return tuple(_normalised(raw_channels(planes) * near, L) for L, (planes, near) in enumerate(pairs))
 
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 8) of each level: of intensity and geometry, each normalised alone, or of what the set names."""
+        """(h, w, 8) of each level, of the channel set; intensity and geometry are normalised before they are summed."""
         if self.channel_set != "both":
             return self.geometry_channels if self.channel_set == "geometry" else self.intensity_channels
         return tuple(map(add_channels, self.intensity_channels, self.geometry_channels))
 
     @cached_property
     def fine_channels(self) -> FloatArray:
-        """(h, w, 8), level 0, sharper: for the last pixel fractions. Of intensity, unless the set has none."""
+        """(h, w, 8), level 0, sharper, for the final sub-pixel refinement: of intensity, if the set includes it."""
         if self.channel_set != "geometry":
             return normalised_channels(self._raw_intensity, **_FINE)
         return normalised_channels(raw_channels(self.geometry_planes[0]) * self._near_returns[0], **_FINE)
 
 
 def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> ScanLevels:
-    """Return the scan as the matcher sees it in one view.
+    """Return the levels of a scan in one view.
 
     Args:
         scan: the scan.
         view: the view.
-        channel_set: what it is compared by.
+        channel_set: the channels to compare.
     """
     gated = gate_spikes(scan.ranges)
     gray = _laser_gray(scan, gated)
-    gray = look_up(gray, view.cells[..., 0], view.cells[..., 1])  # beyond the grid its border goes on
+    gray = look_up(gray, view.cells[..., 0], view.cells[..., 1])  # the border is replicated beyond the grid
 
     ranges = view.resample_ranges(gated)
     ranges[~view.inside] = np.nan
@@ -225,7 +228,7 @@ def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> 
     jump = high - low > 0.04 * median
     surface = np.where(jump, low, median)  # the foreground owns the contour
     jump |= ~valid
-    edge = cv2.dilate(jump.astype(np.uint8), np.ones((3, 3))) > 0  # the 5 x 5 reach two pixels themselves
+    edge = cv2.dilate(jump.astype(np.uint8), np.ones((3, 3))) > 0  # the 5 x 5 window already reaches two pixels
     geometry = _geometry_planes(view, fill_from_nearest(ranges, valid))
 
     shown = gray[valid] if valid.any() else gray
@@ -248,10 +251,48 @@ def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> 
     )
 
 
+class PairLevels:
+    """Levels of a pair, computed once and shared by all channel sets: the photo's, and the scan's in each view.
+
+    Args:
+        scan: the scan.
+        photo: the photograph.
+    """
+
+    def __init__(self, scan: Scan, photo: Photo) -> None:
+        self.scan = scan
+        self.working = working_camera(scan, photo.camera)
+        self._photo = photo
+        self._photo_levels: PhotoLevels | None = None
+        self._views: deque[tuple[Rigid, ScanLevels]] = deque(maxlen=_KEPT_VIEWS)
+
+    @property
+    def photo(self) -> PhotoLevels:
+        """The photo's levels."""
+        if self._photo_levels is None:
+            self._photo_levels = photo_levels(self._photo, self.working)
+        return self._photo_levels
+
+    def view(self, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
+        """Return the scan's levels in one view.
+
+        Args:
+            direction: the rotation (view from scanner).
+            channel_set: the channels to compare.
+        """
+        for known, levels in self._views:
+            if (known.rotation == direction.rotation).all():
+                return levels.with_channels(channel_set)
+        view = perspective_view(self.scan, self.working, view_from_scanner=direction)
+        levels = scan_levels(self.scan, view, channel_set=channel_set)
+        self._views.append((direction, levels))
+        return levels
+
+
 def _laser_gray(scan: Scan, ranges: FloatArray) -> FloatArray:
-    """Return the square root of range-compensated intensity, (H, W), holes filled from their nearest return."""
+    """Return the square root of range-compensated intensity, (H, W); holes are filled from the nearest return."""
     intensity = np.maximum(scan.intensity, 0)
-    if scan.intensity.min(initial=0.0, where=scan.valid) < 0:  # decibels and the like: only differences have meaning
+    if scan.intensity.min(initial=0.0, where=scan.valid) < 0:  # logarithmic, as in dB: only differences count
         low = float(np.percentile(scan.intensity[scan.valid], _STRETCH_PERCENT[0]))
         intensity = np.maximum(scan.intensity - low, 0)
     if scan.intensity_is == "raw":
@@ -261,14 +302,14 @@ def _laser_gray(scan: Scan, ranges: FloatArray) -> FloatArray:
 
 
 def _geometry_planes(view: View, filled: FloatArray) -> list[FloatArray]:
-    """Return nx, ny, nz and 1.5 log r of a view's filled ranges, scaled so that a strong edge is like one of gray."""
+    """Return nx, ny, nz and 1.5 log r of a view's filled ranges, scaled so that edges are as strong as gray ones."""
     log_range = np.log(np.clip(cv2.medianBlur(filled, 5), *_RANGE_SPAN_M))
     log_range = cv2.bilateralFilter(log_range, 7, 0.03, 3)
     camera = view.camera
     x = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
     y = (np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
     depth = np.exp(log_range) / np.sqrt(1 + x**2 + y[:, None] ** 2)
-    # plane by plane: three times as fast as vectors of three
+    # plane by plane: three times as fast as with 3-vectors
     along, down = (
         [np.asarray(cv2.Sobel(plane, cv2.CV_32F, *order, ksize=5)) for plane in (depth * x, depth * y[:, None], depth)]
         for order in ((1, 0), (0, 1))

@@ -1,4 +1,4 @@
-"""The scan points that are compared with the photo: strong edges, spread over the view, grouped into blocks."""
+"""Sampling of the scan points that are compared with the photo: strong edges, spread over the view, in blocks."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ BLOCK_PX = 48
 """Side of a block, full-resolution pixels of the scan's view."""
 _COUNT = (7000, 7000, 3500)
 _STRATUM_PX = (32, 16, 8)
-_LEAST_NORM = 0.15
+_MIN_NORM = 0.15
 _BORDER_PX = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
-    """Which block each point belongs to; points are sorted by block."""
+    """Assignment of points to blocks; points are sorted by block."""
 
     starts: NDArray[np.intp]
     """(B,) index of each block's first point."""
@@ -48,7 +48,7 @@ class ViewPoints:
     uv: FloatArray
     """(N, 2) level pixels of the view."""
     channels: FloatArray
-    """(N, 8) the scan's own channels there."""
+    """(N, 8) the scan's channels at the points."""
     blocks: Blocks
     """Their blocks."""
 
@@ -59,20 +59,20 @@ class ViewPoints:
 def edge_strength(
     scan: ScanLevels, channels: FloatArray, *, level: int, away_from_edges: bool = False
 ) -> FloatArray | None:
-    """Return how strong an edge is at the pixels that points may be drawn from, or None where the view has none.
+    """Return the edge strength at the pixels that points may be drawn from, or None if the view has none.
 
     Args:
         scan: the scan's levels.
-        channels: (h, w, 8) of that level, whose norm it is.
-        level: which level.
-        away_from_edges: leave out what is near depth edges and holes.
+        channels: (h, w, 8) of that level; the strength is their norm.
+        level: pyramid level.
+        away_from_edges: leave out pixels near depth edges and holes.
 
     Returns:
-        (h, w) float32; 0 where no point may be drawn.
+        (h, w) float32; 0 at pixels that no point may be drawn from.
     """
     surface, edge = _at_level(scan, scan.cameras[level], level)
     norm = np.sqrt(channel_products(channels, channels))
-    usable = np.isfinite(surface) & (norm > _LEAST_NORM)
+    usable = np.isfinite(surface) & (norm > _MIN_NORM)
     if away_from_edges:
         usable &= ~edge
     usable[:_BORDER_PX] = usable[-_BORDER_PX:] = False
@@ -85,21 +85,21 @@ def edge_strength(
 def draw_points(
     scan: ScanLevels, channels: FloatArray, strength: FloatArray, *, level: int, seed: int, count: int | None = None
 ) -> ViewPoints:
-    """Draw the points of one level from the strongest edges of each stratum, of which twice as many are kept.
+    """Draw the points of one level at random from the strongest pixels of each stratum, twice as many as needed.
 
     Args:
         scan: the scan's levels.
         channels: (h, w, 8) of that level.
-        strength: (h, w) as of `edge_strength`.
-        level: which level.
-        seed: of the draw.
-        count: how many at the most; None: the level's standard.
+        strength: (h, w) of `edge_strength`.
+        level: pyramid level.
+        seed: random seed.
+        count: maximum number of points; None: the default of the level.
     """
-    camera, wanted = scan.cameras[level], count or _COUNT[level]
+    camera, limit = scan.cameras[level], count or _COUNT[level]
     surface, _ = _at_level(scan, camera, level)
-    pixel = _strongest_in_strata(strength, _STRATUM_PX[level], 2 * wanted)
-    if len(pixel) > wanted:
-        pixel = np.random.default_rng(seed).choice(pixel, wanted, replace=False)
+    pixel = _strongest_in_strata(strength, _STRATUM_PX[level], 2 * limit)
+    if len(pixel) > limit:
+        pixel = np.random.default_rng(seed).choice(pixel, limit, replace=False)
     v, u = np.divmod(pixel, camera.width)
 
     side = BLOCK_PX >> level
@@ -127,13 +127,13 @@ def _at_level(scan: ScanLevels, camera: Camera, level: int) -> tuple[FloatArray,
 
 
 def _strongest_in_strata(strength: FloatArray, side_px: int, count: int) -> NDArray[np.intp]:
-    """Return the flat pixels (K,) that are the strongest of their stratum, about `count`, stratum by stratum."""
+    """Return the flat indices (K,) of the strongest pixels of each stratum, about `count` in all, by stratum."""
     height, width = strength.shape
     rows, columns, area = -(-height // side_px), -(-width // side_px), side_px**2
     whole = np.zeros((rows * side_px, columns * side_px), np.float32)
     whole[:height, :width] = strength
     strata = whole.reshape(rows, side_px, columns, side_px).swapaxes(1, 2).reshape(rows, columns, area)
-    # Positive floats are ordered as their bits are; of equally strong pixels the first counts.
+    # Positive floats have the order of their bit patterns; of equally strong pixels the first is taken.
     rank = (strata.view(np.int32).astype(np.int64) + 1) * area - np.arange(1, area + 1)
     filled = int(np.count_nonzero(strata.any(axis=-1)))
     of_each = min(-(-count // max(filled, 1)), area)
@@ -145,6 +145,6 @@ def _strongest_in_strata(strength: FloatArray, side_px: int, count: int) -> NDAr
 
 
 def runs(label: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return where each run of equal labels begins, (R,), and which run each of the labels (N,) is of."""
+    """Return the start index (R,) of each run of equal labels, and the run (N,) of each label."""
     starts = np.flatnonzero(np.diff(label, prepend=label[:1] - 1))
     return starts, np.repeat(np.arange(len(starts)), np.diff(starts, append=len(label)))

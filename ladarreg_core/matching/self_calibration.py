@@ -1,4 +1,4 @@
-"""The focal length and the lens, found with the pose where the picture speaks against the stated camera."""
+"""Self-calibration: focal length and k1 estimated with the pose if the image contradicts the stated camera."""
 
 from __future__ import annotations
 
@@ -13,51 +13,52 @@ from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
 from ladarreg_core.matching.covariance import RegionEvidence
+from ladarreg_core.matching.ecc import NO_CHANGE, CameraChange
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.verification import Verification, verify
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import perspective_view
 
 FreeCamera = Literal["auto", "fixed", "focal", "focal_k1"]
-"""What is free with the pose: what the picture asks for; nothing; the focal length; k1 too."""
+"""Intrinsics estimated with the pose: automatic; none; the focal length; the focal length and k1."""
 
 _FREE: Mapping[FreeCamera, int] = {"auto": 2, "fixed": 0, "focal": 1, "focal_k1": 2}
-_LOOK_SIGMA = 3.0
-_AT_EASE, _AT_EASE_SHIFT = 2.0, 0.01  # two steps tell of a wrong camera most of what a whole finish does, or move it
+_SUSPECT_SIGMA = 3.0
+_FITS_SIGMA, _FITS_SHIFT = 2.0, 0.01  # two steps show most of the change that a whole finish makes
 _KEEP_SIGMA = 3.0
 _REFUSE_SIGMA = 5.0
 _WRONG_CAMERA = (
-    "The picture speaks against the stated focal length or lens, and none was found that fits; give the camera file."
+    "The image contradicts the stated focal length or lens distortion, and no values that fit were found; "
+    "give a camera file."
 )
-_MOST_SIGMA_OF_FOCAL = 0.02
+_MAX_LOG_FOCAL_SIGMA = 0.02
 _ROUNDS = 4
 _SETTLED_LOG_FOCAL, _SETTLED_K1 = 0.003, 0.02
-_SAME_VIEW = 0.04
-_SURE = 0.6
-_LEAST_FINE_FRACTION = 0.5
-_BEYOND_CALIBRATION = 0.025  # of the distance from the picture's middle
-_MIDDLE = 0.3
-_PROMISING, _HEADWAY = 0.5, 0.05  # of the windows at level 1
+_SAME_VIEW_LOG_FOCAL = 0.04
+_SUFFICIENT_FINE_FRACTION = 0.6
+_MIN_FINE_FRACTION = 0.5
+_MIN_SHIFT_CALIBRATED = 0.025  # relative to the distance from the principal point
+_CENTRAL_FRACTION = 0.3
+_PROMISING_FRACTION, _MIN_GAIN = 0.5, 0.05  # fractions of the windows at level 1
 
 
 def check_free_camera(value: object) -> None:
-    """Refuse what is no `FreeCamera`.
+    """Check the option `intrinsics`.
 
     Raises:
-        OptionError: if it is none.
+        OptionError: if it is not a `FreeCamera`.
     """
     if value not in get_args(FreeCamera):
-        raise OptionError(f"the intrinsics are {value!r}; they must be one of {', '.join(get_args(FreeCamera))}")
+        raise OptionError(f"the option intrinsics is {value!r}; it must be one of {', '.join(get_args(FreeCamera))}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Finished:
-    """A finished pose with its camera, judged on the photo as that camera sees it."""
+class FinishedPose:
+    """A finished pose with its camera, verified on the photo undistorted with that camera."""
 
     aligner: Aligner
-    """Of that camera."""
+    """The aligner of that camera."""
     camera: Camera
     """The photo's own camera, as stated or estimated."""
     camera_from_scanner: Rigid
@@ -67,150 +68,153 @@ class Finished:
     fine: Agreement
     """Agreement at level 0."""
     regions: RegionEvidence | None
-    """How uncertain it is."""
+    """Covariance of pose and intrinsics."""
     free: int = 0
-    """How many of (log f, k1) were estimated."""
+    """Number of (log f, k1) estimated."""
 
     @property
     def camera_sigmas(self) -> dict[str, float]:
-        """The standard deviation of each intrinsic that was estimated, by name."""
+        """Standard deviations of the estimated intrinsics, by name."""
         if not self.free or self.regions is None:
             return {}
         sigma = np.sqrt(np.diag(self.regions.covariance)[6 : 6 + self.free])
         scaled = sigma * np.array([self.camera.focal_px, 1.0])[: self.free]
         return dict(zip(("focal_px", "k1"), scaled.tolist(), strict=False))
 
-    def in_words(self, given: Camera) -> tuple[str, ...]:
-        """Return what was estimated beside the pose, in sentences."""
-        said = []
+    def summary(self, given: Camera) -> tuple[str, ...]:
+        """Return a sentence for each estimated intrinsic, with its stated value."""
+        sentences = []
         for name, sigma in self.camera_sigmas.items():
             if name == "k1":
-                said.append(
-                    f"The lens's k1 was estimated: {_k1(self.camera):.3f} +- {sigma:.3f} instead of {_k1(given):.3f}."
+                sentences.append(
+                    f"Lens distortion k1 was estimated: {_k1(self.camera):.3f} +- {sigma:.3f} instead of "
+                    f"{_k1(given):.3f}."
                 )
             else:
-                said.append(
+                sentences.append(
                     f"The focal length was estimated: {self.camera.focal_px:.1f} +- {sigma:.1f} px instead of "
                     f"{given.focal_px:.1f} px."
                 )
-        return tuple(said)
+        return tuple(sentences)
 
 
-def finished(aligner: Aligner, camera: Camera, pose: Rigid, *, free: int = 0) -> Finished:
-    """Judge a finished pose.
+def verify_finished(aligner: Aligner, camera: Camera, pose: Rigid, *, free: int = 0) -> FinishedPose:
+    """Verify a finished pose.
 
     Args:
-        aligner: the pair, with the photo as the camera sees it.
+        aligner: the pair, with the photo undistorted with the camera.
         camera: the photo's camera.
         pose: `camera_from_scanner`.
-        free: how many of (log f, k1) were estimated with it.
+        free: number of (log f, k1) estimated with it.
     """
-    verification, _, fine = aligner.judge(pose)
-    return Finished(aligner, camera, pose, verification, fine, aligner.regions(pose, free=free), free)
+    verification, _, fine = aligner.verify(pose)
+    return FinishedPose(aligner, camera, pose, verification, fine, aligner.regions(pose, free=free), free)
 
 
-def with_camera_free(fixed: Finished, photo: Photo, start: Rigid, intrinsics: FreeCamera) -> Finished:
-    """Return a finished pose with the intrinsics that the picture asks for.
+def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics: FreeCamera) -> FinishedPose:
+    """Return a finished pose with estimated intrinsics, if the image requires them.
 
-    A test of the regions asks first whether the pose would rather have another camera. Its estimate is kept where the
-    regions agree on it, and the picture agrees no less with it.
+    A significance test over the regions decides first whether the stated camera is in doubt. The estimate is kept if it
+    is significant and the image agrees no less with it.
 
     Args:
         fixed: the finished pose with the camera as stated.
         photo: the photograph, with that camera.
-        start: the pose that was climbed to before the finish.
-        intrinsics: what may be free.
+        start: the candidate pose before the finish.
+        intrinsics: the intrinsics that may be estimated.
     """
     if intrinsics == "fixed" or (intrinsics == "auto" and photo.temperature_k is not None):
-        return fixed  # a thermal picture has too few structures to tell
+        return fixed  # a thermal image has too little structure to determine them
     free = _FREE[intrinsics]
-    if intrinsics == "auto" and _at_ease(fixed, *fixed.aligner.loosen(fixed.camera_from_scanner, free=free)):
+    if intrinsics == "auto" and _camera_fits(
+        fixed, *fixed.aligner.preview_free_camera(fixed.camera_from_scanner, free=free)
+    ):
         return fixed
-    pose, change = fixed.aligner.finish_free(fixed.camera_from_scanner, free=free)
-    doubt = _doubt(fixed, pose, change)
-    if intrinsics == "auto" and doubt <= _LOOK_SIGMA:
+    pose, change = fixed.aligner.finish_with_free_camera(fixed.camera_from_scanner, free=free)
+    doubt = _camera_deviate(fixed, pose, change)
+    if intrinsics == "auto" and doubt <= _SUSPECT_SIGMA:
         return fixed
-    best: Finished | None = None
-    # Near the truth the finish tells the camera; else it must be climbed to again, at the coarser level.
-    starts = [(start, AS_STATED, True)]
+    best: FinishedPose | None = None
+    # Near the true pose the finish determines the camera; otherwise pose and camera are refined at the coarser level.
+    starts = [(start, NO_CHANGE, True)]
     if fixed.verification.accepted:
         starts.insert(0, (pose, change, False))
     for begin, begin_change, coarsely in starts:
-        found = _estimated(fixed, photo, begin, begin_change, free=free, coarsely=coarsely)
+        found = _estimate(fixed, photo, begin, begin_change, free=free, coarsely=coarsely)
         if found is not None and (best is None or _rank(found) > _rank(best)):
             best = found
-        if best is not None and (best.verification.fine_fraction or 0) >= _SURE:
+        if best is not None and (best.verification.fine_fraction or 0) >= _SUFFICIENT_FINE_FRACTION:
             break
-    believed = best is not None and (intrinsics != "auto" or _convinces(best, fixed, calibrated=photo.calibrated))
+    believed = best is not None and (intrinsics != "auto" or _is_better(best, fixed, calibrated=photo.calibrated))
     if best is None or not believed:
         lost = best is None or not best.verification.accepted
-        return _less_certain(_refused(fixed) if lost and doubt > _REFUSE_SIGMA else fixed, pose)
+        return _inflated(_refused(fixed) if lost and doubt > _REFUSE_SIGMA else fixed, pose)
     return best
 
 
-def _refused(fixed: Finished) -> Finished:
-    """Return a pose as not accepted, since its camera is wrong and no right one was found."""
+def _refused(fixed: FinishedPose) -> FinishedPose:
+    """Return the pose as refused, since its camera is wrong and no other was found."""
     verification = fixed.verification
-    said = verification.reasons if not verification.accepted else ()
-    reasons = (*said, _WRONG_CAMERA)
+    sentences = verification.reasons if not verification.accepted else ()
+    reasons = (*sentences, _WRONG_CAMERA)
     return replace(fixed, verification=replace(verification, accepted=False, reasons=reasons))
 
 
-def _less_certain(fixed: Finished, other: Rigid) -> Finished:
-    """Return a pose whose camera is in doubt, as uncertain as that doubt makes it."""
+def _inflated(fixed: FinishedPose, other: Rigid) -> FinishedPose:
+    """Return the pose with its covariance enlarged by the shift to the pose of the free camera."""
     if fixed.regions is None:
         return fixed
     pose = fixed.camera_from_scanner
     turn = rotvec_from_rotation(other.rotation @ pose.rotation.T)
     moved = np.concatenate([turn, other.centre - pose.centre])
-    return replace(fixed, regions=fixed.regions.in_doubt(moved))
+    return replace(fixed, regions=fixed.regions.inflated_by(moved))
 
 
-def _doubt(fixed: Finished, pose: Rigid, change: CameraChange) -> float:
-    """Return how surely the regions agree on another camera, once it is free, as a normal deviate."""
+def _camera_deviate(fixed: FinishedPose, pose: Rigid, change: CameraChange) -> float:
+    """Return the significance of a change of the camera, as a normal deviate; 0 if it cannot be computed."""
     moved = np.array([change.log_focal, change.k1])[: _FREE["auto"]]
-    asked = fixed.aligner.regions(pose, free=len(moved), change=change)
-    return 0.0 if asked is None else asked.deviate(moved)
+    evidence = fixed.aligner.regions(pose, free=len(moved), change=change)
+    return 0.0 if evidence is None else evidence.normal_deviate(moved)
 
 
-def _at_ease(fixed: Finished, pose: Rigid, change: CameraChange) -> bool:
-    """Return whether a first look at a free camera speaks for the stated one: it neither doubts nor moves it."""
-    shift = _largest_shift(fixed.camera, change.applied(fixed.camera))
-    return shift <= _AT_EASE_SHIFT and _doubt(fixed, pose, change) <= _AT_EASE
+def _camera_fits(fixed: FinishedPose, pose: Rigid, change: CameraChange) -> bool:
+    """Return whether a preliminary free camera confirms the stated one: its change is small and not significant."""
+    shift = _largest_shift(fixed.camera, change.applied_to(fixed.camera))
+    return shift <= _FITS_SHIFT and _camera_deviate(fixed, pose, change) <= _FITS_SIGMA
 
 
-def _rank(found: Finished) -> tuple[bool, float]:
+def _rank(found: FinishedPose) -> tuple[bool, float]:
     return found.verification.accepted, found.verification.fine_fraction or 0.0
 
 
-def _convinces(found: Finished, stated: Finished, *, calibrated: bool) -> bool:
-    """Return whether regions agree on other intrinsics, and the picture agrees better with them.
+def _is_better(found: FinishedPose, stated: FinishedPose, *, calibrated: bool) -> bool:
+    """Return whether other intrinsics are significant and the image agrees no less with them.
 
-    A little of it may always be the scan's own distortion, so that a calibration is overruled by a large change only.
+    A small change may be due to distortions of the scan, so a calibrated camera is overruled by a large change only.
     """
-    if calibrated and _largest_shift(stated.camera, found.camera) < _BEYOND_CALIBRATION:
+    if calibrated and _largest_shift(stated.camera, found.camera) < _MIN_SHIFT_CALIBRATED:
         return False
     if not found.verification.accepted or found.regions is None:
         return False
-    if np.sqrt(found.regions.covariance[6, 6]) > _MOST_SIGMA_OF_FOCAL:
+    if np.sqrt(found.regions.covariance[6, 6]) > _MAX_LOG_FOCAL_SIGMA:
         return False
-    if not stated.verification.accepted and (found.verification.fine_fraction or 0.0) < _LEAST_FINE_FRACTION:
-        return False  # with more free there is more that agrees by chance
+    if not stated.verification.accepted and (found.verification.fine_fraction or 0.0) < _MIN_FINE_FRACTION:
+        return False  # with more free parameters more regions agree by chance
     before, after = stated.camera, found.camera
     moved = np.array([np.log(after.focal_px / before.focal_px), _k1(after) - _k1(before)])[: found.free]
-    if found.regions.deviate(moved) < _KEEP_SIGMA:
+    if found.regions.normal_deviate(moved) < _KEEP_SIGMA:
         return False
     return (found.verification.fine_fraction or 0.0) >= (stated.verification.fine_fraction or 0.0)
 
 
 def _largest_shift(before: Camera, after: Camera) -> float:
-    """Return how far pixels move from one camera to the other, over their distance from the middle, at most."""
+    """Return the largest pixel displacement between two cameras, relative to the distance from the principal point."""
     u, v = np.meshgrid(np.linspace(0, before.width - 1, 9), np.linspace(0, before.height - 1, 9))
     uv = np.stack([u, v], axis=-1).reshape(-1, 2)
     away = np.linalg.norm(uv - (before.cx, before.cy), axis=1)
     shift = np.linalg.norm(after.project(before.unproject(uv)) - uv, axis=1)
     ratio = shift / np.maximum(away, 1.0)
-    known = np.isfinite(ratio) & (away > _MIDDLE * away.max())
+    known = np.isfinite(ratio) & (away > _CENTRAL_FRACTION * away.max())
     return float(ratio[known].max()) if known.any() else np.inf
 
 
@@ -218,56 +222,57 @@ def _k1(camera: Camera) -> float:
     return camera.distortion[0] if camera.distortion else 0.0
 
 
-def _estimated(
-    fixed: Finished, photo: Photo, start: Rigid, change: CameraChange, *, free: int, coarsely: bool
-) -> Finished | None:
-    """Climb with the camera free, the photo undistorted anew with each, until neither moves; None where it gets lost.
+def _estimate(
+    fixed: FinishedPose, photo: Photo, start: Rigid, change: CameraChange, *, free: int, coarsely: bool
+) -> FinishedPose | None:
+    """Refine pose and camera, undistorting the photo anew in each round, until both settle; None if they diverge.
 
-    A change of the lens is modelled in the undistorted picture, which is exact only as it vanishes: hence the rounds.
+    The change of the lens is modelled in the undistorted image, which is exact only for a vanishing change: hence the
+    rounds.
     """
-    aligner, pose, camera = fixed.aligner, start, change.applied(photo.camera)
+    aligner, pose, camera = fixed.aligner, start, change.applied_to(photo.camera)
     agreeing = fixed.verification.fraction
     try:
-        if change != AS_STATED:
-            aligner = _seen_by(aligner, photo, camera)
+        if change != NO_CHANGE:
+            aligner = _aligner_for(aligner, photo, camera)
         for _ in range(_ROUNDS if coarsely else 0):
-            pose, change = aligner.refocus(pose, free=free)
-            camera = change.applied(camera)
-            aligner = _seen_by(aligner, photo, camera)
-            before, agreeing = agreeing, verify(aligner.look(pose, 1), None, aligner.gate).fraction
-            if agreeing < _PROMISING and agreeing < before + _HEADWAY:
+            pose, change = aligner.refine_with_free_camera(pose, free=free)
+            camera = change.applied_to(camera)
+            aligner = _aligner_for(aligner, photo, camera)
+            before, agreeing = agreeing, verify(aligner.agreement_at(pose, 1), None, aligner.gate).fraction
+            if agreeing < _PROMISING_FRACTION and agreeing < before + _MIN_GAIN:
                 return None
-            if _settled(change):
+            if _is_settled(change):
                 break
         for _ in range(_ROUNDS):
-            pose, change = aligner.finish_free(pose, free=free)
-            camera = change.applied(camera)
-            aligner = _seen_by(aligner, photo, camera)
-            if _settled(change):
+            pose, change = aligner.finish_with_free_camera(pose, free=free)
+            camera = change.applied_to(camera)
+            aligner = _aligner_for(aligner, photo, camera)
+            if _is_settled(change):
                 break
-        return finished(aligner, camera, pose, free=free)
-    except (CameraError, _LostError):
+        return verify_finished(aligner, camera, pose, free=free)
+    except (CameraError, _NothingToCompareError):
         return None
 
 
-class _LostError(Exception):
-    """The scan shows nothing to compare at the camera's focal length."""
+class _NothingToCompareError(Exception):
+    """The scan has too little to compare at the camera's focal length."""
 
 
-def _settled(change: CameraChange) -> bool:
+def _is_settled(change: CameraChange) -> bool:
     return abs(change.log_focal) < _SETTLED_LOG_FOCAL and abs(change.k1) < _SETTLED_K1
 
 
-def _seen_by(aligner: Aligner, photo: Photo, camera: Camera) -> Aligner:
-    """Return the pair with the photo undistorted by another camera, and the view of its focal length."""
+def _aligner_for(aligner: Aligner, photo: Photo, camera: Camera) -> Aligner:
+    """Return the aligner of another camera: the photo undistorted with it, the view at its focal length."""
     scan, view = aligner.scan.view.scan, aligner.scan.view
     working = working_camera(scan, camera)
     levels = aligner.scan
-    if abs(np.log(working.focal_px / view.camera.focal_px)) > _SAME_VIEW:
-        turned = perspective_view(scan, working, view_from_scanner=view.view_from_scanner)
-        levels = scan_levels(scan, turned, channel_set=levels.channel_set)
+    if abs(np.log(working.focal_px / view.camera.focal_px)) > _SAME_VIEW_LOG_FOCAL:
+        rendered = perspective_view(scan, working, view_from_scanner=view.view_from_scanner)
+        levels = scan_levels(scan, rendered, channel_set=levels.channel_set)
     side = photo_levels(replace(photo, camera=camera), working)
     seen = Aligner(levels, side, gate=aligner.gate, seed=aligner.seed)
     if not seen.usable:
-        raise _LostError
+        raise _NothingToCompareError
     return seen

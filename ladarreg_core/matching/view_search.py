@@ -1,4 +1,4 @@
-"""One view of the scan after the other beside the photo: what starts there are, and where climbs from them end."""
+"""Search of a view of the scan for the photo: initial poses from corners or from a grid, and their refinement."""
 
 from __future__ import annotations
 
@@ -13,29 +13,37 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.aligner import Aligner, Candidate
-from ladarreg_core.matching.alike import Places
-from ladarreg_core.matching.ecc import ClimbOptions, ClimbResult, climb
-from ladarreg_core.matching.grid_search import Place, likely_places
-from ladarreg_core.matching.hypotheses import Hypothesis, described_corners, hypotheses, inliers_of, points_at
-from ladarreg_core.matching.pictures import Pictures
-from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, ScanLevels
-from ladarreg_core.matching.roll import Turn, turn_between
+from ladarreg_core.matching.ambiguity import KnownPoses
+from ladarreg_core.matching.ecc import RefineOptions, RefineResult, refine_pose
+from ladarreg_core.matching.grid_search import ScoredPose, likely_poses
+from ladarreg_core.matching.hypotheses import Hypothesis, count_inliers, descriptor_corners, hypotheses, points_at
+from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, PairLevels, ScanLevels
+from ladarreg_core.matching.roll import Roll, roll_between
 from ladarreg_core.matching.verification import GateOptions
-from ladarreg_core.matching.views import towards_seen
-from ladarreg_core.steps import StepLog
+from ladarreg_core.matching.views import direction_towards_overlap
+from ladarreg_core.progress import StepLog
 
 _COARSEST = LEVELS[-1]
-_COARSE_CLIMB = ClimbOptions(tau_px=8, iterations=8)
-_MOST_PLACES = 2
-_KEPT_VIEWS = 2  # a scan of one view comes back to it after it was rolled
+_COARSE_REFINEMENT = RefineOptions(tau_px=8, iterations=8)
+_MAX_GRID_POSES = 2
+_KEPT_VIEWS = 2  # a scan of one view returns to it after the rolled view
 
 
 class ViewSearch:
-    """Looks for the photo in views of a scan; every stage is a step."""
+    """Searches views of a scan for the photo; reports every step.
+
+    Args:
+        pair: the levels of the pair.
+        steps: receives every step.
+        gate: thresholds of verification.
+        good_fraction: fraction of agreeing regions that ends the search.
+        seed: random seed.
+        channel_set: scan channels to compare.
+    """
 
     def __init__(
         self,
-        pictures: Pictures,
+        pair: PairLevels,
         steps: StepLog,
         *,
         gate: GateOptions,
@@ -43,9 +51,9 @@ class ViewSearch:
         seed: int,
         channel_set: ChannelSet = "both",
     ) -> None:
-        self._pictures = pictures
-        self._scan = pictures.scan
-        self._photo = pictures.photo
+        self._pair = pair
+        self._scan = pair.scan
+        self._photo = pair.photo
         self._steps = steps
         self._gate = gate
         self._good_fraction = good_fraction
@@ -54,95 +62,95 @@ class ViewSearch:
         self._kept: deque[tuple[Rigid, Aligner]] = deque(maxlen=_KEPT_VIEWS)
 
     def view(self, direction: Rigid, *, name: int | str) -> Aligner | None:
-        """Return the pair in one view, with its channels made; None where the view shows too little."""
+        """Return the aligner of one view, or None if the view has too little to compare."""
         for kept, aligner in self._kept:
             if kept is direction:
                 return aligner if aligner.usable else None
         with self._steps.step("channels") as note:
-            levels = _with_channels(self._pictures, direction, self._channel_set)
+            levels = _with_channels(self._pair, direction, self._channel_set)
             aligner = Aligner(levels, self._photo, gate=self._gate, seed=self._seed)
             note.update(view=name, points={level: len(p) for level, p in aligner.points.items()})
         self._kept.append((direction, aligner))
         return aligner if aligner.usable else None
 
-    def convinces(self, candidate: Candidate) -> bool:
-        """Return whether a climb ended where no other start needs to be tried."""
-        return candidate.fraction >= self._good_fraction and candidate.first_look.accepted
+    def is_sufficient(self, candidate: Candidate) -> bool:
+        """Return whether a candidate is good enough to end the search."""
+        return candidate.fraction >= self._good_fraction and candidate.coarse_verdict.accepted
 
-    def from_start(self, aligner: Aligner, known: Places, start: Rigid) -> Candidate | None:
-        """Climb from the given pose alone."""
+    def from_start(self, aligner: Aligner, known: KnownPoses, start: Rigid) -> Candidate | None:
+        """Refine the given pose only."""
         return self._best(aligner, [("the given pose", start)], known)
 
-    def from_corners(self, aligner: Aligner, known: Places, *, given: Rigid | None = None) -> Candidate | None:
-        """Climb from the given pose and from hypotheses until one convinces; return the best."""
+    def from_corners(self, aligner: Aligner, known: KnownPoses, *, given: Rigid | None = None) -> Candidate | None:
+        """Refine the given pose and hypotheses until one is sufficient; return the best candidate."""
         return self._best(aligner, self._starts(aligner, given), known)
 
-    def from_places(self, aligner: Aligner, known: Places, *, around: Rigid | None = None) -> Candidate | None:
-        """Climb from the likeliest of a grid of places until one convinces; return the best."""
+    def from_grid(self, aligner: Aligner, known: KnownPoses, *, around: Rigid | None = None) -> Candidate | None:
+        """Refine the best poses of a grid of positions until one is sufficient; return the best candidate."""
         with self._steps.step("places") as note:
-            found = likely_places(aligner.scan, aligner.photo, around=around)
-            ends = sorted(_coarse_ends(aligner, found), key=lambda end: -end.correlation)
+            found = likely_poses(aligner.scan, aligner.photo, around=around)
+            ends = sorted(_coarse_refinements(aligner, found), key=lambda end: -end.correlation)
             note.update(near="the scanner" if around is None else "the given pose")
-            note["scores"] = [round(place.score, 2) for place in found]
+            note["scores"] = [round(item.score, 2) for item in found]
             note["correlations"] = [round(end.correlation, 3) for end in ends]
             if ends:
                 self._steps.pose = ends[0].camera_from_scanner
-        starts = ((f"place {k + 1}", end.camera_from_scanner) for k, end in enumerate(ends[:_MOST_PLACES]))
+        starts = ((f"place {k + 1}", end.camera_from_scanner) for k, end in enumerate(ends[:_MAX_GRID_POSES]))
         return self._best(aligner, starts, known)
 
-    def turn(self, aligner: Aligner) -> Turn | None:
-        """Return the roll of the photo against the view, where its corners speak for one."""
+    def detect_roll(self, aligner: Aligner) -> Roll | None:
+        """Return the roll of the camera relative to the view, if corners indicate one."""
         with self._steps.step("turn") as note:
             scan, photo = aligner.scan, aligner.photo
-            scan_uv, photo_uv = described_corners(scan, photo)
-            found = turn_between(
+            scan_uv, photo_uv = descriptor_corners(scan, photo)
+            found = roll_between(
                 scan.channels[0],
                 scan_uv,
                 photo.channels[0],
                 photo_uv,
-                inliers=partial(inliers_of, scan, photo, seed=self._seed),
+                inliers=partial(count_inliers, scan, photo, seed=self._seed),
             )
             if found is None:
-                note["none"] = "no roll stands out"
+                note["none"] = "no roll is distinct"
                 return None
-            note.update(degrees=round(float(np.degrees(found.turn.angle_rad)), 1), agreeing=found.turn.matches)
+            note.update(degrees=round(float(np.degrees(found.roll.angle_rad)), 1), agreeing=found.roll.matches)
             points = points_at(scan, found.scan_uv)
             known = np.isfinite(points).all(axis=-1)
             self._steps.matches = _as_matches(points[known], found.photo_uv[known], aligner)
-        return found.turn
+        return found.roll
 
-    def seen_whole(self, aligner: Aligner, candidate: Candidate) -> tuple[Aligner, Candidate]:
-        """Return the pair in a view of all that the photo sees, where the present view shows only part of it."""
+    def with_full_overlap(self, aligner: Aligner, candidate: Candidate) -> tuple[Aligner, Candidate]:
+        """Return aligner and candidate in a view of the whole overlap, if the current view shows only part of it."""
         pose = candidate.camera_from_scanner
-        direction = towards_seen(self._scan, self._photo.cameras[0], pose, view=aligner.scan.view)
+        direction = direction_towards_overlap(self._scan, self._photo.cameras[0], pose, view=aligner.scan.view)
         whole = None if direction is None else self.view(direction, name="what the photo sees")
         if whole is None:
             return aligner, candidate
-        again = self._climbed(whole, "the pose found in another view", pose)
-        if again is None or again.first_look.agreeing <= candidate.first_look.agreeing:
+        again = self._refined(whole, "the pose found in another view", pose)
+        if again is None or again.coarse_verdict.agreeing <= candidate.coarse_verdict.agreeing:
             return aligner, candidate
         return whole, again
 
-    def _best(self, aligner: Aligner, starts: Iterable[tuple[str, Rigid]], known: Places) -> Candidate | None:
+    def _best(self, aligner: Aligner, starts: Iterable[tuple[str, Rigid]], known: KnownPoses) -> Candidate | None:
         best: Candidate | None = None
         for source, start in starts:
-            if known.leads_to_one(start):
+            if known.covers_start(start):
                 continue
-            candidate = self._climbed(aligner, source, start)
+            candidate = self._refined(aligner, source, start)
             if candidate is None:
                 continue
             if best is None or candidate.fraction > best.fraction:
                 best = candidate
-            if self.convinces(candidate):
+            if self.is_sufficient(candidate):
                 break
         return best
 
-    def _climbed(self, aligner: Aligner, source: str, start: Rigid) -> Candidate | None:
+    def _refined(self, aligner: Aligner, source: str, start: Rigid) -> Candidate | None:
         with self._steps.step("climb") as note:
-            candidate = aligner.approach(start)
+            candidate = aligner.refine(start)
             note["start"] = source
             if candidate is not None:
-                note.update(candidate.first_look.as_dict())
+                note.update(candidate.coarse_verdict.as_dict())
                 self._steps.pose = candidate.camera_from_scanner
         return candidate
 
@@ -165,19 +173,19 @@ class ViewSearch:
                 yield item.source, item.camera_from_scanner
 
 
-def _coarse_ends(aligner: Aligner, places: Sequence[Place]) -> list[ClimbResult]:
-    """Return where short climbs on the coarsest level end: there the right place stands out from all others."""
+def _coarse_refinements(aligner: Aligner, poses: Sequence[ScoredPose]) -> list[RefineResult]:
+    """Return the results of short refinements on the coarsest level, where the correct pose is most distinct."""
     points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
-    ends = (climb(points, target, aligner.occluder, p.camera_from_scanner, _COARSE_CLIMB) for p in places)
+    ends = (refine_pose(points, target, aligner.occluder, p.camera_from_scanner, _COARSE_REFINEMENT) for p in poses)
     return [end for end in ends if end is not None]
 
 
-def _with_channels(pictures: Pictures, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
-    """Return the scan's levels with the channels of both sides made, on two cores where there are two."""
-    photo_side = pictures.photo
+def _with_channels(pair: PairLevels, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
+    """Return the scan's levels with the channels of both images computed, using two threads."""
+    photo_side = pair.photo
     with ThreadPoolExecutor(1) as other_core:
         of_photo = other_core.submit(lambda: (photo_side.channels, photo_side.fine_channels))
-        levels = pictures.view(direction, channel_set)
+        levels = pair.view(direction, channel_set)
         of_geometry = other_core.submit(lambda: levels.geometry_channels)
         _ = levels.intensity_channels, levels.fine_channels
         of_photo.result()

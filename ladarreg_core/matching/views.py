@@ -1,6 +1,9 @@
-"""Where to look from the scanner: one view for a narrow scan, several for one that no photo can take in at once."""
+"""Viewing directions from the scanner: one for a narrow scan, several for a wide one. Sampling density in a photo."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,30 +15,34 @@ from ladarreg_core.surface.perspective import View
 
 _STEP = 0.6
 _MARGIN = 1.4
-_LEAST_SHARE = 0.05
+_MIN_SHARE = 0.05
 _SAMPLES = 10_000
-_LEAST_SEEN = 30
-_MOST_SEEN, _WORTHWHILE = 0.7, 0.1
+_MIN_SEEN = 30
+_ENOUGH_SEEN, _MIN_GAIN_SEEN = 0.7, 0.1
+MIN_RETURNS_IN_PHOTO = 25_000
+"""Least number of returns in a full image: images are compared at the scan's resolution, not the photo's."""
+_DENSITY_SAMPLES = 200_000
+_TILES = (16, 10)
 
 
 def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = None) -> list[Rigid]:
-    """Return the rotations (view from scanner) to try, likeliest first.
+    """Return the rotations (view from scanner) to search, likeliest first.
 
     Args:
         scan: the scan.
-        camera: the working camera, whose field of view one view has.
-        initial: a rough pose; what it sees is looked at first, with its roll: channels are compared as they stand
-            upright in the picture, and do not bear to be turned.
+        camera: the working camera, which defines the field of view.
+        initial: an initial pose; the first direction is then that of the overlap, with the camera's roll, because
+            channels are not invariant to rotation.
 
     Returns:
-        one or more. A scan that is not much wider than the photo is seen along its mean return; a wider one in steps
-        of a bit over half the photo's width, the best filled first.
+        one or more rotations. A scan that is not much wider than the photo is viewed along its mean direction; a wider
+        one in steps of 0.6 of the field of view, from the centre outwards.
     """
     found = []
     if initial is not None:
-        found.append(towards_seen(scan, camera, initial) or Rigid(initial.rotation, np.zeros(3)))
+        found.append(direction_towards_overlap(scan, camera, initial) or Rigid(initial.rotation, np.zeros(3)))
     rays = scan.sampled_directions
-    rays = rays[np.isfinite(rays).all(axis=-1)]  # beyond what a strong lens can see there are none
+    rays = rays[np.isfinite(rays).all(axis=-1)]  # a strongly distorted lens has no rays at its corners
     centre = scan.mean_direction
     half_width = np.arctan(0.5 * camera.width / camera.fx)
     azimuth = np.arctan2(rays[:, 1], rays[:, 0])
@@ -50,7 +57,7 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
     for turn in (np.arange(count) - (count - 1) / 2) * step:
         angle = np.arctan2(centre[1], centre[0]) + turn
         near = np.abs(_wrapped(azimuth - angle)) < half_width
-        if near.mean() < _LEAST_SHARE:
+        if near.mean() < _MIN_SHARE:
             continue
         elevation = float(np.median(np.arcsin(np.clip(rays[near, 2], -1, 1))))
         direction = [np.cos(elevation) * np.cos(angle), np.cos(elevation) * np.sin(angle), np.sin(elevation)]
@@ -59,28 +66,28 @@ def viewing_directions(scan: Scan, camera: Camera, *, initial: Rigid | None = No
     return [*found, *(view for _, view in scored)] or [first]
 
 
-def rolled(view_from_scanner: Rigid, angle_rad: float) -> Rigid:
-    """Return the rotation (view from scanner) rolled clockwise, seen from behind the view, by an angle, rad."""
+def rolled_view(view_from_scanner: Rigid, angle_rad: float) -> Rigid:
+    """Return the rotation (view from scanner) of a view rolled clockwise, seen from behind, by an angle, rad."""
     return Rigid(rotation_about("z", -angle_rad), np.zeros(3)) @ view_from_scanner
 
 
-def towards_seen(scan: Scan, camera: Camera, pose: Rigid, *, view: View | None = None) -> Rigid | None:
-    """Return the rotation (view from scanner) that looks at what a photo sees, rolled as the photo is.
+def direction_towards_overlap(scan: Scan, camera: Camera, pose: Rigid, *, view: View | None = None) -> Rigid | None:
+    """Return the rotation (view from scanner) towards the part of the scan that a photo sees, with the photo's roll.
 
     Args:
         scan: the scan.
         camera: the working camera.
         pose: `camera_from_scanner` of the photo.
-        view: a view there is already.
+        view: the current view, if any.
 
     Returns:
-        the rotation; None where the photo sees hardly anything of the scan, or `view` shows most of that.
+        the rotation; None if the photo sees hardly anything of the scan, or `view` shows most of it already.
     """
     stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLES)))
     points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=-1)]
     points = points[camera.contains(camera.project(pose @ points))]
-    if len(points) < _LEAST_SEEN:
+    if len(points) < _MIN_SEEN:
         return None
     rays = points / np.linalg.norm(points, axis=-1, keepdims=True)
     forward = rays.mean(axis=0)
@@ -94,9 +101,61 @@ def towards_seen(scan: Scan, camera: Camera, pose: Rigid, *, view: View | None =
             float(view.camera.contains(view.camera.project(rays @ turn.rotation.T)).mean())
             for turn in (view.view_from_scanner, found)
         )
-        if now >= _MOST_SEEN or then < now + _WORTHWHILE:
+        if now >= _ENOUGH_SEEN or then < now + _MIN_GAIN_SEEN:
             return None
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class ScanDensity:
+    """Density at which a scan samples a photo."""
+
+    points: int
+    """Number of returns within the image, occluded ones included."""
+    photo_px_per_point: float
+    """Photo pixels per return, in the parts of the image that have returns."""
+    needed_px_per_point: float
+    """Largest number of photo pixels per return at which registration works."""
+
+    @property
+    def too_sparse(self) -> bool:
+        """Whether too few returns lie in the image for a registration."""
+        return self.photo_px_per_point > self.needed_px_per_point
+
+    def summary(self) -> str:
+        """Return the sentence for a scan that is too sparse."""
+        return (
+            f"The scan is too sparse for this photo: 1 point per {self.photo_px_per_point:.0f} photo pixels "
+            f"({self.points:,} points in the image); about 1 per {self.needed_px_per_point:.0f} is needed. Scan at a "
+            "higher resolution, or combine several scans."
+        )
+
+
+def scan_density(scan: Scan, camera: Camera, poses: Sequence[Rigid]) -> ScanDensity | None:
+    """Return the highest sampling density of a photo over several poses, or None if it sees no return at any.
+
+    Args:
+        scan: the scan.
+        camera: the photo's own camera.
+        poses: `camera_from_scanner`; approximate ones are sufficient, such as views from the scanner's position.
+    """
+    stride = max(1, round(float(np.sqrt(scan.ranges.size / _DENSITY_SAMPLES))))
+    points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
+    points = points[np.isfinite(points).all(axis=-1)]
+    densest: ScanDensity | None = None
+    area = camera.width * camera.height
+    for pose in poses:
+        uv = camera.project(pose @ points)
+        uv = uv[camera.contains(uv)]
+        count = len(uv) * stride**2
+        if not count or (densest is not None and count <= densest.points):
+            continue
+        tiles = np.array(_TILES)
+        column, row = np.minimum(np.floor((uv + 0.5) * tiles / camera.size).astype(np.intp), tiles - 1).T
+        seen = np.bincount(row * _TILES[0] + column, minlength=_TILES[0] * _TILES[1])
+        covered = np.count_nonzero(seen) / len(seen)
+        densest = ScanDensity(count, covered * area / count, area / MIN_RETURNS_IN_PHOTO)
+    return densest
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

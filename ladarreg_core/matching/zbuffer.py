@@ -1,6 +1,6 @@
-"""Which of the matcher's points the photo's camera can see: a coarse z-buffer of the scan's own cloud.
+"""Visibility of scan points in the photo during matching, by a coarse z-buffer of the point cloud.
 
-For matching only; the texture uses the exact surface (`ladarreg_core.surface.visibility`).
+The texture uses the exact surface instead (`ladarreg_core.surface.visibility`).
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ _NEAREST_M = 0.05
 
 
 class Occluder:
-    """The scan's cloud at half resolution, ready to be splatted into any pose's z-buffer."""
+    """Occlusion test by the scan's point cloud at half resolution, splatted into a z-buffer for each pose."""
 
     def __init__(self, scan: ScanLevels, photo_camera: Camera) -> None:
         ranges = scan.ranges[::_CLOUD_STEP, ::_CLOUD_STEP]
         v, u = np.nonzero(np.isfinite(ranges))
         uv = np.stack([u, v], axis=-1) * float(_CLOUD_STEP)
         rays = scan.view.camera.unproject(uv) @ scan.view.view_from_scanner.rotation
-        # one row per coordinate: every pose splats the whole cloud, and rows need no copies to be projected
+        # one row per coordinate: every pose splats the whole cloud, and rows are projected without copies
         self._cloud = np.ascontiguousarray((rays * ranges[v, u][:, None]).T, dtype=np.float32)
         self._camera = photo_camera.scaled(_BUFFER_SCALE)
         self._last: tuple[Rigid, FloatArray] | None = None
 
     def depth_buffer(self, camera_from_scanner: Rigid) -> FloatArray:
-        """Return the nearest depth per coarse pixel, (h, w) float32 m; infinite where nothing is."""
+        """Return the nearest depth of each coarse pixel, (h w,) float32 m; infinite without points."""
         if self._last is not None and self._last[0] is camera_from_scanner:
-            return self._last[1]  # a climb's end is looked at several times
+            return self._last[1]  # the end of a refinement is used several times
         cloud = camera_from_scanner.rotation.astype(np.float32) @ self._cloud
         cloud += camera_from_scanner.translation.astype(np.float32)[:, None]
         cell, inside = self._cells(*cloud)
@@ -46,7 +46,7 @@ class Occluder:
         return buffer
 
     def visible(self, points_camera: FloatArray, buffer: FloatArray) -> BoolArray:
-        """Return which points (N, 3), camera frame, lie in the picture and on its nearest surface."""
+        """Return a mask (N,) of the points (N, 3), camera frame, that lie in the image and on the nearest surface."""
         x, y, z = np.ascontiguousarray(points_camera.T)
         cell, inside = self._cells(x, y, z)
         shown = z[inside] <= buffer[cell] * (1 + _TOLERANCE_FRACTION) + _TOLERANCE_M
@@ -55,7 +55,7 @@ class Occluder:
         return visible
 
     def _cells(self, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[NDArray[np.intp], BoolArray]:
-        """Return the coarse pixels (M,) of the points in the picture, and which of the points (N,) they are."""
+        """Return the coarse pixels (M,) of the points inside the image, and a mask (N,) of these points."""
         camera = self._camera
         front = z > _NEAREST_M
         shrink = 1 / np.where(front, z, 1)

@@ -1,15 +1,18 @@
-"""What a drawn line measures: its two ends, with the ranges of all the surface between them.
+"""Range measurement of a drawn line: its two ends, with the ranges of all the surface between them.
 
-An edge that is straight in the world is straight in both pictures, whichever points along it were drawn. Along its
-image at z = 1, with s the fraction of the way from end to end, the inverse depth is linear:
+A straight edge in space is straight in both images, whichever points along it were drawn. Along its image at z = 1,
+with s the fraction of the way from end to end, the inverse depth is linear:
 
     1 / z(s) = (1 - s) / z_a + s / z_b
 
-so that the many ranges under the line are two numbers, each far more certain than a single range, and an end that lies
-on a depth edge or in a hole gets its depth from the rest of the line. Two ends with such ranges hold all that the
-line says; samples along it would repeat the two ends' own errors as if they were new measurements.
+so that the many ranges under the line determine two numbers, each far more certain than a single range, and an end on a
+depth edge or in a hole gets its depth from the rest of the line. Two ends with such ranges contain all information of
+the line; samples along it would repeat the errors of its ends as if they were independent measurements.
 
-Source: thesis 2.3.1 for the lines; least median of squares (Rousseeuw 1984) against ranges from another surface.
+Samples at constant intervals on both sides, as in the thesis, correspond only without perspective; `kappa` relates
+them.
+
+Source: thesis 2.3.1 for the lines; least median of squares (Rousseeuw 1984) for ranges of other surfaces.
 """
 
 from __future__ import annotations
@@ -22,32 +25,31 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.frames import look_along
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.range_quality import range_quality
-from ladarreg_core.surface.ranges import EDGE_FRACTION, MeasuredRanges, measured_ranges
+from ladarreg_core.surface.ranges import EDGE_FRACTION, MeasuredRanges, measured_ranges, range_quality
 
 _LEAST_SAMPLES, _MOST_SAMPLES = 9, 65
 _LEAST_USED = 3
-_LEAST_SHARE = 0.5  # of the samples with a return must lie on one straight line
+_LEAST_SHARE = 0.5  # of the samples with a return that must lie on one straight line
 _LEAST_SPAN = 0.3  # of the line's length that they must cover
 _GATE_SIGMA = 3.0
-_LEAST_SPREAD = 5e-4  # of the depth: below a scanner's resolution scatter means nothing
+_LEAST_SPREAD = 5e-4  # of the depth; scatter below a scanner's resolution is meaningless
 _MOST_SPREAD = 0.02
-_LEAST_PAIR = 0.25  # of the line between the two samples that a trial line goes through
+_LEAST_PAIR = 0.25  # of the line's length between the two samples of a trial line
 _NEAR_GATE = 3.0
 _CURVED_SIGMA = 4.0
-_LEAST_TO_BEND = 12  # samples; fewer share their cells, whose noise then bends them
+_LEAST_FOR_CURVATURE = 12  # samples; fewer share cells, whose noise then looks like curvature
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineOnScan:
-    """The straight edge under a line that was drawn on the scan."""
+    """The straight edge under a line drawn on the scan."""
 
     rays: FloatArray
     """(2, 3) unit, of its ends, scanner frame."""
     ranges: FloatArray
     """(2,) of its ends, m."""
     range_weights: FloatArray
-    """(2,) information of these ranges over that of a single good one; the ends of a long line reach some ten."""
+    """(2,) information of these ranges relative to a single good one; about ten for long lines."""
     sampled: int
     """How many rays were taken along it."""
     used: int
@@ -69,10 +71,10 @@ def line_on_scan(scan: Scan, ends: FloatArray) -> LineOnScan | None:
         ends: (2, 3) unit rays, scanner frame.
 
     Returns:
-        The edge; None where the ranges under the line are too few, or lie on no straight line.
+        The edge; None if there are too few ranges under the line, or they are not on a straight line.
     """
     s = np.linspace(0, 1, _sample_count(scan, ends))
-    rays, found = _on_outline(scan, along_line(ends, s))
+    rays, found = _snapped_to_outline(scan, along_line(ends, s))
     ranges = found.outline
     a, b = _at_unit_depth(ends)
     # at z = 1 of the line's own view, the length of a ray turns its range into a depth
@@ -103,11 +105,41 @@ def line_on_scan(scan: Scan, ends: FloatArray) -> LineOnScan | None:
     return LineOnScan(ends, end_ranges, 1 / variance, len(known), int(np.count_nonzero(on_edge)))
 
 
-def _on_outline(scan: Scan, rays: FloatArray) -> tuple[FloatArray, MeasuredRanges]:
-    """Return rays (K, 3) and what is measured along them, those beside a nearer surface moved onto it by one cell.
+def kappa_of(depths_scan: FloatArray, depths_photo: FloatArray) -> NDArray[np.float64]:
+    """Return kappa of lines from the depths of their ends; 1 if an end is not in front of the photo's camera.
 
-    People draw along outlines and miss them by a cell; an outline belongs to the nearer surface, and beside it, what is
-    measured is the farther one. Source: 13 % of outlines drawn with .6 cells of noise lay on the background.
+    Args:
+        depths_scan: (..., 2) along the viewing direction of the view, > 0, m.
+        depths_photo: (..., 2) along that of the photo's camera, m.
+
+    Returns:
+        (...,) (z_b / z_a in the photo's camera) / (z_b / z_a on the scan's side).
+    """
+    ahead = np.asarray((depths_photo > 0).all(axis=-1))
+    safe = np.where(ahead[..., None], depths_photo, 1.0)
+    kappa = (safe[..., 1] / safe[..., 0]) / (depths_scan[..., 1] / depths_scan[..., 0])
+    return np.where(ahead, kappa, 1.0)
+
+
+def fraction_in_photo(fraction: FloatArray, kappa: FloatArray) -> NDArray[np.float64]:
+    """Return the position along a line in the photo of the point at `fraction` of the line in the view.
+
+    Args:
+        fraction: (N,) s_scan, 0 to 1.
+        kappa: (N,) as `kappa_of`, > 0.
+
+    Returns:
+        s_photo (N,), with odds(s_photo) = kappa odds(s_scan), odds(s) = s / (1 - s): the image of a point at t of a
+        line in space has the odds (z_b / z_a) odds(t).
+    """
+    return np.asarray(kappa * fraction / (1 - fraction + kappa * fraction))
+
+
+def _snapped_to_outline(scan: Scan, rays: FloatArray) -> tuple[FloatArray, MeasuredRanges]:
+    """Return rays (K, 3) and the ranges along them; rays beside a nearer surface are moved onto it by one cell.
+
+    Lines drawn along outlines are often off by a cell; an outline belongs to the nearer surface, while the range beside
+    it is that of the farther one. Measured: 13 % of outlines drawn with .6 cells of noise were on the background.
     """
     cells = np.asarray(scan.geometry.cell_of(rays), dtype=np.float64)
     step = cells[-1] - cells[0]
@@ -127,7 +159,7 @@ def _on_outline(scan: Scan, rays: FloatArray) -> tuple[FloatArray, MeasuredRange
 def _variance(coefficients: FloatArray, shares: FloatArray, cells: IntArray) -> NDArray[np.float64]:
     """Return the variances (2,) of sums of samples (2, K), a sample being shares (K, 4) of cells (K, 4).
 
-    Neighbouring samples share cells, whose noise they do not average twice.
+    Neighbouring samples share cells, whose noise does not average out twice.
     """
     _, cell = np.unique(cells.ravel(), return_inverse=True)
     parts = coefficients[:, :, None] * shares
@@ -140,14 +172,14 @@ def _at_unit_depth(ends: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _sample_count(scan: Scan, ends: FloatArray) -> int:
-    """Return one sample for each cell that the line crosses, within bounds: nearer ones would share their ranges."""
+    """Return one sample for each cell that the line crosses, within limits: denser ones would share their ranges."""
     cells = np.asarray(scan.geometry.cell_of(ends), dtype=np.float64)
     crossed = np.nan_to_num(np.abs(cells[1] - cells[0]).max(), nan=0.0, posinf=0.0)
     return int(np.clip(np.rint(crossed) + 1, _LEAST_SAMPLES, _MOST_SAMPLES))
 
 
 def _consensus(s: FloatArray, inverse: FloatArray) -> NDArray[np.bool_] | None:
-    """Return which samples (K,) lie on the line that most of them agree on; None where they agree on none."""
+    """Return the samples (K,) on the line that most of them support; None without such a line."""
     first, second = np.triu_indices(len(s), 1)
     far = s[second] - s[first] >= _LEAST_PAIR
     if not far.any():
@@ -158,20 +190,20 @@ def _consensus(s: FloatArray, inverse: FloatArray) -> NDArray[np.bool_] | None:
     median = np.median(error, axis=1)
     best = int(np.argmin(median))
     typical = float(np.median(inverse))
-    of_few = 1 + 5 / max(len(s) - 2, 1)  # the best of many trials hugs few samples too closely
+    of_few = 1 + 5 / max(len(s) - 2, 1)  # the best of many trials fits few samples too closely
     spread = float(np.clip(1.4826 * of_few * median[best] / typical, _LEAST_SPREAD, None))
     if spread > _MOST_SPREAD:
         return None
     gate = _GATE_SIGMA * spread * typical
     on_edge = np.asarray(error[best] <= gate)
     enough = np.count_nonzero(on_edge) >= max(_LEAST_USED, _LEAST_SHARE * len(s))
-    near = error[best] <= _NEAR_GATE * gate  # what may be the same surface, bent
+    near = error[best] <= _NEAR_GATE * gate  # possibly the same surface, curved
     return on_edge if enough and not _curved(s[near], inverse[near], typical) else None
 
 
 def _curved(s: FloatArray, inverse: FloatArray, typical: float) -> bool:
     """Return whether a parabola fits samples (K,) so much better than a line that they lie on a curved surface."""
-    if len(s) < _LEAST_TO_BEND:
+    if len(s) < _LEAST_FOR_CURVATURE:
         return False
     x = 2 * s - 1
     design = np.column_stack([np.ones_like(x), x, x * x])

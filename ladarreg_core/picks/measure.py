@@ -1,4 +1,4 @@
-"""From picks to matches: the scan's range where something was picked, and what drawn lines measure."""
+"""Matches from picks: ranges of picked points and drawn lines."""
 
 from __future__ import annotations
 
@@ -12,34 +12,29 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
-from ladarreg_core.picks.lines import along_line, line_on_scan
-from ladarreg_core.picks.perspective_line import fraction_in_photo, kappa_of
+from ladarreg_core.picks.lines import along_line, fraction_in_photo, kappa_of, line_on_scan
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.range_quality import range_quality
-from ladarreg_core.surface.ranges import measured_ranges
+from ladarreg_core.surface.ranges import measured_ranges, range_quality
+from ladarreg_core.validation import require_choice, require_int
 
 LineUse = Literal["ends", "equal", "kappa"]
-"""`ends`: the two ends with the ranges of the whole line; `equal`: samples at constant intervals in both pictures, as
-in the thesis; `kappa`: samples at constant intervals on the scan, and where a pose says that they are in the photo."""
+"""`ends`: the two ends, with ranges from the whole line; `equal`: samples at constant intervals in both images, as in
+the thesis; `kappa`: samples at constant intervals on the scan, placed in the photo by a pose."""
 SAMPLES_PER_LINE = 9
-"""Points taken along a drawn line where it is sampled and nothing else is said."""
+"""Default number of samples along a drawn line."""
 _MOST_SAMPLES = 1000
 
 
 def check_samples(samples_per_line: object) -> None:
-    """Raise an OptionError if a line cannot be sampled by so many points."""
-    whole = isinstance(samples_per_line, int) and not isinstance(samples_per_line, bool)
-    if not whole or not 2 <= samples_per_line <= _MOST_SAMPLES:  # type: ignore[operator]
-        raise OptionError(f"samples_per_line is {samples_per_line!r}; it must be a whole number from 2 to 1000")
+    """Raise an OptionError if the number of samples per line is invalid."""
+    require_int(samples_per_line, "samples_per_line", least=2, most=_MOST_SAMPLES)
 
 
 def check_line_use(lines: object) -> None:
-    """Raise an OptionError if lines cannot be used so."""
-    if lines not in get_args(LineUse):
-        raise OptionError(f"the use of lines is {lines!r}; it must be one of {', '.join(get_args(LineUse))}")
+    """Raise an OptionError if the use of lines is unknown."""
+    require_choice(lines, get_args(LineUse), "the use of lines")
 
 
 def matches_from_picks(
@@ -51,49 +46,49 @@ def matches_from_picks(
     samples_per_line: int = SAMPLES_PER_LINE,
     pose: Rigid | None = None,
 ) -> tuple[Matches, tuple[str, ...]]:
-    """Return the matches that a solver eats, and a sentence for everything that had to be left out.
+    """Return the matches of picks, and a sentence for everything left out.
 
-    A point takes the range of the surface under it, and of the straight edge under a line both ends take theirs. A
-    line without such an edge counts by its ends as if they were points. Samples of one line are not independent, so
-    each weighs 1 / sqrt of their number. Where the scan has no return, or a depth edge runs under a point, nothing is
-    measured. Ranges weigh by the light that came back, the angle of the surface and the nearness of depth edges.
+    A point gets the range of the surface under it; the ends of a line get theirs from the straight edge under it. A
+    line without such an edge counts as two points. Samples of one line are not independent, so each has the weight
+    1 / sqrt of their number. There is no match without a return, or if a depth edge runs under a point. Ranges are
+    weighted by the returned light, the incidence angle and the distance from depth edges.
 
     Args:
         scan: the scan.
-        picks: points and lines; those switched off are skipped, and lines of no length left out.
-        camera: the photo's; what lies outside its picture is left out.
-        lines: what of a line is used.
-        samples_per_line: points along each line, its ends among them, where it is sampled.
-        pose: `camera_from_scanner`, which `kappa` needs to place the samples; None: at constant intervals.
+        picks: points and lines; disabled ones are skipped, lines of length zero left out.
+        camera: the photo's camera; matches outside its image are left out.
+        lines: use of lines.
+        samples_per_line: samples along each line, ends included.
+        pose: `camera_from_scanner`, used by `kappa` to place the samples; None: constant intervals.
 
     Raises:
-        OptionError: if `samples_per_line` is not a whole number from 2 to 1000, or `lines` no such use.
+        OptionError: if `samples_per_line` is not a whole number from 2 to 1000, or `lines` is unknown.
 
     Source: thesis 2.3.1.
     """
     check_samples(samples_per_line)
     check_line_use(lines)
-    drawn = _Drawn()
+    builder = _MatchBuilder()
     for pick in picks:
         if not pick.on:
             continue
         if pick.kind == "point":
-            drawn.points(scan, pick, np.zeros(1), pick.photo, pick.weight)
+            builder.points(scan, pick, np.zeros(1), pick.photo, pick.weight)
         elif (pick.scan[0] == pick.scan[1]).all() or (pick.photo[0] == pick.photo[1]).all():
-            drawn.notes.append(f"Match {pick.id} is a line of no length and is left out; draw it again.")
+            builder.notes.append(f"Match {pick.id} is a line of length zero and is left out; draw it again.")
         elif lines != "ends":
             along = np.linspace(0, 1, samples_per_line)
             in_photo = fraction_in_photo(along, _kappa(scan, pick, pose)) if lines == "kappa" and pose else along
             uv = pick.photo[0] + in_photo[:, None] * (pick.photo[1] - pick.photo[0])
-            drawn.points(scan, pick, along, uv, pick.weight / np.sqrt(samples_per_line))
+            builder.points(scan, pick, along, uv, pick.weight / np.sqrt(samples_per_line))
         else:
-            drawn.line(scan, pick)
-    return drawn.matches(camera)
+            builder.line(scan, pick)
+    return builder.matches(camera)
 
 
 @dataclass(slots=True)
-class _Drawn:
-    """What has been drawn so far, pick by pick."""
+class _MatchBuilder:
+    """Collects the columns of the matches, pick by pick."""
 
     rays: list[FloatArray] = field(default_factory=list)
     ranges: list[FloatArray] = field(default_factory=list)
@@ -118,13 +113,13 @@ class _Drawn:
         if edge is None:
             self.notes.append(
                 f"Match {pick.id}: the surface under the line is not straight, or has too few returns; only its ends "
-                "count, as points. Draw along a straight edge."
+                "are used, as points. Draw along a straight edge."
             )
             self.points(scan, pick, np.array([0.0, 1.0]), pick.photo, pick.weight)
             return
-        nowhere = np.zeros(2, dtype=np.bool_)
+        no_edge = np.zeros(2, dtype=np.bool_)
         along = np.array([0.0, 1.0])
-        self._add(pick, edge.rays, edge.ranges, nowhere, pick.photo, along, pick.weight, edge.range_weights)
+        self._add(pick, edge.rays, edge.ranges, no_edge, pick.photo, along, pick.weight, edge.range_weights)
 
     def _add(
         self,
@@ -149,11 +144,9 @@ class _Drawn:
         self.ends.append(np.tile(line, (len(rays), 1, 1)))
 
     def matches(self, camera: Camera | None) -> tuple[Matches, tuple[str, ...]]:
-        """Return what was measured and lies in the photo, and a sentence for every pick that lost points."""
+        """Return the matches that have a range and are in the photo, and a sentence for every pick that lost points."""
         if not self.ids:
-            return Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))), (
-                tuple(self.notes) or ("No match is switched on.",)
-            )
+            return Matches.none(), (tuple(self.notes) or ("No match is enabled.",))
         uv, ranges, edge = np.concatenate(self.uv), np.concatenate(self.ranges), np.concatenate(self.edges)
         outside = np.zeros(len(uv), np.bool_) if camera is None else ~camera.contains(uv, border=-0.5)
         found = np.isfinite(ranges) & ~outside
@@ -176,7 +169,7 @@ def _directions(ends: FloatArray, uv: FloatArray, camera: Camera | None) -> NDAr
     Args:
         ends: (M, 2, 2) pixels of each match's line, both the same for a point.
         uv: (M, 2) the points, pixels.
-        camera: under its distortion a straight edge is curved, and the direction is that of the curve at the point.
+        camera: with distortion a straight edge is curved; the direction is that of the curve at the point.
     """
     along = ends[:, 1] - ends[:, 0]
     if camera is not None and camera.distortion:
@@ -191,7 +184,7 @@ def _directions(ends: FloatArray, uv: FloatArray, camera: Camera | None) -> NDAr
 
 
 def _kappa(scan: Scan, pick: Pick, pose: Rigid) -> NDArray[np.float64]:
-    """Return kappa (1,) of a line by a pose; 1 where an end has no range."""
+    """Return kappa (1,) of a line by a pose; 1 if an end has no range."""
     edge = line_on_scan(scan, pick.scan)
     if edge is None:
         return np.ones(1)

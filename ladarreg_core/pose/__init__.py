@@ -1,1 +1,1 @@
-"""Where the camera was: from matches to a pose and its uncertainty."""
+"""Pose estimation: from matches to a camera pose with covariance, verdict and diagnostics."""

@@ -1,9 +1,9 @@
-"""Whether the matches alone are evidence enough, in sentences.
+"""Acceptance of a pose on match statistics alone, with reasons.
 
-The rule is that of `statistics`: at least 12 inliers, half of the matches, chi^2/dof <= 3 and no second minimum. Four
-further questions keep a pose from being called certain where that rule is satisfied by default: whether the agreement
-could be chance, whether copies of one match were counted, whether the pose is determined at all, and whether the
-camera sees surfaces from the side that the scanner saw.
+A pose is accepted with evidence `statistics` if it has at least 12 inliers, these are at least half of the matches,
+chi^2/dof <= 3, and no second pose explains the matches. Further rules cover cases that meet these by default: agreement
+by chance, duplicated matches, a pose that the matches do not determine or that hinges on a single match, and a camera
+that would see the scene from behind.
 """
 
 from __future__ import annotations
@@ -14,24 +14,33 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.formatting import length_in_words
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import Measurements, States, linearise, residuals
+from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
+from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
 
 LEAST_INLIERS = 12
+"""Fewest distinct inliers."""
 LEAST_SHARE = 0.5
+"""Smallest share of the matches that must be inliers."""
 MOST_CHI2_PER_DOF = 3.0
+"""Largest chi^2/dof of the inliers."""
 MOST_ANGLE_RAD = np.deg2rad(2.0)
+"""Largest standard deviation of the camera orientation, rad."""
 MOST_POSITION_OF_RANGE = 0.1
-_MOST_LOG10_CHANCE = -3.0
-_FLAT = 0.05
-_MOSTLY = 0.7
-_PLANES = 80  # of three points each: (1 - .7^3)^80 misses a plane of 70 % never
-_LEAST_WIDTH = 0.02  # of the matches in the photo, across over along: below it they lie on one line
-_KEY = np.sqrt([2.0, 3.0, 5.0])
+"""Largest standard deviation of the camera position, as a share of the matches' median range."""
+_MOST_LOG10_FALSE_ALARMS = -3.0
+_PLANE_TOLERANCE = 0.05  # distance from a plane, relative to the points' extent
+_PLANE_SHARE = 0.7
+_PLANE_SAMPLES = 80  # of three points each: the chance (1 - .7^3)^80 of missing a plane of 70 % is negligible
+_LEAST_ASPECT = 0.02  # of the matches in the photo, width over length: below it they are collinear
+_HASH_WEIGHTS = np.sqrt([2.0, 3.0, 5.0])
+_LEAST_LEVERAGE = 0.9
+_MOST_GROWTH = 6.0  # of a standard deviation when the pick is removed
 
 
-def judge(
+def decide_acceptance(
     *,
     pose: Rigid,
     matches: Matches,
@@ -39,91 +48,90 @@ def judge(
     chi2_per_dof: float,
     covariance: FloatArray,
     log10_chance: float,
-    rival: Rigid | None = None,
-    held_by: str | None = None,
+    second_pose: Rigid | None = None,
+    critical_match: str | None = None,
 ) -> tuple[bool, tuple[str, ...]]:
-    """Return whether the pose is accepted by `statistics`, and why or why not.
+    """Return whether a pose is accepted on match statistics, and the reasons.
 
     Args:
         pose: camera_from_scanner.
         matches: all matches.
-        inliers: (M,) those that agree.
-        chi2_per_dof: over the inliers.
+        inliers: (M,) bool.
+        chi2_per_dof: of the inliers.
         covariance: (6, 6) of (w, c).
-        log10_chance: `chance_agreement` of the inliers.
-        rival: another pose that explains them as well; None where none was found.
-        held_by: the pick without which the others hardly determine the pose; None where there is none.
+        log10_chance: `log10_false_alarms` of the inliers.
+        second_pose: another pose that explains the matches as well; None if none was found.
+        critical_match: the pick without which the other matches barely determine the pose; None if there is none.
     """
-    # an end of a line that is known across it only counts as half a match
+    # a line end known only across the line counts as half a match
     halves = int(np.count_nonzero(matches.dimensions[inliers] == 1))
-    agree, count = distinct(matches.points[inliers], matches.uv[inliers]) - (halves + 1) // 2, len(matches)
-    # what is known across its line agrees more easily, and says nothing of where along it
+    agree, count = count_distinct(matches.points[inliers], matches.uv[inliers]) - (halves + 1) // 2, len(matches)
+    # a line end known only across the line is an inlier more easily, so it does not count towards the share
     share = np.count_nonzero(inliers & (matches.dimensions == 2)) / count
     against = []
     if agree < LEAST_INLIERS:
-        against.append(
-            f"only {agree} different matches agree with the pose and {LEAST_INLIERS} are needed; add or correct matches"
-        )
+        against.append(f"only {agree} distinct inliers, {LEAST_INLIERS} are needed; add or correct matches")
     if share < LEAST_SHARE:
         against.append(
-            f"only {share:.0%} of the {count} matches agree with the pose and {LEAST_SHARE:.0%} are needed; "
-            "correct or remove the others"
+            f"only {share:.0%} of {count} matches are inliers, {LEAST_SHARE:.0%} are needed; "
+            "correct or remove the outliers"
         )
     if not chi2_per_dof <= MOST_CHI2_PER_DOF:
         against.append(
-            f"the residuals are larger than the stated noise explains (chi^2/dof {chi2_per_dof:.1f}, at most "
-            f"{MOST_CHI2_PER_DOF:g}); check the focal length and the lens, or state a larger noise"
+            f"the residuals exceed the stated noise (chi^2/dof {chi2_per_dof:.1f}, at most {MOST_CHI2_PER_DOF:g}); "
+            "check the focal length and lens distortion, or state larger noise"
         )
-    if log10_chance > _MOST_LOG10_CHANCE:
+    if log10_chance > _MOST_LOG10_FALSE_ALARMS:
         against.append(
-            "as many matches would agree by chance at so large a noise; state a smaller noise or add matches"
+            "with noise this large, random matches would give as many inliers; state smaller noise or add matches"
         )
     angle = float(np.sqrt(np.trace(covariance[:3, :3])))
     position = float(np.sqrt(np.trace(covariance[3:, 3:])))
     reach = float(np.median(matches.ranges))
     if not (angle <= MOST_ANGLE_RAD and position <= MOST_POSITION_OF_RANGE * reach):
         against.append(
-            f"the matches hardly determine the pose ({_length(position)} and {np.degrees(angle):.2g} deg, 1 sigma); "
-            "spread them over the picture and over near and far"
+            f"the matches barely determine the pose (1 sigma: {length_in_words(position)}, "
+            f"{np.degrees(angle):.2g} deg); spread them over the photo and over near and far surfaces"
         )
-    if _on_one_line(matches.uv[inliers]):
-        against.append("the matches lie on one line of the photo; add matches beside it")
-    if _from_behind(pose, matches.points[inliers]):
+    if _collinear(matches.uv[inliers]):
+        against.append("the inliers are collinear in the photo; add matches off that line")
+    if _sees_plane_from_behind(pose, matches.points[inliers]):
         against.append(
-            "the camera would see the matches' plane from behind; check that the photo and the scan are not mirrored"
+            "the camera would see the matches' plane from behind; check whether the photo or the scan is mirrored"
         )
-    if held_by is not None:
+    if critical_match is not None:
         against.append(
-            f"match {held_by} alone holds the pose, which the others would hardly determine; check it, or add matches "
-            "near it"
+            f"the pose hinges on match {critical_match}: without it the other matches barely determine the pose; "
+            "check it, or add matches near it"
         )
-    if rival is not None:
+    if second_pose is not None:
         against.append(
-            f"a second pose, {_length(pose.distance_to(rival))} and {np.degrees(pose.angle_to(rival)):.1f} deg away, "
-            "explains the matches as well; add matches off their plane"
+            f"a second pose, {length_in_words(pose.distance_to(second_pose))} and "
+            f"{np.degrees(pose.angle_to(second_pose)):.1f} deg away, explains the matches as well; add matches off "
+            "their common plane"
         )
     if against:
         return False, tuple(against)
     return True, (
-        f"{np.count_nonzero(inliers)} of {count} matches agree with the pose (chi^2/dof {chi2_per_dof:.2f})",
-        f"the camera is known to {_length(position)} and {np.degrees(angle):.2g} deg (1 sigma)",
+        f"{np.count_nonzero(inliers)} of {count} inliers (chi^2/dof {chi2_per_dof:.2f})",
+        f"uncertainty (1 sigma): position {length_in_words(position)}, orientation {np.degrees(angle):.2g} deg",
         "no second pose explains the matches",
     )
 
 
-def _on_one_line(uv: FloatArray) -> bool:
-    """Return whether pixels (N, 2) leave the camera free to turn about a line: their noise then passes for a hold."""
+def _collinear(uv: FloatArray) -> bool:
+    """Return whether pixels (N, 2) lie on one line, about which only their noise would fix the camera's rotation."""
     if len(uv) < 3:
         return False
     centred = uv - uv.mean(axis=0)
     squared = np.linalg.eigvalsh(centred.T @ centred)
-    return bool(squared[0] <= _LEAST_WIDTH**2 * squared[1])
+    return bool(squared[0] <= _LEAST_ASPECT**2 * squared[1])
 
 
-def _from_behind(pose: Rigid, points: FloatArray) -> bool:
-    """Return whether most of the points (N, 3) lie on a plane between scanner and camera: a mirrored picture fits so.
+def _sees_plane_from_behind(pose: Rigid, points: FloatArray) -> bool:
+    """Return whether most points (N, 3) lie on a plane between scanner and camera, as for a mirrored photo.
 
-    A few off it prove nothing: those near the picture's middle are seen there from either side.
+    A few points off the plane do not rule this out: near the image centre they project alike from either side.
     """
     if len(points) < 3:
         return False
@@ -135,42 +143,42 @@ def _from_behind(pose: Rigid, points: FloatArray) -> bool:
 
 
 def _common_plane(points: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return a point and the normal of the plane that most of the points (N, 3) lie on; None where there is none."""
+    """Return a point and the normal of the plane that contains most of the points (N, 3), or None."""
     rng = np.random.default_rng(0)
-    a, b, c = points[rng.integers(0, len(points), (3, _PLANES))]
+    a, b, c = points[rng.integers(0, len(points), (3, _PLANE_SAMPLES))]
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
     off = np.where(length > 0, np.abs(points @ normals.T - (a * normals).sum(axis=1)).T, np.inf)
     width = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T, bias=True))[1], 0))
-    on_plane = off <= 2 * _FLAT * width
+    on_plane = off <= 2 * _PLANE_TOLERANCE * width
     best = int(np.argmax(np.count_nonzero(on_plane, axis=1)))
     members = points[on_plane[best]]
-    if len(members) < max(3, _MOSTLY * len(points)):
+    if len(members) < max(3, _PLANE_SHARE * len(points)):
         return None
     centroid = members.mean(axis=0)
     centred = members - centroid
     return centroid, np.linalg.eigh(centred.T @ centred)[1][:, 0]
 
 
-def distinct(points: FloatArray, uv: FloatArray) -> int:
-    """Return how many matches differ from each other on both sides, (N, 3) and (N, 2): copies are no evidence."""
-    # One number stands for a row: different rows share it by accident only, and sorting numbers is quick.
-    return min(len(np.unique(points @ _KEY)), len(np.unique(uv @ _KEY[:2])))
+def count_distinct(points: FloatArray, uv: FloatArray) -> int:
+    """Return the number of matches that differ on both sides, (N, 3) and (N, 2): duplicates are no evidence."""
+    # hash each row to one number, which is faster to sort; collisions are practically impossible
+    return min(len(np.unique(points @ _HASH_WEIGHTS)), len(np.unique(uv @ _HASH_WEIGHTS[:2])))
 
 
-def chance_agreement(
+def log10_false_alarms(
     measured: Measurements, matches: Matches, state: States, inliers: BoolArray, camera: Camera, *, gate: float
 ) -> float:
-    """Return log10 of the number of poses that as many matches would agree with, were all of them random.
+    """Return log10 of the expected number of poses with as many inliers if all matches were random.
 
     Args:
         measured: all matches.
-        matches: the same.
+        matches: the same matches.
         state: the pose (B = 1).
-        inliers: (M,) those that agree.
+        inliers: (M,) bool.
         camera: intrinsics.
-        gate: largest s of an inlier.
+        gate: largest cost s of an inlier.
 
     Source: Moulon, Monasse and Marlet, Adaptive structure from motion with a contrario model estimation (2012).
     """
@@ -189,14 +197,62 @@ def chance_agreement(
     radius = np.sqrt(gate_area / np.pi)
     patch = float(np.prod(np.minimum(high - low + 2 * radius, np.maximum(camera.size, high - low))))
     p = float(min(1.0, gate_area / max(patch, 1e-9)))
-    # a point-to-line distance is met by chance as often as one of the point's two coordinates
+    # a point-to-line distance agrees by chance as often as one of a point's two coordinates
     coordinates = float(matches.dimensions[inliers].sum()) / 2 - 3
     return log10(n - 3) + _log10_choose(n, k) + _log10_choose(k, 3) + coordinates * log10(max(p, 1e-12))
 
 
+def find_critical_match(
+    measured: Measurements,
+    matches: Matches,
+    state: States,
+    inliers: BoolArray,
+    *,
+    most_angle_rad: float,
+    most_position_m: float,
+) -> str | None:
+    """Return the pick on which the pose hinges, or None: a pick that nothing else checks has no residual to show.
+
+    Without pick k, whose part of the information H is A, the covariance is (H - A)^-1.
+
+    Args:
+        measured: all matches.
+        matches: the same matches.
+        state: the pose (B = 1).
+        inliers: (M,) bool.
+        most_angle_rad: largest acceptable standard deviation of the rotation without the pick, rad.
+        most_position_m: largest acceptable standard deviation of the camera centre without the pick, m.
+
+    Source: Cook and Weisberg, Residuals and influence in regression (1982), for deletion.
+    """
+    seen = residuals(measured, state)
+    lin = linearise(measured, state, seen)
+    counts = inliers & (seen.s[0] < UNSEEN)
+    share = lin.m[0] / lin.h[0]
+    diagonal = measured.information - lin.m[0] * share
+    cross = measured.cross_information - lin.m[0, :1] * share[1:]
+    J = lin.j_pose[0]  # (6, 2, N)
+    each = np.einsum("aen,ben->nab", diagonal * J + cross * J[:, ::-1], J) * counts[:, None, None]
+    names, pick = np.unique(np.asarray(matches.pick_ids), return_inverse=True)
+    parts = np.zeros((len(names), 6, 6))
+    np.add.at(parts, pick, each)
+    H = parts.sum(axis=0)
+    unit = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    inverse = guarded_inverse(H * np.outer(unit, unit))
+    # a standard deviation grows noticeably only if a pick provides nearly all the information in some direction
+    leverage = np.einsum("kab,ab->k", parts * np.outer(unit, unit), inverse)
+    heavy = np.flatnonzero(leverage > _LEAST_LEVERAGE)
+    if not len(heavy):
+        return None
+    values, vectors = np.linalg.eigh((H - parts[heavy]) * np.outer(unit, unit))
+    variance = np.einsum("kab,kb->ka", vectors**2, 1 / np.maximum(values, LEAST_EIGENVALUE)) * unit**2
+    angle, position = np.sqrt(variance[:, :3].sum(axis=1)), np.sqrt(variance[:, 3:].sum(axis=1))
+    beyond = np.maximum(angle / most_angle_rad, position / most_position_m)
+    with_all = np.diag(inverse) * unit**2
+    grown = np.maximum(angle / np.sqrt(with_all[:3].sum()), position / np.sqrt(with_all[3:].sum()))
+    worst = int(np.argmax(np.maximum(beyond, grown / _MOST_GROWTH)))
+    return str(names[heavy[worst]]) if max(beyond[worst], grown[worst] / _MOST_GROWTH) > 1 else None
+
+
 def _log10_choose(n: int, k: int) -> float:
     return (lgamma(n + 1) - lgamma(k + 1) - lgamma(n - k + 1)) / log(10)
-
-
-def _length(metres: float) -> str:
-    return f"{metres * 1000:.1f} mm" if metres < 0.1 else f"{metres:.2f} m"

@@ -1,15 +1,15 @@
-"""The errors-in-variables cost of a pose, and Levenberg-Marquardt on it with every range eliminated.
+"""Errors-in-variables cost of a pose, minimised by Levenberg-Marquardt with the ranges eliminated.
 
-Each match has a ray that is exact, a range r that is not and a pixel u. With the true range rho as an unknown of its
-own the cost is the sum of
+Each match has an exact ray d, a noisy range r and a noisy pixel u. With the true range rho as an additional unknown,
+the cost is the sum of
 
     s = min_rho |u - pi(rho d)|^2 / sigma_u^2 + (r - rho)^2 / sigma_r^2
 
-which is chi-squared with two degrees of freedom a match. The ranges form a diagonal block, so their Schur complement
-leaves a 6 x 6 system whatever the number of matches. Several starts are carried at once (the leading axis B), and
-matches come last: at a few hundred of them the cost is that of calling NumPy, not of the arithmetic.
+which is chi-squared with two degrees of freedom per match. The ranges form a diagonal block, whose Schur complement
+leaves a 6 x 6 system for any number of matches. Several states are processed at once (leading axis B); matches are the
+last axis, because for a few hundred matches the run time is dominated by NumPy's call overhead.
 
-Source: Triggs et al., Bundle adjustment: a modern synthesis (1999), 6.1; the pose's increments are those of
+Source: Triggs et al., Bundle adjustment: a modern synthesis (1999), 6.1; increments of the pose are those of
 `PoseResult.covariance`.
 """
 
@@ -26,25 +26,25 @@ from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.matches import Matches
 
 UNSEEN = 1e30
-"""The s of a match behind the camera: finite, so that sums and bounded costs stay so."""
-_FARTHEST_SIGMA = 8.0  # a range further off belongs to a mismatch, whose rho must not run away
-_NEAREST = 0.05  # rho stays beyond this fraction of the measured range
+"""Cost s of a match behind the camera: finite, so that sums stay finite."""
+_FARTHEST_SIGMA = 8.0  # a larger range error belongs to an outlier, whose rho must stay bounded
+_NEAREST = 0.05  # lower bound of rho, relative to the measured range
 _EYE = np.eye(6)
 _GENERATORS = np.stack([skew(axis) for axis in np.eye(3)]).reshape(3, 9)
 _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
 
-Weigh = Callable[[FloatArray], FloatArray]
-"""From s (B, N) to weights (B, N)."""
-Cost = Callable[[FloatArray], FloatArray]
-"""From s (B, N) to costs (B,)."""
+WeightFunction = Callable[[FloatArray], FloatArray]
+"""Weights (B, N) from s (B, N)."""
+CostFunction = Callable[[FloatArray], FloatArray]
+"""Costs (B,) from s (B, N)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """Matches with the noise of each, their pixels on the ideal picture at z = 1.
+    """Matches with their noise; pixels are undistorted, in the image plane z = 1.
 
-    The lens is undone once and stays in the noise alone: over the few pixels of an inlier's residual its distortion is
-    linear to 1e-3, and a mismatch need not be exact.
+    Distortion is removed once and then only affects the noise: over the few pixels of an inlier's residual it is linear
+    to 1e-3, and outliers need not be exact.
     """
 
     rays: FloatArray
@@ -54,21 +54,21 @@ class Measurements:
     range_information: FloatArray
     """(N,) 1/sigma_r^2, 1/m^2."""
     xy: FloatArray
-    """(2, N) ideal picture coordinates, tangents; NaN where no ray of the lens meets the pixel."""
+    """(2, N) undistorted image coordinates, tangents; NaN outside the field of the lens."""
     information: FloatArray
-    """(2, N) the elements xx and yy of the inverse covariance of `xy`."""
+    """(2, N) elements xx and yy of the inverse covariance of `xy`."""
     cross_information: FloatArray
-    """(1, N) its element xy."""
+    """(1, N) element xy of the inverse covariance."""
     least_rho: FloatArray
-    """(N,) how near a range may be adjusted, m."""
+    """(N,) lower bound of the adjusted range, m."""
     most_rho: FloatArray
-    """(N,) how far, m."""
+    """(N,) upper bound of the adjusted range, m."""
 
     @staticmethod
     def of(matches: Matches, camera: Camera, *, sigma_px: float, sigma_range_m: float) -> Measurements:
-        """Return the measurements of matches; a match's weight multiplies its information.
+        """Return the measurements of matches; the weight of a match multiplies its information.
 
-        What is known across its line only has the information of a point-to-line distance, which is of rank 1.
+        A line end known only across the line has the information of a point-to-line distance, which is of rank 1.
         """
         assert matches.weights is not None
         assert matches.range_weights is not None
@@ -130,7 +130,7 @@ class States:
 
     @staticmethod
     def of(poses: Sequence[Rigid], measured: Measurements) -> States:
-        """Return the states of poses, the ranges as measured."""
+        """Return the states of poses, with the ranges as measured."""
         return States(
             np.stack([pose.rotation for pose in poses]),
             np.stack([pose.centre for pose in poses]),
@@ -145,21 +145,29 @@ class States:
         """Return some of the states."""
         return States(self.rotations[starts], self.centres[starts], self.rho[starts])
 
-    def seeing(self, measured: Measurements) -> States:
-        """Return the same poses with the measured ranges of other matches."""
+    def joined(self, others: States) -> States:
+        """Return these states, then the others."""
+        return States(
+            np.concatenate([self.rotations, others.rotations]),
+            np.concatenate([self.centres, others.centres]),
+            np.concatenate([self.rho, others.rho]),
+        )
+
+    def with_ranges_of(self, measured: Measurements) -> States:
+        """Return the same poses with the ranges of other matches, as measured."""
         return States(self.rotations, self.centres, np.tile(measured.ranges, (len(self.centres), 1)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """The matches as B states see them; nothing is divided by sigma yet."""
+    """Residuals of N matches in B states, not normalised by sigma."""
 
     s: FloatArray
-    """(B, N) the cost of each match; `UNSEEN` behind the camera."""
-    turned: FloatArray
-    """(B, 3, N) rays in the camera's axes."""
+    """(B, N) cost of each match; `UNSEEN` behind the camera."""
+    rotated: FloatArray
+    """(B, 3, N) rays in camera axes."""
     xy: FloatArray
-    """(B, 2, N) predicted tangents; 0 where unseen, as all below."""
+    """(B, 2, N) predicted tangents; this and all following are 0 behind the camera."""
     inverse_z: FloatArray
     """(B, 1, N) 1/m."""
     e: FloatArray
@@ -169,10 +177,10 @@ class Residuals:
 
 
 def residuals(measured: Measurements, states: States) -> Residuals:
-    """Return how every state sees every match."""
+    """Return the residuals of every match in every state."""
     R = states.rotations
-    turned = R @ measured.rays
-    p = turned * states.rho[:, None]
+    rotated = R @ measured.rays
+    p = rotated * states.rho[:, None]
     p -= R @ states.centres[:, :, None]
     z = p[:, 2:]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -190,12 +198,12 @@ def residuals(measured: Measurements, states: States) -> Residuals:
         error[unseen] = 0.0
         for values in (xy, inverse_z, e):
             values.swapaxes(1, 2)[unseen] = 0.0
-    return Residuals(s, turned, xy, inverse_z, e, error)
+    return Residuals(s, rotated, xy, inverse_z, e, error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
-    """The normal equations' parts at B states."""
+    """Derivatives of the residuals in B states, for the normal equations."""
 
     j_pose: FloatArray
     """(B, 6, 2, N) d xy / d (w, c)."""
@@ -204,11 +212,11 @@ class Linearised:
     m: FloatArray
     """(B, 2, N) M j, with M the information of xy."""
     h: FloatArray
-    """(B, N) the ranges' diagonal block: j M j + 1/sigma_r^2."""
+    """(B, N) diagonal block of the ranges: j M j + 1/sigma_r^2."""
 
 
 def linearise(measured: Measurements, states: States, seen: Residuals) -> Linearised:
-    """Return the derivatives of every match at every state."""
+    """Return the derivatives of every match in every state."""
     R, xy, inverse_z = states.rotations, seen.xy, seen.inverse_z
     B, _, N = xy.shape
     J = np.empty((B, 6, 2, N))
@@ -222,7 +230,7 @@ def linearise(measured: Measurements, states: States, seen: Residuals) -> Linear
     np.multiply(xy[:, None], R[:, 2, :, None, None], out=J[:, 3:])  # d p = -R c
     J[:, 3:] -= R[:, :2].swapaxes(1, 2)[..., None]
     J[:, 3:] *= inverse_z[:, None]
-    j = (seen.turned[:, :2] - xy * seen.turned[:, 2:]) * inverse_z
+    j = (seen.rotated[:, :2] - xy * seen.rotated[:, 2:]) * inverse_z
     m = measured.information * j + measured.cross_information * j[:, ::-1]
     return Linearised(J, j, m, (j * m).sum(axis=1) + measured.range_information)
 
@@ -230,24 +238,24 @@ def linearise(measured: Measurements, states: States, seen: Residuals) -> Linear
 def normal_equations(
     measured: Measurements, seen: Residuals, lin: Linearised, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return H (B, 6, 6) and g (B, 6) of the poses, the ranges eliminated.
+    """Return H (B, 6, 6) and g (B, 6) of the poses, with the ranges eliminated.
 
     Args:
-        measured: what is fitted.
-        seen: its residuals.
-        lin: its derivatives.
-        weights: (B, N) multiply the information; matches that are unseen count for nothing.
+        measured: the matches.
+        seen: their residuals.
+        lin: their derivatives.
+        weights: (B, N) multiply the information; matches behind the camera do not count.
     """
     B, _, _, N = lin.j_pose.shape
     weights = (weights * (seen.s < UNSEEN))[:, None]
-    # the information of a pixel whose range is free within its own noise: M - M j j^T M / h
+    # information of a pixel with its range marginalised: M - M j j^T M / h
     share = lin.m / lin.h[:, None]
     diagonal = weights * (measured.information - lin.m * share)
     cross = weights * (measured.cross_information - lin.m[:, :1] * share[:, 1:])
     J = lin.j_pose
     K = diagonal[:, None] * J
     K += cross[:, None] * J[:, :, ::-1]
-    # what is left of the residual when the range has gone back to where it was measured: e' = e - j (r - rho)
+    # residual at the measured range: e' = e - j (r - rho)
     e = seen.e - lin.j * seen.range_error[:, None]
     flat = K.reshape(B, 6, 2 * N)
     H = flat @ J.reshape(B, 6, 2 * N).swapaxes(1, 2)
@@ -255,8 +263,10 @@ def normal_equations(
     return (H + H.swapaxes(1, 2)) / 2, g[..., 0]
 
 
-def moved(measured: Measurements, states: States, seen: Residuals, lin: Linearised, step: FloatArray | None) -> States:
-    """Return the states after a step (B, 6) of the poses, each range following its pose; None: the ranges alone."""
+def apply_step(
+    measured: Measurements, states: States, seen: Residuals, lin: Linearised, step: FloatArray | None
+) -> States:
+    """Return the states after a step (B, 6) of the poses and the resulting step of the ranges; None: ranges only."""
     e, rotations, centres = seen.e, states.rotations, states.centres
     if step is not None:
         B, _, _, N = lin.j_pose.shape
@@ -277,38 +287,38 @@ def rotations_from_rotvecs(rotvecs: FloatArray) -> FloatArray:
     )
 
 
-def settle(measured: Measurements, states: States, *, rounds: int = 2) -> tuple[States, Residuals]:
-    """Let every range answer its pose, the poses held still."""
+def adjust_ranges(measured: Measurements, states: States, *, rounds: int = 2) -> tuple[States, Residuals]:
+    """Adjust the ranges with the poses fixed; return the states and their residuals."""
     seen = residuals(measured, states)
     for _ in range(rounds):
-        answered = moved(measured, states, seen, linearise(measured, states, seen), None)
-        after = residuals(measured, answered)
+        adjusted = apply_step(measured, states, seen, linearise(measured, states, seen), None)
+        after = residuals(measured, adjusted)
         better = after.s <= seen.s
         if better.all():
-            states, seen = answered, after
-        else:  # a range that overshoots stays where it was
-            states = States(states.rotations, states.centres, np.where(better, answered.rho, states.rho))
+            states, seen = adjusted, after
+        else:  # discard steps that overshoot
+            states = States(states.rotations, states.centres, np.where(better, adjusted.rho, states.rho))
             seen = residuals(measured, states)
     return states, seen
 
 
 @dataclass(slots=True, eq=False)
 class Descent:
-    """Levenberg-Marquardt on B states at once, one step at a time, each start with its own damping.
+    """Levenberg-Marquardt on B states at once, one step at a time, with a damping for each state.
 
-    The cost may change between steps, as graduated non-convexity needs it.
+    The cost may change between steps, as in graduated non-convexity.
     """
 
     measured: Measurements
-    """What is fitted."""
+    """The matches."""
     states: States
-    """Where the descent stands."""
-    seen: Residuals
-    """The residuals there."""
+    """The current states."""
+    residuals: Residuals
+    """Their residuals."""
     damping: FloatArray
-    """(B,)"""
-    moved_sigma: FloatArray
-    """(B,) length of the last step in its own standard deviations; infinite after a refused one."""
+    """(B,) relative to the diagonal of H."""
+    step_sigma: FloatArray
+    """(B,) length of the last step in standard deviations; infinite after a rejected step."""
 
     @staticmethod
     def start(measured: Measurements, states: States) -> Descent:
@@ -316,27 +326,27 @@ class Descent:
         B = len(states.centres)
         return Descent(measured, states, residuals(measured, states), np.full(B, 1e-4), np.full(B, np.inf))
 
-    def step(self, weigh: Weigh, cost: Cost) -> None:
-        """Take one step of every start; a start that would climb stays and is damped more."""
-        lin = linearise(self.measured, self.states, self.seen)
-        H, g = normal_equations(self.measured, self.seen, lin, weigh(self.seen.s))
+    def step(self, weigh: WeightFunction, cost: CostFunction) -> None:
+        """Take one step of every state; a step that would increase the cost is rejected, and the damping raised."""
+        lin = linearise(self.measured, self.states, self.residuals)
+        H, g = normal_equations(self.measured, self.residuals, lin, weigh(self.residuals.s))
         step = _solve_damped(H, g, self.damping)
-        there = moved(self.measured, self.states, self.seen, lin, step)
+        there = apply_step(self.measured, self.states, self.residuals, lin, step)
         seen = residuals(self.measured, there)
-        lower = cost(seen.s) <= cost(self.seen.s)
+        lower = cost(seen.s) <= cost(self.residuals.s)
         length = np.sqrt(np.maximum((step[:, None, :] @ H @ step[:, :, None])[:, 0, 0], 0))
-        self.moved_sigma = np.where(lower, length, np.where(length < 1e-3, 0.0, np.inf))
+        self.step_sigma = np.where(lower, length, np.where(length < 1e-3, 0.0, np.inf))
         self.damping = np.minimum(
             np.maximum(np.where(lower, self.damping / 10, self.damping * 10), _LEAST_DAMPING), _MOST_DAMPING
         )
         if not lower.all():
             _keep(~lower, self.states, there)
-            _keep(~lower, self.seen, seen)
-        self.states, self.seen = there, seen
+            _keep(~lower, self.residuals, seen)
+        self.states, self.residuals = there, seen
 
 
 def _keep(stay: BoolArray, old: States | Residuals, new: States | Residuals) -> None:
-    """Put the old values of the starts that stay into the new arrays, which nobody else holds yet."""
+    """Restore the old values of the states that stay, in place: the new arrays are not shared yet."""
     for name in new.__slots__:
         getattr(new, name)[stay] = getattr(old, name)[stay]
 
@@ -352,7 +362,7 @@ def _solve_damped(H: FloatArray, g: FloatArray, damping: FloatArray) -> FloatArr
     except np.linalg.LinAlgError:
         step = np.stack([np.linalg.lstsq(h, v, rcond=None)[0] for h, v in zip(damped, g, strict=True)])
     length = np.sqrt((step[:, :3] ** 2).sum(axis=1, keepdims=True))
-    if not (length < 1).all():  # beyond a radian the linearisation means nothing
+    if not (length < 1).all():  # beyond a radian the linearisation is invalid
         step = np.where(np.isfinite(step), step, 0.0) / np.maximum(np.where(np.isfinite(length), length, 1.0), 1.0)
     return np.asarray(step)
 
@@ -365,17 +375,17 @@ def least_squares(
     steps: int = 20,
     tolerance_sigma: float = 1e-2,
 ) -> tuple[States, Residuals, BoolArray]:
-    """Descend the plain sum of s; every member counts in full.
+    """Minimise the sum of s over the members, without robust weights.
 
     Args:
-        measured: what is fitted.
-        states: where to start.
-        members: (N,) the matches that count, None: all; the others' ranges follow all the same.
-        steps: at most.
-        tolerance_sigma: stop when no start moves further than this many of its standard deviations.
+        measured: the matches.
+        states: the starting poses.
+        members: (N,) the matches that count, None: all; the ranges of the others are adjusted as well.
+        steps: maximum number of steps.
+        tolerance_sigma: stop when no pose moves by more than this many of its standard deviations.
 
     Returns:
-        The states, the residuals there, and which of the states settled (B,).
+        The states, their residuals, and which of the states converged (B,).
     """
     descent = Descent.start(measured, states)
     counts = np.ones(len(measured)) if members is None else members.astype(np.float64)
@@ -388,13 +398,13 @@ def least_squares(
 
     for _ in range(steps):
         descent.step(weigh, cost)
-        if (descent.moved_sigma < tolerance_sigma).all():
+        if (descent.step_sigma < tolerance_sigma).all():
             break
-    return descent.states, descent.seen, descent.moved_sigma < tolerance_sigma
+    return descent.states, descent.residuals, descent.step_sigma < tolerance_sigma
 
 
 def information_matrix(measured: Measurements, states: States, *, members: BoolArray | None = None) -> FloatArray:
-    """Return the Fisher information (B, 6, 6) of (w, c) from the members (N,), the ranges marginalised."""
+    """Return the Fisher information (B, 6, 6) of (w, c) from the members (N,), with the ranges marginalised."""
     seen = residuals(measured, states)
     weights = np.ones_like(seen.s) if members is None else np.broadcast_to(members.astype(np.float64), seen.s.shape)
     return normal_equations(measured, seen, linearise(measured, states, seen), weights)[0]

@@ -1,9 +1,6 @@
-"""How uncertain a least-squares pose is whose residuals are not weighted by their noise.
+"""Covariance of a pose: derivatives of pixels by the pose, guarded inverses, and the sandwich covariance of a simplex.
 
-    H^-1 (J^T W K S K^T W J) H^-1,    H = J^T W J
-
-with J the residuals' derivative by the pose, K that by the measurements, and S the measurements' covariance. Source:
-Huber, The behavior of maximum likelihood estimates under nonstandard conditions (1967).
+Directions that the matches do not determine get a variance that is huge but finite.
 """
 
 from __future__ import annotations
@@ -23,6 +20,44 @@ from ladarreg_core.pose.thesis.stereo_simplex import Residual
 _STEP, _STEP_PX, _STEP_OF_RANGE = 1e-6, 1e-2, 1e-5
 _UNDETERMINED = 1e-12
 _HUGE_RAD2 = np.pi**2
+LEAST_EIGENVALUE = 1e-13
+"""Lower bound of the eigenvalues of an information matrix scaled to a unit diagonal."""
+
+
+def pose_jacobian(
+    camera_from_scanner: Rigid, points_scanner: FloatArray, camera: Camera
+) -> tuple[FloatArray, FloatArray]:
+    """Project points and differentiate the pixels by the pose.
+
+    Args:
+        camera_from_scanner: the pose.
+        points_scanner: (N, 3), m.
+        camera: intrinsics.
+
+    Returns:
+        uv (N, 2), pixels, and J (N, 2, 6) = d uv / d (w, c), with R_true = exp([w]x) R and c the shift of the camera
+        centre in the scanner frame; NaN behind the camera.
+    """
+    p = camera_from_scanner @ np.asarray(points_scanner, dtype=np.float64)
+    uv, d_uv = camera.project_with_jacobian(p)
+    by_rotation = np.zeros((*p.shape[:-1], 3, 3))  # d p / d w = -[p]x
+    by_rotation[..., 0, 1], by_rotation[..., 0, 2] = p[..., 2], -p[..., 1]
+    by_rotation[..., 1, 0], by_rotation[..., 1, 2] = -p[..., 2], p[..., 0]
+    by_rotation[..., 2, 0], by_rotation[..., 2, 1] = p[..., 1], -p[..., 0]
+    return uv, np.concatenate([d_uv @ by_rotation, -d_uv @ camera_from_scanner.rotation], axis=-1)
+
+
+def guarded_inverse(information: FloatArray) -> FloatArray:
+    """Return the inverse of an information matrix (P, P) of unit diagonal, with its eigenvalues bounded from below."""
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray((vectors / np.maximum(values, LEAST_EIGENVALUE)) @ vectors.T)
+
+
+def pose_covariance(information: FloatArray) -> FloatArray:
+    """Return the covariance (6, 6) of a pose from its information; huge but finite if undetermined."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = guarded_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    return np.asarray((inverse + inverse.T) / 2)
 
 
 def simplex_covariance(
@@ -35,21 +70,28 @@ def simplex_covariance(
     sigma_px: float,
     sigma_range_m: float,
 ) -> FloatArray:
-    """Return the covariance (6, 6) of (w, c) as `PoseResult.covariance`; huge but finite where nothing determines it.
+    """Return the covariance (6, 6) of a pose from a simplex, whose residuals are not weighted by their noise.
+
+        H^-1 (J^T W K S K^T W J) H^-1,    H = J^T W J
+
+    with J the derivative of the residuals by the pose, K that by the measurements, and S the covariance of the
+    measurements. The result is of (w, c) as in `PoseResult.covariance`; huge but finite if undetermined.
 
     Args:
-        pose: camera_from_scanner, at the least cost.
+        pose: camera_from_scanner, at the minimum.
         matches: M matches.
-        inliers: (M,) those that counted.
+        inliers: (M,) matches that were used.
         camera: the photo's camera.
-        residual: what was minimised.
+        residual: the residual that was minimised.
         sigma_px: pixel noise of a match of weight 1, px.
-        sigma_range_m: range noise likewise, m.
+        sigma_range_m: range noise of a match of weight 1, m.
+
+    Source: Huber, The behavior of maximum likelihood estimates under nonstandard conditions (1967).
     """
-    counted = matches.subset(inliers)
+    used = matches.subset(inliers)
     reach = float(np.median(matches.ranges)) if len(matches) else 1.0
     huge = np.diag([_HUGE_RAD2] * 3 + [_HUGE_RAD2 * reach**2] * 3)
-    if len(counted) < 3:
+    if len(used) < 3:
         return huge
     frame = StereoPairs.of(matches, camera).frame_from_scanner
 
@@ -67,33 +109,33 @@ def simplex_covariance(
         with np.errstate(all="ignore"):
             return np.asarray((forward - back) / (2 * step))
 
-    J = np.stack([slope(errors(shifted(d), counted), errors(shifted(-d), counted), _STEP) for d in _STEP * np.eye(6)])
+    J = np.stack([slope(errors(shifted(d), used), errors(shifted(-d), used), _STEP) for d in _STEP * np.eye(6)])
     by_pixel = [
         slope(
-            errors(pose, replace(counted, uv=counted.uv + way)),
-            errors(pose, replace(counted, uv=counted.uv - way)),
+            errors(pose, replace(used, uv=used.uv + way)),
+            errors(pose, replace(used, uv=used.uv - way)),
             _STEP_PX,
         )
         for way in _STEP_PX * np.eye(2)
     ]
-    step_m = _STEP_OF_RANGE * counted.ranges
+    step_m = _STEP_OF_RANGE * used.ranges
     by_range = slope(
-        errors(pose, replace(counted, ranges=counted.ranges + step_m)),
-        errors(pose, replace(counted, ranges=counted.ranges - step_m)),
+        errors(pose, replace(used, ranges=used.ranges + step_m)),
+        errors(pose, replace(used, ranges=used.ranges - step_m)),
         step_m,
     )
     spread = np.stack([*(k * sigma_px for k in by_pixel), by_range * sigma_range_m])  # (3, 2, N)
-    assert counted.weights is not None
+    assert used.weights is not None
     known = np.isfinite(J).all(axis=(0, 1)) & np.isfinite(spread).all(axis=(0, 1))
     if np.count_nonzero(known) < 3:
         return huge
-    J, spread, w = J[..., known], spread[..., known], counted.weights[known]
+    J, spread, w = J[..., known], spread[..., known], used.weights[known]
     H = np.einsum("aen,ben,n->ab", J, J, w)
-    pushed = np.einsum("aen,ken,n->akn", J, spread, np.sqrt(w))  # sigma^2 / weight, times the weight twice
+    scaled = np.einsum("aen,ken,n->akn", J, spread, np.sqrt(w))  # sigma^2 / weight, times weight^2
     values, vectors = np.linalg.eigh(H)
     determined = values > _UNDETERMINED * max(values[-1], 1e-300)
     inverse = vectors[:, determined] / values[determined] @ vectors[:, determined].T
-    half = np.einsum("ab,bkn->akn", inverse, pushed)
+    half = np.einsum("ab,bkn->akn", inverse, scaled)
     covariance = np.einsum("akn,bkn->ab", half, half) + _HUGE_RAD2 * vectors[:, ~determined] @ vectors[:, ~determined].T
     unit = np.array([1.0] * 3 + [reach] * 3)
     covariance = covariance * np.outer(unit, unit)

@@ -1,7 +1,7 @@
-"""Matches held out as the judge: whether what was fitted to the others foretells them better.
+"""Cross-validation of intrinsics and poses: the model that predicts held-out matches better is preferred.
 
-The picks are dealt into folds, the matches of one pick into the same; each fold is foretold by a fit to the others. Two
-cameras are compared by min(s, gate), so that mismatches cost both the same.
+Picks are assigned to folds, with all matches of a pick in the same fold; each fold is predicted by a fit to the others.
+Two cameras are compared by min(s, gate), so that outliers cost both the same.
 
 Source: Stone, Cross-validatory choice and assessment of statistical predictions (1974).
 """
@@ -18,8 +18,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose import bundle
-from ladarreg_core.pose.bundle import Measurements, States, settle
-from ladarreg_core.pose.checks import LEAST_MATCHES
+from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
 from ladarreg_core.pose.intrinsics import (
     PARAMETERS,
     Descent,
@@ -27,20 +26,21 @@ from ladarreg_core.pose.intrinsics import (
     IntrinsicsFit,
     Noise,
     estimate_intrinsics,
-    foreseen_gains,
     intrinsic,
+    predicted_gains,
 )
+from ladarreg_core.pose.preconditions import LEAST_MATCHES
 
 FOLDS = 5
-"""How many folds the picks are dealt into."""
-LOOK_SIGMA = 3.7
-"""How sure a score test must be that intrinsics are wrong before they are estimated at all: 1 in 10,000 by chance."""
-KEEP_SIGMA = 3.0
-"""How many of its own standard deviations an intrinsic must move to be kept."""
+"""Number of folds."""
+SCORE_TEST_SIGMA = 3.7
+"""Significance of the score test above which intrinsics are estimated at all: 1 in 10,000 by chance."""
+LEAST_SHIFT_SIGMA = 3.0
+"""Smallest change of an estimated intrinsic that is kept, in its standard deviations."""
 CLEAR_GAIN_SIGMA = 2.0
-"""How many standard errors held-out matches must gain for an intrinsic to be kept."""
+"""Smallest gain on held-out matches for which an intrinsic is kept, in standard errors."""
 
-_WIDE = 9.0  # of the gate: a wrong camera puts true matches beyond it
+_WIDE = 9.0  # relative to the gate: a wrong camera puts correct matches beyond it
 _WORTH_WIDENING = 1.05
 _MOST_S = 1e6
 _STEPS = 10
@@ -55,84 +55,86 @@ _LADDER: dict[Intrinsics, tuple[Intrinsics, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """By how much held-out matches cost less under one model than under another."""
+    """Decrease of the cost of held-out matches from one model to another."""
 
     total: float
-    """Sum over the matches, in units of s; positive: better."""
+    """Sum over the matches, in units of s; positive means better."""
     sigma: float
     """Its standard error, over picks."""
 
     @property
     def clear(self) -> bool:
-        """Whether the gain is more than chance."""
+        """True if the gain is significant."""
         return self.total > CLEAR_GAIN_SIGMA * self.sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """One step up the ladder of intrinsics."""
+    """One step up the ladder of intrinsics models."""
 
     fit: IntrinsicsFit
-    """The fit with the noise of the model before."""
+    """The fit, with the noise of the previous model."""
     gain: Gain | None
-    """Of held-out matches, against the model before; None where the fit is not worth asking them."""
+    """Gain over the previous model on held-out matches; None if the fit was discarded before."""
     shift_sigma: float
-    """How far the new intrinsic moved, in its own standard deviations by the scatter that the fit leaves."""
+    """Change of the new intrinsic, in standard deviations scaled by the scatter of the residuals."""
     kept: bool
-    """Whether it was kept."""
+    """True if the fit was kept."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IntrinsicsChoice:
-    """Which intrinsics the matches ask for."""
+    """Intrinsics selected by cross-validation."""
 
     given: Camera
-    """The camera that was given."""
+    """The given camera."""
     fit: IntrinsicsFit | None
     """The fit that was kept; None: the camera stays as given."""
     trials: tuple[Trial, ...]
-    """What was tried, in order; empty where nothing asked for it."""
+    """The models that were tried, in order; empty if the given camera passed the score test."""
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """What was kept."""
+        """The intrinsics that were kept."""
         return "fixed" if self.fit is None else self.fit.intrinsics
 
-    def in_words(self) -> tuple[str, ...]:
-        """Return the outcome in sentences; empty where nothing asked for other intrinsics."""
+    def describe(self) -> tuple[str, ...]:
+        """Return the outcome in sentences; empty if the given camera passed the score test."""
         if self.fit is not None:
-            return intrinsics_in_words(self.fit, self.given)
+            return describe_intrinsics(self.fit, self.given)
         if not self.trials:
             return ()
         last = self.trials[-1].fit
         changes = " and ".join(_estimates(last))
-        why = "do not determine them" if not last.determined else "foretell held-out matches no better with them"
+        why = "do not determine them" if not last.determined else "held-out matches are predicted no better"
         return (
-            f"The matches suggest other intrinsics ({changes}), but {why}; the camera was kept as given. Give the "
-            "camera file, or add matches near and far and all over the picture.",
+            f"The matches suggest other intrinsics ({changes}), but {why}; the camera was kept as given. Provide a "
+            "camera file, or add matches near and far and across the whole photo.",
         )
 
 
-def intrinsics_in_words(fit: IntrinsicsFit, given: Camera) -> tuple[str, ...]:
-    """Return what was estimated beside the pose, in sentences.
+def describe_intrinsics(fit: IntrinsicsFit, given: Camera) -> tuple[str, ...]:
+    """Return the estimated intrinsics in sentences.
 
     Args:
         fit: the fit.
-        given: the camera that it started from.
+        given: the given camera.
     """
-    names = {"focal_px": "focal length", "k1": "lens's k1", "cx": "principal point's u", "cy": "principal point's v"}
-    said = []
+    names = {"focal_px": "focal length", "k1": "distortion k1", "cx": "principal point cx", "cy": "principal point cy"}
+    sentences = []
     for name, value in fit.values.items():
         unit = "" if name == "k1" else " px"
         before, sigma = intrinsic(given, name), fit.sigmas[name]
         digits = 3 if name == "k1" else 0 if sigma >= 2 else 1
-        said.append(
-            f"The {names[name]} was estimated: {value:.{digits}f} +- {sigma:.{digits}f}{unit} instead of "
-            f"{before:.{digits}f}{unit}."
+        sentences.append(
+            f"The {names[name]} was estimated as {value:.{digits}f} +- {sigma:.{digits}f}{unit} (given: "
+            f"{before:.{digits}f}{unit})."
         )
-    if said and not fit.determined:
-        said.append("The matches do not determine the focal length; give the camera file, or add matches near and far.")
-    return tuple(said)
+    if sentences and not fit.determined:
+        sentences.append(
+            "The matches do not determine the focal length; provide a camera file, or add matches near and far."
+        )
+    return tuple(sentences)
 
 
 def _estimates(fit: IntrinsicsFit) -> list[str]:
@@ -158,50 +160,50 @@ def choose_intrinsics(
     noise: Noise | None = None,
     seed: int = 0,
 ) -> IntrinsicsChoice:
-    """Estimate those intrinsics, and only those, without which the matches disagree.
+    """Estimate only those intrinsics that the matches require.
 
-    A score test asks first whether anything is wrong, which costs less than the pose did. Then each step of the ladder
-    (focal, k1, centre) is kept only if held-out matches get clearly better, if the intrinsic moved by more than 3 of
-    its own sigmas, and if the matches determine the focal length to 2 %.
+    A score test, cheaper than the pose, first detects whether the given intrinsics are wrong at all. Then each step of
+    the ladder (focal, k1, centre) is kept only if the prediction of held-out matches improves significantly, the
+    intrinsic changed by more than 3 sigma, and the matches determine the focal length to 2 %.
 
     Args:
-        matches: M matches, mismatches among them.
-        camera: as given.
+        matches: M matches, which may contain outliers.
+        camera: the given camera.
         pose: camera_from_scanner, fitted with that camera.
-        inliers: (M,) the matches that agree with it.
+        inliers: (M,) inliers of that pose.
         sigma_px: pixel noise used, px.
         sigma_range_m: range noise used, m.
-        gate_chi2: largest s of an inlier.
+        gate_chi2: largest cost s of an inlier.
         most: the last step of the ladder.
-        noise: what noise a fit shows, where it is not known; None: as stated.
-        seed: of the deal.
+        noise: estimator of the noise if it is not stated; None: the noise is as given.
+        seed: random seed of the folds.
     """
     ladder = _LADDER[most]
     model = _Model(camera, pose, inliers, 0)
-    judge = _Judge.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
+    folds = _Folds.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
     kept: IntrinsicsFit | None = None
     trials: list[Trial] = []
-    if not judge.misses(model, ladder):
+    if not folds.rejects(model, ladder):
         return IntrinsicsChoice(camera, None, ())
     for step in ladder:
-        if kept is not None and not judge.misses(model, (step,)):
+        if kept is not None and not folds.rejects(model, (step,)):
             continue
-        fit = judge.fit(model, step)
+        fit = folds.fit(model, step)
         tried, shift, gain = _Model.of(fit), _shift_sigma(fit, camera, step), None
-        if fit.determined and shift > KEEP_SIGMA:
-            gain = judge.gain(*(np.minimum(judge.held_out(m), gate_chi2) for m in (model, tried)))
+        if fit.determined and shift > LEAST_SHIFT_SIGMA:
+            gain = folds.gain(*(np.minimum(folds.held_out(m), gate_chi2) for m in (model, tried)))
         good = gain is not None and gain.clear
         trials.append(Trial(fit, gain, shift, good))
         if not fit.determined:
-            break  # with more intrinsics free it is less so
+            break  # more free intrinsics determine it even less
         if good:
-            kept = judge.fit(tried, step, noise) if noise else fit
-            model, judge = _Model.of(kept), replace(judge, sigma_px=kept.sigma_px, sigma_range_m=kept.sigma_range_m)
+            kept = folds.fit(tried, step, noise) if noise else fit
+            model, folds = _Model.of(kept), replace(folds, sigma_px=kept.sigma_px, sigma_range_m=kept.sigma_range_m)
     return IntrinsicsChoice(camera, kept, tuple(trials))
 
 
 def _shift_sigma(fit: IntrinsicsFit, given: Camera, step: Intrinsics) -> float:
-    """Return how far the intrinsics that a step adds moved, the furthest of them, in standard deviations."""
+    """Return the largest change among the intrinsics that a step adds, in standard deviations."""
     new = {"focal": ("focal_px",), "focal_k1": ("k1",), "focal_k1_centre": ("cx", "cy")}[step]
     scatter = np.sqrt(max(1.0, fit.chi2_per_dof)) if fit.dof > 0 else np.inf
     return float(max(abs(fit.values[name] - intrinsic(given, name)) / fit.sigmas[name] for name in new) / scatter)
@@ -219,48 +221,48 @@ def worse_when_held_out(
     gate_chi2: float = 9.21,
     seed: int = 0,
 ) -> bool:
-    """Return whether a pose fitted to the matches foretells held-out ones worse than the pose it started from.
+    """Return whether poses fitted to the matches predict held-out ones worse than the initial pose does.
 
-    It is so, too, where the matches are too few to hold any out: then nothing speaks for the fit.
+    True as well if there are too few matches to hold any out, because then nothing supports the fit.
 
     Args:
-        matches: M matches, mismatches among them.
+        matches: M matches, which may contain outliers.
         camera: intrinsics.
-        start: camera_from_scanner, from elsewhere: these matches had no part in it.
+        start: the initial camera_from_scanner, obtained without these matches.
         refined: camera_from_scanner, fitted to the matches.
-        inliers: (M,) the matches that agree with it.
+        inliers: (M,) inliers of the refined pose.
         sigma_px: pixel noise, px.
         sigma_range_m: range noise, m.
-        gate_chi2: largest s of an inlier.
-        seed: of the deal.
+        gate_chi2: largest cost s of an inlier.
+        seed: random seed of the folds.
     """
-    judge = _Judge.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
-    measured = judge.measured(camera)
-    _, seen = settle(measured, States.of([start], measured))
-    before, after = _growing(seen.s[0], gate_chi2), judge.held_out(_Model(camera, refined, inliers, 0))
-    unknown = np.maximum(before, _growing(np.array(gate_chi2), gate_chi2))
-    after = np.where(np.isfinite(after), _growing(after, gate_chi2), unknown)
-    return not judge.gain(before, after).total > 0
+    folds = _Folds.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
+    measured = folds.measured(camera)
+    _, seen = adjust_ranges(measured, States.of([start], measured))
+    before, after = _lorentzian(seen.s[0], gate_chi2), folds.held_out(_Model(camera, refined, inliers, 0))
+    unknown = np.maximum(before, _lorentzian(np.array(gate_chi2), gate_chi2))
+    after = np.where(np.isfinite(after), _lorentzian(after, gate_chi2), unknown)
+    return not folds.gain(before, after).total > 0
 
 
-def _growing(s: FloatArray, gate: float) -> FloatArray:
-    """Return a cost that still grows beyond the gate: where noise was stated too small all poses would look alike.
+def _lorentzian(s: FloatArray, gate: float) -> FloatArray:
+    """Return a cost that still grows beyond the gate; a truncated one cannot compare poses if the noise is understated.
 
     Source: Black and Anandan, The robust estimation of multiple motions (1996), the Lorentzian.
     """
     return np.asarray(gate * np.log1p(np.minimum(s, _MOST_S) / gate))
 
 
-def deal(pick_ids: Sequence[str], *, folds: int = FOLDS, seed: int = 0) -> tuple[IntArray, IntArray]:
-    """Deal picks into folds of like size.
+def assign_folds(pick_ids: Sequence[str], *, folds: int = FOLDS, seed: int = 0) -> tuple[IntArray, IntArray]:
+    """Assign picks to folds of similar size.
 
     Args:
         pick_ids: (M,) the pick of each match.
-        folds: at most so many; never more than there are picks.
-        seed: of the deal.
+        folds: maximum number of folds; never more than there are picks.
+        seed: random seed.
 
     Returns:
-        The number of each match's pick, and its fold, both (M,).
+        The index of each match's pick, and its fold, both (M,).
     """
     number: dict[str, int] = {}
     group = np.array([number.setdefault(name, len(number)) for name in pick_ids], dtype=np.intp)
@@ -270,13 +272,13 @@ def deal(pick_ids: Sequence[str], *, folds: int = FOLDS, seed: int = 0) -> tuple
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Model:
-    """What is put to the test."""
+    """A pose and camera under test."""
 
     camera: Camera
     pose: Rigid
     inliers: BoolArray
     count: int
-    """How many of (log f, k1, cx, cy) are free."""
+    """Number of free intrinsics among (log f, k1, cx, cy)."""
 
     @staticmethod
     def of(fit: IntrinsicsFit) -> _Model:
@@ -284,8 +286,8 @@ class _Model:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Judge:
-    """All matches, dealt into folds."""
+class _Folds:
+    """All matches, assigned to folds."""
 
     matches: Matches
     sigma_px: float
@@ -295,8 +297,8 @@ class _Judge:
     fold: IntArray
 
     @staticmethod
-    def of(matches: Matches, sigma_px: float, sigma_range_m: float, gate: float, seed: int) -> _Judge:
-        return _Judge(matches, sigma_px, sigma_range_m, gate, *deal(matches.pick_ids, seed=seed))
+    def of(matches: Matches, sigma_px: float, sigma_range_m: float, gate: float, seed: int) -> _Folds:
+        return _Folds(matches, sigma_px, sigma_range_m, gate, *assign_folds(matches.pick_ids, seed=seed))
 
     def measured(self, camera: Camera) -> Measurements:
         return Measurements.of(self.matches, camera, sigma_px=self.sigma_px, sigma_range_m=self.sigma_range_m)
@@ -313,17 +315,17 @@ class _Judge:
             sigma_px=self.sigma_px, sigma_range_m=self.sigma_range_m,
         )  # fmt: skip
 
-    def misses(self, model: _Model, ladder: Sequence[Intrinsics]) -> bool:
-        """Return whether a score test misses any of the steps."""
+    def rejects(self, model: _Model, ladder: Sequence[Intrinsics]) -> bool:
+        """Return whether a score test rejects the model in favour of any step of the ladder."""
         if not ladder:
             return False
         descent = self.descent(model)
         counts = [len(PARAMETERS[step]) for step in ladder]
-        if max(foreseen_gains(descent, model.inliers, counts)) > LOOK_SIGMA:
+        if max(predicted_gains(descent, model.inliers, counts)) > SCORE_TEST_SIGMA:
             return True
-        wide = descent.seen.s[0] <= _WIDE * self.gate
+        wide = descent.residuals.s[0] <= _WIDE * self.gate
         more = np.count_nonzero(wide) > _WORTH_WIDENING * np.count_nonzero(model.inliers)
-        return bool(more and max(foreseen_gains(descent, wide, counts)) > LOOK_SIGMA)
+        return bool(more and max(predicted_gains(descent, wide, counts)) > SCORE_TEST_SIGMA)
 
     def gain(self, before: FloatArray, after: FloatArray) -> Gain:
         by_pick = np.bincount(self.group, before - after)
@@ -333,8 +335,8 @@ class _Judge:
     def held_out(self, model: _Model) -> FloatArray:
         """Return s (M,) of every match under the fit to the inliers of the other folds.
 
-        Where those are too few for a fit it is infinite: a fit that they do not hold would still know the held-out
-        ones, from which it starts.
+        It is infinite if those are too few for a fit: an underdetermined fit would still depend on the held-out matches
+        through its starting pose.
         """
         folds = np.arange(self.fold.max() + 1)
         training = model.inliers & (self.fold != folds[:, None])  # (B, M)
@@ -345,22 +347,22 @@ class _Judge:
         return np.where(enough[self.fold], own, np.inf)
 
     def _fixed(self, model: _Model, training: BoolArray) -> FloatArray:
-        """Return s (B, M) under the poses fitted to each of the memberships (B, M)."""
+        """Return s (B, M) under the poses fitted to each training set (B, M)."""
         measured = self.measured(model.camera)
         counts = training.astype(np.float64)
         descent = bundle.Descent.start(measured, States.of([model.pose] * len(training), measured))
         for _ in range(_STEPS):
             descent.step(lambda s: counts, lambda s: np.asarray((s * counts).sum(axis=1)))
-            if (descent.moved_sigma < _SETTLED_SIGMA).all():
+            if (descent.step_sigma < _SETTLED_SIGMA).all():
                 break
-        return settle(measured, descent.states)[1].s
+        return adjust_ranges(measured, descent.states)[1].s
 
     def _free(self, model: _Model, training: BoolArray) -> FloatArray:
-        """Return s (B, M) under the poses and cameras fitted to each of the memberships (B, M)."""
+        """Return s (B, M) under the poses and cameras fitted to each training set (B, M)."""
         found = []
         start = self.descent(model)
         for members in training:
             descent = replace(start)
             descent.least_squares(members, steps=_STEPS, tolerance_sigma=_SETTLED_SIGMA)
-            found.append(settle(descent.measured, descent.state)[1].s[0])
+            found.append(adjust_ranges(descent.measured, descent.state)[1].s[0])
         return np.stack(found)

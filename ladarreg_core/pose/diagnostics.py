@@ -1,4 +1,4 @@
-"""What an operator should know about a pose beside its residuals: the scene's shape, the baseline, the disparity."""
+"""Diagnostics of a pose beside its residuals: shape of the scene, baseline, disparity and stereo depth error."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _LEAST_DISPARITY_SIGMA = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disparities:
-    """What the stereo equations see of M matches at a pose; NaN beside or behind the frame's X or the camera."""
+    """Quantities of the stereo equations for M matches; NaN for points not in front of both scanner and camera."""
 
     frame_from_scanner: FloatArray
     """(3, 3) of `stereo_frame`."""
     depth: FloatArray
     """(M,) laser depth, m."""
     disparity: FloatArray
-    """(2, M) derotated, tangents."""
+    """(2, M) after derotation, tangents."""
     numerator: FloatArray
     """(2, M) Z times the disparity by Eq 2.17-2.18, lambda = 1, m."""
 
@@ -33,27 +33,27 @@ class Disparities:
 def stereo_depth_error(
     pose: Rigid, matches: Matches, camera: Camera, *, sigma_px: float, disparities: Disparities | None = None
 ) -> FloatArray:
-    """Return laser minus stereo depth of every match, in the thesis's stereo frame.
+    """Return laser depth minus stereo depth of every match, in the thesis's stereo frame.
 
-    Depth is along the scanner's X, or along the mean ray where the matches lie aside of that; see `stereo_frame`.
-    The two stereo depths, by x and by y disparity, are combined with the squares of their disparities as weights.
-    That mean does not depend on how both pictures are turned about the optical axis, so the 45 degree rotation of the
-    thesis (Eq 2.14-2.16), which keeps either disparity from vanishing, is not needed.
+    Depth is measured along the scanner's X, or along the mean ray if the matches lie to the side; see `stereo_frame`.
+    The stereo depths from x and y disparity are averaged, weighted by the squared disparities. This mean is invariant
+    to rotation about the optical axis, so the thesis's 45 degree rotation (Eq 2.14-2.16), which keeps both disparities
+    from vanishing, is not needed.
 
     Args:
         pose: camera_from_scanner.
         matches: M matches.
         camera: intrinsics.
         sigma_px: pixel noise, px.
-        disparities: those of this pose, where they are known already.
+        disparities: the disparities of this pose if already computed.
 
     Returns:
-        (M,) m; NaN where the point is beside or behind, or where the disparity is within three
-        sigma_px of zero, as at a baseline of zero.
+        (M,) m; NaN if the point is not in front, or if the disparity is within three sigma_px of zero, as for a
+        baseline of zero.
 
     Source: thesis Eq 2.19-2.21.
     """
-    d = disparities or derotated(pose, matches, camera)
+    d = disparities or stereo_disparities(pose, matches, camera)
     disparity, numerator = d.disparity, d.numerator
     squared = (disparity * disparity).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -62,8 +62,8 @@ def stereo_depth_error(
     return np.where(known, d.depth - stereo, np.nan)
 
 
-def derotated(pose: Rigid, matches: Matches, camera: Camera) -> Disparities:
-    """Return the disparities of matches at a pose."""
+def stereo_disparities(pose: Rigid, matches: Matches, camera: Camera) -> Disparities:
+    """Return the disparities of matches for a pose."""
     frame_from_scanner = stereo_frame(matches.rays)
     pairs = StereoPairs.of(matches, camera, frame_from_scanner=frame_from_scanner)
     Tx, Ty, Tz, alpha, beta, gamma = pairs.parameters(pose).tolist()
@@ -83,15 +83,15 @@ def diagnose(
     sigma_px: float,
     disparities: Disparities | None = None,
 ) -> dict[str, Any]:
-    """Return the scene's shape and the baseline's figures over the inliers, JSON-ready.
+    """Return figures of the inliers' shape, baseline and disparity, JSON-ready.
 
-    `planarity` is the least over the middle singular value of the centred points (0: flat), `linearity` the middle
-    over the largest (0: a line). The stereo methods fail where `stereo_sigma_z_over_z` exceeds .05 or
+    `planarity` is the smallest over the middle singular value of the centred points (0: a plane), `linearity` the
+    middle over the largest (0: a line). The stereo methods fail if `stereo_sigma_z_over_z` exceeds .05 or
     `disparity_over_sigma` falls below 40.
     """
     points, ranges, uv = matches.points[inliers], matches.ranges[inliers], matches.uv[inliers]
     figures: dict[str, Any] = {"matches": len(matches), "inliers": len(points)}
-    d = disparities or derotated(pose, matches, camera)
+    d = disparities or stereo_disparities(pose, matches, camera)
     left, up, forward = (float(v) for v in STEREO_AXES_FROM_SCANNER @ d.frame_from_scanner @ pose.centre)
     figures |= {
         "baseline_m": float(np.linalg.norm(pose.centre)),

@@ -1,7 +1,8 @@
-"""From matches to a pose that explains itself, by the default estimator or by one of the thesis's."""
+"""Pose estimation from matches, by the default estimator or one of the thesis's; the table of methods."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -13,16 +14,16 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import Measurements, States, settle
-from ladarreg_core.pose.checks import checked_matches
+from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
 from ladarreg_core.pose.intrinsics import Intrinsics
 from ladarreg_core.pose.options import STATED_SIGMA_PX as STATED_SIGMA_PX
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M as STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.options import Method as Method
 from ladarreg_core.pose.options import PoseOptions as PoseOptions
-from ladarreg_core.pose.result import Fit, answer
+from ladarreg_core.pose.preconditions import check_matches
+from ladarreg_core.pose.result import Fit, build_result
 from ladarreg_core.pose.robust import solve_robust
-from ladarreg_core.pose.simplex_result import simplex_answer
+from ladarreg_core.pose.simplex_result import build_simplex_result
 from ladarreg_core.pose.thesis.linear import linear_covariance, linear_pose
 from ladarreg_core.pose.thesis.stereo_simplex import Residual, fit_simplex
 from ladarreg_core.results import PoseResult
@@ -41,34 +42,34 @@ def estimate_pose(
     intrinsics: Intrinsics | Literal["auto"] = "auto",
     seed: int = 0,
 ) -> PoseResult:
-    """Estimate where the camera was from point matches, mismatches among them, and judge the answer.
+    """Estimate the camera pose from point matches that may contain outliers, with a verdict on the result.
 
     Args:
         rays: (N, 3) unit, scanner frame.
         ranges: (N,) along the rays, m.
         uv: (N, 2), photo pixels.
-        camera: the photo's camera; its lens may distort.
-        sigma_px: pixel noise, px; None: estimated from the inliers' scatter where they are enough, else 1 px.
+        camera: the photo's camera, with or without lens distortion.
+        sigma_px: pixel noise, px; None: estimated from the inliers if there are enough, else 1 px.
         sigma_range_m: range noise, m; None: likewise, else .015 m.
         method: `robust`, `linear`, `stereo_simplex` or `epipolar_simplex`.
-        initial: a first guess of the pose: `robust` tries it beside those that it finds, a simplex starts there,
-            `linear` needs none.
-        intrinsics: what of the camera `robust` estimates too: `fixed` (nothing), `focal`, `focal_k1`,
-            `focal_k1_centre`, or `auto`: the focal length, then k1, where matches that are held out become clearly
-            more likely by it.
-        seed: of every random choice; the same input and seed give the same answer.
+        initial: an initial pose: `robust` tries it as a further candidate, a simplex starts from it, `linear` ignores
+            it.
+        intrinsics: the intrinsics that `robust` estimates with the pose: `fixed` (none), `focal`, `focal_k1`,
+            `focal_k1_centre`, or `auto`: the focal length, then k1, each only if it clearly improves the prediction
+            of held-out matches.
+        seed: random seed; equal seeds give equal results.
 
     Returns:
-        The pose with covariance, inliers, residuals of all matches and a verdict by `statistics`.
+        The pose with covariance, inliers, residuals of all matches and a verdict on match statistics.
 
     Raises:
-        ShapeError: if arrays disagree, or hold what is not finite, not positive (ranges) or not unit (rays, by more
-            than 1e-3).
-        DegenerateGeometryError: if there are fewer than 4 different matches (7 for `linear`), if the points lie on a
-            line (on a plane, for `linear`), if no pose agrees with any 4 matches (`robust`), or if fewer than 4 lie in
-            front of the scanner and within the lens (a simplex).
-        OptionError: if a sigma, the method or the seed has no meaning.
-        CameraError: if `camera` is none.
+        ShapeError: if the shapes disagree, a number is not finite, a range is not positive or the length of a ray
+            differs from 1 by more than 1e-3.
+        DegenerateGeometryError: if there are fewer than 4 distinct matches (7 for `linear`), if the points are
+            collinear (coplanar, for `linear`), if no pose has 4 inliers (`robust`), or if fewer than 4 matches lie in
+            front of the scanner and within the field of the lens (a simplex).
+        OptionError: if a sigma, the method or the seed is invalid.
+        CameraError: if `camera` is not a Camera.
     """
     options = PoseOptions(
         method=method, sigma_px=sigma_px, sigma_range_m=sigma_range_m, intrinsics=intrinsics, seed=seed
@@ -82,37 +83,34 @@ def estimate_pose(
 def solve_pose(
     matches: Matches, camera: Camera, options: PoseOptions | None = None, *, initial: Rigid | None = None
 ) -> PoseResult:
-    """Estimate the pose of weighted matches; `estimate_pose` is this for bare arrays.
+    """Estimate the pose from weighted matches; `estimate_pose` does the same for plain arrays.
 
     Args:
         matches: M matches; a weight multiplies the information of its match.
         camera: the photo's camera.
-        options: how.
-        initial: a first guess.
+        options: method and options; None: the defaults.
+        initial: an initial pose.
 
     Raises:
         LadarregError: as `estimate_pose`.
     """
     options = options or PoseOptions()
-    matches = checked_matches(matches, camera, initial)
-    if options.method == "linear":
-        return _solve_linear(matches, camera, options)
-    if options.method in ("stereo_simplex", "epipolar_simplex"):
-        return _solve_simplex(matches, camera, options, initial)
-    return solve_robust(matches, camera, options, initial=initial)
+    matches = check_matches(matches, camera, initial)
+    return _METHODS[options.method](matches, camera, options, initial)
 
 
-def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions) -> PoseResult:
+def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions, _: Rigid | None) -> PoseResult:
     sigma = options.sigma_px or STATED_SIGMA_PX, options.sigma_range_m or STATED_SIGMA_RANGE_M
     measured = Measurements.of(matches, camera, sigma_px=sigma[0], sigma_range_m=sigma[1])
     xy = measured.xy.T
     beyond = int(np.count_nonzero(~np.isfinite(xy).all(axis=1)))
     if beyond:
         raise DegenerateGeometryError(
-            f"{beyond} matches lie where the lens sees nothing and 'linear' uses all; remove them or use 'robust'"
+            f"{beyond} matches lie outside the field of the lens and 'linear' uses all matches; remove them or use "
+            "'robust'"
         )
     pose = linear_pose(matches.points, xy)
-    state, seen = settle(measured, States.of([pose], measured))
+    state, seen = adjust_ranges(measured, States.of([pose], measured))
     fit = Fit(measured, state, seen.s[0] <= options.gate_chi2, seen.s[0], True)
     assert matches.weights is not None
     root = np.sqrt(matches.weights)
@@ -120,11 +118,20 @@ def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions) -> Pos
         pose, matches.points, matches.rays, xy,
         sigma_xy=sigma[0] / camera.focal_px / root, sigma_range_m=sigma[1] / root, seed=options.seed,
     )  # fmt: skip
-    return answer(fit, matches, camera, options, covariance, sigma, {"stopped": "closed form"})
+    return build_result(fit, matches, camera, options, covariance, sigma, {"stopped": "closed form"})
 
 
 def _solve_simplex(matches: Matches, camera: Camera, options: PoseOptions, initial: Rigid | None) -> PoseResult:
     residual: Residual = "stereo" if options.method == "stereo_simplex" else "epipolar"
     how = replace(options.simplex, residual=residual)
     found = fit_simplex(matches, camera, how, initial=initial, sigma_px=options.sigma_px or STATED_SIGMA_PX)
-    return simplex_answer(found, matches, camera, options)
+    return build_simplex_result(found, matches, camera, options)
+
+
+_METHODS: Mapping[Method, Callable[[Matches, Camera, PoseOptions, Rigid | None], PoseResult]] = {
+    "robust": solve_robust,
+    "linear": _solve_linear,
+    "stereo_simplex": _solve_simplex,
+    "epipolar_simplex": _solve_simplex,
+}
+"""The solver of each method."""

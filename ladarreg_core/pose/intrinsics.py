@@ -1,10 +1,11 @@
-"""The focal length, the lens and the principal point, estimated together with the pose.
+"""Estimation of focal length, lens distortion and principal point together with the pose.
 
-The cost is that of `bundle`, which compares tangents of the ideal picture. A change of an intrinsic theta leaves the
-predicted tangents alone and moves the OBSERVED ones by -D^-1 d uv / d theta, with D = d uv / d xy; so theta adds the
-column D^-1 d uv / d theta to the derivatives of the pose. It is taken at the PREDICTED tangents: D, the measure of the
-residuals, changes with theta too, and only so is the gradient that of pixels (at the observed ones the sum of squares
-itself would pull at f). After a step the camera is made anew and the lens undone again.
+The cost is that of `bundle`, which compares tangents in the undistorted image. A change of an intrinsic theta leaves
+the predicted tangents unchanged and moves the OBSERVED ones by -D^-1 d uv / d theta, with D = d uv / d xy. It therefore
+adds the column D^-1 d uv / d theta to the derivatives of the pose. The column is evaluated at the PREDICTED tangents:
+D, the metric of the residuals, also depends on theta, and only there is the gradient that of pixel residuals (at the
+observed tangents the sum of squares would itself bias f). After each step the camera is updated and the distortion
+removed again.
 """
 
 from __future__ import annotations
@@ -22,21 +23,23 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import (
     UNSEEN,
-    Cost,
+    CostFunction,
     Linearised,
     Measurements,
     Residuals,
     States,
-    Weigh,
+    WeightFunction,
+    apply_step,
     linearise,
-    moved,
     residuals,
 )
+from ladarreg_core.pose.covariance import guarded_inverse
+from ladarreg_core.pose.gnc import geman_mcclure
 
 Intrinsics = Literal["fixed", "focal", "focal_k1", "focal_k1_centre"]
-"""What is estimated beside the pose: nothing; one scale of fx and fy; k1 too; the principal point too."""
+"""Intrinsics estimated with the pose: none; a common scale of fx and fy; also k1; also the principal point."""
 Noise = Callable[[Rigid, Camera, BoolArray], tuple[float, float]]
-"""From a pose, its camera and inliers (M,) to the noise that they show, (sigma_px, sigma_range_m)."""
+"""Estimator of the noise (sigma_px, sigma_range_m) from a pose, its camera and inliers (M,)."""
 
 PARAMETERS: Mapping[Intrinsics, tuple[str, ...]] = {
     "fixed": (),
@@ -44,17 +47,17 @@ PARAMETERS: Mapping[Intrinsics, tuple[str, ...]] = {
     "focal_k1": ("focal_px", "k1"),
     "focal_k1_centre": ("focal_px", "k1", "cx", "cy"),
 }
-"""The names of what is estimated, in the order of the covariance."""
+"""Names of the estimated intrinsics, in the order of the covariance."""
 MOST_SIGMA_OF_FOCAL = 0.02
-"""Relative standard deviation beyond which the matches do not determine the focal length."""
+"""Largest relative standard deviation of a focal length that counts as determined."""
 
-_CLOSING = (9.0, 3.0, 1.0)  # of the gate: a wrong camera puts true matches beyond it
-_CLOSING_STEPS, _CLOSING_SIGMA = 4, 0.3
+_SCALES = (9.0, 3.0, 1.0)  # of the robust cost, relative to the gate: a wrong camera puts correct matches beyond it
+_SCALE_STEPS, _SCALE_SIGMA = 4, 0.3
 _STEPS, _GATE_ROUNDS, _NOISE_ROUNDS = 12, 6, 3
 _SETTLED_SIGMA = 1e-2
 _SETTLED_NOISE = 1.1
 _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
-_MOST_STEP = np.array([1.0, 0.3, 0.5])  # of rotation (rad), log f and k1: beyond, the linearisation means nothing
+_MOST_STEP = np.array([1.0, 0.3, 0.5])  # of rotation (rad), log f and k1: the linearisation is invalid beyond
 _MOST_FOCAL_FACTOR = 10.0
 _LEAST_INFORMATION = 1e-12
 _LEAST_DOF = 2
@@ -65,45 +68,45 @@ class IntrinsicsFit:
     """A pose and a camera fitted to the same matches."""
 
     intrinsics: Intrinsics
-    """What was estimated beside the pose."""
+    """The intrinsics that were estimated."""
     pose: Rigid
     """camera_from_scanner."""
     camera: Camera
-    """With the intrinsics estimated."""
+    """The camera with the estimated intrinsics."""
     covariance: FloatArray
-    """(6 + K, 6 + K) of (w, c) as in `PoseResult`, then of `PARAMETERS` (px, 1, px, px); the ranges marginalised."""
+    """(6 + K, 6 + K) of (w, c) as in `PoseResult`, then of `PARAMETERS` (px, 1, px, px); ranges marginalised."""
     s: FloatArray
-    """(M,) the cost of each match, with this noise."""
+    """(M,) cost of each match, with this noise."""
     inliers: BoolArray
-    """(M,) s within the gate."""
+    """(M,) bool: s within the gate."""
     settled: bool
-    """Whether it came to rest."""
+    """True if the optimisation converged."""
     sigma_px: float
-    """Pixel noise used."""
+    """Pixel noise used, px."""
     sigma_range_m: float
     """Range noise used, m."""
     dof: int
-    """Degrees of freedom that the inliers leave."""
+    """Degrees of freedom of the inliers' residuals."""
 
     @property
     def sigmas(self) -> dict[str, float]:
-        """The standard deviation of each intrinsic that was estimated, by name."""
+        """Standard deviation of each estimated intrinsic, by name."""
         values = np.sqrt(np.diag(self.covariance)[6:]).tolist()
         return dict(zip(PARAMETERS[self.intrinsics], values, strict=True))
 
     @property
     def values(self) -> dict[str, float]:
-        """Each intrinsic that was estimated, by name."""
+        """Value of each estimated intrinsic, by name."""
         return {name: intrinsic(self.camera, name) for name in PARAMETERS[self.intrinsics]}
 
     @property
     def chi2_per_dof(self) -> float:
-        """Over the inliers; NaN where they leave no freedom."""
+        """Chi^2/dof of the inliers; NaN without degrees of freedom."""
         return float(self.s[self.inliers].sum() / self.dof) if self.dof > 0 else float("nan")
 
     @property
     def determined(self) -> bool:
-        """Whether the matches determine the focal length: to 2 %, by the scatter that they show."""
+        """True if the matches determine the focal length to 2 %, given the scatter of their residuals."""
         if self.intrinsics == "fixed":
             return True
         scatter = max(1.0, self.chi2_per_dof) if self.dof >= _LEAST_DOF else np.inf
@@ -122,28 +125,28 @@ def estimate_intrinsics(
     gate_chi2: float = 9.21,
     noise: Noise | None = None,
 ) -> IntrinsicsFit:
-    """Estimate intrinsics together with the pose, from a pose that the matches already agree on.
+    """Estimate intrinsics together with the pose, starting from a pose fitted with the given camera.
 
-    A camera without distortion gets (k1, 0, 0, 0); the other terms of a lens stay as they are.
+    A camera without distortion gets (k1, 0, 0, 0); further distortion terms stay unchanged.
 
     Args:
-        matches: M matches, mismatches among them.
-        camera: where the intrinsics start.
-        pose: camera_from_scanner, where the pose starts; which matches agree is found anew.
-        intrinsics: what to estimate.
+        matches: M matches, which may contain outliers.
+        camera: initial intrinsics.
+        pose: initial camera_from_scanner; the inliers are selected again.
+        intrinsics: the intrinsics to estimate.
         sigma_px: pixel noise, px.
         sigma_range_m: range noise, m.
-        gate_chi2: largest s of an inlier.
-        noise: what noise the fit shows, where it is not known; None: as stated.
+        gate_chi2: largest cost s of an inlier.
+        noise: estimator of the noise if it is not stated; None: the noise is as given.
 
     Returns:
-        The fit. Where the matches do not determine an intrinsic its sigma is huge but finite, and where no better
-        camera is found it is the given one.
+        The fit. Undetermined intrinsics have a sigma that is huge but finite; if no better camera is found, the camera
+        is the given one.
     """
     count = len(PARAMETERS[intrinsics])
     for _ in range(_NOISE_ROUNDS if noise else 1):
         descent = Descent.start(matches, camera, pose, count, sigma_px=sigma_px, sigma_range_m=sigma_range_m)
-        settled, inliers = _close(descent, gate_chi2)
+        settled, inliers = _fit_robustly(descent, gate_chi2)
         camera, pose = descent.camera, descent.state.pose()
         if noise is None or np.count_nonzero(inliers) * 2 < 6 + count + _LEAST_DOF:
             break
@@ -156,30 +159,22 @@ def estimate_intrinsics(
         if noise is not None:
             sigma_px, sigma_range_m = before
     return IntrinsicsFit(
-        intrinsics, pose, camera, _covariance(descent, inliers), descent.seen.s[0], inliers, settled,
+        intrinsics, pose, camera, _covariance(descent, inliers), descent.residuals.s[0], inliers, settled,
         sigma_px, sigma_range_m, int(matches.dimensions[inliers].sum()) - 6 - count,
     )  # fmt: skip
 
 
-def _close(descent: Descent, gate: float) -> tuple[bool, BoolArray]:
-    """Descend robustly while the gate closes, then plainly until the inliers stay the same."""
-    for factor in _CLOSING:
-        scale = factor * gate
-
-        def weigh(s: FloatArray, scale: float = scale) -> FloatArray:
-            ratio = scale / (scale + s)
-            return np.asarray(ratio * ratio)
-
-        def cost(s: FloatArray, scale: float = scale) -> FloatArray:
-            return np.asarray((scale * (s / (scale + s))).sum(axis=-1))
-
-        descent.run(weigh, cost, steps=_CLOSING_STEPS, tolerance_sigma=_CLOSING_SIGMA)
-    settled, inliers = False, descent.seen.s[0] <= gate
+def _fit_robustly(descent: Descent, gate: float) -> tuple[bool, BoolArray]:
+    """Minimise a robust cost of shrinking scale, then the sum of s until the inliers are stable."""
+    for factor in _SCALES:
+        weigh, cost = geman_mcclure(factor * gate)
+        descent.run(weigh, cost, steps=_SCALE_STEPS, tolerance_sigma=_SCALE_SIGMA)
+    settled, inliers = False, descent.residuals.s[0] <= gate
     for _ in range(_GATE_ROUNDS):
         if np.count_nonzero(inliers) < 4:
             break
         settled = descent.least_squares(inliers)
-        before, inliers = inliers, descent.seen.s[0] <= gate
+        before, inliers = inliers, descent.residuals.s[0] <= gate
         if (before == inliers).all():
             break
     return settled, inliers
@@ -187,26 +182,26 @@ def _close(descent: Descent, gate: float) -> tuple[bool, BoolArray]:
 
 @dataclass(slots=True, eq=False)
 class Descent:
-    """Levenberg-Marquardt on one pose and its camera; `bundle.Descent` with the camera free."""
+    """Levenberg-Marquardt on one pose and its camera; `bundle.Descent` with free intrinsics."""
 
     matches: Matches
-    """What is fitted."""
+    """The matches."""
     noise: tuple[float, float]
     """sigma_px and sigma_range_m."""
     count: int
-    """How many of (log f, k1, cx, cy) are free."""
+    """Number of free intrinsics among (log f, k1, cx, cy)."""
     first: Camera
-    """The camera at the start."""
+    """The initial camera."""
     camera: Camera
-    """Where the descent stands."""
+    """The current camera."""
     measured: Measurements
-    """The matches through that camera."""
+    """The matches, undistorted with the current camera."""
     state: States
-    """Where the descent stands, B = 1."""
-    seen: Residuals
-    """The residuals there."""
+    """The current pose, B = 1."""
+    residuals: Residuals
+    """The current residuals."""
     damping: float = 1e-4
-    """Relative to the diagonal."""
+    """Damping relative to the diagonal of H."""
 
     @staticmethod
     def start(
@@ -216,14 +211,14 @@ class Descent:
         measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_range_m)
         state = States.of([pose], measured)
         seen = residuals(measured, state)
-        state = moved(measured, state, seen, linearise(measured, state, seen), None)
+        state = apply_step(measured, state, seen, linearise(measured, state, seen), None)
         seen = residuals(measured, state)
         return Descent(matches, (sigma_px, sigma_range_m), count, camera, camera, measured, state, seen)
 
     def least_squares(
         self, members: BoolArray, *, steps: int = _STEPS, tolerance_sigma: float = _SETTLED_SIGMA
     ) -> bool:
-        """Descend the plain sum of s over the members (M,); return whether it came to rest."""
+        """Minimise the sum of s over the members (M,); return whether it converged."""
         counts = members.astype(np.float64)
         return self.run(
             lambda s: np.broadcast_to(counts, s.shape),
@@ -232,19 +227,19 @@ class Descent:
             tolerance_sigma=tolerance_sigma,
         )
 
-    def run(self, weigh: Weigh, cost: Cost, *, steps: int, tolerance_sigma: float) -> bool:
-        """Descend a cost until a step is shorter than so many of its standard deviations; return whether it was."""
+    def run(self, weigh: WeightFunction, cost: CostFunction, *, steps: int, tolerance_sigma: float) -> bool:
+        """Minimise a cost until a step is shorter than `tolerance_sigma` standard deviations; return whether it was."""
         return any(self._step(weigh, cost) < tolerance_sigma for _ in range(steps))
 
     def normal_equations(self, weights: FloatArray) -> tuple[FloatArray, FloatArray, Linearised, FloatArray]:
-        """Return H (6 + K, 6 + K), g (6 + K,), the pose's derivatives and the intrinsics' (K, 2, M).
+        """Return H (6 + K, 6 + K), g (6 + K,), the derivatives by the pose, and those by the intrinsics (K, 2, M).
 
         Args:
-            weights: (1, M) multiply the information; matches that are unseen count for nothing.
+            weights: (1, M) multiply the information; matches behind the camera do not count.
 
         Source: `bundle.normal_equations`, with columns for the camera.
         """
-        measured, seen = self.measured, self.seen
+        measured, seen = self.measured, self.residuals
         lin = linearise(measured, self.state, seen)
         columns = intrinsic_columns(self.camera, seen.xy[0], self.count)
         J = np.concatenate([lin.j_pose[0], columns])
@@ -258,26 +253,26 @@ class Descent:
         H = flat @ J.reshape(len(J), -1).T
         return (H + H.T) / 2, flat @ e.ravel(), lin, columns
 
-    def _step(self, weigh: Weigh, cost: Cost) -> float:
-        """Take one step, and return its length in its own standard deviations; infinite where it was refused."""
-        H, g, lin, columns = self.normal_equations(weigh(self.seen.s))
+    def _step(self, weigh: WeightFunction, cost: CostFunction) -> float:
+        """Take one step and return its length in standard deviations; infinite if it was rejected."""
+        H, g, lin, columns = self.normal_equations(weigh(self.residuals.s))
         step = _solve_damped(H, g, self.damping)
         length = float(np.sqrt(max(float(step @ H @ step), 0.0)))
-        before = float(cost(self.seen.s)[0])
-        there = self._at(step, lin, columns)
+        before = float(cost(self.residuals.s)[0])
+        there = self._after(step, lin, columns)
         if there is None or not float(cost(there[3].s)[0]) <= before:
             self.damping = min(self.damping * 10, _MOST_DAMPING)
             return 0.0 if length < 1e-3 else np.inf
         self.damping = max(self.damping / 10, _LEAST_DAMPING)
-        self.camera, self.measured, self.state, self.seen = there
+        self.camera, self.measured, self.state, self.residuals = there
         return length
 
-    def _at(
+    def _after(
         self, step: FloatArray, lin: Linearised, columns: FloatArray
     ) -> tuple[Camera, Measurements, States, Residuals] | None:
-        """Return where a step leads; None where no camera is."""
-        camera = _changed(self.camera, step[6:])
-        if camera is None or not _sensible(camera, self.first):
+        """Return the camera, measurements, state and residuals after a step; None if the camera is invalid."""
+        camera = _updated(self.camera, step[6:])
+        if camera is None or not _plausible(camera, self.first):
             return None
         sigma_px, sigma_range_m = self.noise
         measured = self.measured
@@ -285,42 +280,42 @@ class Descent:
             measured = Measurements.of(self.matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_range_m)
             if (np.isnan(measured.xy) & ~np.isnan(self.measured.xy)).any():
                 return None
-        foreseen = replace(self.seen, e=self.seen.e - np.tensordot(step[6:], columns, axes=1))
-        state = moved(self.measured, self.state, foreseen, lin, step[None, :6])
+        predicted = replace(self.residuals, e=self.residuals.e - np.tensordot(step[6:], columns, axes=1))
+        state = apply_step(self.measured, self.state, predicted, lin, step[None, :6])
         return camera, measured, state, residuals(measured, state)
 
 
-def foreseen_gains(descent: Descent, members: BoolArray, counts: Sequence[int]) -> list[float]:
-    """Return how surely more intrinsics would bring the members' cost down, as normal deviates.
+def predicted_gains(descent: Descent, members: BoolArray, counts: Sequence[int]) -> list[float]:
+    """Return the significance of the predicted gain from freeing more intrinsics, as normal deviates (a score test).
 
-    One Gauss-Newton step of the enlarged system, beyond what the same step of the present one brings, is compared with
-    the scatter that it leaves, so that it does not matter whether the noise was stated rightly.
+    The decrease of the cost by one Gauss-Newton step of the enlarged system, in excess of that of the current system,
+    is compared with the remaining scatter. The result does therefore not depend on the stated noise.
 
     Args:
-        descent: a pose and its camera, with what is free so far.
+        descent: a pose and its camera, with the intrinsics that are free so far.
         members: (M,) the matches that count.
-        counts: how many of (log f, k1, cx, cy) to free, in rising order.
+        counts: numbers of free intrinsics among (log f, k1, cx, cy), in ascending order.
 
     Source: Rao, Large sample tests of statistical hypotheses (1948); the deviate of F is Paulson's (1942).
     """
     H, g, _, _ = replace(descent, count=counts[-1]).normal_equations(members[None].astype(np.float64))
-    numbers, s = int(descent.matches.dimensions[members].sum()), float(descent.seen.s[0, members].sum())
+    numbers, s = int(descent.matches.dimensions[members].sum()), float(descent.residuals.s[0, members].sum())
     free = 6 + descent.count
-    before, found = _drop(H[:free, :free], g[:free]), []
+    before, found = _predicted_decrease(H[:free, :free], g[:free]), []
     for count in counts:
         more, dof = count - descent.count, numbers - 6 - count
         if dof < _LEAST_DOF:
             found.append(0.0)
             continue
-        after = _drop(H[: 6 + count, : 6 + count], g[: 6 + count])
+        after = _predicted_decrease(H[: 6 + count, : 6 + count], g[: 6 + count])
         F = max(after - before, 0.0) / more / max(max(s - after, 0.0) / dof, 1e-9)
         a, b, root = 2 / (9 * more), 2 / (9 * dof), np.cbrt(F)
         found.append(float(((1 - b) * root - (1 - a)) / np.sqrt(b * root * root + a)))
     return found
 
 
-def _drop(H: FloatArray, g: FloatArray) -> float:
-    """Return g^T H^-1 g without the directions that H does not know."""
+def _predicted_decrease(H: FloatArray, g: FloatArray) -> float:
+    """Return g^T H^-1 g, ignoring directions that H does not determine."""
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     known = values > _LEAST_INFORMATION
@@ -329,7 +324,7 @@ def _drop(H: FloatArray, g: FloatArray) -> float:
 
 
 def intrinsic_columns(camera: Camera, xy: FloatArray, count: int) -> FloatArray:
-    """Return d xy / d (log f, k1, cx, cy), the first `count` of them, as if the predicted tangents moved.
+    """Return d xy / d (log f, k1, cx, cy), the first `count` of them, as derivatives of the predicted tangents.
 
     Args:
         camera: intrinsics.
@@ -337,7 +332,7 @@ def intrinsic_columns(camera: Camera, xy: FloatArray, count: int) -> FloatArray:
         count: K.
 
     Returns:
-        (K, 2, N); 0 where the lens sees nothing.
+        (K, 2, N); 0 outside the field of the lens.
     """
     if not count:
         return np.zeros((0, *xy.shape))
@@ -353,14 +348,14 @@ def intrinsic_columns(camera: Camera, xy: FloatArray, count: int) -> FloatArray:
 
 
 def intrinsic(camera: Camera, name: str) -> float:
-    """Return one of a camera's intrinsics by its name in `PARAMETERS`."""
+    """Return an intrinsic of a camera by its name in `PARAMETERS`."""
     if name == "k1":
         return camera.distortion[0] if camera.distortion else 0.0
     return float(getattr(camera, name))
 
 
-def _changed(camera: Camera, step: FloatArray) -> Camera | None:
-    """Return the camera after a step (K,) of (log f, k1, cx, cy); None where that is no camera."""
+def _updated(camera: Camera, step: FloatArray) -> Camera | None:
+    """Return the camera after a step (K,) of (log f, k1, cx, cy); None if that is invalid."""
     if not len(step):
         return camera
     log_f, k1, cx, cy = map(float, np.pad(step, (0, 4 - len(step))))
@@ -379,8 +374,8 @@ def _changed(camera: Camera, step: FloatArray) -> Camera | None:
         return None
 
 
-def _sensible(camera: Camera, first: Camera) -> bool:
-    """Return whether a camera may have taken the picture: its lens does not fold inside, where the first did not."""
+def _plausible(camera: Camera, first: Camera) -> bool:
+    """Return whether a camera is plausible: bounded change, and no folding inside the image that the first lacked."""
     if not 1 / _MOST_FOCAL_FACTOR <= camera.focal_px / first.focal_px <= _MOST_FOCAL_FACTOR:
         return False
     if not camera.contains([camera.cx, camera.cy]) and first.contains([first.cx, first.cy]):
@@ -406,11 +401,10 @@ def _solve_damped(H: FloatArray, g: FloatArray, damping: float) -> FloatArray:
 
 
 def _covariance(descent: Descent, inliers: BoolArray) -> FloatArray:
-    """Return the inverse information of the inliers; what it does not determine gets a huge but finite variance."""
+    """Return the covariance of pose and intrinsics from the inliers; huge but finite if undetermined."""
     H, _, _, _ = descent.normal_equations(inliers[None].astype(np.float64))
     scale = np.sqrt(np.maximum(np.diag(H), _LEAST_INFORMATION))
-    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     unit = np.ones(len(H))
     unit[6:7] = descent.camera.focal_px  # from log f to px
-    inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T * np.outer(unit / scale, unit / scale)
+    inverse = guarded_inverse(H / np.outer(scale, scale)) * np.outer(unit / scale, unit / scale)
     return np.asarray((inverse + inverse.T) / 2)

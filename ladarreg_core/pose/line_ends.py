@@ -1,7 +1,7 @@
-"""The ends of drawn lines, repaired once a pose is known.
+"""Repair of the ends of drawn lines, once a pose is known.
 
-People draw the same edge in both pictures, but not always from the same point to the same point, and sometimes the
-other way round. Such an end is no mismatch: where both ends lie on the photo's line, they are known across it.
+A line drawn along the same edge in both images may have its ends at different points of the edge, or in reverse order.
+Such ends are not outliers: as long as they lie on the photo's line, they constrain the pose across it.
 """
 
 from __future__ import annotations
@@ -13,29 +13,31 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import Measurements, States, settle
+from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RepairedEnds:
-    """Matches with their lines' ends as a pose says that they were meant."""
+    """Matches with repaired line ends."""
 
     matches: Matches
     """The matches, as many as before and in the same order."""
     swapped: tuple[str, ...] = ()
-    """Picks whose line was drawn the other way round in the photo."""
+    """Picks whose line was drawn in the opposite direction in the photo."""
     slid: tuple[str, ...] = ()
-    """Picks with an end that is known across its line only."""
+    """Picks with an end that is known only across the line."""
 
-    def in_words(self) -> tuple[str, ...]:
-        """Return a sentence for every kind of repair."""
+    def describe(self) -> tuple[str, ...]:
+        """Return one sentence for each kind of repair."""
         sentences = []
         if self.swapped:
-            sentences.append(f"{_named(self.swapped)} drawn the other way round in the photo; the ends were exchanged.")
+            sentences.append(
+                f"{_named(self.swapped)} drawn in the opposite direction in the photo; the ends were swapped."
+            )
         if self.slid:
             sentences.append(
-                f"{_named(self.slid)} not drawn between the same points in both pictures; such ends count across the "
-                "line only."
+                f"{_named(self.slid)} not drawn between the same points in both images; these ends are used only "
+                "across the line."
             )
         return tuple(sentences)
 
@@ -50,14 +52,14 @@ def repair_ends(
     sigma_px: float,
     sigma_range_m: float,
 ) -> RepairedEnds:
-    """Look for lines drawn the other way round, and for ends that lie elsewhere on their line.
+    """Find lines drawn in the opposite direction, and ends that lie elsewhere along their line.
 
     Args:
-        matches: M matches; of a line the two ends, one after the other.
-        inliers: (M,) those that agree with the pose as they are.
+        matches: M matches; the two ends of a line are adjacent.
+        inliers: (M,) bool, before any repair.
         state: the pose (B = 1).
         camera: the photo's camera.
-        gate: largest s of an inlier.
+        gate: largest cost s of an inlier.
         sigma_px: pixel noise, px.
         sigma_range_m: range noise, m.
     """
@@ -68,15 +70,15 @@ def repair_ends(
 
     def costs(trial: Matches) -> FloatArray:
         measured = Measurements.of(trial, camera, sigma_px=sigma_px, sigma_range_m=sigma_range_m)
-        return np.asarray(settle(measured, States.of([state.pose()], measured))[1].s[0])
+        return np.asarray(adjust_ranges(measured, States.of([state.pose()], measured))[1].s[0])
 
     assert matches.directions is not None
     assert matches.across is not None
-    exchanged = matches.uv.copy(), matches.directions.copy()
-    for values, sign in zip(exchanged, (1, -1), strict=True):
+    swapped = matches.uv.copy(), matches.directions.copy()
+    for values, sign in zip(swapped, (1, -1), strict=True):
         values[first], values[first + 1] = sign * values[first + 1], sign * values[first]
-    other_way = replace(matches, uv=exchanged[0], directions=exchanged[1])
-    s = costs(other_way)
+    reversed_lines = replace(matches, uv=swapped[0], directions=swapped[1])
+    s = costs(reversed_lines)
     swap = first[(s[first] <= gate) & (s[first + 1] <= gate)]
     left = first[~np.isin(first, swap)]
     across = matches.across.copy()
@@ -84,12 +86,12 @@ def repair_ends(
     s = costs(replace(matches, across=across))
     slide = left[(s[left] <= gate) & (s[left + 1] <= gate)]
     ends = np.concatenate([slide, slide + 1])
-    ends = ends[~inliers[ends]]  # the other end may be where it was meant
+    ends = ends[~inliers[ends]]  # the other end may be correct
     if not len(swap) and not len(ends):
         return RepairedEnds(matches)
     uv, directions, across = matches.uv.copy(), matches.directions.copy(), matches.across.copy()
     for k in (swap, swap + 1):
-        uv[k], directions[k] = other_way.uv[k], exchanged[1][k]
+        uv[k], directions[k] = reversed_lines.uv[k], swapped[1][k]
     across[ends] = True
     return RepairedEnds(
         replace(matches, uv=uv, directions=directions, across=across),
@@ -99,7 +101,7 @@ def repair_ends(
 
 
 def _lines(matches: Matches) -> IntArray:
-    """Return the index of the first end of every line that has both."""
+    """Return the index of the first end of every line that has both ends."""
     assert matches.directions is not None
     assert matches.fractions is not None
     drawn = (matches.directions != 0).any(axis=1)

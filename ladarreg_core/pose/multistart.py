@@ -1,9 +1,9 @@
-"""From how far away starts lead to a pose, and whether they lead anywhere else: the verdict from many starts.
+"""Basin of attraction of a pose and its ambiguity, by refinement from many starting poses.
 
-Most of the descent is done on a sample of the matches and by all starts at once, while a cost closes that starts as
-wide as each start is wrong. What then lies in one place goes on together, and only the places that explain the sample
-are settled on all matches, beside the candidates that no start near the pose needs to find: the mirrored pose of a
-plane, and the pose on which the matches agree that disagree with this one.
+All starting poses are refined at once on a sample of the matches, with a robust cost whose initial scale fits the error
+of each start; starts that converge are merged. Only final poses that explain the sample are then refined on all
+matches, together with candidates that no start near the pose may reach: the mirrored pose of a plane, and the pose on
+which the outliers agree.
 
 Source: the methods named in `gnc`, `ambiguity` and `ransac`.
 """
@@ -19,99 +19,109 @@ from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.formatting import length_in_words
 from ladarreg_core.frames import Rigid, principal_extents
-from ladarreg_core.pose.ambiguity import APART_SIGMA, LIKELY, likelihood_scores, mirrored, orbits, steps_from
+from ladarreg_core.pose.ambiguity import (
+    DISTINCT_SIGMA,
+    SCORE_MARGIN,
+    least_support,
+    likelihood_scores,
+    mirrored,
+    orbiting_poses,
+    pose_differences,
+    pose_of_outliers,
+    poses_towards_mirrored,
+    refine_generalised,
+)
 from ladarreg_core.pose.bundle import (
     Measurements,
     States,
+    adjust_ranges,
     information_matrix,
     residuals,
     rotations_from_rotvecs,
-    settle,
 )
-from ladarreg_core.pose.checks import LEAST_MATCHES
-from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, narrow_scales
-from ladarreg_core.pose.many_descents import descended, gathered, joined, near_pairs
-from ladarreg_core.pose.others import least_rival, pose_of_the_others
-from ladarreg_core.pose.planar_poses import generalised, towards_mirrored
+from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
+from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, graduate_merging, group_by_leader, narrow_scales, near_pairs
+from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 
 BasinVerdict = Literal["unique", "ambiguous", "failed"]
 
-HOME_SHARE = 0.9
-"""A level belongs to the basin where at least this share of its starts comes home."""
+RETURN_SHARE = 0.9
+"""A level belongs to the basin if at least this share of its starts returns to the pose."""
 _LEVELS_DEG = (5.0, 10.0, 20.0, 40.0)
-_LEVELS_OF_DISTANCE = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # .25, .5, 1 and 2 m where the matches are 4 m away
+_LEVELS_OF_DISTANCE = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # .25, .5, 1 and 2 m for matches at 4 m
 _LEAST_STARTS, _MOST_STARTS = 8, 4096
-_HARDLY = 0.25  # of the nearest starts
-_SAMPLE, _MOST_SAMPLE = 40, 160  # among the matches that agree, and in all
-_SAME_RAD, _SAME_OF_DISTANCE = np.deg2rad(4.0), 0.1  # one place is no larger, however little the matches say
-_MOST_PLACES = 8
-_ON_ALL = replace(DEFAULT_GNC, last_steps=8)
-_FLAT = 0.3  # least over middle extent of points that may have a mirrored pose
+_LEAST_RETURN_SHARE = 0.25  # of the nearest starts
+_SAMPLE, _MOST_SAMPLE = 40, 160  # inliers, and all matches
+_SAME_RAD, _SAME_OF_DISTANCE = np.deg2rad(4.0), 0.1  # bounds of a cluster, however weak the matches
+_MOST_REFINED = 8
+_ON_ALL_MATCHES = replace(DEFAULT_GNC, last_steps=8)
+_PLANAR_RELIEF = 0.3  # smallest over middle extent of points that may have a mirrored pose
 
 
 @dataclass(frozen=True, slots=True)
 class BasinLevel:
-    """Starts that are equally far from the pose, in any direction."""
+    """Starting poses at equal distance from the pose, in random directions."""
 
     angle_rad: float
-    """How far they are turned, rad."""
+    """Rotation from the pose, rad."""
     distance_m: float
-    """How far they are moved, m."""
+    """Distance from the pose, m."""
     starts: int
-    """How many there are."""
-    home: int
-    """How many of them came home."""
+    """Number of starts."""
+    returned: int
+    """Number of starts that returned to the pose."""
 
     @property
     def share(self) -> float:
-        """The share that came home."""
-        return self.home / self.starts
+        """Share of the starts that returned."""
+        return self.returned / self.starts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """A pose where descents end, or on the way to the mirrored one of a plane."""
+class PoseCluster:
+    """A pose at which refinements end, or one on the way to the mirrored pose of a plane."""
 
     pose: Rigid
     """camera_from_scanner."""
     score: float
-    """-2 log likelihood over all matches but for a constant, as `likelihood_scores`; lower is better."""
-    agree: int
-    """How many matches agree with it."""
+    """-2 log likelihood over all matches up to a constant, see `likelihood_scores`; lower is better."""
+    inliers: int
+    """Number of inliers."""
     starts: int
-    """How many of the perturbed starts ended there; 0 where only a candidate did."""
+    """Number of perturbed starts that ended there; 0 if only a candidate did."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Basin:
-    """What many starts say about a pose."""
+    """Basin of attraction of a pose, and other poses that explain its matches."""
 
     verdict: BasinVerdict
-    """`unique`: no other place explains the matches; `ambiguous`: one does; `failed`: another is better, or no home."""
+    """`unique`: no second pose explains the matches; `ambiguous`: one does; `failed`: one is better, or too few starts
+    return."""
     levels: tuple[BasinLevel, ...]
     """From the nearest to the farthest."""
-    places: tuple[Place, ...]
-    """Those whose descents explain a sample of the matches, the best first."""
+    clusters: tuple[PoseCluster, ...]
+    """Poses that explain a sample of the matches, the best first."""
     starts: int
     """Number of perturbed starts."""
     pose: Rigid
-    """The pose that was asked about."""
+    """The pose under test."""
     other: Rigid | None
     """The pose that explains the matches as well (`ambiguous`) or better (`failed`), or None."""
-    other_agree: int
-    """How many matches agree with that, 0 where there is none."""
-    agree: int
-    """How many matches agree with the pose that was asked about."""
+    other_inliers: int
+    """Number of inliers of that pose; 0 if there is none."""
+    inliers: int
+    """Number of inliers of the pose under test."""
     matches: int
-    """How many there are."""
+    """Number of matches."""
 
     @property
     def size(self) -> BasinLevel | None:
-        """The farthest level from which, as from all nearer ones, at least `HOME_SHARE` come home; None: no level."""
+        """The farthest level up to which at least `RETURN_SHARE` of the starts of every level return, or None."""
         reached = None
         for level in self.levels:
-            if level.share < HOME_SHARE:
+            if level.share < RETURN_SHARE:
                 break
             reached = level
         return reached
@@ -119,7 +129,12 @@ class Basin:
     def as_dict(self) -> dict[str, Any]:
         """Return the figures, JSON-ready."""
         levels = [
-            {"angle_rad": level.angle_rad, "distance_m": level.distance_m, "starts": level.starts, "home": level.home}
+            {
+                "angle_rad": level.angle_rad,
+                "distance_m": level.distance_m,
+                "starts": level.starts,
+                "home": level.returned,
+            }
             for level in self.levels
         ]
         size = self.size
@@ -127,50 +142,65 @@ class Basin:
         other = None if self.other is None else self.other.matrix.tolist()
         return {"verdict": self.verdict, "starts": self.starts, "levels": levels, "size": reached, "other": other}
 
-    def in_words(self) -> str:
-        """Return a sentence on what was found and what to do."""
+    def describe(self) -> str:
+        """Return the verdict and the suggested action in words."""
         if self.other is not None:
             far, turned = self.pose.distance_to(self.other), np.degrees(self.pose.angle_to(self.other))
             where = f"{length_in_words(far)} and {turned:.2g}"
             if self.verdict == "ambiguous":
                 return (
-                    f"Two places explain the matches: a second pose lies {where} deg away "
-                    f"({self.other_agree} matches agree with it, {self.agree} with this one). "
-                    "Add matches off their plane or line, near and far, and check those that repeat."
+                    f"Two poses explain the matches: the second is {where} deg away ({self.other_inliers} inliers, "
+                    f"this one {self.inliers}). Add matches off their common plane or line, near and far, and check "
+                    "matches on repeated structure."
                 )
-            count = f"{self.other_agree} of {self.matches} matches agree with it, {self.agree} with this one"
-            why = count if self.other_agree > self.agree else "the same matches lie closer to it"
-            return f"A better pose lies {where} deg away: {why}. Take that one, or solve again from it."
+            count = f"it has {self.other_inliers} of {self.matches} inliers, this one {self.inliers}"
+            why = count if self.other_inliers > self.inliers else "its residuals are smaller"
+            return f"A better pose lies {where} deg away: {why}. Use that pose, or solve again from it."
         nearest = self.levels[0]
         if self.verdict == "failed":
             return (
-                f"Only {nearest.home} of {nearest.starts} starts {_far(nearest)} away lead back to this pose. "
-                "Correct or remove mismatches, or add matches."
+                f"Only {nearest.returned} of {nearest.starts} starting poses {_offset(nearest)} away converge to this "
+                "pose. Correct or remove outliers, or add matches."
             )
         size = self.size
         if size is None:
             return (
-                f"No other pose explains the matches, yet only {nearest.home} of {nearest.starts} starts "
-                f"{_far(nearest)} away lead here. Correct or remove mismatches."
+                f"No other pose explains the matches, but only {nearest.returned} of {nearest.starts} starting poses "
+                f"{_offset(nearest)} away converge to this one. Correct or remove outliers."
             )
         every = all(level.share == 1 for level in self.levels[: self.levels.index(size) + 1])
-        return f"Starts up to {_far(size)} away {'all' if every else 'nearly all'} lead here, and to no other pose."
+        return (
+            f"{'All' if every else 'Nearly all'} starting poses up to {_offset(size)} away converge to this pose; no "
+            "other pose explains the matches."
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Confirmation:
+    """A result after the test from many starting poses."""
+
+    result: PoseResult
+    """The result, with the verdict in its reasons and diagnostics."""
+    verdict: BasinVerdict | None
+    """`unique`, `ambiguous` or `failed`; None if the result was not accepted in the first place."""
+    better: Rigid | None = None
+    """A pose that explains the matches better, from which to solve again."""
 
 
 def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi2: float = 9.21) -> Basin:
-    """Return from how far away starts lead to a pose, and whether another explains its matches.
+    """Determine the basin of attraction of a pose, and whether another pose explains its matches.
 
-    The starts lie up to 40 degrees and half of the matches' distance away, any way; what is descended is the cost of
-    `solve_pose` over all matches, those that disagree included.
+    The starting poses lie up to 40 degrees and half of the matches' distance away, in random directions. The cost is
+    that of `solve_pose` over all matches, outliers included.
 
     Args:
-        result: a pose with its matches and their noise, found in any way.
-        starts: how many, at least 8.
-        seed: of the starts and the sample; the same input and seed give the same answer.
-        gate_chi2: largest s of a match that agrees, as `PoseOptions.gate_chi2`.
+        result: a pose with its matches and their noise, from any source.
+        starts: number of starting poses, at least 8.
+        seed: random seed; equal seeds give equal results.
+        gate_chi2: largest cost s of an inlier, as `PoseOptions.gate_chi2`.
 
     Raises:
-        OptionError: if the starts, the seed or the gate have no meaning.
+        OptionError: if the number of starts, the seed or the gate is invalid.
         DegenerateGeometryError: if there are fewer than 4 matches.
     """
     _check(result, starts, seed, gate_chi2)
@@ -179,7 +209,7 @@ def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi
         result.matches, result.camera, sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m
     )
     reach = max(float(np.median(np.linalg.norm(pose @ points, axis=1))), 1e-9)
-    given, seen = settle(measured, States.of([pose], measured), rounds=1)
+    given, seen = adjust_ranges(measured, States.of([pose], measured), rounds=1)
     agree = seen.s[0] <= gate
     members = points[agree] if np.count_nonzero(agree) >= LEAST_MATCHES else points
 
@@ -187,22 +217,47 @@ def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi
     few = measured.subset(np.sort(rng.permutation(len(measured))[: min(_MOST_SAMPLE, round(_SAMPLE / share))]))
     level_of = np.sort(np.arange(starts) % len(_LEVELS_DEG))
     perturbed = _perturbed(pose, few, level_of, reach=reach, rng=rng)
-    around = States.of(orbits(pose, members), few)
-    ends, end_of = descended(few, joined(perturbed, around), gate=gate, reach=reach)
-    worth = _worth_a_look(few, ends, gate=gate)
+    around = States.of(orbiting_poses(pose, members), few)
+    ends, end_of = graduate_merging(few, perturbed.joined(around), gate=gate, reach=reach)
+    promising = _promising_ends(few, ends, gate=gate)
 
-    another = pose_of_the_others(
+    another = pose_of_outliers(
         result.matches, measured, ~agree, result.camera, sigma_px=result.sigma_px, seed=seed
     )  # fmt: skip
     candidates = [pose] if another is None else [pose, another]
-    settled = _settled(measured, candidates, ends.subset(worth), members, gate=gate)
-    found = _places(measured, settled, gate=gate, reach=reach)
-    there = np.full(len(ends.centres), -1)
-    there[worth] = found.place_of[len(candidates) : len(candidates) + len(worth)]
-    return _judged(
-        result, found, there[end_of[:starts]], level_of,
-        score=float(likelihood_scores(measured, given, gate)[0]), agree=int(np.count_nonzero(agree)), reach=reach,
+    settled = _refined_on_all(measured, candidates, ends.subset(promising), members, gate=gate)
+    found = _cluster(measured, settled, gate=gate, reach=reach)
+    cluster_of_end = np.full(len(ends.centres), -1)
+    cluster_of_end[promising] = found.cluster_of[len(candidates) : len(candidates) + len(promising)]
+    return _decide(
+        result, found, cluster_of_end[end_of[:starts]], level_of,
+        score=float(likelihood_scores(measured, given, gate)[0]), inliers=int(np.count_nonzero(agree)), reach=reach,
     )  # fmt: skip
+
+
+def confirm(result: PoseResult, *, starts: int = 32, seed: int = 0) -> Confirmation:
+    """Test an accepted pose from many starting poses, and withdraw the acceptance if another pose explains its matches.
+
+    Args:
+        result: a pose with its matches; returned unchanged if it is not accepted.
+        starts: number of starting poses.
+        seed: random seed; equal seeds give equal results.
+
+    Raises:
+        OptionError: if the number of starts or the seed is invalid.
+    """
+    if not result.accepted:
+        return Confirmation(result, None)
+    basin = probe_basin(result, starts=starts, seed=seed)
+    diagnostics = {**result.diagnostics, "basin": basin.as_dict()}
+    if basin.verdict == "unique":
+        confirmed = replace(result, reasons=(*result.reasons, basin.describe()), diagnostics=diagnostics)
+        return Confirmation(confirmed, basin.verdict)
+    refused = replace(
+        result, accepted=False, evidence="none", reasons=(basin.describe(),), diagnostics=diagnostics
+    )  # fmt: skip
+    better = basin.other if basin.verdict == "failed" else None
+    return Confirmation(refused, basin.verdict, better)
 
 
 def _check(result: PoseResult, starts: int, seed: int, gate_chi2: float) -> None:
@@ -210,10 +265,10 @@ def _check(result: PoseResult, starts: int, seed: int, gate_chi2: float) -> None
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
             raise OptionError(f"{name} is {value!r}; it must be a whole number from {least} to {most}")
     if not 1e-3 <= gate_chi2 <= 1e6:
-        raise OptionError(f"gate_chi2 is {gate_chi2!r}; it must be a positive number")
+        raise OptionError(f"gate_chi2 is {gate_chi2!r}; it must be a number from 0.001 to 1e6")
     if len(result.matches) < LEAST_MATCHES:
         raise DegenerateGeometryError(
-            f"there are {len(result.matches)} matches and a verdict needs {LEAST_MATCHES}; add matches"
+            f"there are {len(result.matches)} matches and the test needs {LEAST_MATCHES}; add matches"
         )
 
 
@@ -227,142 +282,148 @@ def _perturbed(pose: Rigid, few: Measurements, level_of: IntArray, *, reach: flo
     )
 
 
-def _settled(
+def _refined_on_all(
     measured: Measurements, candidates: list[Rigid], ends: States, members: FloatArray, *, gate: float
 ) -> States:
-    """Return candidates and ends in that order, settled on all matches, then what a flat scene (N, 3) asks for."""
+    """Refine candidates and ends on all matches, in this order; for planar inliers (N, 3) add their second poses."""
     extents = principal_extents(members)
-    flat = bool(extents[2] <= _FLAT * extents[1])
+    flat = bool(extents[2] <= _PLANAR_RELIEF * extents[1])
     poses = [*candidates, *(ends.pose(k) for k in range(len(ends.centres)))]
     if flat:
         poses.append(mirrored(candidates[0], members))
     full = States.of(poses, measured)
-    settled, _ = graduate(measured, full, narrow_scales(full, gate), gate, _ON_ALL)
+    settled, _ = graduate(measured, full, narrow_scales(full, gate), gate, _ON_ALL_MATCHES)
     if not flat:
         return settled
-    valley, _ = settle(measured, States.of(towards_mirrored(settled.pose(), members), measured))
-    return joined(joined(settled, generalised(measured, settled, gate)), valley)
+    valley, _ = adjust_ranges(measured, States.of(poses_towards_mirrored(settled.pose(), members), measured))
+    return settled.joined(refine_generalised(measured, settled, gate)).joined(valley)
 
 
-def _worth_a_look(few: Measurements, ends: States, *, gate: float) -> IntArray:
-    """Return which ends on a sample may explain all matches, the best first."""
+def _promising_ends(few: Measurements, ends: States, *, gate: float) -> IntArray:
+    """Return the indices of ends on a sample that may explain all matches, the best first."""
     s = residuals(few, ends).s
     scores = likelihood_scores(few, ends, gate)
-    order = np.argsort(scores, kind="stable")[:_MOST_PLACES]
-    # On all matches a rival may be higher by LIKELY, on a sample also by chance.
-    most = scores[order[0]] + LIKELY * _noise(s[order[0]], gate) + 4 * np.sqrt(4 * len(few))
+    order = np.argsort(scores, kind="stable")[:_MOST_REFINED]
+    # a second pose may score worse by SCORE_MARGIN on all matches, and by chance on a sample
+    most = scores[order[0]] + SCORE_MARGIN * _noise(s[order[0]], gate) + 4 * np.sqrt(4 * len(few))
     return np.asarray(order[scores[order] <= most])
 
 
 def _noise(s: FloatArray, gate: float) -> float:
-    """Return chi^2/dof of the matches that agree, where it exceeds 1: by it differences of scores are judged."""
+    """Return chi^2/dof of the inliers, at least 1: the scale of score differences."""
     inside = s[s <= gate]
     return max(1.0, float(inside.sum()) / max(2 * len(inside) - 6, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """The places on all matches; the best is the first."""
+class _Clusters:
+    """Clusters of poses refined on all matches, the best first."""
 
     states: States
-    """(P,) the places."""
+    """The best pose of each of the K clusters."""
     scores: FloatArray
-    """(P,) their `likelihood_scores`."""
-    agree: BoolArray
-    """(P, N) which matches agree with each."""
+    """(K,) their `likelihood_scores`."""
+    inliers: BoolArray
+    """(K, N) the inliers of each."""
     information: FloatArray
-    """(6, 6) at the best."""
+    """(6, 6) at the best pose."""
     noise: float
-    """chi^2/dof there, at least 1."""
-    place_of: IntArray
-    """The place of each state that was settled."""
+    """chi^2/dof at the best pose, at least 1."""
+    cluster_of: IntArray
+    """The cluster of each refined state."""
 
 
-def _places(measured: Measurements, settled: States, *, gate: float, reach: float) -> _Found:
-    """Gather settled states into places."""
+def _cluster(measured: Measurements, settled: States, *, gate: float, reach: float) -> _Clusters:
+    """Group refined states into clusters."""
     s, scores = residuals(measured, settled).s, likelihood_scores(measured, settled, gate)
     best = np.array([int(np.argmin(scores))])
     H = information_matrix(measured, settled.subset(best), members=s[best[0]] <= gate)[0]
     noise = _noise(s[best[0]], gate)
-    step = np.stack([steps_from(settled.pose(k), settled)[0] for k in range(len(scores))])
+    step = np.stack([pose_differences(settled.pose(k), settled)[0] for k in range(len(scores))])
     near = near_pairs(settled, _SAME_RAD, _SAME_OF_DISTANCE * reach)
-    near &= ((step @ H) * step).sum(axis=-1) <= APART_SIGMA**2 * noise
-    place_of, leaders = gathered(near, scores)
-    return _Found(settled.subset(leaders), scores[leaders], s[leaders] <= gate, H, noise, place_of)
+    near &= ((step @ H) * step).sum(axis=-1) <= DISTINCT_SIGMA**2 * noise
+    cluster_of, leaders = group_by_leader(near, scores)
+    return _Clusters(settled.subset(leaders), scores[leaders], s[leaders] <= gate, H, noise, cluster_of)
 
 
-def _differs(result: PoseResult, found: _Found, home: int) -> bool:
-    """Return whether a pose lies further from its place than the noise of both explains."""
-    step = steps_from(result.camera_from_scanner, found.states.subset(np.array([home])))[0][0]
+def _differs_from_minimum(result: PoseResult, found: _Clusters, cluster: int) -> bool:
+    """Return whether a pose is further from the minimum of its cluster than the noise of both explains."""
+    step = pose_differences(result.camera_from_scanner, found.states.subset(np.array([cluster])))[0][0]
     unit = 1 / np.sqrt(np.maximum(np.diag(found.information), 1e-300))
-    values, vectors = np.linalg.eigh(found.information * np.outer(unit, unit))
-    C = (vectors / np.maximum(values, 1e-13)) @ vectors.T * found.noise
+    C = guarded_inverse(found.information * np.outer(unit, unit)) * found.noise
     own = result.covariance / np.outer(unit, unit)
     if np.isfinite(own).all():
         C = C + own
     values, vectors = np.linalg.eigh((C + C.T) / 2)
     along = (step / unit) @ vectors
-    return bool((along * along / np.maximum(values, 1e-13)).sum() > APART_SIGMA**2)
+    return bool((along * along / np.maximum(values, LEAST_EIGENVALUE)).sum() > DISTINCT_SIGMA**2)
 
 
-def _judged(
-    result: PoseResult, found: _Found, ended: IntArray, level_of: IntArray, *, score: float, agree: int, reach: float
+def _decide(
+    result: PoseResult,
+    found: _Clusters,
+    ended: IntArray,
+    level_of: IntArray,
+    *,
+    score: float,
+    inliers: int,
+    reach: float,
 ) -> Basin:
-    """Weigh the places against each other.
+    """Compare the clusters and return the verdict.
 
     Args:
-        result: the pose that was asked about.
-        found: the places; the first state that was settled was that pose.
-        ended: (starts,) the place of each start, -1: none that explains the matches.
-        level_of: (starts,) the level of each.
-        score: of the pose as it was given.
-        agree: how many matches agree with it.
-        reach: the distance of the matches from it, m.
+        result: the pose under test.
+        found: the clusters; the first refined state was the pose under test.
+        ended: (starts,) the cluster of each start; -1: none that explains the matches.
+        level_of: (starts,) the level of each start.
+        score: score of the pose as given.
+        inliers: number of inliers of the pose as given.
+        reach: distance of the matches from the camera, m.
     """
-    home, margin = int(found.place_of[0]), LIKELY * found.noise
+    own, margin = int(found.cluster_of[0]), SCORE_MARGIN * found.noise
     other: int | None = None
     verdict: BasinVerdict = "unique"
-    if found.scores[0] < found.scores[home] - margin:
-        verdict, home, other = "failed", 0, 0
-    elif score > found.scores[home] + margin and _differs(result, found, home):
-        verdict, other = "failed", home
+    if found.scores[0] < found.scores[own] - margin:
+        verdict, own, other = "failed", 0, 0
+    elif score > found.scores[own] + margin and _differs_from_minimum(result, found, own):
+        verdict, other = "failed", own
     else:
-        beside = np.count_nonzero(found.agree & ~found.agree[home], axis=1)
-        rivals = (found.scores < found.scores[home] + margin) | (
-            beside >= least_rival(int(np.count_nonzero(found.agree[home])))
+        beside = np.count_nonzero(found.inliers & ~found.inliers[own], axis=1)
+        second = (found.scores < found.scores[own] + margin) | (
+            beside >= least_support(int(np.count_nonzero(found.inliers[own])))
         )
-        rivals[home] = False
-        if rivals.any():
-            verdict, other = "ambiguous", int(np.argmax(rivals))
-    came_home = ended == home
+        second[own] = False
+        if second.any():
+            verdict, other = "ambiguous", int(np.argmax(second))
+    returned = ended == own
     levels = tuple(
         BasinLevel(
             float(np.deg2rad(degrees)),
             of_distance * reach,
             int(np.count_nonzero(level_of == k)),
-            int(np.count_nonzero(came_home[level_of == k])),
+            int(np.count_nonzero(returned[level_of == k])),
         )
         for k, (degrees, of_distance) in enumerate(zip(_LEVELS_DEG, _LEVELS_OF_DISTANCE, strict=True))
     )
-    if verdict == "unique" and levels[0].share < _HARDLY:
+    if verdict == "unique" and levels[0].share < _LEAST_RETURN_SHARE:
         verdict = "failed"
-    counts = np.count_nonzero(found.agree, axis=1).tolist()
-    places = tuple(
-        Place(found.states.pose(k), float(found.scores[k]), counts[k], int(np.count_nonzero(ended == k)))
+    counts = np.count_nonzero(found.inliers, axis=1).tolist()
+    clusters = tuple(
+        PoseCluster(found.states.pose(k), float(found.scores[k]), counts[k], int(np.count_nonzero(ended == k)))
         for k in range(len(counts))
     )
     return Basin(
         verdict=verdict,
         levels=levels,
-        places=places,
+        clusters=clusters,
         starts=len(ended),
         pose=result.camera_from_scanner,
-        agree=agree,
+        inliers=inliers,
         matches=len(result.matches),
-        other=None if other is None else places[other].pose,
-        other_agree=0 if other is None else places[other].agree,
+        other=None if other is None else clusters[other].pose,
+        other_inliers=0 if other is None else clusters[other].inliers,
     )
 
 
-def _far(level: BasinLevel) -> str:
+def _offset(level: BasinLevel) -> str:
     return f"{np.degrees(level.angle_rad):.0f} deg and {length_in_words(level.distance_m)}"

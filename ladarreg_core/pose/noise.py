@@ -1,12 +1,12 @@
-"""The noise of pixels and ranges, told apart by what the inliers' scatter shows.
+"""Estimation of pixel noise and range noise from the scatter of the inliers.
 
-A wrong range moves its pixel along the epipolar line only. The scatter across that line is therefore the pixels'
-alone, and what is more along it is the ranges':
+A range error moves the pixel only along the epipolar line. Scatter across that line is therefore pixel noise alone, and
+the excess along it is range noise:
 
     variance across = sigma_u^2,    variance along = sigma_u^2 + sigma_r^2 |d pi / d rho|^2
 
-Where the baseline is too short to show the ranges' noise it does not matter either; a broad prior then keeps the
-stated value. Source: maximum likelihood of the two variance components.
+If the baseline is too short to show the range noise, the range noise does not matter either, and a broad prior keeps
+the stated value. Source: maximum likelihood of the two variance components.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ def estimate_noise(
 
     Args:
         pose: camera_from_scanner, fitted to the inliers.
-        inliers: the matches that agree, seen by the camera.
+        inliers: the inliers, all in front of the camera.
         camera: intrinsics.
-        stated_range_m: the prior's centre, m.
-        most_px: upper bound, px.
-        most_range_m: upper bound, m.
-        fixed_px: where it is known, px.
-        fixed_range_m: where it is known, m.
+        stated_range_m: centre of the prior, m.
+        most_px: upper bound of the pixel noise, px.
+        most_range_m: upper bound of the range noise, m.
+        fixed_px: pixel noise if known, px.
+        fixed_range_m: range noise if known, m.
     """
     assert inliers.weights is not None
     assert inliers.range_weights is not None
@@ -61,8 +61,8 @@ def estimate_noise(
     along2 = np.divide((e * j).sum(axis=1) ** 2, length2, out=np.zeros(len(e)), where=length2 > 0)
     across2 = np.maximum((e * e).sum(axis=1) - along2, 0)
     dof = int(inliers.dimensions.sum())
-    free = dof - len(e)  # coordinates that no wrong range moves
-    fitted = dof / max(dof - _PARAMETERS, 1)  # the pose has taken its share of the scatter
+    free = dof - len(e)  # coordinates unaffected by range errors
+    fitted = dof / max(dof - _PARAMETERS, 1)  # the fitted pose absorbs part of the scatter
     along2, across2 = along2 * fitted, across2 * fitted
 
     least_range_m = min(stated_range_m, most_range_m) / 30
@@ -82,10 +82,10 @@ def estimate_noise(
 
 
 def _pixel_variance(along2: FloatArray, across2: FloatArray, by_range: FloatArray, *, dof: int) -> FloatArray:
-    """Return the likeliest pixel variance for each range noise, by its fixed-point iteration."""
+    """Return the maximum-likelihood pixel variance for each range noise, by fixed-point iteration."""
     variance = np.full(len(by_range), max((across2.sum() + along2.sum()) / dof, _LEAST_PX**2))
     for _ in range(_ROUNDS):
-        # expectation of the pixel's part of the scatter along the line, given the variances of the moment
+        # expected contribution of pixel noise to the scatter along the line, given the current variances
         share = variance[:, None] / (variance[:, None] + by_range)
         part = share * share * along2 + share * by_range
         variance = np.maximum((across2.sum() + part.sum(axis=1)) / dof, _LEAST_PX**2)

@@ -1,4 +1,4 @@
-"""How a pose is estimated."""
+"""Options of pose estimation."""
 
 from __future__ import annotations
 
@@ -16,48 +16,49 @@ from ladarreg_core.pose.thesis.stereo_simplex import DEFAULT_SIMPLEX, SimplexOpt
 Method = Literal["robust", "linear", "stereo_simplex", "epipolar_simplex"]
 
 STATED_SIGMA_PX = 1.0
-"""Pixel noise until the data tell, px."""
+"""Pixel noise assumed until it is estimated from the matches, px."""
 STATED_SIGMA_RANGE_M = 0.015
-"""Range noise until the data tell, m."""
+"""Range noise assumed until it is estimated from the matches, m."""
 
 _LEAST_SIGMA, _MOST_SIGMA = 1e-6, 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseOptions:
-    """How a pose is estimated."""
+    """Options of pose estimation."""
 
     method: Method = "robust"
-    """`robust`, `linear` (thesis 2.4.1), `stereo_simplex` (Eq 2.21) or `epipolar_simplex` (without its poles)."""
+    """`robust`, `linear` (thesis 2.4.1), `stereo_simplex` (Eq 2.21) or `epipolar_simplex` (Eq 2.21 without poles)."""
     sigma_px: float | None = None
-    """Pixel noise, px; None: 1 px, then as the matches show."""
+    """Pixel noise, px; None: 1 px at first, then estimated from the matches."""
     sigma_range_m: float | None = None
-    """Range noise, m; None: .015 m, then as the matches show."""
+    """Range noise, m; None: .015 m at first, then estimated from the matches."""
     gate_chi2: float = 9.21
-    """Largest s of an inlier: 99 % of chi-squared with two degrees of freedom."""
+    """Largest cost s of an inlier: the 99 % quantile of chi-squared with two degrees of freedom."""
     ransac_sigma: float = 6.0
     """Threshold of the first RANSAC, in sigma_px."""
     ransac_again_sigma: float = 3.0
-    """Threshold of the second RANSAC, in sigmas of the pixel with the range's noise propagated into it."""
+    """Threshold of the second RANSAC, in sigmas of the pixel noise including the propagated range noise."""
     ransac_iterations: int = 5000
-    """Samples at most; 0: none, and a first pose must be given."""
+    """Maximum number of samples; 0: no RANSAC, which requires an initial pose."""
     ransac_backend: Backend = "auto"
-    """`poselib`, `opencv`, or whichever is installed."""
+    """`poselib`, `opencv`, or `auto`: whichever is installed."""
     wide_below_share: float = 0.25
-    """A wide start is tried beside the narrow one without RANSAC, or where that finds fewer inliers than this share.
+    """A wide start is tried as well if RANSAC is disabled or finds a smaller share of inliers than this.
 
-    After RANSAC the narrow start lost none of 200 runs up to 80 % of mismatches; the wide one is for where it failed.
+    After RANSAC the narrow start failed in none of 200 runs with up to 80 % outliers; the wide one covers a failed
+    RANSAC.
     """
     gnc: GncOptions = DEFAULT_GNC
-    """How the robust cost closes."""
+    """Schedule of the robust cost."""
     simplex: SimplexOptions = DEFAULT_SIMPLEX
-    """How a simplex walks and rejects; its `residual` is that of `method`."""
+    """Options of the simplex; `method` determines its `residual`."""
     intrinsics: Intrinsics | Literal["auto"] = "auto"
-    """What of the camera `robust` estimates with the pose; `auto`: what held-out matches ask for."""
+    """Intrinsics that `robust` estimates; `auto`: those that improve the prediction of held-out matches."""
     keep_better_start: bool = False
-    """Whether `robust` returns to a first guess that foretells held-out matches better than the pose fitted to them."""
+    """If true, `robust` keeps an initial pose that predicts held-out matches better than the fitted pose."""
     seed: int = 0
-    """Of every random choice."""
+    """Random seed; equal seeds give equal results."""
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):

@@ -1,7 +1,7 @@
-"""A first pose among mismatches: three-point samples, scored by the truncated squared error.
+"""RANSAC for an initial pose: three-point samples, scored by the truncated squared error.
 
-Source: P3P inside a locally optimised RANSAC, by poselib where it is installed and by OpenCV's USAC otherwise; what
-either finds is refined here in the same way, so that the answer does not depend on which of them did it.
+Source: P3P inside a locally optimised RANSAC, by poselib if installed, otherwise by OpenCV's USAC. The pose of either
+backend is refined in the same way, so that the result does not depend on the backend.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, DependencyError, OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.pose.jacobian import pose_jacobian
+from ladarreg_core.pose.covariance import pose_jacobian
 
 Backend = Literal["auto", "poselib", "opencv"]
 
 _log = logging.getLogger(__name__)
-_LEAST_POINTS = 4  # three give up to four poses, a fourth tells them apart
+_LEAST_POINTS = 4  # three give up to four solutions; the fourth selects one
 _LEAST_ITERATIONS = 30
 _CONFIDENCE = 0.999
 _POLISH_STEPS = 10
@@ -35,7 +35,7 @@ _MOST_PIXELS = 1e9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RansacResult:
-    """A pose that some of the points agree on."""
+    """A pose with its inliers."""
 
     camera_from_scanner: Rigid
     """The pose, refined on its inliers."""
@@ -55,31 +55,34 @@ def ransac_pose(
     seed: int = 0,
     backend: Backend = "auto",
 ) -> RansacResult | None:
-    """Find the pose that most points agree on; the same input and seed give the same answer.
+    """Find the pose with the most inliers; equal inputs and seeds give equal results.
 
     Args:
-        points_scanner: (N, 3), scanner frame, m; points that are not finite are outliers.
-        uv: (N, 2), photo pixels; pixels that are not finite are outliers.
-        camera: the photo's camera; where its lens distorts, errors are measured on the ideal picture.
+        points_scanner: (N, 3), scanner frame, m; non-finite points are outliers.
+        uv: (N, 2), photo pixels; non-finite pixels are outliers.
+        camera: the photo's camera; errors are measured in the undistorted image.
         threshold_px: largest error of an inlier, px.
-        iterations: samples at most; it stops earlier when a better pose is unlikely.
-        seed: of the samples.
-        backend: `auto` takes poselib where it is installed.
+        iterations: maximum number of samples; the search stops earlier if a better pose is unlikely.
+        seed: random seed.
+        backend: `auto` uses poselib if it is installed.
 
     Returns:
-        The best pose, or None where fewer than four points agree on any.
+        The best pose, or None if no pose has four inliers.
 
     Raises:
-        ShapeError: if the arrays disagree.
-        OptionError: if the threshold, the iterations or the seed have no meaning.
-        DependencyError: if a backend is asked for that is not installed.
+        ShapeError: if the shapes disagree.
+        OptionError: if the threshold, the iterations or the seed is invalid.
+        DependencyError: if the requested backend is not installed.
     """
     points = read_only(points_scanner, np.float64, (None, 3), "the scan points")
     pixels = read_only(uv, np.float64, (len(points), 2), "the photo pixels")
     if not (np.isfinite(threshold_px) and threshold_px > 0):
         raise OptionError(f"the RANSAC threshold is {threshold_px}; it must be a positive number of pixels")
     if iterations < 1 or seed < 0:
-        raise OptionError(f"RANSAC got {iterations} iterations and the seed {seed}; give at least 1 and at least 0")
+        raise OptionError(
+            f"RANSAC got {iterations} iterations and the seed {seed}; it needs at least 1 iteration and a seed of at "
+            "least 0"
+        )
     ideal = camera.without_distortion()
     if camera.distortion:
         pixels = ideal.project(camera.unproject(pixels))
@@ -109,23 +112,23 @@ def sample_pose(
     seed: int,
     backend: Backend = "auto",
 ) -> Rigid | None:
-    """Return what the backend finds, as it finds it, or None; for callers that refine it themselves.
+    """Return the pose from the backend without refinement, or None; for callers that refine it themselves.
 
     Args:
         points_scanner: (N, 3), scanner frame, m.
-        uv_ideal: (N, 2), pixels of the ideal picture; rows that are not finite are left out.
+        uv_ideal: (N, 2), pixels of the undistorted image; non-finite rows are ignored.
         camera: intrinsics without distortion.
         threshold_px: largest error of an inlier, px.
-        iterations: samples at most.
-        seed: of the samples.
-        backend: `auto` takes poselib where it is installed.
+        iterations: maximum number of samples.
+        seed: random seed.
+        backend: `auto` uses poselib if it is installed.
     """
     search = _search(backend)
     usable = np.isfinite(points_scanner).all(axis=1) & np.isfinite(uv_ideal).all(axis=1)
     if np.count_nonzero(usable) < _LEAST_POINTS:
         return None
     points, uv = points_scanner[usable], np.ascontiguousarray(uv_ideal[usable])
-    # About their middle and in their own unit: far coordinates would cost both backends their digits.
+    # centre and scale the points: with large coordinates both backends lose precision
     origin = np.median(points, axis=0)
     local = points - origin
     reach = float(np.abs(local).max())
@@ -149,7 +152,7 @@ def _search(backend: Backend) -> _Search:
     if backend not in ("auto", "poselib", "opencv"):
         raise OptionError(f"the RANSAC backend is {backend!r}; it must be 'auto', 'poselib' or 'opencv'")
     if backend == "poselib" and not _has_poselib():
-        raise DependencyError("poselib is not installed; install ladarreg[fast] or take the backend 'opencv'")
+        raise DependencyError("poselib is not installed; install ladarreg[fast] or use the backend 'opencv'")
     return _by_poselib if backend != "opencv" and _has_poselib() else _by_usac
 
 
@@ -185,8 +188,8 @@ def _by_usac(
     options.randomGeneratorState = seed % 2**31
     try:
         found, _, turn, shift, _ = cv2.solvePnPRansac(points, uv, camera.matrix, None, params=options)
-    except cv2.error as error:  # it asserts on samples without a solution
-        _log.debug("USAC gave up: %s", str(error).replace("\n", " "))
+    except cv2.error as error:  # raised for samples without a solution
+        _log.debug("USAC failed: %s", str(error).replace("\n", " "))
         return None
     return _checked(rotation_from_rotvec(turn.ravel()), shift.ravel().astype(np.float64)) if found else None
 
@@ -208,7 +211,7 @@ def _squared_errors(pose: Rigid, points: FloatArray, uv: FloatArray, camera: Cam
 
 
 def _polish(pose: Rigid, points: FloatArray, uv: FloatArray, camera: Camera, threshold_px: float) -> Rigid:
-    """Descend the truncated squared error by Gauss-Newton on the inliers of the moment."""
+    """Refine a pose by Gauss-Newton on its inliers while the truncated squared error decreases."""
     limit = threshold_px**2
     squared = _squared_errors(pose, points, uv, camera)
     score = np.minimum(squared, limit).sum()

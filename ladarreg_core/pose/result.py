@@ -1,4 +1,4 @@
-"""From a fitted pose to an answer that explains itself."""
+"""`PoseResult`s with residuals, diagnostics and verdict, from a fitted pose or from a given one."""
 
 from __future__ import annotations
 
@@ -9,20 +9,24 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.frames import principal_extents
+from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches, across_lines
-from ladarreg_core.pose.acceptance import MOST_ANGLE_RAD, MOST_POSITION_OF_RANGE, chance_agreement, judge
-from ladarreg_core.pose.ambiguity import competing_pose
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States
-from ladarreg_core.pose.diagnostics import derotated, diagnose, stereo_depth_error
+from ladarreg_core.pose.acceptance import (
+    MOST_ANGLE_RAD,
+    MOST_POSITION_OF_RANGE,
+    decide_acceptance,
+    find_critical_match,
+    log10_false_alarms,
+)
+from ladarreg_core.pose.ambiguity import find_second_pose, second_pose_of_outliers
+from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, adjust_ranges
+from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error, stereo_disparities
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
-from ladarreg_core.pose.others import rival_of_the_others
-from ladarreg_core.pose.single_hold import single_hold
 from ladarreg_core.results import PoseResult
 
 _MANY = 40
-_FLAT = 0.3  # least over middle extent
+_PLANAR_RELIEF = 0.3  # smallest over middle extent
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,27 +38,27 @@ class Fit:
     state: States
     """The pose (B = 1)."""
     inliers: BoolArray
-    """(M,) those that agree."""
+    """(M,) bool."""
     s: FloatArray
-    """(M,) the cost of each match."""
+    """(M,) cost of each match."""
     settled: bool
-    """Whether the descent came to rest."""
+    """True if the optimisation converged."""
     free: int = 6
-    """How many parameters were fitted."""
+    """Number of fitted parameters."""
 
     @property
     def count(self) -> int:
-        """How many matches agree."""
+        """Number of inliers."""
         return int(np.count_nonzero(self.inliers))
 
     def chi2_per_dof(self, matches: Matches) -> float:
-        """Return the inliers' sum of s over their degrees of freedom; NaN where there are none."""
+        """Return the inliers' sum of s over their degrees of freedom; NaN without any."""
         dof = int(matches.dimensions[self.inliers].sum()) - self.free
         return float(self.s[self.inliers].sum() / dof) if dof > 0 else float("nan")
 
 
-def noise_shown(fit: Fit, matches: Matches, camera: Camera, options: PoseOptions) -> tuple[float, float]:
-    """Return the noise that the inliers show, within what may still be called a match."""
+def noise_of_inliers(fit: Fit, matches: Matches, camera: Camera, options: PoseOptions) -> tuple[float, float]:
+    """Return (sigma_px, sigma_range_m) estimated from the inliers, within bounds for plausible matches."""
     return estimate_noise(
         fit.state.pose(),
         matches.subset(fit.inliers),
@@ -67,51 +71,55 @@ def noise_shown(fit: Fit, matches: Matches, camera: Camera, options: PoseOptions
     )
 
 
-def answer(
+def build_result(
     fit: Fit,
     matches: Matches,
     camera: Camera,
     options: PoseOptions,
     covariance: FloatArray,
     sigma: tuple[float, float],
-    story: dict[str, Any],
+    search: dict[str, Any],
 ) -> PoseResult:
-    """Return a judged result.
+    """Return the result of a fit, with a verdict on match statistics.
 
     Args:
         fit: the pose with its inliers.
         matches: the matches that were fitted.
         camera: intrinsics, as given or estimated.
-        options: how it was found.
+        options: the options of the solver.
         covariance: (6, 6) of (w, c).
         sigma: noise of pixels, px, and ranges, m.
-        story: what else to tell of the search, JSON-ready.
+        search: further diagnostics of the search, JSON-ready.
     """
     pose, inliers, measured = fit.state.pose(), fit.inliers, fit.measured
     chi2 = fit.chi2_per_dof(matches)
-    chance = chance_agreement(measured, matches, fit.state, inliers, camera, gate=options.gate_chi2)
+    chance = log10_false_alarms(measured, matches, fit.state, inliers, camera, gate=options.gate_chi2)
     verdict: dict[str, Any] = {
         "pose": pose, "matches": matches, "inliers": inliers, "chi2_per_dof": chi2, "covariance": covariance,
         "log10_chance": chance,
     }  # fmt: skip
-    accepted, reasons = judge(**verdict)
-    rival = None
+    accepted, reasons = decide_acceptance(**verdict)
+    second_pose = None
     if accepted:
-        held_by = single_hold(
+        critical_match = find_critical_match(
             measured, matches, fit.state, inliers,
             most_angle_rad=MOST_ANGLE_RAD, most_position_m=MOST_POSITION_OF_RANGE * float(np.median(matches.ranges)),
         )  # fmt: skip
-        if held_by is not None:
-            accepted, reasons = judge(**verdict, held_by=held_by)
-    if accepted:  # what is refused already need not be searched for rivals
-        rival = rival_of_the_others(matches, measured, inliers, camera, sigma_px=sigma[0], gate=options.gate_chi2)
-        if rival is None and _may_have_rivals(matches.points[inliers]):
-            rival = competing_pose(measured, fit.state, inliers, s=fit.s, gate=options.gate_chi2, chi2_per_dof=chi2)
-        if rival is not None:
-            accepted, reasons = judge(**verdict, rival=rival)
-    disparities = derotated(pose, matches, camera)
+        if critical_match is not None:
+            accepted, reasons = decide_acceptance(**verdict, critical_match=critical_match)
+    if accepted:  # the search is costly and cannot change a refusal
+        second_pose = second_pose_of_outliers(
+            matches, measured, inliers, camera, sigma_px=sigma[0], gate=options.gate_chi2
+        )
+        if second_pose is None and _may_be_ambiguous(matches.points[inliers]):
+            second_pose = find_second_pose(
+                measured, fit.state, inliers, s=fit.s, gate=options.gate_chi2, chi2_per_dof=chi2
+            )
+        if second_pose is not None:
+            accepted, reasons = decide_acceptance(**verdict, second_pose=second_pose)
+    disparities = stereo_disparities(pose, matches, camera)
     figures = diagnose(pose, matches, inliers, camera, sigma_px=sigma[0], disparities=disparities)
-    figures |= {"method": options.method, "log10_chance": chance, "second_minimum": rival is not None, **story}
+    figures |= {"method": options.method, "log10_chance": chance, "second_minimum": second_pose is not None, **search}
     seen = fit.s < UNSEEN
     return PoseResult(
         camera_from_scanner=pose,
@@ -132,10 +140,55 @@ def answer(
     )
 
 
-def _may_have_rivals(points: FloatArray) -> bool:
-    """Return whether inliers (N, 3) are so few or so flat that another pose may explain them too.
+def _may_be_ambiguous(points: FloatArray) -> bool:
+    """Return whether inliers (N, 3) are so few or so planar that a second pose may explain them.
 
-    Known points off their plane leave a calibrated camera no second pose; what noise may do is a matter of few points.
+    Many points with relief leave a calibrated camera no second pose; with few points noise may.
     """
     extent = principal_extents(points)
-    return len(points) < _MANY or bool(extent[2] <= _FLAT * extent[1])
+    return len(points) < _MANY or bool(extent[2] <= _PLANAR_RELIEF * extent[1])
+
+
+def describe_pose(
+    camera_from_scanner: Rigid,
+    matches: Matches,
+    inliers: BoolArray,
+    camera: Camera,
+    *,
+    sigma_px: float,
+    sigma_range_m: float,
+    covariance: FloatArray,
+) -> PoseResult:
+    """Return residuals and diagnostics of a given pose, without a verdict (`accepted` is False).
+
+    Args:
+        camera_from_scanner: the pose.
+        matches: M matches, possibly none.
+        inliers: (M,) bool.
+        camera: the photo's camera.
+        sigma_px: pixel noise.
+        sigma_range_m: range noise, m.
+        covariance: (6, 6) as `PoseResult.covariance`.
+    """
+    pose, count = camera_from_scanner, len(matches)
+    adjusted, s = np.full(count, np.nan), np.zeros(count)
+    if count:
+        measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_range_m)
+        states, seen = adjust_ranges(measured, States.of([pose], measured))
+        s = seen.s[0]
+        adjusted = np.where(s < UNSEEN, states.rho[0], np.nan)
+    dof = int(matches.dimensions[inliers].sum()) - 6
+    return PoseResult(
+        camera_from_scanner=pose,
+        camera=camera,
+        matches=matches,
+        inliers=inliers,
+        residuals_px=across_lines(matches, matches.uv - camera.project(pose @ matches.points)),
+        residuals_m=matches.ranges - adjusted,
+        stereo_depth_error_m=stereo_depth_error(pose, matches, camera, sigma_px=sigma_px),
+        covariance=covariance,
+        chi2_per_dof=float(s[inliers].sum() / dof) if dof > 0 else float("nan"),
+        sigma_px=float(sigma_px),
+        sigma_range_m=float(sigma_range_m),
+        diagnostics=diagnose(pose, matches, inliers, camera, sigma_px=sigma_px),
+    )

@@ -5,21 +5,17 @@ Everything in it is plain and small except the arrays of a pose's matches, which
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 
 from ladarreg_core.matches import Pick
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.project.stored_arrays import StoredArrays
+from ladarreg_core.results import StageId
 
 VERSION = 1
-StageId = Literal[
-    "linear", "constrained_linear", "simplex", "simplex_outliers_removed", "robust", "auto", "thesis", "carried"
-]
-STAGES: tuple[StageId, ...] = (
-    "linear", "constrained_linear", "simplex", "simplex_outliers_removed", "robust", "auto", "thesis", "carried",
-)  # fmt: skip
+STAGES: tuple[StageId, ...] = get_args(StageId)
 """All stages in display order."""
 Numbers = tuple[float, ...]
 Rows = tuple[Numbers, ...]

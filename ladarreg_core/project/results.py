@@ -13,9 +13,9 @@ from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
-from ladarreg_core.project.document import PoseEntry, StageId, StepEntry
+from ladarreg_core.project.document import PoseEntry, StepEntry
 from ladarreg_core.project.stored_arrays import StoredArrays
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results import PoseResult, Registration, StageId
 
 _MATCH_ARRAYS = ("rays", "ranges", "uv", "fractions", "weights", "range_weights", "directions", "across")
 _RESULT_ARRAYS = ("inliers", "residuals_px", "residuals_m", "stereo_depth_error_m")

@@ -15,8 +15,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, information_matrix, residuals
-from ladarreg_core.pose.checks import LEAST_MATCHES
-from ladarreg_core.pose.jacobian import pose_jacobian
+from ladarreg_core.pose.covariance import pose_jacobian
+from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 
 FAR_OVER_NEAR = 2.8

@@ -17,9 +17,9 @@ from typing import Any, Literal
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray
-from ladarreg_core.pose.acceptance import LEAST_INLIERS, LEAST_SHARE, MOST_CHI2_PER_DOF, distinct
+from ladarreg_core.pose.acceptance import LEAST_INLIERS, LEAST_SHARE, MOST_CHI2_PER_DOF, count_distinct
+from ladarreg_core.pose.covariance import pose_jacobian
 from ladarreg_core.pose.diagnostics import diagnose
-from ladarreg_core.pose.jacobian import pose_jacobian
 from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
 from ladarreg_core.quality.conditioning import Placement, placement
 from ladarreg_core.quality.lens_check import lens_hint
@@ -90,7 +90,7 @@ def findings(result: PoseResult) -> tuple[Finding, ...]:
 
 def _matches(result: PoseResult) -> Finding:
     inliers = result.matches.subset(result.inliers)
-    different = distinct(inliers.points, inliers.uv) if len(inliers) else 0
+    different = count_distinct(inliers.points, inliers.uv) if len(inliers) else 0
     by_pick: dict[str, list[int]] = {}
     for name, known in zip(inliers.pick_ids, inliers.dimensions.tolist(), strict=True):
         by_pick.setdefault(name, []).append(known)

@@ -23,13 +23,13 @@ from ladarreg_core.pose.bundle import (
     UNSEEN,
     Measurements,
     States,
+    adjust_ranges,
     least_squares,
     linearise,
     residuals,
-    settle,
 )
-from ladarreg_core.pose.checks import LEAST_MATCHES
-from ladarreg_core.pose.jacobian import pose_jacobian
+from ladarreg_core.pose.covariance import pose_jacobian
+from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 
 WORTH_A_CHECK = 0.5
@@ -107,7 +107,7 @@ def influence(result: PoseResult) -> Influence:
             "add or correct matches"
         )
     measured = measured.subset(members)
-    state, _ = settle(measured, state.seeing(measured), rounds=1)
+    state, _ = adjust_ranges(measured, state.with_ranges_of(measured), rounds=1)
     state, _, _ = least_squares(measured, state, steps=_STEPS, tolerance_sigma=1e-3)
 
     J, K, e = _parts(measured, state)

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, settle
+from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, adjust_ranges, linearise
 from ladarreg_core.results import PoseResult
 
 LEAST_MATCHES_OF_LENS = 12
@@ -55,12 +55,12 @@ def lens_hint(result: PoseResult) -> LensHint | None:
         return None
     matches = result.matches.subset(result.inliers)
     measured = Measurements.of(matches, result.camera, sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m)
-    states, seen = settle(measured, States.of([result.camera_from_scanner], measured))
+    states, seen = adjust_ranges(measured, States.of([result.camera_from_scanner], measured))
     usable = seen.s[0] < UNSEEN
     if np.count_nonzero(usable) < LEAST_MATCHES_OF_LENS:
         return None
     measured, dof = measured.subset(usable), int(matches.dimensions[usable].sum()) - 7
-    states, seen = settle(measured, states.seeing(measured))
+    states, seen = adjust_ranges(measured, states.with_ranges_of(measured))
     lin = linearise(measured, states, seen)
     x = seen.xy[0]
     squared = (x * x).sum(axis=0)

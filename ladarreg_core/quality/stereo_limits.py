@@ -13,16 +13,16 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, principal_extents
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.acceptance import LEAST_INLIERS, distinct
+from ladarreg_core.pose.acceptance import LEAST_INLIERS, count_distinct
 from ladarreg_core.pose.ransac import ransac_pose
 from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
-from ladarreg_core.pose.thesis.picture_roll import picture_roll
+from ladarreg_core.pose.thesis.starts import picture_roll
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 
 MOST_SIGMA_Z_OVER_Z = 0.05
 """Above this a stereo depth is too uncertain to be compared with the laser's."""
 LEAST_DISPARITY_SIGMA = 40.0
-"""Below this many sigma_px of derotated disparity, likewise."""
+"""Below this many sigma_px of stereo_disparities disparity, likewise."""
 LARGE_ROLL_RAD = np.deg2rad(20.0)
 """Correlation windows are not turned; beyond this they no longer look alike."""
 LEAST_ACROSS_OF_FORWARD = 0.25
@@ -82,7 +82,7 @@ def stereo_cautions(
 
 
 def _count(matches: Matches) -> str:
-    count = distinct(matches.points, matches.uv) if len(matches) else 0
+    count = count_distinct(matches.points, matches.uv) if len(matches) else 0
     if count >= LEAST_INLIERS:
         return ""
     return (

@@ -1,29 +1,29 @@
-"""Clouds without a grid: their points laid onto rows and columns by spherical projection.
+"""Arranges the points of clouds without a grid in rows and columns, by spherical projection.
 
-Spinning scanners leave rings, which become the rows, however unequally they are spaced; everything else is laid onto
-equal steps of latitude and longitude that are measured on the cloud itself.
+The rings of spinning scanners become rows, however unequally they are spaced; all other clouds get equal steps of
+latitude and longitude, estimated from the cloud itself.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, rotation_from_rotvec
-from ladarreg_core.scanner.grids import ScanGeometry, SphericalGrid, TabulatedGrid
+from ladarreg_core.formatting import format_percent
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, rotation_from_rotvec, wrap_angle
+from ladarreg_core.scanner.grids import RingGrid, RotatedGrid, ScanGeometry, SphericalGrid, TabulatedGrid
 
 LEAST_POINTS = 12
-"""Fewer directions do not make a grid."""
+"""Least number of returns for a grid."""
 LARGEST_GRID = 8_000_000
-"""Cells; a finer cloud is thinned to this."""
+"""Cells; finer clouds are thinned to this size."""
 _MOST_COLUMNS = 32_000  # cv2.remap refuses 32,767
 _MOST_ROWS = 16_000
-_CELLS_PER_POINT = 40  # beyond this a grid is nearly all holes: outliers have stretched it
+_CELLS_PER_POINT = 40  # a larger grid is nearly all holes, stretched by outliers
 _SAMPLES = 3000
 _NEIGHBOURS = 160
 _STRIP = 0.3
@@ -36,110 +36,11 @@ _CLEAN_OVERLAP = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class RingGrid:
-    """Rows are the rings of a spinning scanner at their own latitudes, columns are equal steps of longitude.
-
-    latitude = `latitudes_rad[row]`, linear between rings; longitude = centre - (column - (W - 1)/2 +
-    `phases[row]`) d_longitude, positive to the left.
-    """
-
-    latitudes_rad: FloatArray
-    """(H,) falling from the top."""
-    phases: FloatArray
-    """(H,) by how many columns each ring is fired late."""
-    columns: int
-    d_longitude_rad: float
-    centre_longitude_rad: float
-
-    def __post_init__(self) -> None:
-        latitudes = read_only(self.latitudes_rad, np.float64, (None,), "the rings' latitudes")
-        if len(latitudes) < 2 or not (np.diff(latitudes) < 0).all():
-            raise ShapeError(f"there are {len(latitudes)} rings; a grid needs at least 2, falling from the top")
-        object.__setattr__(self, "latitudes_rad", latitudes)
-        object.__setattr__(self, "phases", read_only(self.phases, np.float64, latitudes.shape, "the rings' phases"))
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(H, W), cells."""
-        return len(self.latitudes_rad), self.columns
-
-    @property
-    def step_rad(self) -> tuple[float, float]:
-        """(median latitude step, longitude step), rad."""
-        return float(np.median(-np.diff(self.latitudes_rad))), self.d_longitude_rad
-
-    @cached_property
-    def rays(self) -> NDArray[np.float64]:
-        """(H, W, 3) unit rays, read-only."""
-        row, column = np.mgrid[: self.shape[0], : self.columns]
-        rays = self.ray_at(np.stack([row, column], axis=-1))
-        rays.flags.writeable = False
-        return rays
-
-    def cell_of(self, directions: ArrayLike) -> FloatArray:
-        """Return the fractional cells (..., 2) of directions (..., 3)."""
-        d = np.asarray(directions)
-        row = self._row_of(np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1])))
-        turn = _wrapped(np.arctan2(d[..., 1], d[..., 0]) - self.centre_longitude_rad)
-        phase = np.interp(row, np.arange(self.shape[0]), self.phases)
-        return np.stack([row, (self.columns - 1) / 2 - turn / self.d_longitude_rad - phase], axis=-1)
-
-    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
-        """Return the unit rays (..., 3) of fractional cells (..., 2)."""
-        c = np.asarray(cells, dtype=np.float64)
-        latitude = _extended_interp(c[..., 0], np.arange(float(self.shape[0])), self.latitudes_rad)
-        phase = np.interp(c[..., 0], np.arange(self.shape[0]), self.phases)
-        turn = (c[..., 1] - (self.columns - 1) / 2 + phase) * self.d_longitude_rad
-        longitude = self.centre_longitude_rad - turn
-        return np.stack(
-            [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
-        )
-
-    def _row_of(self, latitude: FloatArray) -> NDArray[np.float64]:
-        return _extended_interp(latitude, self.latitudes_rad[::-1], np.arange(float(self.shape[0]))[::-1])
-
-
-@dataclass(frozen=True, eq=False)
-class TurnedGrid:
-    """A geometry of another frame: a spherical grid has a pole, which must not lie where the cloud is."""
-
-    grid: ScanGeometry
-    """The geometry, in its own frame."""
-    grid_from_scanner: FloatArray
-    """(3, 3) rotation."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(H, W), cells."""
-        return self.grid.shape
-
-    @property
-    def step_rad(self) -> tuple[float, float]:
-        """The typical angle between neighbouring (rows, columns), rad."""
-        return self.grid.step_rad
-
-    @cached_property
-    def rays(self) -> NDArray[np.float64]:
-        """(H, W, 3) unit rays, read-only."""
-        rays = np.asarray(self.grid.rays @ self.grid_from_scanner)
-        rays.flags.writeable = False
-        return rays
-
-    def cell_of(self, directions: ArrayLike) -> FloatArray:
-        """Return the fractional cells (..., 2) of directions (..., 3)."""
-        return self.grid.cell_of(np.asarray(directions) @ self.grid_from_scanner.T)
-
-    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
-        """Return the unit rays (..., 3) of fractional cells (..., 2)."""
-        return np.asarray(self.grid.ray_at(cells) @ self.grid_from_scanner)
-
-
-@dataclass(frozen=True, eq=False)
 class GriddedCloud:
-    """A cloud on a grid; where several points fall into one cell, the nearest to the scanner stays."""
+    """A cloud on a grid; of several points in one cell, the nearest to the scanner is kept."""
 
     geometry: TabulatedGrid
-    """Each cell's own ray: its point's, or the law's where it has none."""
+    """The ray of each cell: that of its point, or the law's without a point."""
     ranges: FloatArray
     """(H, W) float32, m; NaN = no return."""
     intensity: FloatArray
@@ -147,18 +48,18 @@ class GriddedCloud:
     color: ByteArray | None
     """(H, W, 3) uint8 RGB."""
     points_in: int
-    """Returns that came."""
+    """Returns given."""
     points_kept: int
-    """Returns that have a cell of their own."""
+    """Returns with a cell of their own."""
     rings: int
-    """Rings found; 0: none, and rows are equal steps."""
+    """Rings found; 0: none, rows are equal steps."""
 
-    def in_words(self) -> str:
-        """Return what was done, for the scan's notes."""
+    def describe(self) -> str:
+        """Return a sentence on the gridding, for the notes of the scan."""
         height, width = self.geometry.shape
-        rows = f"its {self.rings} rings as rows" if self.rings else "rows and columns of equal angle"
-        share = 100 * self.points_kept / self.points_in
-        return f"the cloud has no grid: laid onto {height} x {width} cells, {rows}; {share:.0f} % of its points kept"
+        rows = f"with its {self.rings} rings as rows" if self.rings else "with rows and columns of equal angle"
+        share = format_percent(self.points_kept / self.points_in)
+        return f"the cloud has no grid: points arranged in {height} x {width} cells, {rows}; {share} of them kept"
 
 
 def grid_points(
@@ -169,21 +70,20 @@ def grid_points(
     ring: ArrayLike | None = None,
     most_cells: int = LARGEST_GRID,
 ) -> GriddedCloud:
-    """Lay a cloud without a grid onto one.
+    """Arrange the points of a cloud in a grid.
 
     Args:
-        points: (N, 3), scanner frame, m; what is not finite or at the origin is no return.
+        points: (N, 3), scanner frame, m; points that are not finite or at the origin are no returns.
         intensity: (N,).
         color: (N, 3) uint8 RGB.
-        ring: (N,) whole numbers, which beam measured each point, where the file tells; it is used if it agrees with
-            the latitudes.
-        most_cells: a finer cloud is thinned to this, and to 8 M cells in any case.
+        ring: (N,) whole numbers, the beam of each point, if known; used if consistent with the latitudes.
+        most_cells: size to which finer clouds are thinned; 8 M cells at most.
 
     Returns:
-        The grid: row 0 the highest latitude, column 0 the largest longitude, the seam of a full turn in its widest gap.
+        The grid: row 0 is the highest latitude, column 0 the largest longitude; a full turn is cut at its widest gap.
 
     Raises:
-        ShapeError: if the arrays disagree or there are fewer than 12 returns, or all lie in one row or column.
+        ShapeError: if the arrays do not match, there are fewer than 12 returns, or all are in one row or column.
     """
     p = read_only(points, np.float64, (None, 3), "the cloud's points")
     strength = read_only(intensity, np.float32, (len(p),), "the cloud's intensity")
@@ -196,19 +96,21 @@ def grid_points(
         raise ShapeError(f"the cloud has {len(returns)} returns; a scan needs at least {LEAST_POINTS}")
     p, distance = p[returns], distance[returns]
     rays = p / distance[:, None]
-    turn = away_from_the_pole(rays)
+    rotation = rotation_from_pole(rays)
     most_cells = min(most_cells, LARGEST_GRID)
-    law, cells, rings = _laid_out(
-        rays if turn is None else rays @ turn.T, None if beam is None else beam[returns], most_cells
+    law, cells, rings = _arranged(
+        rays if rotation is None else rays @ rotation.T, None if beam is None else beam[returns], most_cells
     )
 
     height, width = law.shape
-    order = np.argsort(distance, kind="stable")  # stable: equal ranges must not depend on the sorting method
+    order = np.argsort(
+        distance, kind="stable"
+    )  # stable: the order of equal ranges must not depend on the sorting method
     flat = cells[order, 0] * width + cells[order, 1]
     _, first = np.unique(flat, return_index=True)
     kept = order[first]
     row, column = cells[kept, 0], cells[kept, 1]
-    table = np.array((law if turn is None else TurnedGrid(law, turn)).rays)
+    table = np.array((law if rotation is None else RotatedGrid(law, rotation)).rays)
     table[row, column] = rays[kept]
     ranges = np.full((height, width), np.nan, np.float32)
     ranges[row, column] = distance[kept]
@@ -218,15 +120,15 @@ def grid_points(
     if paint is not None:
         rgb = np.zeros((height, width, 3), np.uint8)
         rgb[row, column] = paint[returns[kept]]
-    geometry = TabulatedGrid(table, law=law if turn is None else TurnedGrid(law, turn))
+    geometry = TabulatedGrid(table, law=law if rotation is None else RotatedGrid(law, rotation))
     return GriddedCloud(geometry, ranges, out, rgb, len(returns), len(kept), rings)
 
 
-def away_from_the_pole(rays: FloatArray) -> FloatArray | None:
-    """Return a rotation (3, 3) that brings a narrow cloud of unit rays (N, 3) from near the frame's Z axis to the
-    equator, or None where it is not there.
+def rotation_from_pole(rays: FloatArray) -> FloatArray | None:
+    """Return a rotation (3, 3) of a narrow cloud of unit rays (N, 3) from near the Z axis to the equator; None if the
+    cloud is not there.
 
-    Depth cameras write clouds in their optical frame (Z forward, Y down): then up in the picture is -Y.
+    Depth cameras write clouds in their optical frame (Z forward, Y down), where up in the image is -Y.
     """
     mean = rays.mean(axis=0)
     if np.linalg.norm(mean) < 0.8 or abs(mean[2]) < 0.7 * np.linalg.norm(mean):
@@ -235,28 +137,28 @@ def away_from_the_pole(rays: FloatArray) -> FloatArray | None:
     return forward if mean[2] > 0 else np.asarray(forward @ rotation_from_rotvec([np.pi, 0.0, 0.0]))
 
 
-def _laid_out(rays: FloatArray, beam: IntArray | None, most_cells: int) -> tuple[ScanGeometry, IntArray, int]:
-    """Return the law, the cell (N, 2) of each ray, and the number of rings (0: no rings)."""
+def _arranged(rays: FloatArray, beam: IntArray | None, most_cells: int) -> tuple[ScanGeometry, IntArray, int]:
+    """Return the law, the cell (N, 2) of each ray, and the number of rings (0: none)."""
     latitude = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
     longitude = np.arctan2(rays[:, 1], rays[:, 0])
     centre, span = _centre_of(longitude)
-    turn = _wrapped(longitude - centre)
+    longitude = wrap_angle(longitude - centre)
     labels = _rings_of(latitude, beam)
     if labels is not None:
-        step = _step_along_rings(turn, labels)
+        step = _step_along_rings(longitude, labels)
         if step is not None:
-            law, cells = _on_rings(latitude, turn, labels, step, centre, most_cells)
+            law, cells = _on_rings(latitude, longitude, labels, step, centre, most_cells)
             return law, cells, law.shape[0]
-    d_latitude, d_longitude = _steps(turn, latitude)
+    d_latitude, d_longitude = _steps(longitude, latitude)
     top, low = float(latitude.max()), float(latitude.min())
-    bearable = min(most_cells, max(4096, _CELLS_PER_POINT * len(rays)))
-    d_latitude, d_longitude = _bounded(top - low, span, d_latitude, d_longitude, bearable)
+    largest = min(most_cells, max(4096, _CELLS_PER_POINT * len(rays)))
+    d_latitude, d_longitude = _bounded(top - low, span, d_latitude, d_longitude, largest)
     rows, columns = (int(np.floor(s / d + 1e-9)) + 1 for s, d in ((top - low, d_latitude), (span, d_longitude)))
     if min(rows, columns) < 2:
         raise ShapeError(
             f"the cloud's returns fill {rows} x {columns} cells; a scan needs at least 2 rows and 2 columns"
         )
-    # Half of what is left over on each side: the outermost points then lie inside the outermost cells.
+    # Half of the remainder on each side: the outermost points are then inside the outermost cells.
     spare = ((rows - 1) * d_latitude - (top - low)) / 2
     law_ = SphericalGrid(rows, columns, d_longitude, d_latitude, centre, top + spare)
     cell = np.rint(law_.cell_of(rays)).astype(np.intp)
@@ -264,7 +166,7 @@ def _laid_out(rays: FloatArray, beam: IntArray | None, most_cells: int) -> tuple
 
 
 def _centre_of(longitude: FloatArray) -> tuple[float, float]:
-    """Return the middle of the longitudes and their span, cut open at the widest gap; a full turn is cut behind."""
+    """Return the centre and span of the longitudes, cut at the widest gap; a full turn is cut behind the scanner."""
     values = np.unique(longitude)
     gaps = np.diff(np.append(values, values[0] + 2 * np.pi))
     widest = int(np.argmax(gaps))
@@ -272,11 +174,11 @@ def _centre_of(longitude: FloatArray) -> tuple[float, float]:
         return 0.0, 2 * np.pi
     start = values[(widest + 1) % len(values)]
     span = 2 * np.pi - float(gaps[widest])
-    return float(_wrapped(start + span / 2)), span
+    return float(wrap_angle(start + span / 2)), span
 
 
 def _rings_of(latitude: FloatArray, beam: IntArray | None) -> IntArray | None:
-    """Return the row (N,) of each point, counted from the highest ring, or None where there are no rings."""
+    """Return the row (N,) of each point, counted from the highest ring; None without rings."""
     if beam is not None:
         labels, overlap = _ordered_labels(latitude, np.unique(beam, return_inverse=True)[1])
         if overlap < _MOST_OVERLAP:
@@ -309,10 +211,10 @@ def _smoothed(counts: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
 
 
 def _valleys(density: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the bins that part the density's peaks; a valley counts if it is below a third of both its peaks."""
+    """Return the bins that separate the peaks of the density; a valley must be below a third of both its peaks."""
     bounds: list[float] = []
     peak, low, low_from, low_to = 0.0, np.inf, 0, 0
-    # A floor keeps stray points between the rings from counting as peaks.
+    # A floor prevents stray points between the rings from counting as peaks.
     floor = 0.02 * float(np.percentile(density[density > 0], 95)) if (density > 0).any() else 0.0
     for k, value in enumerate(density.tolist()):
         if value > peak and low == np.inf:
@@ -328,10 +230,10 @@ def _valleys(density: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _ordered_labels(latitude: FloatArray, group: IntArray) -> tuple[IntArray, float]:
-    """Return the groups numbered from the highest latitude, and how much they overlap.
+    """Return the groups numbered from the highest latitude, and their overlap.
 
-    The overlap is the spread of a group (half of its points) in units of the distance to its nearest neighbour: .5
-    where latitudes are spread evenly, infinite where the groups cannot be put in order.
+    The overlap is the interquartile range of a group in units of the distance to its nearest neighbour: .5 for evenly
+    spread latitudes, infinite if the groups cannot be ordered.
     """
     sorting = np.lexsort((latitude, group))
     values, groups = latitude[sorting], group[sorting]
@@ -357,15 +259,15 @@ def _ordered_labels(latitude: FloatArray, group: IntArray) -> tuple[IntArray, fl
     return labels, overlap
 
 
-def _step_along_rings(turn: FloatArray, labels: IntArray) -> float | None:
-    """Return the longitude step of the beams, rad, or None where a ring is no sequence of equal steps."""
-    order = np.lexsort((turn, labels))
-    gaps = np.diff(turn[order])[np.diff(labels[order]) == 0]
+def _step_along_rings(longitude: FloatArray, labels: IntArray) -> float | None:
+    """Return the longitude step of the beams, rad; None if the rings are not sequences of equal steps."""
+    order = np.lexsort((longitude, labels))
+    gaps = np.diff(longitude[order])[np.diff(labels[order]) == 0]
     gaps = gaps[gaps > 1e-7]
     if len(gaps) < LEAST_POINTS:
         return None
     step = float(np.median(gaps))
-    for _ in range(3):  # holes are whole multiples of the step
+    for _ in range(3):  # gaps are whole multiples of the step
         whole = np.rint(gaps / step)
         near = (whole >= 1) & (whole <= 4)
         if not near.any():
@@ -375,25 +277,25 @@ def _step_along_rings(turn: FloatArray, labels: IntArray) -> float | None:
 
 
 def _on_rings(
-    latitude: FloatArray, turn: FloatArray, labels: IntArray, step: float, centre: float, most_cells: int
+    latitude: FloatArray, longitude: FloatArray, labels: IntArray, step: float, centre: float, most_cells: int
 ) -> tuple[RingGrid, IntArray]:
     rows = int(labels.max()) + 1
     sizes = np.bincount(labels, minlength=rows)
     order = np.lexsort((latitude, labels))
     starts = np.append(0, np.cumsum(sizes)[:-1])
     middle = latitude[order][starts + sizes // 2]
-    full = float(np.ptp(turn)) > 2 * np.pi - 4 * step
-    if full:  # a whole number of columns makes the turn
+    full = float(np.ptp(longitude)) > 2 * np.pi - 4 * step
+    if full:  # a full turn has a whole number of columns
         step = 2 * np.pi / max(2, round(2 * np.pi / step))
-    step = max(step, 2 * np.pi / _MOST_COLUMNS, float(np.ptp(turn)) * rows / most_cells)
+    step = max(step, 2 * np.pi / _MOST_COLUMNS, float(np.ptp(longitude)) * rows / most_cells)
 
-    place = -turn / step
-    spin = np.exp(2j * np.pi * place)
+    position = -longitude / step
+    spin = np.exp(2j * np.pi * position)
     common = np.angle(spin.sum()) / (2 * np.pi)
     per_ring = np.bincount(labels, spin.real, rows) + 1j * np.bincount(labels, spin.imag, rows)
     phases = np.angle(per_ring * np.exp(-2j * np.pi * common)) / (2 * np.pi)
-    phases[np.abs(per_ring) < 0.3 * sizes] = 0.0  # no phase to speak of: the ring's points are not at equal steps
-    index = place - common - phases[labels]
+    phases[np.abs(per_ring) < 0.3 * sizes] = 0.0  # no phase: the ring's points are not at equal steps
+    index = position - common - phases[labels]
     column = np.rint(index).astype(np.intp)
     if full:
         columns = max(2, round(2 * np.pi / step))
@@ -407,12 +309,12 @@ def _on_rings(
     column = _spread_collisions(labels, column, index - np.rint(index), columns)
     # The law's centre is the longitude of column (W - 1)/2 at phase 0.
     law_centre = centre - ((columns - 1) / 2 - offset + common) * step
-    law = RingGrid(middle, phases, columns, step, float(_wrapped(law_centre)))
+    law = RingGrid(middle, phases, columns, step, float(wrap_angle(law_centre)))
     return law, np.stack([labels, column], axis=-1)
 
 
 def _spread_collisions(rows: IntArray, column: IntArray, rest: FloatArray, columns: int) -> IntArray:
-    """Move the second point of a cell into the empty neighbour that it leans to: jitter makes such pairs."""
+    """Move the second point of a cell into the empty neighbour on its side: jitter causes such pairs."""
     result = column.copy()
     for direction in (1, -1):
         flat = rows.astype(np.int64) * columns + result
@@ -430,18 +332,18 @@ def _spread_collisions(rows: IntArray, column: IntArray, rest: FloatArray, colum
     return result
 
 
-def _steps(turn: FloatArray, latitude: FloatArray) -> tuple[float, float]:
-    """Return (latitude step, longitude step), rad, from the points' own spacing.
+def _steps(longitude: FloatArray, latitude: FloatArray) -> tuple[float, float]:
+    """Return (latitude step, longitude step), rad, from the spacing of the points.
 
-    The density gives the product of the steps; a regular distance to the next point straight above, or beside, gives
-    one of them; without either the steps are equal.
+    The density gives the product of the steps; a regular distance to the next point directly above, or beside, gives
+    one of them; otherwise the steps are taken as equal.
     """
     from scipy.spatial import cKDTree
 
-    plane = _different(np.stack([turn, latitude], axis=-1))
+    plane = _distinct(np.stack([longitude, latitude], axis=-1))
     count = len(plane)
-    if count < LEAST_POINTS:  # only the spread is left to go by
-        spans = [max(float(np.ptp(angle)), 1e-9) for angle in (turn, latitude)]
+    if count < LEAST_POINTS:  # too few for spacings: use the spread
+        spans = [max(float(np.ptp(angle)), 1e-9) for angle in (longitude, latitude)]
         return (float(np.sqrt(spans[0] * spans[1] / count)),) * 2
     generator = np.random.default_rng(_SEED)
     sample = plane if count <= _SAMPLES else plane[generator.choice(count, _SAMPLES, replace=False)]
@@ -451,7 +353,7 @@ def _steps(turn: FloatArray, latitude: FloatArray) -> tuple[float, float]:
     area = np.pi * distance[:, few] ** 2 / few
     typical = float(np.sqrt(np.median(area)))
     if not typical > 0:  # most points very nearly coincide
-        spans = [max(float(np.ptp(angle)), 1e-9) for angle in (turn, latitude)]
+        spans = [max(float(np.ptp(angle)), 1e-9) for angle in (longitude, latitude)]
         typical = float(np.sqrt(spans[0] * spans[1] / count))
     offsets = plane[index] - sample[:, None, :]
     up, up_regular = _next_along(offsets[..., 1], offsets[..., 0], typical)
@@ -463,8 +365,8 @@ def _steps(turn: FloatArray, latitude: FloatArray) -> tuple[float, float]:
     return (up, typical**2 / up) if up_regular >= side_regular else (typical**2 / side, side)
 
 
-def _different(plane: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rows that differ, in their order: a tree is no help among many points in one place."""
+def _distinct(plane: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distinct rows, in their order: a tree is of no use with many coincident points."""
     first = np.unique(plane.view(np.complex128)[:, 0], return_index=True)[1]
     return plane if len(first) == len(plane) else plane[np.sort(first)]
 
@@ -483,21 +385,9 @@ def _next_along(along: FloatArray, across: FloatArray, typical: float) -> tuple[
 def _bounded(
     height_rad: float, width_rad: float, d_latitude: float, d_longitude: float, most_cells: int
 ) -> tuple[float, float]:
-    """Widen the steps until the grid is of a bearable size."""
+    """Increase the steps until the grid is within the size limits."""
     d_latitude = min(max(d_latitude, height_rad / _MOST_ROWS, 1e-6), 0.49)
     d_longitude = min(max(d_longitude, width_rad / _MOST_COLUMNS, 1e-6), 0.49)
     cells = (height_rad / d_latitude + 1) * (width_rad / d_longitude + 1)
     factor = float(np.sqrt(max(1.0, cells / most_cells)))
     return min(d_latitude * factor, 0.49), min(d_longitude * factor, 0.49)
-
-
-def _extended_interp(x: FloatArray, xp: FloatArray, fp: FloatArray) -> NDArray[np.float64]:
-    """Interpolate linearly, and go on straight beyond both ends."""
-    inside = np.interp(x, xp, fp)
-    below = (x - xp[0]) * (fp[1] - fp[0]) / (xp[1] - xp[0])
-    above = (x - xp[-1]) * (fp[-1] - fp[-2]) / (xp[-1] - xp[-2])
-    return np.asarray(np.where(x < xp[0], fp[0] + below, np.where(x > xp[-1], fp[-1] + above, inside)))
-
-
-def _wrapped(angle: FloatArray) -> FloatArray:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -1,7 +1,7 @@
-"""Scanner geometries: which unit ray each cell of a scan grid looks along, and which cell a direction meets.
+"""Scanner geometries: the ray of each cell of a scan grid, and the cell of a direction.
 
-All rays are in the scanner frame (X forward, Y left, Z up). A cell is (row, column), fractional where it must be;
-row 0 is the top, column 0 the left.
+All rays are in the scanner frame (X forward, Y left, Z up). A cell is (row, column), possibly fractional; row 0 is the
+top, column 0 the left.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ladarreg_core.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, wrap_angle
 from ladarreg_core.scanner.ray_table import RayTableInverse, complete_ray_table, interpolate_rays
 
 _LEAST_STEP_RAD = 1e-12
@@ -24,7 +24,7 @@ _LEAST_STEP_RAD = 1e-12
 
 @runtime_checkable
 class ScanGeometry(Protocol):
-    """What every geometry can tell."""
+    """Interface of all scanner geometries."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -42,9 +42,9 @@ class ScanGeometry(Protocol):
         ...
 
     def cell_of(self, directions: ArrayLike) -> FloatArray:
-        """Return the fractional cells (..., 2) that directions (..., 3) meet; NaN where the geometry has none.
+        """Return the fractional cells (..., 2) of directions (..., 3); NaN if there is none.
 
-        Cells outside the grid are extrapolated where the law allows it, so compare with `shape`.
+        Cells outside the grid are extrapolated if the geometry allows it; compare with `shape`.
         """
         ...
 
@@ -59,7 +59,7 @@ class AzimuthElevation:
 
     azimuth = ((W - 1)/2 - column) d_azimuth + offset, positive to the left; elevation = ((H - 1)/2 - row) d_elevation
     + offset, positive upward; direction (cos az cos el, sin az, cos az sin el). The thesis's own form (W/2 - column)
-    is half a step more: `azimuth_offset_rad = d_azimuth_rad / 2`.
+    differs by half a step: `azimuth_offset_rad = d_azimuth_rad / 2`.
 
     Source: thesis 2.2.1, Eq 2.1.
     """
@@ -78,17 +78,17 @@ class AzimuthElevation:
             if not (np.isfinite(step) and 0 < step < 0.5):
                 raise OptionError(f"{name} is {step}; it must be a positive angle per cell in radians, below 0.5")
         if not np.isfinite([self.azimuth_offset_rad, self.elevation_offset_rad]).all():
-            raise OptionError("the azimuth or elevation offset is not finite; it must be an angle in radians")
+            raise OptionError("the azimuth or elevation offset is not finite; give angles in radians")
         reach = abs(self.azimuth_offset_rad) + self.d_azimuth_rad * (self.columns - 1) / 2
         if reach >= np.pi / 2:
             raise OptionError(
-                f"the azimuth reaches {np.degrees(reach):.1f} deg; an azimuth-elevation scanner stays below 90 deg: "
-                "check that d_azimuth_rad is in radians"
+                f"the azimuth reaches {np.degrees(reach):.1f} deg; an azimuth-elevation scanner must stay below "
+                "90 deg: check that d_azimuth_rad is in radians"
             )
         reach = abs(self.elevation_offset_rad) + self.d_elevation_rad * (self.rows - 1) / 2
         if reach >= np.pi:
             raise OptionError(
-                f"the elevation reaches {np.degrees(reach):.1f} deg; it stays below 180 deg: check that "
+                f"the elevation reaches {np.degrees(reach):.1f} deg; it must stay below 180 deg: check that "
                 "d_elevation_rad is in radians"
             )
 
@@ -141,7 +141,7 @@ class AzimuthElevation:
 
 @dataclass(frozen=True)
 class PinholeGrid:
-    """A depth camera: cells are the pixels of a camera that looks along the scanner's X."""
+    """A depth camera: cells are the pixels of a camera facing along the scanner's X."""
 
     camera: Camera
 
@@ -176,7 +176,7 @@ class PinholeGrid:
 
 @dataclass(frozen=True)
 class SphericalGrid:
-    """Rows of equal polar angle, columns of equal longitude: panoramas, and clouds that came without a grid.
+    """Rows of equal polar angle, columns of equal longitude: panoramas, and clouds without a grid of their own.
 
     longitude = centre - (column - (W - 1)/2) d_longitude, positive to the left; latitude = top - row d_latitude.
     Direction (cos lat cos lon, cos lat sin lon, sin lat).
@@ -221,10 +221,9 @@ class SphericalGrid:
         """Return the fractional cells (..., 2) of directions (..., 3)."""
         d = np.asarray(directions)
         latitude = np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1]))
-        turn = np.arctan2(d[..., 1], d[..., 0]) - self.centre_longitude_rad
-        turn = (turn + np.pi) % (2 * np.pi) - np.pi
+        from_centre = wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - self.centre_longitude_rad)
         row = (self.top_latitude_rad - latitude) / self.d_latitude_rad
-        return np.stack([row, (self.columns - 1) / 2 - turn / self.d_longitude_rad], axis=-1)
+        return np.stack([row, (self.columns - 1) / 2 - from_centre / self.d_longitude_rad], axis=-1)
 
     def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the unit rays (..., 3) of fractional cells (..., 2)."""
@@ -237,18 +236,117 @@ class SphericalGrid:
 
 
 @dataclass(frozen=True, eq=False)
+class RingGrid:
+    """Rows are the rings of a spinning scanner at their latitudes, columns are equal steps of longitude.
+
+    latitude = `latitudes_rad[row]`, linear between rings; longitude = centre - (column - (W - 1)/2 +
+    `phases[row]`) d_longitude, positive to the left.
+    """
+
+    latitudes_rad: FloatArray
+    """(H,) falling from the top."""
+    phases: FloatArray
+    """(H,) delay of each ring, in columns."""
+    columns: int
+    d_longitude_rad: float
+    centre_longitude_rad: float
+
+    def __post_init__(self) -> None:
+        latitudes = read_only(self.latitudes_rad, np.float64, (None,), "the rings' latitudes")
+        if len(latitudes) < 2 or not (np.diff(latitudes) < 0).all():
+            raise ShapeError(
+                f"there are {len(latitudes)} rings; a grid needs at least 2, with latitudes falling from the top"
+            )
+        object.__setattr__(self, "latitudes_rad", latitudes)
+        object.__setattr__(self, "phases", read_only(self.phases, np.float64, latitudes.shape, "the rings' phases"))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W), cells."""
+        return len(self.latitudes_rad), self.columns
+
+    @property
+    def step_rad(self) -> tuple[float, float]:
+        """(median latitude step, longitude step), rad."""
+        return float(np.median(-np.diff(self.latitudes_rad))), self.d_longitude_rad
+
+    @cached_property
+    def rays(self) -> NDArray[np.float64]:
+        """(H, W, 3) unit rays, read-only."""
+        row, column = np.mgrid[: self.shape[0], : self.columns]
+        rays = self.ray_at(np.stack([row, column], axis=-1))
+        rays.flags.writeable = False
+        return rays
+
+    def cell_of(self, directions: ArrayLike) -> FloatArray:
+        """Return the fractional cells (..., 2) of directions (..., 3)."""
+        d = np.asarray(directions)
+        row = self._row_of(np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1])))
+        from_centre = wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - self.centre_longitude_rad)
+        phase = np.interp(row, np.arange(self.shape[0]), self.phases)
+        return np.stack([row, (self.columns - 1) / 2 - from_centre / self.d_longitude_rad - phase], axis=-1)
+
+    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Return the unit rays (..., 3) of fractional cells (..., 2)."""
+        c = np.asarray(cells, dtype=np.float64)
+        latitude = _extended_interp(c[..., 0], np.arange(float(self.shape[0])), self.latitudes_rad)
+        phase = np.interp(c[..., 0], np.arange(self.shape[0]), self.phases)
+        from_centre = (c[..., 1] - (self.columns - 1) / 2 + phase) * self.d_longitude_rad
+        longitude = self.centre_longitude_rad - from_centre
+        return np.stack(
+            [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
+        )
+
+    def _row_of(self, latitude: FloatArray) -> NDArray[np.float64]:
+        return _extended_interp(latitude, self.latitudes_rad[::-1], np.arange(float(self.shape[0]))[::-1])
+
+
+@dataclass(frozen=True, eq=False)
+class RotatedGrid:
+    """A geometry in a rotated frame, e.g. a spherical grid whose pole must not be within the cloud."""
+
+    grid: ScanGeometry
+    """The geometry, in its own frame."""
+    grid_from_scanner: FloatArray
+    """(3, 3) rotation."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W), cells."""
+        return self.grid.shape
+
+    @property
+    def step_rad(self) -> tuple[float, float]:
+        """The typical angle between neighbouring (rows, columns), rad."""
+        return self.grid.step_rad
+
+    @cached_property
+    def rays(self) -> NDArray[np.float64]:
+        """(H, W, 3) unit rays, read-only."""
+        rays = np.asarray(self.grid.rays @ self.grid_from_scanner)
+        rays.flags.writeable = False
+        return rays
+
+    def cell_of(self, directions: ArrayLike) -> FloatArray:
+        """Return the fractional cells (..., 2) of directions (..., 3)."""
+        return self.grid.cell_of(np.asarray(directions) @ self.grid_from_scanner.T)
+
+    def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Return the unit rays (..., 3) of fractional cells (..., 2)."""
+        return np.asarray(self.grid.ray_at(cells) @ self.grid_from_scanner)
+
+
+@dataclass(frozen=True, eq=False)
 class TabulatedGrid:
-    """A grid whose every cell has its own ray: E57 grids, and clouds gridded by a law that their points only follow
-    roughly.
+    """A grid with a ray for every cell: E57 grids, and clouds gridded by a geometry that their points follow roughly.
 
     Args:
-        table: (H, W, 3) rays of any length; NaN where the file has no point. Empty cells get a smooth fit plus the
+        table: (H, W, 3) rays of any length; NaN for cells without a point, which get a smooth fit plus the
             interpolated residuals of their neighbours.
-        law: a geometry that the table follows to within a cell (a cloud gridded by it): then `cell_of` is the law's.
+        law: a geometry that the table follows to within a cell (a cloud gridded by it); `cell_of` is then the law's.
 
     Raises:
-        ShapeError: if the table is no (H, W, 3) grid or has fewer than 12 rays, or if most neighbours share
-            one.
+        ShapeError: if the table is not an (H, W, 3) grid, has fewer than 12 rays, or most neighbours have the same ray.
     """
 
     table: FloatArray
@@ -263,7 +361,7 @@ class TabulatedGrid:
         object.__setattr__(self, "table", rays)
         if min(self.shape) > 1 and not min(self.step_rad) > _LEAST_STEP_RAD:
             raise ShapeError(
-                "most neighbouring cells of the scan look the same way; each cell must have a ray of its own"
+                "most neighbouring cells of the scan have the same ray; each cell must have a ray of its own"
             )
 
     @property
@@ -296,6 +394,14 @@ class TabulatedGrid:
         """Return the unit rays (..., 3) of fractional cells (..., 2), interpolated; NaN outside the table."""
         rays = interpolate_rays(self.rays, np.asarray(cells, dtype=np.float64))
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def _extended_interp(x: FloatArray, xp: FloatArray, fp: FloatArray) -> NDArray[np.float64]:
+    """Interpolate linearly, and extrapolate linearly beyond both ends."""
+    inside = np.interp(x, xp, fp)
+    below = (x - xp[0]) * (fp[1] - fp[0]) / (xp[1] - xp[0])
+    above = (x - xp[-1]) * (fp[-1] - fp[-2]) / (xp[-1] - xp[-2])
+    return np.asarray(np.where(x < xp[0], fp[0] + below, np.where(x > xp[-1], fp[-1] + above, inside)))
 
 
 def _check_grid(rows: int, columns: int) -> None:

@@ -1,4 +1,4 @@
-"""Spherical coordinates, and scans taken on a pan/tilt unit."""
+"""Spherical coordinates, and poses of a scanner on a pan/tilt unit."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ def azimuth_elevation_from_spherical(
 def pan_tilt_pose(pan_rad: float, tilt_rad: float, *, mount: ArrayLike = (0.0, 0.0, 0.0)) -> Rigid:
     """Return `world_from_scanner` of a scanner on a pan/tilt unit.
 
-    The world's origin is where pan and tilt axes cross. Pan turns left about the vertical, tilt turns up. The thesis
-    adds the encoders' angles to azimuth and elevation, which is off by 25 degrees at a pan of 90: pan adds to the
-    longitude only, so the rotations are composed and the angles taken afterwards.
+    The world's origin is the intersection of the pan and tilt axes. Positive pan is to the left, positive tilt up. The
+    thesis adds the encoder angles to azimuth and elevation, which is off by 25 degrees at a pan of 90: pan adds to the
+    longitude only, so the rotations are composed and the angles computed from them.
 
     Args:
         pan_rad: positive to the left.
         tilt_rad: positive upward.
-        mount: (3,) m, the scanner's centre in the unit's own turned frame.
+        mount: (3,) m, the scanner's centre in the rotated frame of the unit.
 
     Source: thesis 2.2.3, corrected.
     """

@@ -1,8 +1,6 @@
-"""A table of rays, one per cell: its holes filled, interpolated between cells, and inverted."""
+"""Tables of one ray per cell: filling of holes, interpolation between cells, and inversion."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import cv2
 import numpy as np
@@ -10,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.frames import wrap_angle
 
 _LEAST_RAYS = 12
 _RESIDUAL_REACH_CELLS = 8.0
@@ -23,12 +22,12 @@ def complete_ray_table(table: FloatArray, law_rays: FloatArray | None) -> NDArra
     """Return unit rays for every cell.
 
     Args:
-        table: (H, W, 3) rays of any length; NaN or zero where there is none.
-        law_rays: (H, W, 3) rays to fill holes with; None: a smooth fit of longitude and latitude over the grid, plus
-            the residuals of nearby cells, fading out within some ten cells.
+        table: (H, W, 3) rays of any length; NaN or zero for none.
+        law_rays: (H, W, 3) rays for the holes; None: a smooth fit of longitude and latitude over the grid, plus the
+            residuals of nearby cells, decaying within about ten cells.
 
     Raises:
-        ShapeError: if there is nothing to fit.
+        ShapeError: if there are too few rays for the fit.
     """
     length = np.linalg.norm(table, axis=-1)
     known = np.isfinite(length) & (length > 0)
@@ -52,24 +51,24 @@ def _smooth_rays(rays: NDArray[np.float64], known: BoolArray) -> NDArray[np.floa
 
 
 def _fit_angle(angle: NDArray[np.float64], known: BoolArray) -> NDArray[np.float64]:
-    """Fit an angle over the grid by a quadratic, with 2 pi jumps removed, and add the smoothed residuals."""
+    """Fit a quadratic to an angle over the grid, with 2 pi jumps removed, and add the smoothed residuals."""
     height, width = angle.shape
     row, column = np.mgrid[:height, :width].astype(np.float64)
     steps = []
     for axis in (0, 1):
-        difference = _wrapped(np.diff(angle, axis=axis))
+        difference = wrap_angle(np.diff(angle, axis=axis))
         both = np.take(known, range(1, known.shape[axis]), axis) & np.take(known, range(known.shape[axis] - 1), axis)
         steps.append(float(np.median(difference[both])) if both.any() else 0.0)
     trend = steps[0] * row + steps[1] * column
     rest = angle - trend
     offset = np.angle(np.exp(1j * rest[known]).mean())
-    rest = _wrapped(rest - offset)
+    rest = wrap_angle(rest - offset)
 
     r, c = row / max(height - 1, 1) * 2 - 1, column / max(width - 1, 1) * 2 - 1
     sample = np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _FIT_CELLS)]
     basis, values = _quadratic(r.ravel()[sample], c.ravel()[sample]), rest.ravel()[sample]
     use = np.ones(len(sample), np.bool_)
-    for _ in range(3):  # trimmed, so that a few bad points do not bend the law
+    for _ in range(3):  # trimmed, so that a few bad points do not distort the fit
         coefficients, *_ = np.linalg.lstsq(basis[use], values[use], rcond=None)
         error = np.abs(values - basis @ coefficients)
         use = error <= 4 * np.median(error[use]) + 1e-12
@@ -84,17 +83,13 @@ def _quadratic(r: FloatArray, c: FloatArray) -> NDArray[np.float64]:
     return np.stack([np.ones_like(r), r, c, r * c, r * r, c * c], axis=-1)
 
 
-def _wrapped(angle: Any) -> NDArray[np.float64]:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
-
-
 def interpolate_rays(rays: FloatArray, cells: FloatArray, *, beyond: float = 0.5) -> NDArray[np.float64]:
     """Interpolate a ray table bilinearly.
 
     Args:
         rays: (H, W, 3), unit.
         cells: (..., 2), fractional (row, column).
-        beyond: how many cells outside the outermost centres are extrapolated.
+        beyond: cells outside the outermost centres that are extrapolated.
 
     Returns:
         rays (..., 3), not normalised; NaN further outside.
@@ -126,7 +121,7 @@ def _bilinear(
 
 
 class RayTableInverse:
-    """Finds the fractional cell of a direction: the nearest ray by a tree, then Newton's method on the table."""
+    """Inverse of a ray table: the nearest ray from a tree, then Newton's method on the table."""
 
     def __init__(self, rays: NDArray[np.float64]) -> None:
         from scipy.spatial import cKDTree
@@ -139,7 +134,7 @@ class RayTableInverse:
         self._tree = cKDTree(rays[np.ix_(rows, columns)].reshape(-1, 3))
 
     def cell_of(self, directions: ArrayLike) -> NDArray[np.float64]:
-        """Return the fractional cells (..., 2) of directions (..., 3); NaN more than some cells outside the table."""
+        """Return the fractional cells (..., 2) of directions (..., 3); NaN more than 16 cells outside the table."""
         d = np.asarray(directions, dtype=np.float64)
         shape = d.shape[:-1]
         d = d.reshape(-1, 3)
@@ -149,7 +144,7 @@ class RayTableInverse:
         finite = np.flatnonzero(np.isfinite(d).all(axis=-1))
         d = d[finite]
         cells = self._cells[self._tree.query(d)[1]]
-        # Two tangent vectors of each direction: the ray is found where the table has no component along them.
+        # Two tangent vectors of each direction: at the cell sought the table's ray has no component along them.
         helper = np.where(np.abs(d[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
         e1 = np.cross(helper, d)
         e1 /= np.linalg.norm(e1, axis=-1, keepdims=True)
@@ -167,11 +162,11 @@ class RayTableInverse:
             cells = cells - step
             if not (np.abs(step) >= 1e-6).any():
                 break
-        # A table with jitter may make the iteration swing within a cell: what it found is then still that cell.
-        swing = np.abs(step).max(axis=-1) if len(d) else np.zeros(0)
-        # The opposite direction has no component along the tangents either.
+        # With jitter in the table the iteration may oscillate within a cell, which is then still the right one.
+        oscillation = np.abs(step).max(axis=-1) if len(d) else np.zeros(0)
+        # The opposite direction has no component along the tangents, either.
         facing = (_bilinear(self._rays, cells, _EXTRAPOLATED_CELLS)[0] * d).sum(-1) > 0
         with np.errstate(invalid="ignore"):
-            cells[~((swing < 1.0) & facing)] = np.nan
+            cells[~((oscillation < 1.0) & facing)] = np.nan
         result[finite] = cells
         return result.reshape(*shape, 2)

@@ -1,4 +1,4 @@
-"""The 2.5-D mesh of a scan: its grid as a surface, torn where the surface is."""
+"""The 2.5-D mesh of a scan: triangles over its grid, open at depth edges."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import OptionError
 from ladarreg_core.scan import Scan
+from ladarreg_core.validation import require_int
 
-_ALWAYS_SURFACE = 1.0  # tan 45 deg: an isolated step that no surface of one slope makes is an edge beyond it
-_SURFACE_IF_SUPPORTED = 3.7  # tan 75 deg: steeper than this a surface must show itself over three steps in a row
+_ALWAYS_SURFACE = 1.0  # tan 45 deg: steeper isolated steps are depth edges
+_SURFACE_IF_SUPPORTED = 3.7  # tan 75 deg: steeper surfaces need three equal steps in a row
 _SUPPORT = 0.35
 _SAME_SLOPE = 0.3
 _LEAST_SHARE = 0.5
@@ -57,28 +58,28 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridEdges:
-    """Which neighbouring cells lie on one surface; False too where either has no return."""
+    """Whether neighbouring cells lie on one surface; False also if either has no return."""
 
     right: BoolArray
-    """(H, W - 1) bool: cell (i, j) with (i, j + 1)."""
+    """(H, W - 1) bool: cells (i, j) and (i, j + 1)."""
     down: BoolArray
-    """(H - 1, W) bool: cell (i, j) with (i + 1, j)."""
+    """(H - 1, W) bool: cells (i, j) and (i + 1, j)."""
     noise_m: float
-    """Range noise that was allowed for, one sigma, estimated from the scan."""
+    """Range noise allowed for, one sigma, estimated from the scan."""
 
 
 _edges_of_scan: WeakKeyDictionary[Scan, GridEdges] = WeakKeyDictionary()
 
 
 def grid_edges(scan: Scan) -> GridEdges:
-    """Tell surface from depth edge between all neighbouring cells of a scan.
+    """Classify the steps between all neighbouring cells of a scan as surface or depth edge.
 
-    On a plane the inverse range is linear along the grid, however grazing the plane is, so a step in it is judged
-    against the steps beside it: a flat step is surface; a steeper one needs a neighbour that steps the same way; one
-    steeper than 75 degrees needs three equal steps in a row, which a mixed pixel between two surfaces cannot show.
+    On a plane the inverse range is linear along the grid, at any incidence, so a step in it is compared with the steps
+    beside it: a flat step is surface; a steeper one needs a neighbour of the same sign; one steeper than 75 degrees
+    needs three equal steps in a row, which mixed pixels between two surfaces do not produce.
 
     Returns:
-        The edges; kept for as long as the scan lives, since nothing about it can change.
+        The edges, cached for the lifetime of the scan, which is immutable.
     """
     edges = _edges_of_scan.get(scan)
     if edges is None:
@@ -87,25 +88,27 @@ def grid_edges(scan: Scan) -> GridEdges:
 
 
 def scan_mesh(scan: Scan, *, step: int | tuple[int, int] = 1, max_vertices: int | None = None) -> Mesh:
-    """Return the surface of a scan, with no triangle across a depth edge or a cell without return.
+    """Return the surface of a scan, without triangles across depth edges or cells without return.
 
     Args:
         scan: the scan.
-        step: take every n-th cell, of rows and columns alike or (rows, columns).
-        max_vertices: raise the step, on the axis with the finer angle first, until there are no more vertices than
-            this; None: keep the step.
+        step: use every n-th cell, one number for both or (rows, columns).
+        max_vertices: increase the step, first on the axis with the finer angle, until there are at most this many
+            vertices; None: keep the step.
 
     Returns:
-        The mesh; it has no faces if no three neighbouring cells have returns.
+        The mesh, without faces if no three neighbouring cells have returns.
 
     Raises:
         OptionError: if a step is below 1 or `max_vertices` below 4.
     """
     steps = step if isinstance(step, tuple) else (step, step)
-    if len(steps) != 2 or any(isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1 for n in steps):
-        raise OptionError(f"the mesh's step is {step}; it must be a whole number of cells, at least 1")
-    if max_vertices is not None and max_vertices < 4:
-        raise OptionError(f"max_vertices is {max_vertices}; a mesh needs at least 4")
+    if len(steps) != 2:
+        raise OptionError(f"the mesh's step has {len(steps)} numbers; give one, or two for rows and columns")
+    for size in steps:
+        require_int(size, "the mesh's step", least=1, unit="cells")
+    if max_vertices is not None:
+        require_int(max_vertices, "max_vertices", least=4)
     rows, columns = _decimate(scan, (int(steps[0]), int(steps[1])), max_vertices)
     if len(rows) == scan.shape[0] and len(columns) == scan.shape[1]:
         edges = grid_edges(scan)
@@ -140,14 +143,14 @@ def _decimate(scan: Scan, steps: tuple[int, int], max_vertices: int | None) -> t
 
 
 def grid_faces(ranges: FloatArray, edges: GridEdges, *, wanted: BoolArray | None = None) -> IntArray:
-    """Return the triangles of a grid, as flat cell indices, all of one turn over the grid.
+    """Return the triangles of a grid, as flat cell indices, all of one orientation on the grid.
 
-    A triangle is named by its right-angled corner and stands where the two edges at that corner do. Of a quad's two
-    diagonals the one is taken that keeps more triangles, then the one with the smaller step.
+    A triangle is identified by its right-angled corner and exists if the two edges at that corner do. Of the two
+    diagonals of a quad, the one that keeps more triangles is used, then the one with the smaller step.
 
     Args:
         ranges: (H, W) m; NaN = no return.
-        edges: which neighbours lie on one surface.
+        edges: surface between neighbours.
         wanted: (H - 1, W - 1) bool, quads to use; None: all.
 
     Returns:
@@ -178,7 +181,7 @@ def grid_faces(ranges: FloatArray, edges: GridEdges, *, wanted: BoolArray | None
 
 
 def _faces_toward_scanner(faces: IntArray, points: FloatArray) -> IntArray:
-    """Turn all triangles if most of them show the scanner their back: grids may run either way."""
+    """Flip all triangles if most of them face away from the scanner: grids may run either way."""
     if not len(faces):
         return faces
     sample = faces[:: max(1, len(faces) // 2000)]
@@ -195,14 +198,14 @@ def typical_range(ranges: FloatArray) -> float:
 
 def _surface_edges(ranges: FloatArray, rays: FloatArray) -> GridEdges:
     with np.errstate(over="ignore"):
-        q = (1 / ranges).astype(np.float32)  # no range is zero; NaN stays
+        q = (1 / ranges).astype(np.float32)  # ranges are never zero; NaN stays
     noise = _range_noise(ranges, q)
     planes = np.ascontiguousarray(np.moveaxis(rays, -1, 0), dtype=np.float32)
     return GridEdges(_line_edges(q, planes, 1, noise), _line_edges(q, planes, 0, noise), noise)
 
 
 def _line_edges(q: FloatArray, planes: FloatArray, axis: int, noise_m: float) -> BoolArray:
-    """Return which steps along an axis are surface, for inverse ranges q (H, W) and rays (3, H, W)."""
+    """Return which steps along an axis are surface, from inverse ranges q (H, W) and rays (3, H, W)."""
     first, second = ((np.s_[..., :-1], np.s_[..., 1:]), (np.s_[..., :-1, :], np.s_[..., 1:, :]))[1 - axis]
     gap = np.zeros(q[first].shape, dtype=np.float32)
     for plane in planes:
@@ -215,21 +218,21 @@ def _line_edges(q: FloatArray, planes: FloatArray, axis: int, noise_m: float) ->
     with np.errstate(invalid="ignore"):
         steepness = np.abs(step) / smaller - allowance  # relative to the nearer range, less the noise
         surface = np.asarray(steepness <= np.float32(_ALWAYS_SURFACE) * gap)
-        judged = np.nonzero((steepness > np.float32(_ALWAYS_SURFACE) * gap) & np.isfinite(step))
-    here = step[judged]
-    around = [_beside(step, judged, axis, offset) for offset in (-2, -1, 1, 2)]
-    tolerance = allowance[judged] * smaller[judged]
+        steep = np.nonzero((steepness > np.float32(_ALWAYS_SURFACE) * gap) & np.isfinite(step))
+    here = step[steep]
+    around = [_beside(step, steep, axis, offset) for offset in (-2, -1, 1, 2)]
+    tolerance = allowance[steep] * smaller[steep]
     supported = _is_supported(here, around[1], around[2])
     straight = _is_straight(here, around, tolerance)
-    gentle = steepness[judged] <= _SURFACE_IF_SUPPORTED * gap[judged]
-    surface[judged] = (gentle & supported) | straight
+    gentle = steepness[steep] <= _SURFACE_IF_SUPPORTED * gap[steep]
+    surface[steep] = (gentle & supported) | straight
     usual = float(np.median(gap.ravel()[:: max(1, gap.size // 4096)]))
     surface &= gap <= min(max(_LARGEST_GAP_STEPS * usual, 1e-6), _LARGEST_GAP_RAD)
     return surface
 
 
 def _beside(step: FloatArray, at: tuple[IntArray, ...], axis: int, offset: int) -> FloatArray:
-    """Return the steps `offset` places further along the axis; NaN outside the grid."""
+    """Return the steps `offset` cells further along the axis; NaN outside the grid."""
     index = list(at)
     index[axis] = at[axis] + offset
     inside = (index[axis] >= 0) & (index[axis] < step.shape[axis])
@@ -238,7 +241,7 @@ def _beside(step: FloatArray, at: tuple[IntArray, ...], axis: int, offset: int) 
 
 
 def _is_supported(here: FloatArray, before: FloatArray, after: FloatArray) -> BoolArray:
-    """A neighbour steps the same way, at least a third as far; or there is no neighbour to ask."""
+    """Return whether a neighbouring step has the same sign and a third of the size, or there is no neighbour."""
     with np.errstate(invalid="ignore"):
         least = _SUPPORT * np.abs(here)
         by_before, by_after = before * np.sign(here) >= least, after * np.sign(here) >= least
@@ -246,25 +249,25 @@ def _is_supported(here: FloatArray, before: FloatArray, after: FloatArray) -> Bo
 
 
 def _is_straight(here: FloatArray, around: Sequence[FloatArray], tolerance: FloatArray) -> BoolArray:
-    """The step is one of three in a row that are alike, as on a plane however grazing."""
+    """Return whether a step is one of three equal ones in a row, as on a plane at any incidence."""
 
-    def alike(a: FloatArray, b: FloatArray) -> Any:
+    def equal(a: FloatArray, b: FloatArray) -> Any:
         smaller, larger = np.minimum(np.abs(a), np.abs(b)), np.maximum(np.abs(a), np.abs(b))
-        # The share keeps noise from making a flat neighbour of a jump look like its continuation.
+        # The share prevents noise from making a flat neighbour of a jump look like its continuation.
         return (larger - smaller <= _SAME_SLOPE * larger + tolerance) & (smaller >= _LEAST_SHARE * larger) & (a * b > 0)
 
     two_before, before, after, two_after = around
     with np.errstate(invalid="ignore"):
-        left, right = alike(here, before), alike(here, after)
-        result = (left & right) | (left & alike(before, two_before)) | (right & alike(after, two_after))
+        left, right = equal(here, before), equal(here, after)
+        result = (left & right) | (left & equal(before, two_before)) | (right & equal(after, two_after))
     return np.asarray(result, dtype=np.bool_)
 
 
 def _range_noise(ranges: FloatArray, q: FloatArray) -> float:
     """Estimate the range noise, one sigma, m, from second differences of the inverse range, which vanish on planes.
 
-    The smaller of the two axes is taken (the coarser one sees the scene's shape), and a scanner's range quantum counts
-    as noise although most of its second differences are zero.
+    The smaller estimate of the two axes is used, since the coarser axis also measures the shape of the scene. The range
+    quantum of a scanner counts as noise although most of its second differences are zero.
     """
     typical = typical_range(ranges)
     estimates = []

@@ -1,4 +1,4 @@
-"""The perspective view: the scan's intensity as a camera at the scanner would see it."""
+"""The perspective view: the scan's intensity as seen by a camera at the scanner."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
+from ladarreg_core.validation import require_type
 
 WIDEST_VIEW_RAD = np.deg2rad(120.0)
-"""Beyond this no perspective picture is useful."""
+"""Largest field of view of a perspective image."""
 _NODE_PX = 8
-_DEPTH_EDGE = 0.04
 _OUTSIDE = -1e4
 _LONGEST_SIDE = 32_000
 _MOST_PIXELS = 100_000_000
@@ -31,45 +32,45 @@ _LARGEST_FOCAL_PX = 1e12
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A pinhole picture of the scan, taken from the scanner's own centre."""
+    """A pinhole image of the scan, from the scanner's own centre."""
 
     scan: Scan
-    """What it shows."""
+    """The scan shown."""
     camera: Camera
-    """Its ideal camera."""
+    """The camera, without distortion."""
     view_from_scanner: Rigid
-    """A rotation: the centre is shared, so that straight lines stay straight and rays stay rays."""
+    """A pure rotation: with a shared centre, straight lines stay straight and rays stay rays."""
     intensity: FloatArray
     """(h, w) float32, bilinear; 0 outside the grid."""
     cells: FloatArray
-    """(h, w, 2) float32, the fractional (column, row) of each pixel, in the order that `cv2.remap` takes; far outside
-    the grid where the view looks past it."""
+    """(h, w, 2) float32, the fractional (column, row) of each pixel, in the order of `cv2.remap`; far outside the grid
+    for pixels that look past it."""
 
     @cached_property
     def inside(self) -> BoolArray:
-        """(h, w) bool: which pixels look into the scan's grid."""
+        """(h, w) bool: pixels inside the scan's grid."""
         height, width = self.scan.shape
         column, row = self.cells[..., 0], self.cells[..., 1]
         return np.asarray((column >= 0) & (column <= width - 1) & (row >= 0) & (row <= height - 1))
 
     def resample(self, values: FloatArray) -> FloatArray:
-        """Return values (H, W) float32 of the scan's grid on the view's pixels (h, w), bilinear; 0 outside the grid."""
+        """Return values (H, W) float32 of the scan's grid at the view's pixels (h, w), bilinear; 0 outside the grid."""
         return np.asarray(_values_at(values, self.cells, cv2.INTER_LINEAR))
 
     def resample_ranges(self, ranges: FloatArray) -> FloatArray:
-        """Return ranges (H, W) m on the view's pixels, (h, w) float32; NaN = no return.
+        """Return ranges (H, W) m at the view's pixels, (h, w) float32; NaN = no return.
 
-        Bilinear inside a surface, the nearest cell at depth edges and beside holes: nothing is invented between a
-        foreground and its background.
+        Bilinear inside a surface; the nearest cell at depth edges and beside holes, so that no ranges between
+        foreground and background arise.
         """
         valid = np.isfinite(ranges)
         filled = np.where(valid, ranges, 0).astype(np.float32)
         corners = filled[:-1, :-1], filled[:-1, 1:], filled[1:, :-1], filled[1:, 1:]
         low, high = reduce(np.minimum, corners), reduce(np.maximum, corners)
         smooth = np.zeros(filled.shape, np.uint8)
-        smooth[:-1, :-1] = (low > 0) & (high - low < _DEPTH_EDGE * low)
+        smooth[:-1, :-1] = (low > 0) & (high - low < EDGE_FRACTION * low)
         linear, nearest = self.resample(filled), _values_at(filled, self.cells, cv2.INTER_NEAREST)
-        # The quad that a pixel falls into is named by its upper left cell: floor, not round.
+        # A quad is identified by its upper left cell: floor, not round.
         quad = _values_at(smooth, np.floor(self.cells), cv2.INTER_NEAREST)
         result = np.where(quad > 0, linear, nearest)
         return np.where(result > 0, result, np.nan).astype(np.float32)
@@ -96,53 +97,53 @@ def perspective_view(
     view_from_scanner: Rigid | None = None,
     most_pixels: int = _MOST_PIXELS,
 ) -> View:
-    """Return the scan's intensity in perspective.
+    """Return the scan's intensity as a perspective view.
 
     Args:
         scan: the scan.
-        camera: focal length and size of the picture, normally the photo's; its distortion is left out, and its
-            principal point moved to the middle. None: one pixel per cell, wide enough for the whole scan, but coarser
-            where it would have more than 16 times the scan's cells, 32,000 pixels a side, or `most_pixels`: a grid
-            that is finer in one direction than in the other has more pixels than cells.
-        whole_scan: widen the picture until it holds every return, up to 120 degrees each way.
-        view_from_scanner: where to look; its translation must be zero. None: along the mean valid direction, without
-            roll.
-        most_pixels: of a view without `camera`.
+        camera: focal length and size of the image, normally the photo's; distortion is ignored, and the principal
+            point moved to the middle. None: one pixel per cell, wide enough for the whole scan, but coarser if it
+            would have more than 16 times the scan's cells, 32,000 pixels a side, or `most_pixels`: a grid that is
+            finer in one direction than in the other has more pixels than cells.
+        whole_scan: widen the image until it contains every return, up to 120 degrees in each direction.
+        view_from_scanner: viewing direction; the translation must be zero. None: along the mean direction of the
+            returns, without roll.
+        most_pixels: limit of a view without `camera`.
 
     Returns:
-        the view, filled by inverse mapping. Pixels that look past the grid have intensity 0.
+        The view, filled by inverse mapping. Pixels outside the grid have intensity 0.
 
     Raises:
         OptionError: if `view_from_scanner` moves the centre, or the view would have more than 100 Mpixel or 32,000
             pixels a side.
-        DegenerateGeometryError: if no camera is given and the scan's rays do not spread, or spread so little one way
-            that no picture of this many pixels shows its rows and columns.
+        DegenerateGeometryError: if no camera is given and the scan's rays do not spread, or so little in one direction
+            that no image of this many pixels resolves its rows and columns.
 
     Source: thesis 2.2.2, Eq 2.2-2.5.
     """
-    if not isinstance(scan, Scan) or not isinstance(camera, Camera | None):
-        kinds = f"{type(scan).__name__} and {type(camera).__name__}"
-        raise OptionError(f"a view is made of a Scan and a Camera; {kinds} were given")
+    require_type(scan, Scan, "'scan'")
+    if camera is not None:
+        require_type(camera, Camera, "'camera'")
     if view_from_scanner is not None and np.abs(view_from_scanner.translation).max() > 1e-9:
-        raise OptionError("the view is not taken from the scanner's centre; its transform must be a rotation only")
-    turn = view_from_scanner or Rigid(look_along(scan.mean_direction), np.zeros(3))
+        raise OptionError("the view is not from the scanner's centre; its transform must be a pure rotation")
+    pose = view_from_scanner or Rigid(look_along(scan.mean_direction), np.zeros(3))
     if camera is None:
-        ideal = _native_camera(scan, turn, most_pixels)
+        ideal = _native_camera(scan, pose, most_pixels)
     else:
         ideal = Camera.from_focal(camera.width, camera.height, camera.focal_px)
         if whole_scan:
-            ideal = _widened(ideal, _extent(scan, turn))
+            ideal = _widened(ideal, _extent(scan, pose))
     if ideal.width * ideal.height > _MOST_PIXELS or max(ideal.size) > _LONGEST_SIDE:
         raise OptionError(
-            f"the view would have {ideal.width:,} x {ideal.height:,} pixels; at most {_MOST_PIXELS:,} are made, and "
-            f"{_LONGEST_SIDE:,} a side: take a smaller picture or a shorter focal length"
+            f"the view would have {ideal.width:,} x {ideal.height:,} pixels; at most {_MOST_PIXELS:,}, and "
+            f"{_LONGEST_SIDE:,} a side, are supported: use a smaller image or a shorter focal length"
         )
-    cells = _cell_maps(scan, ideal, turn)
-    return View(scan, ideal, turn, _values_at(scan.intensity, cells, cv2.INTER_LINEAR), cells)
+    cells = _cell_maps(scan, ideal, pose)
+    return View(scan, ideal, pose, _values_at(scan.intensity, cells, cv2.INTER_LINEAR), cells)
 
 
 def native_focal_px(scan: Scan) -> float:
-    """Return the focal length at which a view has one pixel per cell, by the scan's finer direction.
+    """Return the focal length, px, at which a view has one pixel per cell in the scan's finer direction.
 
     Raises:
         DegenerateGeometryError: if the scan's rays do not spread in both directions.
@@ -157,12 +158,12 @@ def native_focal_px(scan: Scan) -> float:
 
 
 def most_view_pixels(scan: Scan) -> int:
-    """Return how many pixels a view of a scan may have: 16 for each cell; more would only repeat its cells."""
+    """Return the limit of pixels for a view of a scan: 16 per cell; more would only repeat its cells."""
     return _MOST_PIXELS_PER_CELL * scan.ranges.size
 
 
 def check_viewable(scan: Scan, focal_px: float) -> None:
-    """Refuse a focal length, coarser than a pixel per cell, at which too little is left of the scan's rows or columns.
+    """Raise an error if a focal length, coarser than a pixel per cell, leaves too few pixels for rows or columns.
 
     Raises:
         DegenerateGeometryError: if a direction of more than 8 cells has fewer than 8 pixels.
@@ -172,12 +173,12 @@ def check_viewable(scan: Scan, focal_px: float) -> None:
         rows, columns = np.degrees(spans)
         raise DegenerateGeometryError(
             f"the scan's {scan.shape[0]} rows span {rows:.3g} deg and its {scan.shape[1]} columns {columns:.3g} deg, "
-            "which no picture shows together; check the file's angles per row and per column"
+            "which no single image resolves; check the file's angles per row and per column"
         )
 
 
 def _native_camera(scan: Scan, view_from_scanner: Rigid, most_pixels: int) -> Camera:
-    """Return a camera that sees the whole scan at one pixel per cell, or as finely as the bounds allow."""
+    """Return a camera that sees the whole scan at one pixel per cell, or as finely as the limits allow."""
     most = min(most_pixels, most_view_pixels(scan))
     extent, native = _extent(scan, view_from_scanner), native_focal_px(scan)
     focal = native
@@ -192,7 +193,7 @@ def _native_camera(scan: Scan, view_from_scanner: Rigid, most_pixels: int) -> Ca
 
 
 def _extent(scan: Scan, view_from_scanner: Rigid) -> tuple[float, float]:
-    """Return how far the returns in front reach right or left and up or down, as tangents, within 120 degrees."""
+    """Return the horizontal and vertical extent of the returns in front, as tangents, within 120 degrees."""
     rays = scan.rays[scan.valid] @ view_from_scanner.rotation.T
     rays = rays[rays[:, 2] > np.cos(WIDEST_VIEW_RAD / 2) * 0.5]
     limit = float(np.tan(WIDEST_VIEW_RAD / 2))
@@ -201,18 +202,18 @@ def _extent(scan: Scan, view_from_scanner: Rigid) -> tuple[float, float]:
 
 
 def _widened(camera: Camera, extent: tuple[float, float]) -> Camera:
-    """Grow the picture, at the same focal length, until what reaches so far is inside."""
+    """Enlarge the image, at the same focal length, to an extent given as tangents."""
     width = max(camera.width, int(np.ceil(2 * extent[0] * camera.fx)) + 1)
     height = max(camera.height, int(np.ceil(2 * extent[1] * camera.fy)) + 1)
     return Camera.from_focal(width, height, camera.focal_px)
 
 
 def _cell_maps(scan: Scan, camera: Camera, view_from_scanner: Rigid) -> FloatArray:
-    """Return (h, w, 2) float32 (column, row): exact at nodes some pixels apart, linear between.
+    """Return (h, w, 2) float32 (column, row): exact at nodes eight pixels apart, linear between.
 
-    The error between the nodes is below .01 cell, less than the 1/32 to which `cv2.remap` rounds its coordinates.
+    The error between nodes is below .01 cell, less than the 1/32 to which `cv2.remap` rounds coordinates.
     """
-    # A resize by n puts node k at pixel n k + (n - 1)/2; one node more on each side keeps it from extrapolating.
+    # A resize by n puts node k at pixel n k + (n - 1)/2; an extra node on each side avoids extrapolation.
     columns, rows = -(-camera.width // _NODE_PX) + 2, -(-camera.height // _NODE_PX) + 2
     offset = (_NODE_PX - 1) / 2 - _NODE_PX
     u, v = (np.arange(n, dtype=np.float32) * _NODE_PX + np.float32(offset) for n in (columns, rows))
@@ -222,20 +223,20 @@ def _cell_maps(scan: Scan, camera: Camera, view_from_scanner: Rigid) -> FloatArr
     cells: FloatArray = dense[_NODE_PX : _NODE_PX + camera.height, _NODE_PX : _NODE_PX + camera.width]
     broken = _broken_between_nodes(nodes, 0.25 * max(scan.shape))
     if broken.any():
-        # Nearest neighbours give each quad the pixels from its first node on; a quad reaches one node further.
+        # Nearest neighbours mark the pixels from the first node of a quad on; the quad reaches one node further.
         reach = np.ones((_NODE_PX + 1, _NODE_PX + 1), np.uint8)
         exact = cv2.dilate(cv2.resize(broken.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), reach)
         y, x = np.nonzero(exact[_NODE_PX : _NODE_PX + camera.height, _NODE_PX : _NODE_PX + camera.width])
         cells = np.ascontiguousarray(cells)
         cells[y, x] = _columns_rows(scan, camera, view_from_scanner, x.astype(np.float32), y.astype(np.float32))
-    if broken.any() or not np.isfinite(nodes).all():  # also where the lens or table shows nothing here at all
+    if broken.any() or not np.isfinite(nodes).all():  # also if the lens or table covers nothing here
         cells = np.nan_to_num(cells, nan=_OUTSIDE)
     return cells
 
 
 def _values_at(values: NDArray[Any], cells: FloatArray, interpolation: int) -> NDArray[Any]:
     """Return values (H, W) of a grid at (h, w, 2) fractional (column, row); 0 outside."""
-    if max(values.shape) > _LONGEST_SIDE:  # OpenCV's own lookup refuses such grids
+    if max(values.shape) > _LONGEST_SIDE:  # cv2.remap refuses such grids
         at = np.rint(cells) if interpolation == cv2.INTER_NEAREST else cells
         return look_up(values, at[..., 0], at[..., 1], outside=(0.0,))
     both_coordinates: Any = None
@@ -243,9 +244,9 @@ def _values_at(values: NDArray[Any], cells: FloatArray, interpolation: int) -> N
 
 
 def _broken_between_nodes(nodes: FloatArray, jump: float) -> BoolArray:
-    """Return where (rows, columns) a node and one of its neighbours cannot be interpolated between.
+    """Return the nodes (rows, columns) between which and a neighbour no interpolation is possible.
 
-    That is at a lens's or a table's edge (NaN on one side only) and at the seam of a full turn.
+    These are at the edge of a lens or table (NaN on one side only) and at the seam of a full turn.
     """
     steps = [nodes[1:] - nodes[:-1], nodes[:, 1:] - nodes[:, :-1]]
     if all(step.max() < jump and step.min() > -jump for step in steps):  # false for NaN, too

@@ -1,8 +1,16 @@
-"""The range of the surface that a ray between the scan's cells meets."""
+"""Ranges of the surface along rays between the scan's cells, and their relative quality.
+
+Three effects make a range noisier than others: a weak return; grazing incidence, at which a ray beside the cell meets
+another range; and a depth edge nearby, whose two surfaces the laser spot may have mixed.
+
+Source: thesis 2.1 and 4 for the effects. The variance is proportional to 1 / light: in the simulator, from a tenth to
+16 times the usual light, to 15 % of the standard deviation.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,35 +19,42 @@ from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.scan import Scan
 
 EDGE_FRACTION = 0.04
-"""Neighbouring ranges further apart than this, of the nearer one, are two surfaces."""
+"""Neighbouring ranges that differ by more than this fraction of the nearer one belong to two surfaces."""
+_LEAST_NOISE_M = 1e-3  # least noise assumed of a usual return, to which the other effects are compared
+_LEAST_WEAKNESS, _MOST_WEAKNESS = 0.25, 16.0  # factors of the variance; beyond, detectors saturate or reach their limit
+_OFF_RAY_CELLS = 0.3  # rms distance of a picked ray from the centre of its cell
+_NEAR_EDGE = 4.0  # times the variance within two cells of a depth edge
+_AROUND = 2
+_SAMPLE = 10_000  # cells from which the usual light is estimated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredRanges:
-    """What a scan measures along N rays."""
+    """Ranges of a scan along N rays."""
 
     ranges: FloatArray
-    """(N,) m, of the surface met; NaN without a return or at a depth edge."""
+    """(N,) m, of the surface hit; NaN without a return or at a depth edge."""
     edge: BoolArray
-    """(N,) bool: a depth edge is why there is none."""
+    """(N,) bool: no range because of a depth edge."""
     outline: FloatArray
-    """(N,) m, as `ranges`, but of the nearer surface at a depth edge or a hole's rim: an outline is its; NaN: none."""
+    """(N,) m, as `ranges`, but at a depth edge or the rim of a hole that of the nearer surface, to which an outline
+    belongs; NaN: none."""
     cells: IntArray
-    """(N, 4) the four cells around, as flat indices into the scan."""
+    """(N, 4) the four surrounding cells, as flat indices into the scan."""
     shares: FloatArray
-    """(N, 4) what each cell contributes to 1 / `outline`; rows sum to 1, or to 0 without a return."""
+    """(N, 4) weight of each cell in 1 / `outline`; rows sum to 1, or to 0 without a return."""
 
 
 def surface_range(scan: Scan, rays: FloatArray) -> NDArray[np.float64]:
-    """Return the range (N,), m, of the surface that rays (N, 3) meet; NaN without a return or at a depth edge.
+    """Return the range (N,), m, of the surface along rays (N, 3); NaN without a return or at a depth edge.
 
-    Inside a surface, bilinear in 1/range of the four cells around, which is exact on a plane up to their angles.
+    Inside a surface, bilinear in 1/range of the four surrounding cells, which is exact on a plane up to their angles.
     """
     return np.asarray(measured_ranges(scan, rays).ranges)
 
 
 def measured_ranges(scan: Scan, rays: FloatArray) -> MeasuredRanges:
-    """Return the range of `surface_range` along unit rays (N, 3), and why where there is none."""
+    """Return the ranges of `surface_range` along unit rays (N, 3), with the reason for missing ones."""
     position = np.asarray(scan.geometry.cell_of(rays), dtype=np.float64)
     height, width = scan.shape
     row, column = position[:, 0], position[:, 1]
@@ -58,10 +73,84 @@ def measured_ranges(scan: Scan, rays: FloatArray) -> MeasuredRanges:
         edge = inside & (high - low > EDGE_FRACTION * low)
         near = inside[:, None] & (corners - nearest[:, None] <= EDGE_FRACTION * nearest[:, None])
     bilinear = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b], axis=1)
-    # of the nearer surface's cells each counts alike: the least of them would be the noise's choice
-    alike = near / np.maximum(np.count_nonzero(near, axis=1), 1)[:, None]
-    shares = np.where(smooth[:, None], bilinear, alike)
+    # equal weights for the cells of the nearer surface: taking the smallest range would select by noise
+    equal = near / np.maximum(np.count_nonzero(near, axis=1), 1)[:, None]
+    shares = np.where(smooth[:, None], bilinear, equal)
     inverse = (shares / np.where(near | smooth[:, None], corners, 1)).sum(axis=1)
     with np.errstate(divide="ignore"):
         outline = np.where(near.any(axis=1), 1 / inverse, np.nan)
     return MeasuredRanges(np.where(smooth, outline, np.nan), edge, outline, cells, shares)
+
+
+def range_quality(scan: Scan, rays: FloatArray) -> FloatArray:
+    """Return the relative information (inverse variance) of the ranges along rays.
+
+    Args:
+        scan: the scan.
+        rays: (N, 3) unit, scanner frame.
+
+    Returns:
+        (N,) above 0, at most 4; 1 for a usual return from a surface facing the scanner, far from depth edges. The value
+        is meaningless without a return and outside the scan.
+    """
+    height, width = scan.shape
+    cells = np.nan_to_num(np.asarray(scan.geometry.cell_of(rays), dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    row = np.clip(np.rint(cells[:, 0]), 0, height - 1).astype(np.intp)
+    column = np.clip(np.rint(cells[:, 1]), 0, width - 1).astype(np.intp)
+    steps = np.arange(-_AROUND, _AROUND + 1)
+    rows = np.clip(row[:, None] + steps, 0, height - 1)[:, :, None]
+    columns = np.clip(column[:, None] + steps, 0, width - 1)[:, None, :]
+    around = scan.ranges[rows, columns].astype(np.float64)  # (N, 5, 5)
+    return np.asarray(
+        1 / (_weakness(scan, row, column) * _edge_factor(around) + _slope_variance(around, _noise_m(scan)))
+    )
+
+
+def _weakness(scan: Scan, row: IntArray, column: IntArray) -> FloatArray:
+    """Return the factor of the range variance due to the returned light."""
+    stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLE)))
+    light = _light(scan, (slice(None, None, stride), slice(None, None, stride)))
+    known = light[np.isfinite(light)]
+    usual = float(np.median(known)) if len(known) else 0.0
+    if usual <= 0:
+        return np.ones(len(row))
+    here = np.nan_to_num(_light(scan, (row, column)), nan=usual)
+    return np.asarray(np.clip(usual / np.maximum(here, usual / _MOST_WEAKNESS), _LEAST_WEAKNESS, _MOST_WEAKNESS))
+
+
+def _light(scan: Scan, cells: tuple[Any, ...]) -> FloatArray:
+    """Return the returned light of cells, in any unit; NaN without a return."""
+    light, ranges = scan.intensity[cells].astype(np.float64), scan.ranges[cells].astype(np.float64)
+    if scan.intensity_is == "range_normalised":
+        return np.asarray(light / (ranges * ranges))
+    return np.where(np.isfinite(ranges), light, np.nan)
+
+
+def _noise_m(scan: Scan) -> float:
+    """Return the range noise of a usual return, m, from second differences along some rows."""
+    rows = max(1, int(scan.shape[0] * scan.shape[1] / _SAMPLE))
+    bend = np.abs(np.diff(scan.ranges[::rows].astype(np.float64), n=2, axis=1))
+    bend = bend[np.isfinite(bend)]
+    return max(_LEAST_NOISE_M, float(1.4826 * np.median(bend) / np.sqrt(6))) if len(bend) else _LEAST_NOISE_M
+
+
+def _slope_variance(around: FloatArray, noise_m: float) -> FloatArray:
+    """Return the variance added by a ray off the centre of its cell, relative to that of a usual return."""
+    variance = np.zeros(len(around))
+    middle = _AROUND
+    for line in (around[:, middle], around[:, :, middle]):
+        steps = np.diff(line[:, middle - 1 : middle + 2], axis=1)
+        # the other side may be another surface, and steps of both signs are noise, not slope
+        least = np.nan_to_num(np.fmin(*np.abs(steps).T), nan=0.0)
+        variance += np.where(steps[:, 0] * steps[:, 1] < 0, 0.0, (_OFF_RAY_CELLS * least / noise_m) ** 2)
+    return variance
+
+
+def _edge_factor(around: FloatArray) -> FloatArray:
+    """Return the factor of the variance due to a depth edge, or a cell without return, nearby."""
+    jump = np.zeros(len(around), dtype=np.bool_)
+    for axis in (1, 2):
+        with np.errstate(invalid="ignore"):
+            low = np.minimum(np.delete(around, 0, axis=axis), np.delete(around, -1, axis=axis))
+            jump |= ~(np.abs(np.diff(around, axis=axis)) <= EDGE_FRACTION * low).all(axis=(1, 2))
+    return np.where(jump, _NEAR_EDGE, 1.0)

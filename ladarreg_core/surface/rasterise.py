@@ -1,4 +1,4 @@
-"""Triangles drawn into the picture of an ideal camera, with a depth buffer."""
+"""Rasterises triangles into the image of an ideal camera, with a z-buffer."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def rasterise_depth(points_camera: FloatArray, faces: IntArray, camera: Camera) 
         camera: the camera; its distortion is not applied.
 
     Returns:
-        depth (H, W) float32, z in m, infinite where no triangle is. Triangles are cut 1 cm before the camera.
+        depth (H, W) float32, z in m, infinite without a triangle. Triangles are clipped 1 cm in front of the camera.
     """
     return _rasterise(points_camera, faces, None, camera)[0]
 
@@ -43,7 +43,7 @@ def rasterise_values(
         camera: the camera; its distortion is not applied.
 
     Returns:
-        depth (H, W) as `rasterise_depth`, and values (H, W, 3) float32, 0 where no triangle is.
+        depth (H, W) as `rasterise_depth`, and values (H, W, 3) float32, 0 without a triangle.
     """
     depth, drawn = _rasterise(points_camera, faces, values, camera)
     assert drawn is not None
@@ -51,10 +51,10 @@ def rasterise_values(
 
 
 def covering_pinhole(camera: Camera, *, scale: float = 1.0) -> Camera:
-    """Return an ideal camera of `scale` times the focal length that sees all that a distorted one sees.
+    """Return an ideal camera of `scale` times the focal length that covers the image of a distorted one.
 
-    What lies more than 75 degrees off the axis is given up, since a plane picture of it grows without bound, and so is
-    resolution where the picture would have more than 24 million pixels.
+    Directions over 75 degrees off the axis are left out, since a plane image of them grows without bound; resolution is
+    reduced if the image would have more than 24 million pixels.
     """
     if not camera.distortion:
         return camera.scaled(scale)
@@ -95,9 +95,9 @@ def _rasterise(
     farthest, nearest = float(points[:, 2].max()), float(points[:, 2].min())
     far = farthest * 1.01 + 1.0
     depth = np.full((height, width), far, dtype=np.float32)
-    # OpenCV takes a vertical field of view and a centred principal point. A shear of the vertices moves the principal
-    # point and a stretch makes fx of fy, so no padding is needed. Its rows of pixels have their centres at +.5, and its
-    # camera looks along -z with y up.
+    # OpenCV expects a vertical field of view and a centred principal point. Shearing the vertices moves the principal
+    # point and scaling them turns fy into fx, so no padding is needed. Its pixel centres are at +.5, and its camera
+    # looks along -z with y up.
     shaped = np.array(
         [
             [camera.fx / camera.fy, 0.0, (camera.cx + 0.5 - width / 2) / camera.fy, 0.0],
@@ -111,7 +111,7 @@ def _rasterise(
     settings = cv2.TriangleRasterizeSettings()
     settings.setCullingMode(cv2.RASTERIZE_CULLING_NONE)
     settings.setShadingType(cv2.RASTERIZE_SHADING_SHADED)
-    lens = (from_camera, field_of_view, nearest / 2, far, settings)  # its depth buffer is finest near the near plane
+    lens = (from_camera, field_of_view, nearest / 2, far, settings)  # the z-buffer is finest near the near plane
     if colors is None or drawn is None:
         cv2.triangleRasterizeDepth(points, faces, depth, *lens)
     else:
@@ -123,7 +123,7 @@ def _rasterise(
 def _clipped(
     points: NDArray[np.float32], faces: IntArray, values: NDArray[np.float32] | None
 ) -> tuple[NDArray[np.float32], IntArray, NDArray[np.float32] | None]:
-    """Cut triangles at the near plane: those behind go, those across it become one triangle or two."""
+    """Clip triangles at the near plane: those behind are removed, those across it become one or two triangles."""
     in_front = points[:, 2] >= _NEAR_M
     count = in_front[faces].sum(axis=1)
     kept = [faces[count == 3]]
@@ -133,7 +133,7 @@ def _clipped(
         crossing = faces[count == corners_in_front]
         if not len(crossing):
             continue
-        # Turn each so that the odd corner, alone on its side, comes first.
+        # Rotate the corners so that the odd one, alone on its side, comes first.
         odd = np.argmax(in_front[crossing] == (corners_in_front == 1), axis=1)
         a, b, c = (np.take_along_axis(crossing, ((odd + k) % 3)[:, None], axis=1)[:, 0] for k in range(3))
         n = len(crossing)
@@ -152,5 +152,5 @@ def _clipped(
             kept += [np.stack([ab, b, c], axis=-1), np.stack([ab, c, ac], axis=-1)]
     faces = np.concatenate(kept)
     points = np.concatenate(all_points)
-    used, index = np.unique(faces, return_inverse=True)  # what lies behind must not enter the projection
+    used, index = np.unique(faces, return_inverse=True)  # points behind must not enter the projection
     return points[used], index.reshape(faces.shape), np.concatenate(all_values)[used] if values is not None else None

@@ -1,4 +1,4 @@
-"""Bilinear lookup in pictures of any size: OpenCV's own stops at 32766 rows or columns."""
+"""Bilinear lookup in images of any size: `cv2.remap` is limited to 32,766 rows and columns."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import FloatArray
 
 _LONGEST_SIDE = 32_000
-_PLACE_OUTSIDE = np.float32(-100)
+_PIXEL_OUTSIDE = np.float32(-100)
 
 
 def look_up(
     picture: NDArray[Any], u: FloatArray, v: FloatArray, *, outside: tuple[float, ...] | None = None
 ) -> NDArray[Any]:
-    """Return a picture's values at fractional pixels, interpolated bilinearly.
+    """Return an image's values at fractional pixels, interpolated bilinearly.
 
     Args:
         picture: (h, w) or (h, w, C), uint8 or float32.
         u: (H, W) columns, finite; (0, 0) is the centre of the top-left pixel.
         v: (H, W) rows, finite.
-        outside: the value of what lies outside the picture, one number per channel; None: that of the nearest border.
+        outside: value outside the image, one number per channel; None: that of the nearest border pixel.
 
     Returns:
-        values (H, W) or (H, W, C) of the picture's type.
+        values (H, W) or (H, W, C) of the image's type.
     """
     height, width = u.shape
     if max(height, width) <= _LONGEST_SIDE and max(picture.shape[:2]) <= _LONGEST_SIDE:
@@ -37,7 +37,7 @@ def look_up(
         for tile in tiles:
             result[tile] = look_up(picture, u[tile], v[tile], outside=outside)
         return result
-    # The picture is too large: look only at the part of it that these places need.
+    # The image is too large: crop it to the part that these pixels need.
     rows, columns = picture.shape[:2]
     inside = (u > -1) & (u < columns) & (v > -1) & (v < rows)
     if outside is None:
@@ -52,7 +52,7 @@ def look_up(
         for tile in _halves(height, width):
             result[tile] = look_up(picture, u[tile], v[tile], outside=outside)
         return result
-    u, v = (np.where(inside, a - np.float32(b), _PLACE_OUTSIDE) for a, b in ((u, left), (v, top)))
+    u, v = (np.where(inside, a - np.float32(b), _PIXEL_OUTSIDE) for a, b in ((u, left), (v, top)))
     return _remap(np.ascontiguousarray(picture[top:bottom, left:right]), u, v, outside)
 
 

@@ -1,4 +1,4 @@
-"""A scan's own colours seen from another place: half-real photographs whose pose is known exactly."""
+"""Renders a scan's own colours from another camera position: photographs with an exactly known pose."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import scan_mesh
 from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_values
+from ladarreg_core.validation import require_int
 
 _MAP_BLOCK_PX = 4
 _LARGEST_SUPERSAMPLE = 8
@@ -27,10 +28,10 @@ def render_scan_colors(
     supersample: int = 3,
     background: tuple[int, int, int] = (128, 128, 128),
 ) -> tuple[ByteArray, BoolArray]:
-    """Draw a scan's own colours, through its surface, as a camera elsewhere sees them.
+    """Render a scan's own colours, on its surface, as seen by another camera.
 
-    Colours run linearly over each triangle of the scan's mesh and pixels are averaged over their area, so that the
-    picture is correct to a few hundredths of a pixel wherever the scan is.
+    Colours are linear over each triangle of the scan's mesh and averaged over the area of each pixel, so that the image
+    is correct to a few hundredths of a pixel where the scan is.
 
     Args:
         scan: the scan.
@@ -38,21 +39,20 @@ def render_scan_colors(
         camera_from_scanner: its pose.
         picture: (H, W, 3) uint8 on the scan's grid; None: the scan's own colour.
         supersample: samples per pixel along each axis, 1 to 8.
-        background: what is seen where the scan has no surface, RGB.
+        background: RGB where the scan has no surface.
 
     Returns:
-        rgb (height, width, 3) uint8, and which pixels the scan covers by half or more (height, width) bool.
+        rgb (height, width, 3) uint8, and the pixels that the scan covers by at least half, (height, width) bool.
 
     Raises:
-        ShapeError: if the scan has no colour and no picture is given, or the picture is not on the scan's grid.
+        ShapeError: if the scan has no colour and no image is given, or the image is not on the scan's grid.
         OptionError: if `supersample` is out of range.
     """
     own = scan.color if picture is None else picture
     if own is None:
-        raise ShapeError("the scan has no colour of its own; give a picture on its grid, or a scan with colour")
-    texture = read_only(own, np.uint8, (*scan.shape, 3), "the scan's picture")
-    if isinstance(supersample, bool) or supersample not in range(1, _LARGEST_SUPERSAMPLE + 1):
-        raise OptionError(f"supersample is {supersample}; it must be a whole number from 1 to {_LARGEST_SUPERSAMPLE}")
+        raise ShapeError("the scan has no colour of its own; give an image on its grid, or a scan with colour")
+    texture = read_only(own, np.uint8, (*scan.shape, 3), "the image on the scan's grid")
+    require_int(supersample, "supersample", least=1, most=_LARGEST_SUPERSAMPLE)
     mesh = scan_mesh(scan)
     values = texture[mesh.cells[:, 0], mesh.cells[:, 1]].astype(np.float32) / 255
     ideal = covering_pinhole(camera, scale=supersample)
@@ -61,22 +61,22 @@ def render_scan_colors(
     covered = np.isfinite(depth).astype(np.float32)
     if camera.distortion:
         at = _ideal_positions(camera, ideal, supersample)
-        drawn, covered = _looked_up(drawn, at), _looked_up(covered, at)
+        drawn, covered = _resampled(drawn, at), _resampled(covered, at)
     colour = cv2.resize(drawn, camera.size, interpolation=cv2.INTER_AREA)
     share = cv2.resize(covered, camera.size, interpolation=cv2.INTER_AREA)
     colour = colour * 255 + (1 - share[..., None]) * np.array(background, dtype=np.float32)
     return np.clip(np.rint(colour), 0, 255).astype(np.uint8), np.asarray(share >= 0.5)
 
 
-def _looked_up(image: NDArray[np.float32], at: FloatArray) -> NDArray[np.float32]:
+def _resampled(image: NDArray[np.float32], at: FloatArray) -> NDArray[np.float32]:
     u, v = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
     return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), dtype=np.float32)
 
 
 def _ideal_positions(camera: Camera, ideal: Camera, supersample: int) -> NDArray[np.float32]:
-    """Return where each sample of a distorted picture lies in the ideal one, (H s, W s, 2) float32 pixels.
+    """Return the position of each sample of a distorted image in the ideal one, (H s, W s, 2) float32 pixels.
 
-    The lens is inverted at the centres of blocks of 4 x 4 pixels and interpolated between them, to within .01 px.
+    The distortion is inverted at the centres of blocks of 4 x 4 pixels and interpolated between them, to .01 px.
     """
     block = _MAP_BLOCK_PX
     counts = [-(-n // block) + 2 for n in camera.size]  # one block beyond each border

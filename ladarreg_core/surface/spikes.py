@@ -1,4 +1,4 @@
-"""The range-spike gate: which returns stand alone against their neighbourhood."""
+"""Removal of range spikes: isolated returns that differ from their neighbourhood."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray
 
 SPIKE_FRACTION = 0.05
-"""A range further than this fraction from the median of its 5 x 5 cells is a spike: without the gate a twelfth of a
-room's pixels are falsely occluded by them."""
+"""A range that differs by more than this fraction from the median of its 5 x 5 cells is a spike. Unremoved, spikes
+falsely occlude a twelfth of a room's pixels."""
 
 
 def fill_from_nearest(image: FloatArray, valid: BoolArray) -> FloatArray:
-    """Return the image (H, W) with every invalid cell given the value of its nearest valid one.
+    """Return the image (H, W) with every invalid cell set to the value of its nearest valid one.
 
-    An image without any valid cell comes back as zeros.
+    An image without any valid cell becomes zeros.
     """
     if valid.all():
         return image
@@ -25,7 +25,7 @@ def fill_from_nearest(image: FloatArray, valid: BoolArray) -> FloatArray:
         (~valid).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
     hole = ~valid
-    rim = valid & (cv2.dilate(hole.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)  # where a hole's nearest cells lie
+    rim = valid & (cv2.dilate(hole.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)  # the nearest cells of holes
     value_of = np.zeros(int(labels.max()) + 1, image.dtype)
     value_of[labels[rim]] = image[rim]
     filled = image.copy()
@@ -40,7 +40,7 @@ def median_range(ranges: FloatArray) -> FloatArray:
 
 
 def gate_spikes(ranges: FloatArray) -> FloatArray:
-    """Return ranges (H, W) float32, m, with spikes set to NaN: what is over 5 % off the median of its 5 x 5 cells."""
+    """Return ranges (H, W) float32, m, with spikes set to NaN: those over 5 % off the median of their 5 x 5 cells."""
     median = median_range(ranges)
     with np.errstate(invalid="ignore"):
         spike = np.abs(ranges - median) > SPIKE_FRACTION * median

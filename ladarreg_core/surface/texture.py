@@ -1,4 +1,4 @@
-"""The photograph on the scan's grid, with a label that says what each colour is worth."""
+"""The photograph on the scan's grid with a visibility class for every cell, and images of the model made of it."""
 
 from __future__ import annotations
 
@@ -13,40 +13,43 @@ from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
+from ladarreg_core.palette import UNSEEN
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import grid_edges
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.uncertainty import pixel_sigma
 from ladarreg_core.surface.visibility import ScanProjection, project_scan
+from ladarreg_core.validation import require_number
 
-BACKGROUND = (48, 48, 48)
-"""The uniform colour of cells that the camera does not see."""
 _LARGEST_POSE_SIGMA_PX = 2.0
 _NET_NODES = 65
 _UNSEEN_BRIGHTNESS = 0.45
 _OUTSIDE = np.float32(-10)
+_DARKEST, _BRIGHTEST = 18.0, 245.0
+_PERCENTILES = (1.0, 99.0)
+_GAMMA = 0.6  # raw intensity falls with the square of the range: most values are near the dark end
 
 
 class Label(IntEnum):
-    """What a cell's colour is worth; the codes stand in every export."""
+    """Visibility class of a cell: how reliable its colour is. The codes are part of every export."""
 
     NO_RETURN = 0
-    """The scanner measured nothing here."""
+    """The scanner has no return."""
     SEEN = 1
-    """The camera sees it."""
+    """Visible to the camera."""
     OCCLUDED = 2
-    """Hidden from the camera, or seen from its back."""
+    """Hidden from the camera, or facing away from it."""
     OUT_OF_FRAME = 3
     """Outside the photograph."""
     GRAZING = 4
-    """Seen by the CAMERA at an incidence beyond 80 degrees: the colour is smeared."""
+    """Seen by the camera at an incidence beyond 80 degrees: the colour is smeared."""
     UNCERTAIN = 5
-    """Within one cell of a depth edge, of the scanner's or the camera's, or the pose is uncertain by over 2 px here."""
+    """Within one cell of a depth edge, as seen by scanner or camera, or with a pose uncertainty of over 2 px."""
 
 
 COLOURED = (Label.SEEN, Label.GRAZING, Label.UNCERTAIN)
-"""The labels whose cells carry the photograph's colour."""
+"""The classes whose cells have the photograph's colour."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,18 +57,18 @@ class RegisteredTexture:
     """The photograph resampled onto the scan's grid; read-only."""
 
     image: ByteArray
-    """(H, W, 3) uint8 RGB; cells that the camera does not see have a uniform colour."""
+    """(H, W, 3) uint8 RGB; cells not seen by the camera have a uniform colour."""
     labels: ByteArray
     """(H, W) uint8, codes of `Label`."""
 
     def __post_init__(self) -> None:
-        image = read_only(self.image, np.uint8, (None, None, 3), "the registered picture")
+        image = read_only(self.image, np.uint8, (None, None, 3), "the registered image")
         object.__setattr__(self, "image", image)
         object.__setattr__(self, "labels", read_only(self.labels, np.uint8, image.shape[:2], "the labels"))
 
     @property
     def coloured(self) -> BoolArray:
-        """(H, W) bool: which cells carry the photograph's colour."""
+        """(H, W) bool: cells with the photograph's colour."""
         table = np.zeros(256, dtype=np.bool_)
         table[list(COLOURED)] = True
         return table[self.labels]
@@ -78,25 +81,25 @@ def texture_scan(
     *,
     camera: Camera | None = None,
     covariance: FloatArray | None = None,
-    background: tuple[int, int, int] = BACKGROUND,
+    background: tuple[int, int, int] = UNSEEN,
 ) -> RegisteredTexture:
-    """Give every cell of a scan the colour that the photograph has for it, where the camera sees it.
+    """Resample a photograph onto a scan's grid, for the cells that the camera sees.
 
     Args:
         scan: the scan.
         photo: the photograph.
         camera_from_scanner: its pose.
-        camera: intrinsics to use instead of the photo's, e.g. estimated ones.
-        covariance: (6, 6) of (w, c) as `PoseResult.covariance`, rad and m; None: the pose counts as exact.
-        background: RGB of cells that the camera does not see.
+        camera: intrinsics instead of the photo's, e.g. estimated ones.
+        covariance: (6, 6) of (w, c) as `PoseResult.covariance`, rad and m; None: the pose is taken as exact.
+        background: RGB of cells not seen by the camera.
 
     Returns:
-        The picture and its labels. Where several labels fit, the first of these holds: no return, out of frame,
+        The image and its labels. If several classes apply, the first of these is used: no return, out of frame,
         occluded, uncertain, grazing, seen.
 
     Raises:
         ShapeError: if the camera is not of the photo's size, or the covariance not (6, 6) and positive.
-        OptionError: if the background is no colour.
+        OptionError: if the background is not a colour.
 
     Source: thesis 2.5.
     """
@@ -118,7 +121,7 @@ def texture_scan(
 
 
 def model_picture(scan: Scan, texture: RegisteredTexture) -> ByteArray:
-    """Return the picture for a model, (H, W, 3): the photo's colour where seen, dimmed laser intensity elsewhere.
+    """Return the model's texture, (H, W, 3): the photo's colour where seen, dimmed laser intensity elsewhere.
 
     Raises:
         ShapeError: if the texture is not on the scan's grid.
@@ -132,6 +135,39 @@ def model_picture(scan: Scan, texture: RegisteredTexture) -> ByteArray:
     return np.asarray(np.where(texture.coloured[..., None], texture.image, gray[..., None]))
 
 
+def intensity_picture(scan: Scan) -> ByteArray:
+    """Return the scan's intensity, with stretched contrast, as gray RGB, (H, W, 3) uint8."""
+    low, high = np.percentile(scan.intensity[scan.valid], _PERCENTILES)
+    share = np.clip((scan.intensity - np.float32(low)) / np.float32(max(high - low, 1e-12)), 0, 1)
+    share = share**_GAMMA
+    gray = np.rint(_DARKEST + share * (_BRIGHTEST - _DARKEST)).astype(np.uint8)
+    gray[~scan.valid] = 0
+    return np.repeat(gray[..., None], 3, axis=-1)
+
+
+def blended_picture(scan: Scan, texture: RegisteredTexture, *, share: float) -> ByteArray:
+    """Return the model's texture, blended from the laser intensity (`share` 0) and the photograph's colour (1).
+
+    Args:
+        scan: the scan.
+        texture: the photograph on its grid.
+        share: share of the photograph's colour, 0 to 1.
+
+    Returns:
+        (H, W, 3) uint8 RGB; `model_picture` for a share of 1.
+
+    Raises:
+        OptionError: if the share is not from 0 to 1.
+        ShapeError: if the texture is not on the scan's grid.
+    """
+    require_number(share, "the share of colour", least=0, most=1)
+    colour = model_picture(scan, texture)
+    if share == 1:
+        return colour
+    mixed = (1 - share) * intensity_picture(scan).astype(np.float32) + share * colour.astype(np.float32)
+    return np.rint(mixed).astype(np.uint8)
+
+
 def _labels(
     scan: Scan,
     projection: ScanProjection,
@@ -141,7 +177,7 @@ def _labels(
 ) -> NDArray[np.uint8]:
     labels = np.full(scan.shape, Label.SEEN, dtype=np.uint8)
     labels[projection.grazing] = Label.GRAZING
-    uncertain = _at_depth_edge(scan) | projection.untested | _beside(projection.occluded)
+    uncertain = _at_depth_edge(scan) | projection.untested | _dilated(projection.occluded)
     if covariance is not None:
         uncertain |= _pose_uncertain(scan, projection, camera, camera_from_scanner, covariance)
     labels[uncertain] = Label.UNCERTAIN
@@ -164,7 +200,7 @@ def _at_depth_edge(scan: Scan) -> BoolArray:
     return result
 
 
-def _beside(mask: BoolArray) -> BoolArray:
+def _dilated(mask: BoolArray) -> BoolArray:
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     return np.asarray(cv2.dilate(mask.view(np.uint8), cross)).astype(np.bool_)
 
@@ -176,13 +212,13 @@ def _pose_uncertain(
     camera_from_scanner: Rigid,
     covariance: FloatArray,
 ) -> BoolArray:
-    """Return where the pose's own uncertainty exceeds 2 px; everywhere if the covariance is not finite."""
+    """Return the visible cells where the pose uncertainty exceeds 2 px; all of them if the covariance is not finite."""
     visible = projection.visible
     if not np.isfinite(covariance).all() or not visible.any():
         return visible
     rotation = camera_from_scanner.rotation
     # At a pixel the variance is convex in 1/z, so it is largest at the nearest or the farthest depth: if it is small
-    # for both all over the picture, as it nearly always is, no cell needs a look.
+    # for both all over the image, as it nearly always is, no cell needs to be checked.
     net = [np.linspace(0, n - 1, _NET_NODES) for n in camera.size]
     rays = camera.unproject(np.stack(np.meshgrid(*net), axis=-1))
     depths = projection.depth_m[visible]
@@ -201,7 +237,7 @@ def _pose_uncertain(
 def _sampled(
     pixels: ByteArray, projection: ScanProjection, scan: Scan, camera: Camera, background: tuple[int, ...]
 ) -> NDArray[np.uint8]:
-    """Return the photo's colour at every visible cell, (H, W, 3), from a copy reduced to about the cell's size."""
+    """Return the photo's colour at every visible cell, (H, W, 3), from a copy reduced to about the size of the cell."""
     visible = projection.visible
     u, v = (np.where(visible, projection.uv[..., k], _OUTSIDE) for k in range(2))
     steps = scan.geometry.step_rad
@@ -214,25 +250,25 @@ def _sampled(
     reduced, level = pixels, 0
     while True:
         last = largest < 2 ** (level + 1) or min(reduced.shape[:2]) < 4
-        if last or smallest < 2 ** (level + 1):  # some cells are served best by this copy
-            at_u, at_v = (u, v) if level == 0 else _on_copy(u, v, visible, pixels, reduced)
+        if last or smallest < 2 ** (level + 1):  # this copy fits some cells best
+            at_u, at_v = (u, v) if level == 0 else _in_copy(u, v, visible, pixels, reduced)
             colours = look_up(reduced, at_u, at_v, outside=background)
             if result is None:
                 result = colours
             else:
                 np.copyto(result, colours, where=(cell_px >= 2**level)[..., None])
         if last:
-            assert result is not None, "the last copy is always looked up"
+            assert result is not None, "the last copy is always used"
             return result
         size = (reduced.shape[1] // 2, reduced.shape[0] // 2)
         reduced = np.asarray(cv2.resize(reduced, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         level += 1
 
 
-def _on_copy(
+def _in_copy(
     u: FloatArray, v: FloatArray, visible: BoolArray, pixels: ByteArray, reduced: ByteArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where pixels lie on a reduced copy: outer borders stay, so centres move, (u + 1/2) / factor - 1/2."""
+    """Return the positions of pixels in a reduced copy: outer borders are fixed, so centres move."""
     half, at = np.float32(0.5), []
     for position, n, whole in ((u, reduced.shape[1], pixels.shape[1]), (v, reduced.shape[0], pixels.shape[0])):
         moved = np.clip((position + half) * np.float32(n / whole) - half, 0, n - 1)

@@ -1,4 +1,4 @@
-"""How far the registered picture may be off at every cell of a scan, as the pose's own covariance foretells it.
+"""Uncertainty of the registered image at every cell of a scan, propagated from the pose's covariance.
 
 With R_true = exp([w]x) R and C_true = C + c a point X of the camera frame moves by w x X - R c. At z = 1 that is linear
 in (w, R c), with rows of x, y and 1/z alone, so that the pixel's covariance is a sum over six directions:
@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError, OptionError, ShapeError
+from ladarreg_core.errors import CameraError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.remap import look_up
+from ladarreg_core.validation import require_choice, require_number, require_type
 
 Measure = Literal["longer_axis", "total"]
 """`longer_axis`: root of the larger eigenvalue of the pixel's covariance; `total`: root of its trace."""
 
-_CHUNK = 8192  # points; a chunk's dozen planes stay in the processor's cache
+_CHUNK = 8192  # points; the planes of a chunk fit the processor's cache
 _NET_NODES, _NET_MARGIN = 161, 0.4
 _MOST_ROUNDING_PX = 1e-3
 _ROUNDING = 4 * float(np.finfo(np.float32).eps)
@@ -40,54 +41,49 @@ def picture_sigma(
     sigma_range_m: float = 0.0,
     measure: Measure = "longer_axis",
 ) -> NDArray[np.float32]:
-    """Return the standard deviation of the pixel that each cell of a scan takes its colour from.
+    """Return the standard deviation of the photo pixel of each cell of a scan.
 
-    Cells that the camera cannot see, because they are hidden or out of its frame, have one too: where their pixel would
-    be.
+    Cells that are hidden or out of the frame have one, too, for the pixel that they project to.
 
     Args:
         scan: the scan.
         camera: intrinsics, with or without distortion.
         camera_from_scanner: the pose.
         covariance: (6, 6) of (w, c) as `PoseResult.covariance`, rad and m.
-        sigma_range_m: noise of a cell's own range, m; 0: the pose's uncertainty alone.
-        measure: `longer_axis`, the one-sigma ellipse's longer half axis, at least 1 / sqrt 2 of `total`, or `total`,
-            the root mean square length of the error.
+        sigma_range_m: noise of a cell's own range, m; 0: the uncertainty of the pose alone.
+        measure: `longer_axis`, the longer semi-axis of the one-sigma ellipse, at least 1 / sqrt 2 of `total`; or
+            `total`, the root mean square length of the error.
 
     Returns:
-        (H, W) float32, px; NaN where there is no return, behind the camera and beyond its lens.
+        (H, W) float32, px; NaN without a return, behind the camera and beyond its lens.
 
     Raises:
         ShapeError: if the covariance is not (6, 6), finite, symmetric and positive.
-        OptionError: if the range noise or the measure has no meaning.
-        CameraError: if `camera` is none.
+        OptionError: if the range noise or the measure is invalid.
+        CameraError: if `camera` is not a `Camera`.
     """
     factor = covariance_factor(covariance)
-    number = isinstance(sigma_range_m, int | float | np.floating | np.integer) and not isinstance(sigma_range_m, bool)
-    if not number or not 0 <= sigma_range_m <= _MOST_SIGMA_RANGE_M:
-        raise OptionError(f"sigma_range_m is {sigma_range_m!r}; it must be a number of metres of at least 0")
-    if measure not in get_args(Measure):
-        raise OptionError(f"the measure is {measure!r}; it must be one of {', '.join(get_args(Measure))}")
-    if not isinstance(camera, Camera):
-        raise CameraError(f"the camera is a {type(camera).__name__}; give a Camera")
+    require_number(sigma_range_m, "sigma_range_m", least=0, most=_MOST_SIGMA_RANGE_M, unit="metres")
+    require_choice(measure, get_args(Measure), "the measure")
+    require_type(camera, Camera, "the camera", error=CameraError)
     points = scan.points.reshape(-1, 3)
     result = np.empty(len(points), dtype=np.float32)
-    kind = _kind_for(factor, camera, float(sigma_range_m))
-    R, t = camera_from_scanner.rotation.astype(kind), camera_from_scanner.translation.astype(kind)[:, None]
-    factor = _in_camera_axes(factor, camera_from_scanner.rotation).astype(kind)
+    dtype = _precision_for(factor, camera, float(sigma_range_m))
+    R, t = camera_from_scanner.rotation.astype(dtype), camera_from_scanner.translation.astype(dtype)[:, None]
+    factor = _in_camera_axes(factor, camera_from_scanner.rotation).astype(dtype)
     lens = _Lens.of(camera, len(points))
     for first in range(0, len(points), _CHUNK):
         part = slice(first, first + _CHUNK)
-        turned = R @ points[part].astype(kind).T
+        turned = R @ points[part].astype(dtype).T
         along = None
         if sigma_range_m:
-            along = turned * (kind(sigma_range_m) / scan.ranges.reshape(-1)[part].astype(kind))
+            along = turned * (dtype(sigma_range_m) / scan.ranges.reshape(-1)[part].astype(dtype))
         result[part] = _sigma(turned + t, camera, factor, measure, lens=lens, along=along)
     return result.reshape(scan.shape)
 
 
 def pixel_sigma(points_camera: FloatArray, camera: Camera, rotation: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return how far the pose's uncertainty moves points in the picture: the ellipse's longer half axis, one sigma.
+    """Return the uncertainty of projected points due to the pose: the longer semi-axis of the one-sigma ellipse.
 
     Args:
         points_camera: (..., 3), m.
@@ -96,21 +92,21 @@ def pixel_sigma(points_camera: FloatArray, camera: Camera, rotation: FloatArray,
         covariance: (6, 6) of (w, c).
 
     Returns:
-        sigma_px (...,), float32 for float32 points that allow it; NaN behind the camera and beyond its lens.
+        sigma_px (...,), float32 for float32 points if precise enough; NaN behind the camera and beyond its lens.
 
     Raises:
         ShapeError: if the covariance is not (6, 6), finite, symmetric and positive.
     """
     points = np.asarray(points_camera)
     factor = covariance_factor(covariance)
-    kind = np.float64 if points.dtype != np.float32 else _kind_for(factor, camera, 0.0)
-    factor = _in_camera_axes(factor, rotation).astype(kind)
+    dtype = np.float64 if points.dtype != np.float32 else _precision_for(factor, camera, 0.0)
+    factor = _in_camera_axes(factor, rotation).astype(dtype)
     flat = points.reshape(-1, 3)
-    result = np.empty(len(flat), dtype=kind)
+    result = np.empty(len(flat), dtype=dtype)
     lens = _Lens.of(camera, len(flat))
     for first in range(0, len(flat), _CHUNK):
         part = slice(first, first + _CHUNK)
-        result[part] = _sigma(np.ascontiguousarray(flat[part].T, dtype=kind), camera, factor, "longer_axis", lens=lens)
+        result[part] = _sigma(np.ascontiguousarray(flat[part].T, dtype=dtype), camera, factor, "longer_axis", lens=lens)
     return result.reshape(points.shape[:-1])
 
 
@@ -122,7 +118,7 @@ def covariance_factor(covariance: FloatArray) -> NDArray[np.float64]:
     """
     S = read_only(covariance, np.float64, (6, 6), "the pose covariance")
     if not np.isfinite(S).all():
-        raise ShapeError("the pose covariance holds NaN or infinity; it needs 36 finite numbers, rad and m")
+        raise ShapeError("the pose covariance contains NaN or infinity; it needs 36 finite numbers, rad and m")
     scale = np.sqrt(np.maximum(np.diag(S), 0))
     unit = np.where(scale > 0, scale, 1.0)
     scaled = S / np.outer(unit, unit)
@@ -134,10 +130,8 @@ def covariance_factor(covariance: FloatArray) -> NDArray[np.float64]:
     return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0)))
 
 
-def _kind_for(factor: FloatArray, camera: Camera, sigma_range_m: float) -> type[np.floating[Any]]:
-    """Return the precision that the directions need: a pose that hardly anything determines moves pixels by large
-    amounts that all but cancel.
-    """
+def _precision_for(factor: FloatArray, camera: Camera, sigma_range_m: float) -> type[np.floating[Any]]:
+    """Return the precision needed: for a poorly determined pose, pixels move by large amounts that nearly cancel."""
     largest = max(float(np.linalg.norm(factor)), sigma_range_m)
     return np.float32 if largest * camera.focal_px * _ROUNDING < _MOST_ROUNDING_PX else np.float64
 
@@ -162,9 +156,9 @@ def _sigma(
         p: (3, N).
         camera: intrinsics.
         factor: (6, 6) of (w, R c).
-        measure: which length.
-        lens: how the camera's lens distorts, where it does.
-        along: (3, N) one more direction in which each point may be off, one sigma, m.
+        measure: length returned.
+        lens: distortion of the camera; None: no distortion.
+        along: (3, N) additional error of each point, one sigma, m.
     """
     rows = np.empty((2, 6, p.shape[1]), dtype=p.dtype)
     with np.errstate(all="ignore"):
@@ -196,19 +190,19 @@ def _sigma(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Lens:
-    """The derivative of the pixel by the tangents (x, y), which a net over the picture tells for most points."""
+    """The derivative of the pixel with respect to the tangents (x, y), interpolated from a net for most points."""
 
     camera: Camera
     net: FloatArray | None
     """(K, K, 4) float32."""
     low: FloatArray
-    """(2,) tangents of the net's first node."""
+    """(2,) tangents of the first node."""
     step: FloatArray
     """(2,) tangents between nodes."""
 
     @staticmethod
     def of(camera: Camera, count: int) -> _Lens | None:
-        """Return the lens, with a net where so many points are worth it; None where the lens is ideal."""
+        """Return the lens, with a net if `count` points justify it; None without distortion."""
         if not camera.distortion:
             return None
         whole = _Lens(camera, None, np.zeros(2), np.ones(2))
@@ -220,7 +214,8 @@ class _Lens:
         tangents = rays[np.isfinite(rays).all(axis=1), :2] / rays[np.isfinite(rays).all(axis=1), 2:]
         if len(tangents) < 2 or not (np.ptp(tangents, axis=0) > 0).all():
             return whole
-        for margin in (_NET_MARGIN, 0.0):  # many a scan is wider than the photo, but where a lens ends it bends sharply
+        # Scans are often wider than the photo, but beyond its lens there is nothing to interpolate.
+        for margin in (_NET_MARGIN, 0.0):
             low = tangents.min(axis=0) - margin * np.ptp(tangents, axis=0)
             step = np.ptp(tangents, axis=0) * (1 + 2 * margin) / (_NET_NODES - 1)
             x, y = (low[k] + step[k] * np.arange(_NET_NODES) for k in range(2))
@@ -230,7 +225,7 @@ class _Lens:
         return _Lens(camera, net, low, step)
 
     def slopes(self, x: FloatArray, y: FloatArray) -> list[FloatArray]:
-        """Return du/dx, du/dy, dv/dx and dv/dy (N,) at tangents (N,); NaN where they are NaN or beyond the lens."""
+        """Return du/dx, du/dy, dv/dx and dv/dy (N,) at tangents (N,); NaN for NaN and beyond the lens."""
         if self.net is None:
             return self._exact(x, y)
         low, step, last = self.low.astype(np.float32), self.step.astype(np.float32), np.float32(_NET_NODES - 1)
@@ -247,7 +242,7 @@ class _Lens:
 
     def _exact(self, x: FloatArray, y: FloatArray) -> list[FloatArray]:
         uv, d_uv = self.camera.project_with_jacobian(np.stack([x, y, np.ones_like(x)], axis=-1))
-        d_uv[np.isnan(uv[..., 0])] = np.nan  # beyond the lens its polynomial still has a slope
+        d_uv[np.isnan(uv[..., 0])] = np.nan  # beyond the lens the polynomial still has a slope
         return [d_uv[..., i, j].astype(x.dtype) for i in (0, 1) for j in (0, 1)]
 
 

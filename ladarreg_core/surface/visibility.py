@@ -1,4 +1,4 @@
-"""Which cells of a scan a camera elsewhere sees, judged by the scan's surface and not by its points."""
+"""Visibility of a scan's cells from a camera, tested against the scan's surface and not its points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_depth
 from ladarreg_core.surface.remap import look_up
 
 _BLOCKS = (16, 4)  # cells; a flat block of 16 x 16 is drawn as two triangles instead of 512
-_WIDEST_BLOCK_RAD = 0.07  # a wider one would cut off 0.06 % of the range as it bends over the grid
+_WIDEST_BLOCK_RAD = 0.07  # a wider one would cut off 0.06 % of the range by its curvature on the grid
 _BLOCK_RELATIVE = 0.001
 _BLOCK_SIGMAS = 2.5
 _TOLERANCE_RELATIVE = 0.004
@@ -28,27 +28,27 @@ _GRAZING_COSINE = float(np.cos(np.deg2rad(80)))
 _STEEPEST_END = 2.0  # tan 63 deg
 _SLOPE_NOISE = 0.05
 _WIDEST_SLOPE_WINDOW = 5
-_BUFFER_PIXELS = 900_000  # for a million cells; more for more
+_BUFFER_PIXELS = 900_000  # per million cells
 _LONGEST_BUFFER_SIDE = 30_000
 _COARSEST_BUFFER, _FINEST_BUFFER = 0.125, 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanProjection:
-    """Where the cells of a scan lie in a camera's picture, and which of them the camera sees."""
+    """Projection of a scan's cells into a camera's image, with their visibility."""
 
     uv: FloatArray
-    """(H, W, 2) float32, pixels; NaN where there is no return or the cell is behind the camera."""
+    """(H, W, 2) float32, pixels; NaN without a return or behind the camera."""
     depth_m: FloatArray
     """(H, W) float32, z in the camera frame; NaN = no return."""
     in_picture: BoolArray
     """(H, W) bool."""
     occluded: BoolArray
-    """(H, W) bool: in the picture, but hidden by the surface or shown from its back."""
+    """(H, W) bool: in the image, but hidden by the surface or facing away."""
     untested: BoolArray
-    """(H, W) bool: in the picture, but so far off the axis that hiding was not tested."""
+    """(H, W) bool: in the image, but too far off the axis for the occlusion test."""
     cosine: FloatArray
-    """(H, W) float32: cosine of the incidence angle of the camera's ray on the surface; negative on its back."""
+    """(H, W) float32: cosine of the incidence angle of the camera's ray on the surface; negative if it faces away."""
 
     @property
     def grazing(self) -> BoolArray:
@@ -58,15 +58,15 @@ class ScanProjection:
 
     @property
     def visible(self) -> BoolArray:
-        """(H, W) bool: in the picture and not occluded."""
+        """(H, W) bool: in the image and not occluded."""
         return self.in_picture & ~self.occluded
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
-    """What hides, and which way it faces: the part of the work that no pose changes.
+    """The occluding surface with its normals: everything that does not depend on the pose.
 
-    Points and normals are kept as planes (3, H, W): passing over a million cells is then bound by memory alone.
+    Points and normals are stored as planes (3, H, W): passes over a million cells are then bound by memory alone.
     """
 
     vertices: FloatArray
@@ -74,7 +74,7 @@ class _Surface:
     points: FloatArray
     normals: FloatArray
     distance: FloatArray
-    """(H, W): normal times point, the plane's distance from the scanner, negative."""
+    """(H, W): normal times point: the distance of the plane from the scanner, negative."""
     edges: GridEdges
 
 
@@ -82,31 +82,32 @@ _surface_of_scan: WeakKeyDictionary[Scan, _Surface] = WeakKeyDictionary()
 
 
 def visible_cells(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> BoolArray:
-    """Return which cells of a scan a camera sees: (H, W) bool, see `project_scan`."""
+    """Return the cells of a scan that a camera sees: (H, W) bool, see `project_scan`."""
     return project_scan(scan, camera, camera_from_scanner).visible
 
 
 def project_scan(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> ScanProjection:
-    """Project a scan into a picture and tell which cells are hidden there.
+    """Project a scan into a camera's image and find the occluded cells.
 
-    The scan's surface is drawn into a depth buffer about as fine as the scan's cells; gaps at depth edges are no
-    surface, and the near side of an edge reaches half a cell beyond its last cell centre, so that thin things hide what
-    is behind them. The buffer is read in inverse depth, linear on planes, so that no slope shadows itself.
+    The scan's surface is drawn into a z-buffer about as fine as the scan's cells. There is no surface across depth
+    edges, and the near side of an edge extends half a cell beyond its last cell centre, so that thin objects occlude
+    what is behind them. The buffer is read in inverse depth, which is linear on planes, so that slopes do not shadow
+    themselves.
 
     Args:
-        scan: the scan; what does not depend on the pose is kept for as long as it lives.
+        scan: the scan; everything that does not depend on the pose is cached for its lifetime.
         camera: the camera, with or without distortion.
         camera_from_scanner: its pose.
     """
     surface = _surface(scan)
-    points_camera = _moved(surface.points, camera_from_scanner)
+    points_camera = _transformed(surface.points, camera_from_scanner)
     depth = points_camera[..., 2]
     uv = camera.project(points_camera)
     in_picture = camera.contains(uv)
     shape = scan.shape
     if not in_picture.any():
-        nowhere = np.zeros(shape, dtype=np.bool_)
-        return ScanProjection(uv, depth, in_picture, nowhere, nowhere, np.zeros(shape, dtype=np.float32))
+        none = np.zeros(shape, dtype=np.bool_)
+        return ScanProjection(uv, depth, in_picture, none, none, np.zeros(shape, dtype=np.float32))
     cosine = _cosine(surface, points_camera, camera_from_scanner.centre)
 
     ideal = covering_pinhole(camera, scale=_buffer_scale(scan, camera, depth, in_picture))
@@ -124,21 +125,21 @@ def project_scan(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Scan
     return ScanProjection(uv, depth, in_picture, occluded, untested, cosine)
 
 
-def _moved(planes: FloatArray, camera_from_scanner: Rigid) -> FloatArray:
-    """Return points kept as planes (3, H, W) in the camera frame, seen as (H, W, 3)."""
-    turned = camera_from_scanner.rotation.astype(np.float32) @ planes.reshape(3, -1)
-    turned += camera_from_scanner.translation.astype(np.float32)[:, None]
-    return np.moveaxis(turned.reshape(planes.shape), 0, -1)
+def _transformed(planes: FloatArray, camera_from_scanner: Rigid) -> FloatArray:
+    """Return points, stored as planes (3, H, W), in the camera frame, viewed as (H, W, 3)."""
+    rotated = camera_from_scanner.rotation.astype(np.float32) @ planes.reshape(3, -1)
+    rotated += camera_from_scanner.translation.astype(np.float32)[:, None]
+    return np.moveaxis(rotated.reshape(planes.shape), 0, -1)
 
 
 def _cosine(surface: _Surface, points_camera: FloatArray, centre: FloatArray) -> NDArray[np.float32]:
     """Return n . (centre - p) / |centre - p|."""
     along = (centre.astype(np.float32) @ surface.normals.reshape(3, -1)).reshape(surface.distance.shape)
     along -= surface.distance
-    return np.asarray(along / _length(np.moveaxis(points_camera, -1, 0)))
+    return np.asarray(along / _norm(np.moveaxis(points_camera, -1, 0)))
 
 
-def _length(planes: FloatArray) -> FloatArray:
+def _norm(planes: FloatArray) -> FloatArray:
     total = np.square(planes[0])
     total += np.square(planes[1])
     total += np.square(planes[2])
@@ -146,7 +147,7 @@ def _length(planes: FloatArray) -> FloatArray:
 
 
 def _buffer_scale(scan: Scan, camera: Camera, depth: FloatArray, in_picture: BoolArray) -> float:
-    """Return buffer pixels per photo pixel: about one for the finer side of a cell, within reason."""
+    """Return buffer pixels per photo pixel: about one pixel for the shorter side of a cell, within limits."""
     row, column = np.nonzero(in_picture[:: max(1, scan.shape[0] // 200), :: max(1, scan.shape[1] // 200)])
     row, column = row * max(1, scan.shape[0] // 200), column * max(1, scan.shape[1] // 200)
     if not len(row):
@@ -161,7 +162,7 @@ def _buffer_scale(scan: Scan, camera: Camera, depth: FloatArray, in_picture: Boo
 def _ideal_uv(
     points_camera: FloatArray, uv: FloatArray, camera: Camera, ideal: Camera
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where the points lie in the buffer, two (H, W) arrays; far outside where they have no place there."""
+    """Return the positions of points in the buffer, two (H, W) arrays; far outside for points that are not in it."""
     if camera.distortion:
         at = ideal.project(points_camera)
         at[np.isnan(uv[..., 0])] = np.nan
@@ -174,7 +175,7 @@ def _ideal_uv(
         scale = 1.0 if camera.distortion else f_to / f_from
         shift = 0.0 if camera.distortion else c_to - c_from * scale
         position = at[..., k] * np.float32(scale) + np.float32(shift)
-        result.append(np.fmin(np.fmax(position, np.float32(-1e4)), np.float32(1e5)))  # NaN goes outside
+        result.append(np.fmin(np.fmax(position, np.float32(-1e4)), np.float32(1e5)))  # NaN becomes a position outside
     return result[0], result[1]
 
 
@@ -183,9 +184,9 @@ def _within(u: FloatArray, v: FloatArray, camera: Camera) -> BoolArray:
 
 
 def _without_cracks(inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Close slits of one pixel: where blocks of two sizes meet, their borders agree only to the tolerance."""
+    """Close gaps of one pixel: borders between blocks of two sizes agree only to the tolerance."""
     kernel = np.ones((2, 2), dtype=np.uint8)
-    # Opposite anchors: with the same one twice, an even kernel would move the picture by a pixel.
+    # Opposite anchors: with the same one twice, an even kernel would shift the image by a pixel.
     wider = cv2.dilate(inverse_depth, kernel, anchor=(0, 0), borderType=cv2.BORDER_REPLICATE)
     return np.asarray(cv2.erode(wider, kernel, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
 
@@ -206,9 +207,9 @@ def _surface(scan: Scan) -> _Surface:
 
 
 def _range_slopes(scan: Scan, edges: GridEdges) -> tuple[FloatArray, FloatArray]:
-    """Return the change of ln(range) per (row, column), averaged over edges of one surface; 0 where there is none.
+    """Return the change of ln(range) per (row, column), averaged over edges within one surface; 0 without any.
 
-    The window grows with the noise, which would tilt every normal of a finely stepped scan.
+    The window grows with the noise, which would otherwise tilt the normals of a finely stepped scan.
     """
     with np.errstate(invalid="ignore"):
         log_range = np.log(scan.ranges)
@@ -259,7 +260,7 @@ def _normals(
         np.multiply(a[i], b[j], out=normal[k])
         normal[k] -= a[j] * b[i]
     toward = normal[0] * rays[0] + normal[1] * rays[1] + normal[2] * rays[2]
-    normal /= np.copysign(np.maximum(_length(normal), np.float32(1e-20)), -toward)
+    normal /= np.copysign(np.maximum(_norm(normal), np.float32(1e-20)), -toward)
     return normal
 
 
@@ -270,7 +271,7 @@ def _occluder(
     rays: FloatArray,
     gradients: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, IntArray]:
-    """Return what hides, as triangles: the scan's mesh, flat blocks drawn coarsely, and cells at depth edges whole."""
+    """Return the occluding triangles: the scan's mesh, flat blocks drawn coarsely, and whole cells at depth edges."""
     points = scan.points.reshape(-1, 3)
     height, width = scan.shape
     undrawn = np.ones((height - 1, width - 1), dtype=np.bool_)
@@ -292,7 +293,7 @@ def _occluder(
     index = np.zeros(len(points), dtype=np.int32)
     index[kept] = np.arange(len(kept), dtype=np.int32)
 
-    # A cell that the scanner sees at a slant is not drawn whole: where it ends is anyone's guess.
+    # A cell seen by the scanner at a slant is not drawn whole: its extent is unknown.
     upright = [
         np.abs(slope) <= _STEEPEST_END * step for slope, step in zip(slopes, scan.geometry.step_rad, strict=True)
     ]
@@ -311,7 +312,7 @@ def _occluder(
 
 
 def _flat_blocks(ranges: FloatArray, edges: GridEdges, wanted: BoolArray, size: int) -> BoolArray:
-    """Return which blocks of size x size wanted cells are one flat piece of surface, (block rows, block columns)."""
+    """Return which blocks of size x size wanted cells are one flat surface, (block rows, block columns)."""
     n = size
     height, width = ((length - 1) // n for length in ranges.shape)
     if height == 0 or width == 0:
@@ -333,10 +334,10 @@ def _flat_blocks(ranges: FloatArray, edges: GridEdges, wanted: BoolArray, size: 
 
 
 def _near_side(ranges: FloatArray, edges: GridEdges) -> BoolArray:
-    """Return the cells (H, W) at the near side of a depth edge, or beside a cell without return.
+    """Return the cells (H, W) on the near side of a depth edge or beside a cell without return.
 
-    A cell with no surface around it counts only if nothing beside it is nearer: one between near and far is a mixed
-    pixel, hanging in the air where nothing is.
+    A cell without surface around it counts only if no neighbour is nearer: one between near and far is a mixed pixel,
+    with nothing at its position.
     """
     shape = ranges.shape
     at_edge, has_nearer, has_surface = (np.zeros(shape, dtype=np.bool_) for _ in range(3))

@@ -1,10 +1,10 @@
-/* Set the theme before anything is drawn; no module, since modules wait for the whole page. */
+/* Set the theme before the first paint. This is no module, since modules run only after the page is parsed. */
 (() => {
   let theme = "system";
   try {
     theme = localStorage.getItem("ladarreg-theme") ?? "system";
   } catch {
-    // storage is off: the system's theme
+    // storage is disabled: the system's theme
   }
   const light = theme === "light" || (theme === "system" && matchMedia("(prefers-color-scheme: light)").matches);
   document.documentElement.dataset.theme = light ? "light" : "dark";

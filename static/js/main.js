@@ -1,37 +1,37 @@
-/** Puts the page together. */
+/** Assembly of the page. */
 
-import { runs } from "./state/pipeline.js";
-import { ask, connect, connectionState, fullReason, onConnection } from "./net/connection.js";
 import { mountDividers } from "./layout/dividers.js";
 import { mountDock } from "./layout/dock.js";
+import { mountMaximise } from "./layout/maximise.js";
+import { listenToShortcuts } from "./layout/shortcuts.js";
+import { ask, connect, connectionState, fullReason, onConnection } from "./net/connection.js";
+import { store } from "./net/store.js";
 import { acceptDrops } from "./panels/drop.js";
 import { openFiles } from "./panels/files.js";
-import { mountFilling } from "./layout/maximise.js";
 import { mountHeader } from "./panels/header.js";
-import { linkHovering } from "./state/hover.js";
-import { listenToPageKeys } from "./layout/shortcuts.js";
 import { mountModelPane } from "./panels/model_pane.js";
-import { notice, noticeArea } from "./ui/notices.js";
-import { mountPanes } from "./panes/index.js";
 import { mountStatusBar } from "./panels/status_bar.js";
-import { store } from "./net/store.js";
-import { followTheme } from "./ui/theme.js";
+import { mountPanes } from "./panes/index.js";
+import { linkHovering } from "./state/hover.js";
+import { isRunning } from "./state/pipeline.js";
 import { view } from "./state/view.js";
+import { notice, noticeArea } from "./ui/notices.js";
+import { followTheme } from "./ui/theme.js";
 
 const OPENED = "ladarreg-opened";
 
-const at = (id) => document.getElementById(id);
-const part = (id, name) => at(id).querySelector(`.${name}`);
+const byId = (id) => document.getElementById(id);
+const part = (id, name) => byId(id).querySelector(`.${name}`);
 
-const floating = at("floating");
+const floating = byId("floating");
 floating.append(noticeArea());
 followTheme();
-mountHeader(at("header"));
-mountDock(at("dock"));
-mountStatusBar(at("status"));
-mountFilling(at("panes"));
-mountModelPane(at("model-pane"));
-mountDividers(at("workbench"), at("panes"));
+mountHeader(byId("header"));
+mountDock(byId("dock"));
+mountStatusBar(byId("status"));
+mountMaximise(byId("panes"));
+mountModelPane(byId("model-pane"));
+mountDividers(byId("workbench"), byId("panes"));
 mountPanes({
   scanHead: part("scan-pane", "pane-head"),
   scanBody: part("scan-pane", "pane-body"),
@@ -41,40 +41,40 @@ mountPanes({
   view,
   ask,
 });
-listenToPageKeys();
+listenToShortcuts();
 linkHovering();
 acceptDrops(floating);
 
 store.onEvent("notice", ({ text, level }) => notice(text, level));
 
-/** A job goes away unfinished only with the program that ran it. */
+/** A running job disappears only if the workbench has stopped. */
 let running = null;
 store.on("job", (job) => {
-  if (running && !job) notice(`${running.label} ended unfinished when the workbench stopped: run it again.`, "bad");
-  running = runs(job) ? job : null;
+  if (running && !job) notice(`${running.label} was interrupted when the workbench stopped: run it again.`, "bad");
+  running = isRunning(job) ? job : null;
 });
 
-/** What is selected must exist. */
+/** Deselect matches that no longer exist. */
 store.watch(["picks:*", "shown"], () => {
   const { selected, hovered } = view.get();
-  const there = new Set(store.picksOf().map(({ id }) => id));
-  const left = [...selected].filter((id) => there.has(id));
+  const existing = new Set(store.picksOf().map(({ id }) => id));
+  const left = [...selected].filter((id) => existing.has(id));
   if (left.length < selected.size) view.set({ selected: new Set(left), end: null });
-  if (hovered && !there.has(hovered)) view.set({ hovered: null });
+  if (hovered && !existing.has(hovered)) view.set({ hovered: null });
 });
 
-/** Once for each tab: a reload is not told again what was opened. */
-const sayOnce = (text) => {
+/** Show what was opened once for each tab, not again after a reload. */
+const noticeOnce = (text) => {
   try {
     if (!text || sessionStorage.getItem(OPENED) === text) return;
     sessionStorage.setItem(OPENED, text);
   } catch {
-    // storage is off: it is said at each reload
+    // storage is disabled: it is shown after each reload
   }
   notice(text);
 };
 
-/** Somebody who begins with nothing is asked for files, once. */
+/** Open the file dialog once if the project is empty. */
 let welcomed = false;
 const welcome = () => {
   if (welcomed || !store.get("project")) return;
@@ -82,15 +82,15 @@ const welcome = () => {
   if (store.get("project").amiss) notice(store.get("project").amiss, "warn");
   const nothing = !store.get("scan") && !(store.get("photos") ?? []).length;
   if (nothing && !document.querySelector("dialog[open]")) openFiles();
-  else sayOnce(store.get("project").opened);
+  else noticeOnce(store.get("project").opened);
 };
 store.watch(["project", "scan", "photos"], welcome);
 
 let wasLost = false;
 onConnection((state) => {
-  if (state === "connected" && wasLost) notice("Connected again.");
+  if (state === "connected" && wasLost) notice("Reconnected.");
   if (state === "refused") notice(
-    "The workbench no longer knows this page: open its address again, with the token that it printed.",
+    "The workbench no longer accepts this page: open its address again, with the token that it printed.",
     "bad",
   );
   if (state === "full") notice(fullReason(), "bad");

@@ -56,8 +56,8 @@ def make_project(folder: Path, *, picks: int = 20) -> Reference:
     kept.begin(history)
     session = Session(kept, history)
 
-    def commit(label: str, edit: Callable[[Document], Document], one_move: str = "") -> None:
-        session.commit(label, edit, author="somebody", one_move=one_move)
+    def commit(label: str, edit: Callable[[Document], Document], merge_key: str = "") -> None:
+        session.commit(label, edit, author="somebody", merge_key=merge_key)
 
     for name in ("first.png", "second.png"):
         source = Source(path=f"inputs/{name}", name=name, size=(kept.inputs / name).stat().st_size)
@@ -67,7 +67,7 @@ def make_project(folder: Path, *, picks: int = 20) -> Reference:
         commit(f"Draw point {k} of the test", partial(_drawn, photo=photo, k=k))
         if k % 5 == 4:  # a drag, saved as amendments of one step
             for u in range(3):
-                commit(f"Move match {k} of the test", partial(_moved, photo=photo, u=float(u)), one_move=f"{k}")
+                commit(f"Move match {k} of the test", partial(_moved, photo=photo, u=float(u)), merge_key=f"{k}")
         if k in (picks // 2, picks - 1):
             commit(f"Solve {k} of the test", partial(with_an_answer, seed=k))
     # The second result replaces the first, whose arrays are only referenced by the history.

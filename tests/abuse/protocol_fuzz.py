@@ -19,7 +19,7 @@ _NEVER = {"export_folder"}
 """Commands that are not sent at random because they write to local folders; they have separate tests."""
 _RARE = {"remove_photo", "go_to", "set_camera", "run"}
 """Commands that remove what the other commands need, or take long."""
-_FAULTS = ("fault of the program", "The program failed")
+_FAULTS = ("Internal error", "The program failed")
 _CHEAP_JOBS = ("find_corners", "linear", "robust", "simplex", "reject_outliers", "cull", "nonsense")
 _HOSTILE: tuple[str, ...] = (
     "null", "true", "0", "-1", "1e308", "-1e308", "1e999", "1e-308", "NaN", "Infinity", "9" * 400, "-" + "9" * 5000,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
-from ladarreg.gateway.delta import changed
+from ladarreg.gateway.delta import apply_change
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
@@ -219,7 +219,7 @@ class Page:
         """Apply the changes in a message."""
         self.slices.update(message.get("slices", {}))
         for name, change in message.get("changes", {}).items():
-            self.slices[name] = changed(self.slices[name], change)
+            self.slices[name] = apply_change(self.slices[name], change)
         return message
 
     def send(self, text: str | bytes) -> None:

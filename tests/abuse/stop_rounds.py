@@ -65,7 +65,7 @@ def stopped_while_editing(room: Path, *signals: signal.Signals, apart_s: float, 
     worker.join(20)
     page.close()
     said = server.stderr()
-    if "Traceback" in said or "fault of the program" in said:
+    if "Traceback" in said or "nternal error" in said:
         found.faults.append(f"it said {said.strip()[-300:]!r}")
     try:
         with start_server(room, project) as again:

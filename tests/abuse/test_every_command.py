@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ladarreg.gateway.json_text import NotJson, decode_object, encode
+from ladarreg.gateway.encoding import InvalidMessageError, decode_object, encode
 from ladarreg.workbench.commands import COMMANDS
 
 from ladarreg_core.formats import read_scan
@@ -24,7 +24,7 @@ from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import Bench, sample_bench
+from tests.app.workbench_driver import WorkbenchDriver, sample_bench
 
 DEEP = "[" * 900 + "]" * 900
 NUMBERS = (
@@ -120,7 +120,7 @@ SOUND: dict[str, list[dict[str, Any]]] = {
 class Page:
     """A page that sends arbitrary text, and a second reader that opens the project after every change."""
 
-    def __init__(self, bench: Bench, aside: Path) -> None:
+    def __init__(self, bench: WorkbenchDriver, aside: Path) -> None:
         self.bench, self._aside = bench, aside
         self._read: History | None = None
 
@@ -128,9 +128,9 @@ class Page:
         """Send a text like the websocket; return the reply, or None if the text is not JSON."""
         try:
             message = decode_object(text)
-        except NotJson:
+        except InvalidMessageError:
             return None
-        reply = self.bench.workbench.answer(self.bench.person, message)
+        reply = self.bench.workbench.answer(self.bench.client, message)
         self.bench.workbench.runner.wait(60)
         return json.loads(encode(reply), parse_constant=pytest.fail)  # type: ignore[no-any-return]
 
@@ -145,7 +145,7 @@ class Page:
             assert sentence.endswith((".", "!", "?")), sentence
             assert len(sentence) < 700
             assert sentence.isprintable()
-            assert "fault of the program" not in sentence, (text[:200], sentence)
+            assert "Internal error" not in sentence, (text[:200], sentence)
         if not done:
             assert history is before, text[:200]
         elif history is not before:
@@ -180,9 +180,9 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     (served / "matches.csv").write_text("x,y,z,u,v\n1,0.01,0,310,200\n")
     bench = sample_bench(home / "project", folder=served)
     for name in ("second.png", "third.png"):
-        path = bench.workbench.upload_room() / name
+        path = bench.workbench.upload_folder() / name
         shutil.copy(sample / "photo.png", path)
-        bench.workbench.take_upload(path, name, "photo", None, bench.person)
+        bench.workbench.take_upload(path, name, "photo", None, bench.client)
     pose, camera, scan = (
         read_pose(sample / "truth.json"), read_camera(sample / "camera.json"), read_scan(sample / "scan.npz"),
     )  # fmt: skip
@@ -194,7 +194,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         point, at = points[k].tolist(), uv[k].tolist()
         bench.do("add_pick", photo="p1", kind="point", scan=[point], photo_uv=[at])
     job = bench.job("linear")
-    assert job.state == "done", job.said
+    assert job.state == "done", job.message
     yield Page(bench, home / "aside")
     bench.workbench.close()
 

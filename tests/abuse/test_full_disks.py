@@ -29,7 +29,7 @@ from ladarreg_core.project.rescue import write_rescue_copy
 from ladarreg_core.simulate.sample import sample_folder
 from tests.abuse.drawing import begin, draw, work_until_killed
 from tests.abuse.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
-from tests.processes import hear_ctrl_c
+from tests.processes import restore_ctrl_c
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="no limit of file sizes and no kill -9 on Windows")
 ROUNDS = 20
@@ -184,7 +184,7 @@ def test_at_exit_a_rescue_copy_is_written_where_there_is_space(tmp_path: Path) -
     (tmp_path / "p").rename(tmp_path / "moved")
     (tmp_path / "p").write_bytes(b"in its place")
     assert not draw(session, 1)
-    with pytest.raises(UnsavedError, match="the whole project, that included, is in") as caught:
+    with pytest.raises(UnsavedError, match="the whole project including them is in") as caught:
         session.close()
     (place,) = (tmp_path / "elsewhere").iterdir()
     assert str(place) in str(caught.value)
@@ -253,7 +253,7 @@ def test_a_server_that_cannot_save_says_so_and_ends_with_1(tmp_path: Path) -> No
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", "serve", str(sample / "scan.npz"), str(next(sample.glob("photo.*"))),
          "--project", str(tmp_path / "p"), "--port", "0", "--no-browser", "--token", TOKEN],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=surroundings, preexec_fn=hear_ctrl_c,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=surroundings, preexec_fn=restore_ctrl_c,
     )  # fmt: skip
     try:
         assert process.stdout is not None

@@ -15,9 +15,9 @@ from typing import Any
 
 from ladarreg.gateway.options import GatewayOptions
 from ladarreg.gateway.protocol import Message, Picture
-from ladarreg.gateway.routes import site
+from ladarreg.gateway.routes import build_site
 from ladarreg.gateway.server import Gateway
-from ladarreg.gateway.viser_lock import ViserAddress
+from ladarreg.gateway.viser_backend import ViserAddress
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
@@ -38,8 +38,8 @@ class Limits:
     upload_bytes: int = 300_000
 
 
-class CountingBench:
-    """Keeps a number that pages may set, and the files that they send."""
+class CountingWorkbench:
+    """Holds a number that clients may set, and the files that they upload."""
 
     def __init__(self, room: Path) -> None:
         self.room, self.limits = room, Limits()
@@ -97,7 +97,7 @@ class CountingBench:
             raise OptionError("it can show intensity; choose that")
         return Picture(PNG, "image/png", f'"{query.get("rev", "none")}"\r\n')
 
-    def upload_room(self) -> Path:
+    def upload_folder(self) -> Path:
         return self.room
 
     def take_upload(self, path: Path, name: str, what: str, photo: str | None, client: Page | None) -> str:
@@ -116,9 +116,9 @@ class CountingBench:
 
 @dataclass
 class Running:
-    """A gateway, and how to talk to it."""
+    """A running gateway, with helpers to send it requests."""
 
-    bench: CountingBench
+    bench: CountingWorkbench
     gateway: Gateway
     tls: ssl.SSLContext | None = None
     cookie: str = field(init=False, default="")
@@ -134,7 +134,7 @@ class Running:
     def ask(
         self, method: str, path: str, headers: Mapping[str, str] | None = None, body: Any = None, *, known: bool = True
     ) -> tuple[int, dict[str, str], bytes]:
-        """Send a request as a page of ours would; headers of value "" are left out."""
+        """Send a request as our own page would; headers with an empty value are omitted."""
         connection = (
             http.client.HTTPSConnection("127.0.0.1", self.port, timeout=20, context=self.tls)
             if self.tls
@@ -149,7 +149,7 @@ class Running:
             connection.close()
 
     def enter(self) -> None:
-        """Show the token and keep the cookie."""
+        """Submit the token and keep the cookie."""
         status, headers, _ = self.ask("GET", f"/?token={TOKEN}", known=False)
         assert status == 200
         self.cookie = headers["set-cookie"].partition(";")[0]
@@ -157,7 +157,7 @@ class Running:
     def socket(
         self, path: str = "/document", headers: Mapping[str, str] | None = None, **more: Any
     ) -> ClientConnection:
-        """Open a websocket as a page of ours would."""
+        """Open a websocket as our own page would."""
         sent = {"Origin": self.origin, "Cookie": self.cookie} | dict(headers or {})
         scheme = "wss" if self.tls else "ws"
         return connect(
@@ -174,13 +174,13 @@ class Running:
 def running(
     room: Path, viser: ViserAddress | Callable[[], ViserAddress] | None = None, **options: Any
 ) -> Iterator[Running]:
-    """Run a gateway for a while; somebody has shown it the token."""
+    """Run a gateway, and log in to it."""
     tls = options.pop("context", None)
     settings = GatewayOptions(**({"port": 0} | options))
-    bench = CountingBench(room)
-    where = viser or ViserAddress("127.0.0.1", 9, "nobody is there")
+    bench = CountingWorkbench(room)
+    where = viser or ViserAddress("127.0.0.1", 9, "no server")
     gateway = Gateway(
-        lambda port: site(
+        lambda port: build_site(
             bench, token=TOKEN, viser=where if callable(where) else lambda: where, options=settings, port=port
         ),
         settings,
@@ -202,7 +202,7 @@ def hear(socket: ClientConnection) -> dict[str, Any]:
 
 
 def closing_code(socket: ClientConnection) -> int:
-    """Listen until the other side closes, and return its code; 1006 is none."""
+    """Receive until the other side closes, and return its code; 1006 if there is none."""
     try:
         while True:
             socket.recv(timeout=10)
@@ -211,7 +211,7 @@ def closing_code(socket: ClientConnection) -> int:
 
 
 def soon(what: Callable[[], bool], *, seconds: float = 5.0) -> bool:
-    """Tell whether something becomes true."""
+    """Return whether a condition becomes true in time."""
     until = time.monotonic() + seconds
     while not what():
         if time.monotonic() > until:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from ladarreg.cli import _set_up_log
 from ladarreg.gateway.options import GatewayOptions
-from ladarreg.gateway.serving import serve_until_interrupted
+from ladarreg.gateway.server import serve_until_interrupted
 from ladarreg.gateway.viser_backend import close_server, open_locked_server
 from ladarreg.stop_signals import StopSignals
 
-from tests.app.gateway_driver import TOKEN, CountingBench
+from tests.app.gateway_driver import TOKEN, CountingWorkbench
 
 
 def main(folder: str, port: str = "0") -> None:
@@ -21,7 +21,7 @@ def main(folder: str, port: str = "0") -> None:
     server, address = open_locked_server(label="test")
     try:
         serve_until_interrupted(
-            CountingBench(Path(folder)),
+            CountingWorkbench(Path(folder)),
             lambda: address,
             token=TOKEN,
             options=GatewayOptions(port=int(port)),

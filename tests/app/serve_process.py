@@ -16,20 +16,20 @@ from urllib.parse import urlsplit
 from websockets.sync.client import ClientConnection
 
 from tests.app.gateway_driver import TOKEN, Running, hear
-from tests.processes import hear_ctrl_c
+from tests.processes import restore_ctrl_c
 
 CHECKOUT = Path(__file__).parents[2]
 
 
 class At:
-    """A gateway of another process, as far as `Running` needs one."""
+    """The port of a gateway in another process, as `Running` needs it."""
 
     def __init__(self, port: int) -> None:
         self.port = port
 
 
 class Server:
-    """A running `ladarreg serve`; somebody has shown it the token."""
+    """A running `ladarreg serve` with a logged-in browser."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
@@ -54,13 +54,13 @@ def start(project: Path, *words: str, **surroundings: str) -> subprocess.Popen[s
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=hear_ctrl_c if os.name == "posix" else None,
+        preexec_fn=restore_ctrl_c if os.name == "posix" else None,
     )
 
 
 @contextmanager
 def serving(project: Path, *words: str) -> Iterator[Server]:
-    """Run the program on a project; what is left of it at the end is killed."""
+    """Run the program on a project, and kill it at the end if it is still running."""
     process = start(project, *words)
     try:
         yield Server(process)
@@ -70,7 +70,7 @@ def serving(project: Path, *words: str) -> Iterator[Server]:
 
 
 def ask(page: ClientConnection, do: str, **fields: Any) -> dict[str, Any]:
-    """Ask for something and return the reply."""
+    """Send a command and return the reply."""
     page.send(json.dumps({"id": 1, "do": do, **fields}))
     while "reply" not in (message := hear(page)):
         pass
@@ -78,12 +78,12 @@ def ask(page: ClientConnection, do: str, **fields: Any) -> dict[str, Any]:
 
 
 def name_of(project: Path) -> str:
-    """Return the name that a project's file gives it."""
+    """Return the name in a project's file."""
     return str(json.loads((project / "project.json").read_bytes())["name"])
 
 
 def begin_upload(there: Running) -> socket.socket:
-    """Begin an upload that never comes to its end."""
+    """Begin an upload that is never completed."""
     line = socket.create_connection(("127.0.0.1", there.port), timeout=10)
     head = "POST /upload?what=scan HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nX-File-Name: a.e57\r\n"
     line.sendall(f"{head}Cookie: {there.cookie}\r\nContent-Length: 100000\r\n\r\nabc".encode())

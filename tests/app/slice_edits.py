@@ -1,4 +1,4 @@
-"""Random edits of slices, for the tests of both sides of what is told as changes."""
+"""Random edits of slices, for the tests of deltas on both sides."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def random_states(seed: int, count: int) -> list[dict[str, Any]]:
-    """Return states that follow each other: lists with ids, objects by id, and values that have neither."""
+    """Return successive states: lists with ids, objects by id, and values with neither."""
     rng = random.Random(seed)
     state: dict[str, Any] = {"picks:p1": [], "judged:p1": {"stage": None, "by_pick": {}, "losses": []}, "name": "a"}
     state["history"] = {"at": 0, "entries": []}

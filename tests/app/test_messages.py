@@ -1,26 +1,28 @@
-"""What a person reads: the verdict in words, the panel's HTML, the bar on a terminal."""
+"""Texts of the command line: verdicts, findings, parser errors, progress."""
 
 from __future__ import annotations
 
 import io
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.arguments import condensed
+from ladarreg.arguments import condense
 from ladarreg.exit_codes import ExitCode
-from ladarreg.messages import assessed, one_line
-from ladarreg.progress_bar import step_bar
+from ladarreg.messages import ACCEPTED, assessment_lines, one_line
+from ladarreg.progress_bar import progress_bar
 
 from ladarreg_core.progress import Progress, Step
 from ladarreg_core.quality.assessment import Assessment
 from ladarreg_core.quality.findings import LEVELS, Finding
+from ladarreg_core.results import STAGE_LABELS, Evidence, StageId, StageName
 from tests.unit.export.samples import sample_registration
 
 
 @given(st.text())
-def test_whatever_a_message_holds_it_is_one_printable_line(text: str) -> None:
+def test_any_text_becomes_one_printable_line(text: str) -> None:
     line = one_line(text)
     assert len(line.splitlines()) <= 1
     assert line.isprintable() or not line
@@ -29,10 +31,15 @@ def test_whatever_a_message_holds_it_is_one_printable_line(text: str) -> None:
 @given(st.lists(st.text(st.characters(codec="ascii", exclude_categories=("C",)), min_size=1, max_size=60), max_size=4))
 def test_any_box_becomes_one_line(lines: list[str]) -> None:
     box = "\n".join(["╭─ Error ───╮", *(f"│ {line} │" for line in lines), "╰───────────╯"])
-    assert len(condensed(box).splitlines()) == 1
+    assert len(condense(box).splitlines()) == 1
 
 
-def test_exit_codes_are_those_of_the_contract() -> None:
+def test_every_stage_has_a_label_and_every_evidence_a_verdict() -> None:
+    assert set(STAGE_LABELS) == {*get_args(StageId), *get_args(StageName)}
+    assert set(ACCEPTED) >= set(get_args(Evidence))
+
+
+def test_exit_codes_are_fixed() -> None:
     assert (ExitCode.ACCEPTED, ExitCode.BAD_INPUT, ExitCode.NOT_ACCEPTED, ExitCode.INTERRUPTED) == (0, 2, 3, 130)
 
 
@@ -44,35 +51,35 @@ NAMES = ("matches", "inliers", "residuals", "spread", "depth", "relief", "condit
     method=st.sampled_from(["manual", "auto", "thesis"]),
     accepted=st.booleans(),
 )
-def test_the_worst_comes_first_and_never_more_than_a_few_lines(levels: list[str], method: str, accepted: bool) -> None:
+def test_findings_are_few_and_the_worst_come_first(levels: list[str], method: str, accepted: bool) -> None:
     found = tuple(
         Finding(name, level, f"{name}\nis so.", "" if level == "good" else "Do it.")  # type: ignore[arg-type]
         for name, level in zip(NAMES, levels, strict=True)
     )
     result = replace(sample_registration(accepted=accepted), method=method)
-    lines = assessed(Assessment(found, None, None, None), result)
+    lines = assessment_lines(Assessment(found, None, None, None), result)
     assert len(lines) <= 5
     assert all(len(line.splitlines()) == 1 for line in lines)
     heads = [line.split()[0] for line in lines]
     assert "Good" not in heads
     assert heads == sorted(heads, key=["Poor", "Fair", "and"].index)
-    told = {line.split()[1] for line in lines if line.split()[0] != "and"}
+    shown = {line.split()[1] for line in lines if line.split()[0] != "and"}
     if method != "manual":
         assert not lines or accepted
         assert "Fair" not in heads
     elif accepted and levels[-1] == "poor" and levels.count("poor") < 5:
-        assert "lens" in told
-    assert not ("conditioning" in told and told & {"spread", "depth", "relief"})
+        assert "lens" in shown
+    assert not ("conditioning" in shown and shown & {"spread", "depth", "relief"})
 
 
-def test_what_was_not_assessed_is_not_told() -> None:
-    assert assessed(Assessment(None, None, None, None), sample_registration()) == []
+def test_without_assessment_there_are_no_lines() -> None:
+    assert assessment_lines(Assessment(None, None, None, None), sample_registration()) == []
 
 
 @pytest.mark.parametrize("quiet", [True, False])
-def test_progress_off_a_terminal_is_plain_lines_or_nothing(quiet: bool) -> None:
+def test_progress_without_a_terminal_is_plain_lines_or_nothing(quiet: bool) -> None:
     stream = io.StringIO()
-    with step_bar(quiet=quiet, stream=stream) as bar:
+    with progress_bar(quiet=quiet, stream=stream) as bar:
         bar.step(Step("climb", 0.25, detail={"windows": 240, "map": [1, 2]}))
         bar.progress(Progress(0, 2, "writing model.glb"))
         bar.progress(Progress(1, 2, "writing model.glb"))
@@ -85,12 +92,12 @@ def test_progress_off_a_terminal_is_plain_lines_or_nothing(quiet: bool) -> None:
         assert "\x1b" not in stream.getvalue()
 
 
-def test_the_bar_on_a_terminal_goes_away() -> None:
+def test_the_bar_on_a_terminal_is_removed() -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True
 
-    with step_bar(quiet=False, stream=Terminal()) as bar:
+    with progress_bar(quiet=False, stream=Terminal()) as bar:
         for name in ("read scan", "something new [bold]", "verify"):
             bar.step(Step(name, 0.1))
         bar.progress(Progress(3, 5, "writing"))

@@ -1,4 +1,4 @@
-"""The README's own example runs as it stands, and its commands exist."""
+"""The README's example runs unchanged, and its links, targets and commands exist."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_the_example_runs(tmp_path: Path, checkout: Path) -> None:
     assert (tmp_path / "results" / "model.glb").is_file()
 
 
-def test_what_it_names_exists(checkout: Path) -> None:
+def test_links_targets_and_commands_exist(checkout: Path) -> None:
     text = (checkout / "README.md").read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#:]+)\)", text):
         assert (checkout / target).exists(), target

@@ -128,7 +128,7 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         for number, said in enumerate(
             ["not an image", "a scan is one of", "larger than the 2.0 MB", "not an image|damaged|truncated"]
         ):
-            row.nth(number).locator(".file-said[role=status]").filter(has_text=re.compile(said)).wait_for()
+            row.nth(number).locator(".file-status[role=status]").filter(has_text=re.compile(said)).wait_for()
         assert row.nth(3).locator(f"[title='{HOSTILE}']").inner_text() == HOSTILE
         for _ in bad:
             row.first.get_by_role("button", name="Leave").click()
@@ -167,13 +167,13 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         before = zoom.inner_text()
         pinch(page, "scan")
         assert zoom.inner_text() != before
-        assert page.locator(".wants-partner").count() == 0, "two fingers draw nothing"
+        assert page.locator(".awaits-partner").count() == 0, "two fingers draw nothing"
         touch_line(page, "scan")
-        page.get_by_role("button", name="Drop what was drawn").tap()
-        assert page.locator(".wants-partner").count() == 0
+        page.get_by_role("button", name="Discard the drawing").tap()
+        assert page.locator(".awaits-partner").count() == 0
 
         draw(page, "scan")
-        page.locator("#photo-pane .wants-partner").wait_for()
+        page.locator("#photo-pane .awaits-partner").wait_for()
         server.process.kill()
         server.process.wait(30)
         page.get_by_role("button", name="not connected").wait_for()

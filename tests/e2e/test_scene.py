@@ -1,4 +1,4 @@
-"""The 3-D stage as a browser shows it: colours, clicks on matches, and the walking simplex."""
+"""The 3-D scene as a browser shows it: colours, clicks on matches, and the moving simplex."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from ladarreg.gateway.viser_backend import close_server
-from ladarreg.scene import SimplexFrame, Stage3D
+from ladarreg.scene import Scene3D, SimplexFrame
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
@@ -35,7 +35,7 @@ COLOURS = np.array([(180, 140, 100), (64, 128, 64), (120, 60, 140), (128, 128, 1
 
 
 class Session:
-    """Keeps what was asked."""
+    """Records the actions."""
 
     def __init__(self) -> None:
         self.hovered: list[str | None] = []
@@ -56,15 +56,15 @@ def session() -> Session:
 
 
 @pytest.fixture
-def shown(page: Page, session: Session) -> Iterator[Stage3D]:
-    """A stage in a page of its own."""
-    server = open_server(label="stage")
-    stage = Stage3D(server, session)  # type: ignore[arg-type]
+def shown(page: Page, session: Session) -> Iterator[Scene3D]:
+    """A scene in a page of its own."""
+    server = open_server(label="scene")
+    scene = Scene3D(server, session)  # type: ignore[arg-type]
     page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
     page.goto(address(server) + "/?fixedDpr=0.5")
-    page.get_by_text("Look from").wait_for(timeout=60_000)
-    yield stage
-    stage.close()
+    page.get_by_text("Viewpoint").wait_for(timeout=60_000)
+    yield scene
+    scene.close()
     close_server(server)
 
 
@@ -101,7 +101,7 @@ def at(points: np.ndarray) -> np.ndarray:
 
 
 def test_the_model_has_the_photographs_colours_and_its_matches_can_be_touched(
-    page: Page, shown: Stage3D, session: Session
+    page: Page, shown: Scene3D, session: Session
 ) -> None:
     shown.set_model(cameras=False)
     shown.show_registration(WALL, photo_of_quarters(), quarters())
@@ -129,7 +129,7 @@ def test_the_model_has_the_photographs_colours_and_its_matches_can_be_touched(
     assert session.hovered == ["p7"]
 
 
-def test_the_curves_reach_the_last_step(page: Page, shown: Stage3D) -> None:
+def test_the_curves_reach_the_last_step(page: Page, shown: Scene3D) -> None:
     shown.show_registration(WALL, photo_of_quarters(), None)
     shown.simplex_started()
     assert shown.settle()

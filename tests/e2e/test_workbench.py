@@ -210,7 +210,7 @@ def test_an_operator_goes_all_the_way(operator: Operator, browser: Browser, tmp_
     second.locator(".row-line[data-pick]").first.wait_for()
     first_row = page.locator(".row-line[data-pick]").first
     first_row.get_by_role("checkbox").click()  # it turns when the document says so
-    second.locator(".row-line[data-pick].off").first.wait_for()
+    second.locator(".row-line[data-pick].disabled").first.wait_for()
     first_row.get_by_role("checkbox").click()
     other.close()
 
@@ -247,8 +247,7 @@ def test_an_operator_goes_all_the_way(operator: Operator, browser: Browser, tmp_
     after = float(canvas.get_attribute("aria-valuenow") or 0)
     assert 0 < after < before
     operator.shot("threshold")
-    reject = page.get_by_role("button", name="Reject", exact=False).last
-    reject.click()
+    page.get_by_role("button", name=re.compile(r"^(Disable|Re-enable) \d")).click()
 
     def rejected() -> bool:
         judged = operator.told("judged:p1")["by_pick"]
@@ -261,7 +260,7 @@ def test_an_operator_goes_all_the_way(operator: Operator, browser: Browser, tmp_
             if abs(abs(errors[pick["id"]]) - after) > near
         )
 
-    operator.wait(rejected, "what lies above is switched off, what lies below is on")
+    operator.wait(rejected, "matches above the threshold are disabled, those below enabled")
     page.keyboard.press("Control+z")
 
     page.get_by_role("button", name="Automatic", exact=False).first.wait_for(timeout=5000)
@@ -387,7 +386,7 @@ def test_everything_can_be_read(operator: Operator, scheme: str) -> None:
     for step in ("Match", "Solve", "Judge", "Export"):
         page.get_by_role("tab", name=step, exact=True).click()
         look(step)
-    panels = (".history-button", ".people-button", ".camera-button", "#scan-pane .pane-opener", ".scan-chip")
+    panels = (".history-button", ".clients-button", ".camera-button", "#scan-pane .pane-opener", ".scan-chip")
     for opener in (*panels, "[aria-label='Keyboard reference (?)']"):
         page.locator(opener).click()
         page.wait_for_selector(OPEN)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.gridding import RingGrid, TurnedGrid, grid_points
-from ladarreg_core.scanner.grids import SphericalGrid
+from ladarreg_core.scanner.gridding import grid_points
+from ladarreg_core.scanner.grids import RingGrid, RotatedGrid, SphericalGrid
 
 # The elevations of a real 64-beam scanner: .17 deg in the middle, 5 deg at the ends.
 UNEVEN = np.concatenate([[-25, -19, -14, -13, -12, -11, -10, -9, -8, -7], np.arange(-6, 2.1, 0.17), [3, 5, 8, 11, 15]])
@@ -145,7 +145,7 @@ def test_a_cloud_in_an_optical_frame_is_not_gridded_around_the_pole(wall: Scan) 
     forward = grid_points(points, np.ones(len(points)))
     for turn in (np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]), np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0]])):
         cloud = grid_points(points @ turn.T, np.ones(len(points)))
-        assert isinstance(cloud.geometry.law, TurnedGrid)
+        assert isinstance(cloud.geometry.law, RotatedGrid)
         assert abs(cloud.points_kept - forward.points_kept) < 0.05 * len(points)
         cells = np.argwhere(np.isfinite(cloud.ranges))
         law = cloud.geometry.cell_of(cloud.geometry.rays[cells[:, 0], cells[:, 1]])

@@ -30,8 +30,14 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import gridding, grids
-from ladarreg_core.scanner.gridding import RingGrid, TurnedGrid
-from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
+from ladarreg_core.scanner.grids import (
+    AzimuthElevation,
+    PinholeGrid,
+    RingGrid,
+    RotatedGrid,
+    SphericalGrid,
+    TabulatedGrid,
+)
 from ladarreg_core.simulate.sample import sample_folder
 from tests.formats import misbehaving
 
@@ -79,7 +85,7 @@ def gone(process: int, within_s: float = 5.0) -> bool:
 
 def sample_scans() -> list[Scan]:
     azimuth = AzimuthElevation(5, 7, 0.01, 0.02, azimuth_offset_rad=0.001)
-    turned = TurnedGrid(azimuth, Rigid.from_rotvec([0.1, 0.2, 0.3]).rotation)
+    turned = RotatedGrid(azimuth, Rigid.from_rotvec([0.1, 0.2, 0.3]).rotation)
     grids = [
         azimuth,
         PinholeGrid(Camera(7, 5, 10.0, 11.0, 3.0, 2.0, (0.1, 0.01, 0.0, 0.0))),

@@ -1,7 +1,7 @@
-"""Table 3.1: the apple, by the thesis's own estimator from its own start; benchmarks/pose.py has the long runs.
+"""Table 3.1: the apple, by the thesis's estimator from its starting pose; benchmarks/pose.py has the long runs.
 
-Medians over 200 seeds are held to 5.2, 2.5 and 2.0 %. A median of 24 seeds scatters by about 1.25 s / sqrt(24), with s
-from half of the quartiles' distance over .67: 13, 11 and 9 % of it, of which two and a half are allowed.
+Limits of the medians over 200 seeds are 5.2, 2.5 and 2.0 %. The standard error of a median of 24 seeds is about
+1.25 s / sqrt(24), with s from the interquartile range: 13, 11 and 9 % of the median; 2.5 standard errors are allowed.
 """
 
 from __future__ import annotations
@@ -23,5 +23,5 @@ def test_rejection_brings_the_thesis_s_estimator_to_its_printed_precision(readin
     assert (errors[:, 1] < 25).all()
 
 
-def test_the_threshold_from_the_data_serves_as_well():
+def test_an_estimated_threshold_works_as_well():
     assert np.median(simplex_apple_figures("stereo", "B", SEEDS[:12], None)[:, 1]) < 2.5 * (1 + 2.5 * 0.16)

@@ -1,4 +1,4 @@
-"""The thesis's formulae as printed, and what is wrong with them, each with the number that shows it.
+"""The thesis's equations as printed and their errors, each with the number that shows it.
 
 Source: thesis 2.2.1, 2.4.1, 2.4.2 and 3.1; the corrections are those of `ladarreg_core.pose.thesis.stereo`
 and `ladarreg_core.frames`.
@@ -18,17 +18,17 @@ from ladarreg_core.pose.thesis.stereo import (
     STEREO_AXES_FROM_SCANNER,
     StereoPairs,
     equal_baseline,
-    equal_baselines_turn,
+    equal_baselines_rotation,
     rectify,
+    rotate_coordinates,
     stereo_depth,
-    turned,
 )
 
 LENS = Camera.from_focal(512, 512, 256.0)
 
 
 def printed_rectification(xc, yc, *, alpha, beta, gamma):
-    """Eq 2.13's two fractions as printed, lambda = 1."""
+    """Return the two fractions of Eq 2.13 as printed, lambda = 1."""
     sa, ca, sb, cb, sg, cg = (f(a) for a in (alpha, beta, gamma) for f in (np.sin, np.cos))
     below = xc * (ca * sb * sg + sa * cg) + yc * (ca * sb * cg - sa * sg) - ca * cb
     x = (xc * (sb * sa * sg - ca * cg) + yc * (sb * sa * cg + ca * sg) - sa * cb) / below
@@ -37,7 +37,7 @@ def printed_rectification(xc, yc, *, alpha, beta, gamma):
 
 
 def apple_matches(reading: str = "A") -> Matches:
-    """The apple without noise."""
+    """Return noise-free matches of the apple."""
     points = apple_points(reading)
     ranges = np.linalg.norm(points, axis=1)
     return Matches(points / ranges[:, None], ranges, LENS.project(APPLE_TRUTH.pose @ points))
@@ -45,7 +45,7 @@ def apple_matches(reading: str = "A") -> Matches:
 
 def test_the_printed_y_of_2_13_has_the_opposite_sign():
     x, y = printed_rectification(np.array([0.1]), np.array([0.2]), alpha=0.0, beta=0.0, gamma=0.0)
-    assert (x[0], y[0]) == pytest.approx((0.1, -0.2))  # a camera that is not turned at all
+    assert (x[0], y[0]) == pytest.approx((0.1, -0.2))  # no rotation at all
     rng = np.random.default_rng(0)
     for _ in range(50):
         xc, yc = rng.uniform(-0.5, 0.5, (2, 8))
@@ -97,7 +97,7 @@ def test_the_back_substitution_of_tz_needs_minus_lambda():
 def test_the_matrix_of_2_15_turns_by_plus_omega1():
     Tx, Ty = 5.0, 2.0
     D, omega1 = np.hypot(Tx, Ty), np.pi / 4 - np.arctan2(Ty, Tx)
-    turn = equal_baselines_turn(Tx, Ty)
+    turn = equal_baselines_rotation(Tx, Ty)
     assert turn == pytest.approx(rotation_about("z", omega1)[:2, :2])
     assert turn @ [Tx, Ty] == pytest.approx([D / np.sqrt(2)] * 2)
     assert equal_baseline(Tx, Ty) == pytest.approx(D / np.sqrt(2))
@@ -120,10 +120,10 @@ def test_y_up_on_one_side_is_a_left_handed_map():
     pairs = StereoPairs.of(apple_matches(), LENS)
     T = APPLE_TRUTH
     x, y = rectify(pairs.colour[0], pairs.colour[1], alpha=T.alpha, beta=T.beta, gamma=T.gamma)
-    turn, baseline = equal_baselines_turn(T.Tx, T.Ty), equal_baseline(T.Tx, T.Ty)
+    turn, baseline = equal_baselines_rotation(T.Tx, T.Ty), equal_baseline(T.Tx, T.Ty)
     for sign, exact in ((1, True), (-1, False)):
-        laser = turned(pairs.laser[0], sign * pairs.laser[1], turn)
-        error = stereo_depth(turned(x, y, turn)[0], laser[0], baseline=baseline, Tz=T.Tz) / pairs.depth - 1
+        laser = rotate_coordinates(pairs.laser[0], sign * pairs.laser[1], turn)
+        error = stereo_depth(rotate_coordinates(x, y, turn)[0], laser[0], baseline=baseline, Tz=T.Tz) / pairs.depth - 1
         assert (np.abs(error).max() < 1e-12) == exact
 
 

@@ -164,8 +164,8 @@ def test_a_throttled_question_is_asked_one_at_a_time_and_the_last_one_always(bla
     body = """
         const rest = (ms) => new Promise((done) => setTimeout(done, ms));
         const log = []; let out = 0, most = 0;
-        const wish = m.throttled(async (n) => { most = Math.max(most, ++out); await rest(7); log.push(n); out--; }, 20);
-        for (let n = 0; n < 60; n++) { wish(n); await rest(2); }
+        const ask = m.throttled(async (n) => { most = Math.max(most, ++out); await rest(7); log.push(n); out--; }, 20);
+        for (let n = 0; n < 60; n++) { ask(n); await rest(2); }
         while (log.at(-1) !== 59) await rest(20);
         return { log, most }"""
     got = run(blank, "ui/throttle", body)
@@ -256,7 +256,7 @@ def test_under_a_pose_the_predicted_partner_is_taken_by_enter_or_by_its_tick(pan
     for count, accept in ((1, "key"), (2, "tick")):
         drag(panes, "scan", *line)
         panes.wait_for_function("(n) => asked.filter(([what]) => what === 'predict').length === n", arg=count)
-        panes.wait_for_function("document.querySelector('#photo-pane .pane-wanted').textContent.includes('Enter')")
+        panes.wait_for_function("document.querySelector('#photo-pane .pane-partner').textContent.includes('Enter')")
         if accept == "key":
             panes.keyboard.press("Enter")
         else:

@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from ladarreg.gateway.encoding import Encoded
-from ladarreg.gateway.told import Told
+from ladarreg.gateway.document_socket import ClientState
+from ladarreg.gateway.encoding import SharedEncoder
 
 from tests.app.slice_edits import random_states
 
@@ -44,10 +44,10 @@ def blank(page: Page, modules: str) -> Page:
 
 def texts_of(states: list[dict[str, Any]]) -> list[str]:
     """What a page is sent that is there from the first state on."""
-    told = Told(Someone(), Encoded())
-    found = [told.text({"slices": states[0]})]
+    state = ClientState(Someone(), SharedEncoder())
+    found = [state.encode({"slices": states[0]})]
     for before, after in pairwise(states):
-        found.append(told.text({"slices": {name: after[name] for name in after if after[name] is not before[name]}}))
+        found.append(state.encode({"slices": {name: after[name] for name in after if after[name] is not before[name]}}))
     return found
 
 

@@ -1,4 +1,4 @@
-"""Problems with one to four things wrong: a clear error, a refusal with reasons, or the right pose, and no fourth."""
+"""Problems with one to four defects end in a clear error, a refusal with reasons, or the correct pose."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ KINDS: dict[str, tuple[Any, ...]] = {
     "initial": ("truth", "behind", "far", "near"),
     "method": ("linear", "stereo_simplex", "epipolar_simplex"),
 }  # fmt: skip
-"""What may be wrong, and how."""
+"""Possible defects of each kind."""
 SOUND: dict[str, Any] = {
     "scene": "room", "pixels": "noisy", "ranges": "noisy", "spoilt": "no", "weights": "one", "lines": "none",
     "lens": "room", "stated lens": "true", "n": 30, "scale": 1.0, "place": "aside", "copies": False, "sigma_px": None,
@@ -69,7 +69,7 @@ MOST_SIGMAS = 7.0
 
 @dataclass(frozen=True)
 class Problem:
-    """Matches with what is known of them."""
+    """Matches with their ground truth."""
 
     matches: Matches
     camera: Camera
@@ -77,12 +77,12 @@ class Problem:
     initial: Rigid | None
     pose: Rigid
     truth: str
-    """`known`: only the true pose may be accepted; `none`: nothing may; `open`: the input is wrong in itself."""
+    """`known`: only the true pose may be accepted; `none`: no pose may; `open`: the input itself is wrong."""
     labels: str
 
 
 def scene(kind: str, n: int, rng: np.random.Generator) -> np.ndarray:
-    """(n, 3) points before the scanner, m."""
+    """Return points (n, 3) in the scanner frame, m."""
     spread, ahead = rng.uniform(-1, 1, (n, 2)), np.array([4.0, 0.0, 0.0])
     if kind == "room":
         return room_case(int(rng.integers(1 << 30)), count=max(n, 1), sigma_range_m=0).matches.points[:n]
@@ -109,7 +109,7 @@ def scene(kind: str, n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def seen(kind: str, true: np.ndarray, camera: Camera, rng: np.random.Generator) -> tuple[np.ndarray, str]:
-    """(n, 2) pixels, and whether they still tell the truth."""
+    """Return pixels (n, 2) and the resulting `Problem.truth`."""
     n, size = len(true), np.array(camera.size)
     anywhere, half = rng.uniform([0, 0], size - 1, (n, 2)), (np.arange(n) % 2 == 0)[:, None]
     noisy = true + rng.normal(size=(n, 2)) * STATED_PX
@@ -124,7 +124,7 @@ def seen(kind: str, true: np.ndarray, camera: Camera, rng: np.random.Generator) 
         "two": (np.where(half, size / 3, size / 2), "none"),
         "column": (np.column_stack([np.full(n, 200.0), noisy[:, 1]]), "open"),
         "mirrored": ([size[0] - 1, 0] + noisy * [-1, 1], "none"),
-        "turned": ((noisy - size / 2) @ turn.T + size / 2, "open"),  # a turned camera sees so
+        "turned": ((noisy - size / 2) @ turn.T + size / 2, "open"),  # consistent with a rolled camera
         "half random": (np.where(half, noisy, anywhere), "known"),
         "most random": (np.where((np.arange(n) % 5 == 0)[:, None], noisy, anywhere), "known"),
         "half shifted": (np.where(half, noisy, noisy + np.array([40, -25])), "known"),
@@ -137,7 +137,7 @@ def seen(kind: str, true: np.ndarray, camera: Camera, rng: np.random.Generator) 
 
 
 def spoil(kind: str, fields: dict[str, np.ndarray], k: int) -> None:
-    """Put one absurd number into the matches' arrays."""
+    """Put one invalid number into the arrays of the matches."""
     if kind == "no" or not len(fields["ranges"]):
         return
     how, name = kind.split()
@@ -150,14 +150,14 @@ def spoil(kind: str, fields: dict[str, np.ndarray], k: int) -> None:
 
 @st.composite
 def problems(draw: st.DrawFn) -> Problem:
-    """A sound problem with one to four things wrong."""
+    """Draw a sound problem with one to four defects."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     wrong = rng.permutation(list(KINDS))[: draw(st.integers(1, 4))]
     return made(rng, {name: KINDS[name][rng.integers(len(KINDS[name]))] for name in wrong})
 
 
 def made(rng: np.random.Generator, kinds: dict[str, Any]) -> Problem:
-    """Build the problem that is sound but for some kinds."""
+    """Build a problem that is sound except for the given defects."""
     pick = SOUND | kinds
     n, scale, lens, ranged = pick["n"], pick["scale"], LENSES[pick["lens"]], pick["ranges"]
     points = scene(pick["scene"], n, rng)
@@ -169,7 +169,7 @@ def made(rng: np.random.Generator, kinds: dict[str, Any]) -> Problem:
     if pick["place"] in ("among", "overhead"):
         centre = middle + np.array([0.0, 0.0, 0.1 if pick["place"] == "among" else 3.1])
     away = middle - centre
-    if pick["place"] != "among" and np.linalg.norm(away) > 1e-6:  # it looks at the middle of what was scanned
+    if pick["place"] != "among" and np.linalg.norm(away) > 1e-6:  # aim at the centroid of the scanned points
         pose = Rigid(rotation_from_rotvec(0.03 * rng.normal(size=3)) @ look_along(away), np.zeros(3))
     pose = Rigid.from_centre(pose.rotation, centre * scale)
     points = points * scale
@@ -228,12 +228,12 @@ def made(rng: np.random.Generator, kinds: dict[str, Any]) -> Problem:
     if truth == "known" and not honest:
         truth = "open"
     if pick["lens"] == "sliver" and pick["pixels"] == "mirrored":
-        truth = "open"  # three rows of pixels hardly know what is up
+        truth = "open"  # three rows of pixels barely determine the upright
     return Problem(matches, camera, options, initial, pose, truth, ", ".join(f"{k} {v}" for k, v in kinds.items()))
 
 
 def weighted(rng: np.random.Generator, kind: str, n: int) -> dict[str, np.ndarray]:
-    """Weights of every kind that is allowed, and of some that are not."""
+    """Return weights of a kind, valid or extreme."""
     one = np.ones(n)
     weights = {
         "mild": rng.uniform(0.3, 3, n),
@@ -252,7 +252,7 @@ def weighted(rng: np.random.Generator, kind: str, n: int) -> dict[str, np.ndarra
 
 
 def drawn(rng: np.random.Generator, kind: str, uv: np.ndarray) -> dict[str, np.ndarray]:
-    """Directions, and what is known across them only."""
+    """Return line directions, and which ends are known only across the line."""
     n = len(uv)
     angles = rng.uniform(0, 2 * np.pi, n)
     odd = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -276,18 +276,16 @@ def drawn(rng: np.random.Generator, kind: str, uv: np.ndarray) -> dict[str, np.n
     return {"directions": along, "across": np.asarray(across), "fractions": fractions}
 
 
-WHAT_TO_DO = re.compile(
-    r"\b(add|remove|give|check|use|correct|divide|leave|spread|state|must be|take|ranges are|draw)\b"
-)
+WHAT_TO_DO = re.compile(r"\b(add|remove|give|check|use|correct|normalise|spread|state|must be|take|ranges are|draw)\b")
 
 
 def one_sentence(text: str) -> bool:
-    """Whether a message is one line, of one sentence, with what to do."""
+    """Return whether a message is one line with one sentence that states what to do."""
     return "\n" not in text and not re.search(r"[.!?] +[A-Z]", text) and bool(WHAT_TO_DO.search(text))
 
 
 def verify(problem: Problem) -> str:
-    """Solve a problem and return how it ended; anything but the three honest ends is an assertion."""
+    """Solve a problem and return its outcome; any but the three valid outcomes fails an assertion."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
@@ -315,19 +313,19 @@ def verify(problem: Problem) -> str:
 
 
 def right(result: PoseResult, problem: Problem) -> None:
-    """Only the truth is accepted, within the uncertainty that is told."""
+    """Assert that only the true pose is accepted, within the stated uncertainty."""
     assert problem.truth != "none", (problem.labels, result.reasons)
     if problem.truth == "open":
         return
     step = difference(problem.pose, result.camera_from_scanner)
     angle, position = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
-    told = angle / (result.sigma_angle_rad + 1e-6), position / (result.sigma_position_m + 1e-6)
-    assert max(told) < MOST_SIGMAS, (problem.labels, told, result.reasons)
+    sigmas_off = angle / (result.sigma_angle_rad + 1e-6), position / (result.sigma_position_m + 1e-6)
+    assert max(sigmas_off) < MOST_SIGMAS, (problem.labels, sigmas_off, result.reasons)
     well_determined = result.sigma_position_m < 0.02 * np.median(result.matches.ranges)
     if well_determined and (problem.options.sigma_range_m or 0) <= 3 * STATED_M:
         slack = result.covariance + np.diag([1e-6**2] * 6)
         sigmas = float(np.sqrt(step @ np.linalg.solve(slack, step)))
-        # copies of a match are taken for matches, and their noise for as many independent ones
+        # duplicates count as matches with independent noise
         copies = len(result.matches) / len(np.unique(result.matches.uv, axis=0))
         assert sigmas < MOST_SIGMAS * np.sqrt(copies), (problem.labels, sigmas, result.reasons)
 

@@ -163,8 +163,11 @@ def test_the_signs_in_words() -> None:
     """Tx is left, Ty up, Tz forward; alpha > 0 turns right, beta > 0 looks down, gamma > 0 rolls clockwise."""
     left = ThesisParameters(0.612, 0.047, -0.118, 0, 0, 0)
     np.testing.assert_allclose(left.pose.centre, [-0.118, 0.612, 0.047], atol=1e-12)
-    assert left.in_words() == "0.61 m left, 0.05 m up, 0.12 m back"
-    assert ThesisParameters(-0.612, -0.047, 0.118, 0, 0, 0).in_words() == "0.61 m right, 0.05 m down, 0.12 m forward"
+    assert left.describe_position() == "0.61 m left, 0.05 m up, 0.12 m back"
+    assert (
+        ThesisParameters(-0.612, -0.047, 0.118, 0, 0, 0).describe_position()
+        == "0.61 m right, 0.05 m down, 0.12 m forward"
+    )
 
     axis = {k: ThesisParameters(0, 0, 0, **{k: 0.2}, **dict.fromkeys({"alpha", "beta", "gamma"} - {k}, 0.0)).pose
             for k in ("alpha", "beta", "gamma")}  # fmt: skip
@@ -175,9 +178,9 @@ def test_the_signs_in_words() -> None:
     np.testing.assert_allclose(axis["gamma"].rotation.T @ [1, 0, 0], [0, -np.cos(0.2), -np.sin(0.2)], atol=1e-12)
 
     turned = ThesisParameters(0, 0, 0, np.deg2rad(7.31), np.deg2rad(-1.2), np.deg2rad(0.94))
-    assert turned.turn_in_words() == "7.31 deg right, 1.20 deg up, rolled 0.94 deg clockwise"
+    assert turned.describe_orientation() == "7.31 deg right, 1.20 deg up, rolled 0.94 deg clockwise"
     other = ThesisParameters(0, 0, 0, np.deg2rad(-7.31), np.deg2rad(1.2), np.deg2rad(-0.94))
-    assert other.turn_in_words() == "7.31 deg left, 1.20 deg down, rolled 0.94 deg counter-clockwise"
+    assert other.describe_orientation() == "7.31 deg left, 1.20 deg down, rolled 0.94 deg counter-clockwise"
 
 
 def test_a_camera_along_x_is_the_identity_of_the_parameters() -> None:

@@ -1,4 +1,4 @@
-"""Laws of the pose's cost, and what no input may do to the estimator."""
+"""Properties of the pose's cost, and robustness of the estimator to hostile input."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def shifted(pose: Rigid, step: np.ndarray) -> Rigid:
 
 
 def brute_force_cost(case, pose, lens) -> float:
-    """The errors-in-variables cost by a fine search of every range."""
+    """Return the errors-in-variables cost by an exhaustive search of every range."""
     grid = np.linspace(-6, 6, 4001)[None, :, None] * case.sigma_range_m
     rho = case.ranges[:, None, None] + grid
     uv = lens.project(pose @ (case.rays[:, None] * rho))
@@ -51,7 +51,7 @@ def test_the_solution_is_the_minimum_of_the_exact_cost(seed: int, lens: Camera) 
     assert seen.s.sum() == pytest.approx(best, rel=0.02, abs=1e-3)
     for k in range(6):
         for sign in (-0.5, 0.5):
-            # The lens is taken as linear over a residual: its share of the slope stays far below the rise.
+            # distortion is linearised over a residual; the resulting error is far below the increase
             assert brute_force_cost(case, shifted(states.pose(), sign * sigma * (np.arange(6) == k)), lens) > best
 
 
@@ -86,7 +86,7 @@ def test_the_order_of_matches_does_not_matter(seed: int) -> None:
 
 @st.composite
 def problems(draw: st.DrawFn):
-    """Matches of every bad kind, with what is true about them."""
+    """Draw matches of every degenerate kind, with their ground truth."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     n = draw(st.sampled_from([0, 1, 3, 4, 5, 6, 8, 12, 13, 30, 60]))
     shape = draw(st.sampled_from(["room", "plane", "line", "point", "shell", "cluster"]))
@@ -128,7 +128,7 @@ initials = st.sampled_from([None, "truth", "behind", "far"])
     problem=problems(), sigma_px=sigmas, sigma_m=sigmas, start=initials, method=st.sampled_from(["robust", "linear"])
 )
 @settings(max_examples=300)
-def test_nothing_but_typed_errors_and_no_confident_wrong_pose(problem, sigma_px, sigma_m, start, method) -> None:
+def test_only_typed_errors_and_no_accepted_wrong_pose(problem, sigma_px, sigma_m, start, method) -> None:
     rays, ranges, uv, pose, *_ = problem
     initial = {
         None: None,
@@ -154,13 +154,13 @@ def verify(result: PoseResult, problem, sigma_px: float | None) -> None:
     assert np.linalg.eigvalsh(result.covariance).min() > -1e-9 * np.abs(result.covariance).max()
     assert result.reasons
     if result.accepted:
-        # Only what agrees with the truth may be accepted, within its own uncertainty.
+        # only a pose that agrees with the truth within its uncertainty may be accepted
         if (shape, pixels) == ("cluster", "mirrored"):
-            return  # its relief may be less than the stated range noise, and without relief a mirror image has a pose
+            return  # with less relief than the stated range noise, a mirrored image has a valid pose
         assert pixels in ("true", "noisy", "halves")
         step = difference(pose, result.camera_from_scanner)
         slack = result.covariance + np.diag([1e-5**2] * 3 + [(1e-5 * float(np.median(ranges))) ** 2] * 3)
-        stated = 1.0 if sigma_px is None else max(1.0, 1.0 / sigma_px)  # noise of 1 px called less is the caller's word
+        stated = 1.0 if sigma_px is None else max(1.0, 1.0 / sigma_px)  # the caller understated the noise of 1 px
         assert np.sqrt(step @ np.linalg.solve(slack, step)) < 7 * stated
 
 
@@ -188,7 +188,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_arrays_are_told(name: str) -> None:
+def test_hostile_arrays_are_refused(name: str) -> None:
     case = room_case(0, count=20)
     spoil, expected = HOSTILE[name]
     with pytest.raises(expected) as caught:
@@ -212,7 +212,7 @@ def test_hostile_arrays_are_told(name: str) -> None:
         ({"camera": None}, CameraError),
     ],
 )
-def test_hostile_options_are_told(bad, expected) -> None:
+def test_hostile_options_are_refused(bad, expected) -> None:
     case = room_case(0, count=20)
     given_ = {"camera": case.camera, **bad}
     with pytest.raises(expected) as caught:
@@ -220,7 +220,7 @@ def test_hostile_options_are_told(bad, expected) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_nearly_unit_rays_are_made_unit() -> None:
+def test_nearly_unit_rays_are_normalised() -> None:
     case = room_case(0)
     a = estimate_pose(case.rays, case.ranges, case.uv, case.camera)
     b = estimate_pose(case.rays.astype(np.float32) * 1.0005, case.ranges, case.uv, case.camera)

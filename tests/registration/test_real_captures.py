@@ -1,4 +1,4 @@
-"""Real scans with real or half-real photographs: accepted where they must be, and never wrongly."""
+"""Real scans with real or rendered photographs: correct pairs are accepted, wrong ones never."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def pump_pose(scan: lr.Scan, seed: int) -> lr.Rigid:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_pump_seen_from_another_place(pump: lr.Scan, seed: int) -> None:
+def test_pump_from_another_position(pump: lr.Scan, seed: int) -> None:
     truth = pump_pose(pump, seed)
     picture, _ = render_scan_colors(pump, PUMP_CAMERA, truth)
     result = lr.register(pump, lr.Photo(picture, PUMP_CAMERA))
@@ -71,7 +71,7 @@ def test_sparse_captures_end_in_a_clear_verdict(real_data: Path, name: str, scan
     truth = truth_of(real_data / name)
     off = lr.Rigid(rotation_from_rotvec([0.05, -0.08, 0.03]) @ truth.rotation, truth.translation + 0.1)
     result = lr.register(*pair, initial={"none": None, "truth": truth, "off": off}[start])
-    if result.accepted:  # it may be, if it is right
+    if result.accepted:  # acceptance is allowed if the pose is correct
         points = pair[0].points[pair[0].valid].astype(float)
         true = result.camera.project(truth @ points)
         seen = result.camera.contains(true)

@@ -1,4 +1,4 @@
-"""Simulated rooms: all of the standard set register, and no photograph of another room does."""
+"""Simulated rooms: the whole standard set registers, photographs of other rooms are refused."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ def test_the_standard_set(scene: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize(("scene", "seed"), [("boxes", 105), ("people", 107), ("office", 108)])
-def test_a_camera_that_was_rolled(scene: str, seed: int) -> None:
+def test_a_rolled_camera(scene: str, seed: int) -> None:
     made = simulate_case(scene, set_name="rotated", seed=seed)
     result = lr.register(made.scan, made.photo)
     assert result.accepted, result.reasons
     assert displacement_px(made, result.camera_from_scanner) < 0.6
-    # What is reported lies in the photo as it was given.
+    # Matches are reported in pixels of the photo as given.
     off = result.camera.project(result.camera_from_scanner @ result.matches.points) - result.matches.uv
     assert np.median(np.hypot(*off[result.inliers].T)) < 1
 
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
-def test_a_photo_turned_by_quarters_gives_the_same_place(quarters: int) -> None:
+def test_a_photo_rotated_by_quarter_turns_gives_the_same_camera_position(quarters: int) -> None:
     made = case("desk", 101)
     pixels = np.ascontiguousarray(np.rot90(made.photo.pixels, quarters))
     camera = lr.Camera.from_focal(pixels.shape[1], pixels.shape[0], made.photo.camera.focal_px)
@@ -57,7 +57,7 @@ def test_a_photo_turned_by_quarters_gives_the_same_place(quarters: int) -> None:
 
 
 @pytest.mark.parametrize("scene", ["boxes", "desk"])
-def test_a_rough_pose_is_enough(scene: str) -> None:
+def test_an_approximate_initial_pose_is_sufficient(scene: str) -> None:
     made = case(scene, 202)
     truth = made.camera_from_scanner
     turn = rotation_from_rotvec(np.deg2rad([3.0, -3.5, 2.0]))

@@ -1,4 +1,4 @@
-"""The thesis's chain, whole, on simulated scenes: what it finds, what it says where it cannot, and what it leaves."""
+"""The whole chain of the thesis on simulated scenes: results, reasons and limits."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import ladarreg_core as lr
 from ladarreg_core.comparison import compare
 from ladarreg_core.frames import rotation_about
 from ladarreg_core.matching.thesis.chain import ThesisOptions, solve_thesis
+from ladarreg_core.progress import StepLog
 from ladarreg_core.registration import RegisterOptions
 from ladarreg_core.simulate import SimulatedCase, simulate_case
-from ladarreg_core.steps import StepLog
 from tests.scenes.painted_room import PaintedRoom, painted_room
 
 STAGES = ["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
@@ -42,7 +42,7 @@ def default(case: SimulatedCase) -> lr.Registration:
     return lr.register(case.scan, case.photo)
 
 
-def test_the_chain_registers_what_it_can_match(case: SimulatedCase) -> None:
+def test_the_chain_registers_a_pair(case: SimulatedCase) -> None:
     result = lr.register(case.scan, case.photo, method="thesis")
     assert result.accepted, result.reasons
     assert result.evidence == "image"
@@ -67,7 +67,7 @@ def test_from_good_matches_the_chain_ends_where_the_default_does(
     assert shift_px(case, default.camera_from_scanner, found.last.camera_from_scanner) < 0.1
 
 
-def test_all_stages_stand_side_by_side(room: PaintedRoom) -> None:
+def test_all_stages_are_compared(room: PaintedRoom) -> None:
     seen: list[str] = []
     compared = compare(room.scan, room.photo, report=lambda step: seen.append(step.name))
     assert [column.stage.name for column in compared.columns] == [*STAGES, "default"]
@@ -85,7 +85,7 @@ def test_all_stages_stand_side_by_side(room: PaintedRoom) -> None:
 
 
 def drawn_lines(room: PaintedRoom, count: int = 10, *, seed: int = 1) -> list[lr.Pick]:
-    """Lines as an operator would draw them: across one face each, their ends half a pixel off."""
+    """Return lines as an operator would draw them: each on one face, with end errors of half a pixel."""
     rng = np.random.default_rng(seed)
     camera, picks = room.photo.camera, []
     points = room.scan.points.astype(float)
@@ -118,7 +118,7 @@ def test_drawn_lines_are_solved_by_the_thesis_estimators(room: PaintedRoom, resi
     assert set(result.matches.pick_ids) <= {str(k + 1) for k in range(14)}
 
 
-def test_what_the_scan_did_not_measure_is_said(room: PaintedRoom) -> None:
+def test_lines_without_returns_are_reported(room: PaintedRoom) -> None:
     up = np.array([[0.6, 0.0, 0.8], [0.6, 0.1, 0.8]])
     sky = lr.Pick("sky", "line", up / np.linalg.norm(up, axis=1)[:, None], np.array([[5.0, 5.0], [9.0, 5.0]]))
     result = lr.register(room.scan, room.photo, method="thesis", picks=[*drawn_lines(room), sky])
@@ -133,19 +133,19 @@ def test_too_few_drawn_matches_are_an_error(room: PaintedRoom) -> None:
 
 
 def turned_photo(case: SimulatedCase) -> lr.Photo:
-    """The photo as a camera held upside down would take it."""
+    """Return the photo of a camera held upside down."""
     camera = case.photo.camera
     return lr.Photo(np.ascontiguousarray(case.photo.pixels[::-1, ::-1]), camera)
 
 
-def test_a_large_roll_is_recognised_and_said_before_solving(case: SimulatedCase) -> None:
+def test_a_large_roll_is_detected_and_reported(case: SimulatedCase) -> None:
     result = lr.register(case.scan, turned_photo(case), method="thesis")
     assert not result.accepted
     said = [re.search(r"rolled by (?:about )?(\d+) deg", reason) for reason in result.reasons]
     assert any(found and abs(int(found[1]) - 180) <= 5 for found in said), result.reasons
 
 
-def test_the_same_place_is_recognised_and_said() -> None:
+def test_a_vanishing_baseline_is_detected_and_reported() -> None:
     case = simulate_case("boxes", set_name="identical", seed=41)
     literal = RegisterOptions(thesis=ThesisOptions(residual="stereo"))
     result = lr.register(case.scan, case.photo, method="thesis", options=literal)
@@ -155,7 +155,7 @@ def test_the_same_place_is_recognised_and_said() -> None:
 
 
 @pytest.mark.parametrize("picture", ["flat", "noise"])
-def test_what_does_not_match_is_not_accepted(room: PaintedRoom, picture: str) -> None:
+def test_a_photo_without_matches_is_refused(room: PaintedRoom, picture: str) -> None:
     shape = room.photo.pixels.shape
     pixels = {
         "flat": np.full(shape, 128, np.uint8),
@@ -167,7 +167,7 @@ def test_what_does_not_match_is_not_accepted(room: PaintedRoom, picture: str) ->
     assert result.reasons
 
 
-def test_a_rough_pose_constrains_the_search(case: SimulatedCase) -> None:
+def test_an_initial_pose_guides_the_matching(case: SimulatedCase) -> None:
     truth = case.camera_from_scanner
     rough = lr.Rigid.from_centre(rotation_about("y", np.deg2rad(1.0)) @ truth.rotation, truth.centre + 0.03)
     result = lr.register(case.scan, case.photo, method="thesis", initial=rough)
@@ -176,7 +176,7 @@ def test_a_rough_pose_constrains_the_search(case: SimulatedCase) -> None:
     assert shift_px(case, truth, result.camera_from_scanner) < 1.0
 
 
-def test_the_same_inputs_give_the_same_answer(room: PaintedRoom) -> None:
+def test_equal_inputs_give_equal_results(room: PaintedRoom) -> None:
     one, other = (lr.register(room.scan, room.photo, method="thesis", options=RegisterOptions(seed=3)) for _ in "ab")
     assert one.camera_from_scanner.matrix.tobytes() == other.camera_from_scanner.matrix.tobytes()
     assert one.matches.pick_ids == other.matches.pick_ids
@@ -189,13 +189,13 @@ def test_the_same_inputs_give_the_same_answer(room: PaintedRoom) -> None:
         (lambda: ThesisOptions(residual="disparity"), "epipolar"),
     ],
 )
-def test_options_without_meaning_are_refused(options, words: str) -> None:
+def test_invalid_options_are_refused(options, words: str) -> None:
     with pytest.raises(lr.LadarregError, match=words):
         options()
 
 
-def test_lines_on_one_line_are_never_called_certain(room: PaintedRoom) -> None:
-    """Four pieces of one straight line: the camera may turn about it, whatever the residuals say."""
+def test_collinear_lines_are_never_accepted(room: PaintedRoom) -> None:
+    """Segments of one straight line: the camera can rotate about it without a change of the residuals."""
     points = room.scan.points.astype(float)[150, 40:400:40]
     uv = room.photo.camera.project(room.camera_from_scanner @ points)
     uv = uv[0] + np.linspace(0, 1, len(uv))[:, None] * (uv[-1] - uv[0])
@@ -210,7 +210,7 @@ def test_lines_on_one_line_are_never_called_certain(room: PaintedRoom) -> None:
 
 
 @pytest.mark.parametrize("method", ["manual", "thesis"])
-def test_why_drawn_matches_are_missing_is_told_with_the_error(room: PaintedRoom, method: str) -> None:
+def test_the_error_states_why_drawn_matches_are_missing(room: PaintedRoom, method: str) -> None:
     away = [lr.Pick(p.id, "line", p.scan, p.photo + 5000) for p in drawn_lines(room, 5)]
     with pytest.raises(lr.LadarregError, match="outside the photo"):
         lr.register(room.scan, room.photo, method=method, picks=away)
@@ -220,6 +220,6 @@ def test_why_drawn_matches_are_missing_is_told_with_the_error(room: PaintedRoom,
 
 
 @pytest.mark.parametrize("count", [0, 1, 1001, "9"])
-def test_a_number_of_samples_without_meaning_is_refused_at_once(count: object) -> None:
+def test_an_invalid_number_of_samples_is_refused(count: object) -> None:
     with pytest.raises(lr.LadarregError, match="whole number from 2 to 1000"):
         RegisterOptions(samples_per_line=count)  # type: ignore[arg-type]

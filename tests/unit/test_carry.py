@@ -20,8 +20,7 @@ from ladarreg_core.export.json import registration_document
 from ladarreg_core.formats.registration_file import read_offset, read_registration
 from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.matches import Matches
-from ladarreg_core.mount import Offset
-from ladarreg_core.results import Registration
+from ladarreg_core.results import Offset, Registration
 from tests.properties.strategies import poses
 
 CAMERA = lr.Camera.from_focal(60, 40, 70.0)
@@ -33,7 +32,7 @@ def registered(pose: Rigid, *, accepted: bool = True, covariance: np.ndarray = C
     return Registration(
         camera_from_scanner=pose,
         camera=CAMERA,
-        matches=Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))),
+        matches=Matches.none(),
         inliers=np.zeros(0, np.bool_),
         residuals_px=np.zeros((0, 2)),
         residuals_m=np.zeros(0),

@@ -166,10 +166,16 @@ def _records() -> dict[str, type[Any]]:
 
 
 def _geometries() -> tuple[type[Any], ...]:
-    from ladarreg_core.scanner.gridding import RingGrid, TurnedGrid
-    from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid
+    from ladarreg_core.scanner.grids import (
+        AzimuthElevation,
+        PinholeGrid,
+        RingGrid,
+        RotatedGrid,
+        SphericalGrid,
+        TabulatedGrid,
+    )
 
-    return AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid, RingGrid, TurnedGrid
+    return AzimuthElevation, PinholeGrid, SphericalGrid, TabulatedGrid, RingGrid, RotatedGrid
 
 
 def _rebuild(record: type[Any], values: dict[str, Any]) -> Any:

@@ -1,4 +1,4 @@
-"""Many correspondences from few: points along lines between matches, where the lines lie on planar surfaces."""
+"""Densification: additional matches along lines between matches, where the lines lie on planar surfaces."""
 
 from __future__ import annotations
 
@@ -14,47 +14,47 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.pyramid import ScanLevels
-from ladarreg_core.picks.perspective_line import fraction_in_photo, kappa_of
+from ladarreg_core.picks.lines import fraction_in_photo, kappa_of
 from ladarreg_core.surface.remap import look_up
 
 Kappa = Literal["equal", "by_pose"]
 _LINES_AT_A_TIME = 256
-_CHECK_EVERY_PX = 1.0  # what breaks a surface is marked three pixels around
-_MOST_NEIGHBOURS = 100
-_MOST_LINES = 10_000
+_CHECK_EVERY_PX = 1.0  # depth edges and holes are marked three pixels wide
+_MAX_NEIGHBOURS = 100
+_MAX_LINES = 10_000
 _LARGEST_PX = 1e5
 _LARGEST_M = 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DensifyOptions:
-    """Which lines are drawn between matches, and how densely they are sampled.
+    """Options of the lines between matches.
 
     Raises:
-        OptionError: if a value has no meaning.
+        OptionError: if a value is out of range.
     """
 
     plane_sigma_m: float = 0.01
-    """A line lies on a plane if its depths differ from the measured ones by at most this, m, root mean square..."""
+    """Maximum rms deviation of the measured ranges from the straight line, m..."""
     plane_sigma_relative: float = 0.004
-    """...or by at most this share of the range: what is far is noisier. 0: only the absolute threshold."""
+    """...or as a fraction of the range, since noise grows with range; the larger applies. 0: the absolute one only."""
     interval_px: float = 8.0
-    """Between the points along a line, scan pixels."""
+    """Interval between the points along a line, scan pixels."""
     shortest_px: float = 20.0
-    """No line shorter than this on either side, pixels."""
+    """Minimum length of a line in either image, pixels."""
     longest_px: float = 200.0
-    """No line longer than this, scan pixels."""
+    """Maximum length of a line, scan pixels."""
     most_stretch: float = 3.0
-    """No line that is so many times as long in one picture as in the other: one of its ends is a mismatch."""
+    """Maximum ratio of a line's lengths in the two images; beyond it one of its ends is a mismatch."""
     neighbours: int = 12
-    """Lines are drawn from each match to so many of the nearest ones at most."""
+    """Maximum number of nearest matches that each match is connected with."""
     lines_per_match: int = 4
-    """Each match is an end of so many lines at most."""
+    """Maximum number of lines that end at a match."""
     most_lines: int = 400
-    """So many lines at most, the shortest first."""
+    """Maximum number of lines, the shortest first."""
     kappa: Kappa = "by_pose"
-    """The photo's points lie at `equal` fractions as in the thesis, or, once a pose is known, where perspective puts
-    them: odds(s_photo) = kappa odds(s_scan)."""
+    """Position of the points in the photo: at `equal` fractions as in the thesis, or, if a pose is known, by
+    perspective: odds(s_photo) = kappa odds(s_scan)."""
 
     def __post_init__(self) -> None:
         spans = (
@@ -71,9 +71,9 @@ class DensifyOptions:
             if not (number and least <= value <= most):
                 raise OptionError(f"the lines' {name} is {value!r}; it must be a number from {least:g} to {most:g}")
         counts = (
-            ("neighbours", _MOST_NEIGHBOURS),
-            ("lines_per_match", _MOST_NEIGHBOURS),
-            ("most_lines", _MOST_LINES),
+            ("neighbours", _MAX_NEIGHBOURS),
+            ("lines_per_match", _MAX_NEIGHBOURS),
+            ("most_lines", _MAX_LINES),
         )
         for name, most_whole in counts:
             value = getattr(self, name)
@@ -95,18 +95,18 @@ class LinePoints:
     ranges: NDArray[np.float64]
     """(N,) m, as measured there."""
     line: NDArray[np.intp]
-    """(N,) its line."""
+    """(N,) index of the line."""
     fraction: NDArray[np.float64]
-    """(N,) where along its line each point lies in the scan's view, between 0 and 1."""
+    """(N,) position along the line in the scan's view, between 0 and 1."""
     ends: NDArray[np.intp]
-    """(L, 2) the matches between which each line runs."""
+    """(L, 2) indices of the matches at the ends of each line."""
 
     def __len__(self) -> int:
         return len(self.ranges)
 
     @property
     def weight(self) -> NDArray[np.float64]:
-        """(N,) 1 / sqrt of the number of points on the same line, which are not independent of each other."""
+        """(N,) 1 / sqrt of the number of points on the same line, since these are not independent."""
         return np.asarray(1 / np.sqrt(np.bincount(self.line, minlength=len(self.ends))[self.line]))
 
 
@@ -119,23 +119,23 @@ def lines_between(
     photo_camera: Camera,
     pose: Rigid | None = None,
 ) -> LinePoints:
-    """Return points at constant intervals along the lines between matches that lie on planar surfaces.
+    """Return points at constant intervals along lines between matches that lie on planar surfaces.
 
-    A line is refused by any hole or depth edge on it, its ends included. Of many lines the shortest are kept, and of
-    lines that double each other the shorter one.
+    A line with a hole or a depth edge on it, ends included, is discarded. Of many lines the shortest are kept, and of
+    duplicates the shorter one.
 
     Args:
         scan: the scan's levels.
         scan_uv: (K, 2) view pixels of the matches.
-        photo_uv: (K, 2) working pixels of the matches. A match that is not finite or lies outside of either picture
-            ends no line.
-        options: which lines, and how densely.
+        photo_uv: (K, 2) working pixels of the matches. Matches that are not finite or lie outside either image are
+            ignored.
+        options: selection and sampling of the lines.
         photo_camera: the photo's working camera.
-        pose: `camera_from_scanner`, for `kappa`; None: equal intervals on both sides, as in the thesis. The middle of
-            a long line is then some pixels off.
+        pose: `camera_from_scanner`, for `kappa`; None: equal fractions in both images, as in the thesis. The middle of
+            a long line is then displaced by several pixels.
 
     Returns:
-        the points, without the ends; line by line, in the order of their fraction. None where no line can be drawn.
+        the points without the ends, line by line in the order of their fraction; empty if there is no line.
 
     Raises:
         ShapeError: if the pixels of the two sides are not (K, 2) each.
@@ -146,8 +146,8 @@ def lines_between(
     on_scan = read_only(scan_uv, np.float64, (None, 2), "the matches' scan pixels")
     on_photo = read_only(photo_uv, np.float64, (len(on_scan), 2), "the matches' photo pixels")
     surface = _Surface(scan)
-    ends = _chosen_lines(on_scan, on_photo, surface, photo_camera, o)
-    line, fraction = _stations(_lengths(on_scan, ends), o.interval_px)
+    ends = _select_lines(on_scan, on_photo, surface, photo_camera, o)
+    line, fraction = _sample_fractions(_lengths(on_scan, ends), o.interval_px)
     kappa = np.ones(len(ends))
     if pose is not None and o.kappa == "by_pose":
         kappa = _kappa(on_scan, ends, surface, pose)
@@ -163,7 +163,7 @@ def lines_between(
 
 
 class _Surface:
-    """The measured ranges of a view, between its pixels too."""
+    """Measured ranges of a view, interpolated between its pixels."""
 
     def __init__(self, scan: ScanLevels) -> None:
         self.view = scan.view
@@ -172,7 +172,7 @@ class _Surface:
             self._inverse = np.where(np.isfinite(scan.ranges), 1 / scan.ranges, 0).astype(np.float32)
 
     def unbroken(self, uv: FloatArray) -> BoolArray:
-        """Return which pixels (..., 2) lie in the view with neither hole nor depth edge nearby."""
+        """Return a mask (...) of the pixels (..., 2) inside the view, away from holes and depth edges."""
         inside = self.view.camera.contains(uv)
         u, v = np.moveaxis(np.rint(np.where(inside[..., None], uv, 0)).astype(np.intp), -1, 0)
         return np.asarray(inside & self._unbroken[v, u])
@@ -187,7 +187,7 @@ class _Surface:
             return np.asarray(1 / inverse.reshape(uv.shape[:-1]))
 
 
-def _chosen_lines(
+def _select_lines(
     scan_uv: FloatArray, photo_uv: FloatArray, surface: _Surface, photo_camera: Camera, options: DensifyOptions
 ) -> NDArray[np.intp]:
     """Return the ends (L, 2) of the lines to sample."""
@@ -195,11 +195,11 @@ def _chosen_lines(
         usable = np.flatnonzero(surface.unbroken(scan_uv) & photo_camera.contains(photo_uv))
     scan_uv, photo_uv = scan_uv[usable], photo_uv[usable]
     pairs = _neighbour_pairs(scan_uv, options)
-    pairs = pairs[_alike_in_length(_lengths(scan_uv, pairs), _lengths(photo_uv, pairs), options)]
-    chooser = _Chooser(scan_uv, options)
+    pairs = pairs[_similar_lengths(_lengths(scan_uv, pairs), _lengths(photo_uv, pairs), options)]
+    chooser = _LineSelector(scan_uv, options)
     for start in range(0, len(pairs), _LINES_AT_A_TIME):
         some = pairs[start : start + _LINES_AT_A_TIME]
-        some = some[chooser.may_still(some)]
+        some = some[chooser.available(some)]
         chooser.add(some[_on_planes(_ends_of(scan_uv, some), surface, options)])
         if chooser.full:
             break
@@ -207,13 +207,13 @@ def _chosen_lines(
 
 
 def _on_planes(lines: FloatArray, surface: _Surface, options: DensifyOptions) -> BoolArray:
-    """Return which lines (L, 2 ends, 2) lie on planar surfaces.
+    """Return a mask (L,) of the lines (L, 2 ends, 2) that lie on planar surfaces.
 
-    The straight line in space between a line's ends has an inverse depth that is linear along its picture; the mean
-    square of what separates it from the measured surface, along the lines of sight, is the thesis's variance.
+    The straight line in space between the ends has an inverse depth that is linear along its image; the mean square
+    distance from the measured surface, along the lines of sight, is the thesis's variance.
     """
     result = np.zeros(len(lines), np.bool_)
-    for rows, steps in _of_similar_length(lines):
+    for rows, steps in _length_classes(lines):
         s = np.linspace(0, 1, steps)
         uv = lines[rows, :1] + s[:, None] * (lines[rows, 1:] - lines[rows, :1])
         whole = surface.unbroken(uv).all(axis=1)
@@ -228,16 +228,16 @@ def _on_planes(lines: FloatArray, surface: _Surface, options: DensifyOptions) ->
     return result
 
 
-def _of_similar_length(lines: FloatArray) -> Iterator[tuple[NDArray[np.intp], int]]:
-    """Yield groups of lines with the number of places at which each is checked, at most a pixel apart."""
+def _length_classes(lines: FloatArray) -> Iterator[tuple[NDArray[np.intp], int]]:
+    """Yield groups of lines of similar length with the number of samples for the check, at most a pixel apart."""
     length = np.hypot(*(lines[:, 1] - lines[:, 0]).T)
     class_of = np.ceil(np.log2(np.maximum(length / _CHECK_EVERY_PX, 4))).astype(np.intp)
     for k in np.unique(class_of):
         yield np.flatnonzero(class_of == k), 2 ** int(k) + 1
 
 
-def _stations(length: FloatArray, interval_px: float) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return each point's line and its fraction along it: at constant intervals about the middle, without the ends."""
+def _sample_fractions(length: FloatArray, interval_px: float) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return line and fraction of each point: at constant intervals, symmetric about the middle, without the ends."""
     count = np.maximum(np.ceil(length / interval_px).astype(np.intp) - 1, 1)
     line = np.repeat(np.arange(len(length)), count)
     number = np.arange(len(line)) - np.repeat(np.cumsum(count) - count, count)
@@ -246,12 +246,12 @@ def _stations(length: FloatArray, interval_px: float) -> tuple[NDArray[np.intp],
 
 
 def _neighbour_pairs(uv: FloatArray, options: DensifyOptions) -> NDArray[np.intp]:
-    """Return (P, 2) pairs of near matches, i < j, the shortest first."""
+    """Return (P, 2) pairs of neighbouring matches, i < j, the shortest first."""
     from scipy.spatial import cKDTree
 
     if len(uv) < 2:
         return np.zeros((0, 2), np.intp)
-    # Counted from the shortest length on: a crowd of matches must not use up all of each other's neighbours.
+    # Neighbours closer than the minimum length are not counted: a cluster of matches must not use up all neighbours.
     reach = min(len(uv), 8 * options.neighbours + 1)
     distance, index = cKDTree(uv).query(uv, k=reach, distance_upper_bound=options.longest_px * (1 + 1e-12))
     far_enough = np.isfinite(distance) & (distance >= options.shortest_px)
@@ -260,13 +260,13 @@ def _neighbour_pairs(uv: FloatArray, options: DensifyOptions) -> NDArray[np.intp
     return pairs[np.argsort(np.round(_lengths(uv, pairs), 6), kind="stable")]
 
 
-def _alike_in_length(on_scan: FloatArray, on_photo: FloatArray, options: DensifyOptions) -> BoolArray:
+def _similar_lengths(on_scan: FloatArray, on_photo: FloatArray, options: DensifyOptions) -> BoolArray:
     stretch = options.most_stretch
     return (on_photo >= options.shortest_px) & (on_photo <= stretch * on_scan) & (on_scan <= stretch * on_photo)
 
 
-class _Chooser:
-    """Takes lines in order, but no more than each match may have, and none that doubles another."""
+class _LineSelector:
+    """Selects lines in order, with a limited number at each match and without duplicates."""
 
     def __init__(self, uv: FloatArray, options: DensifyOptions) -> None:
         from scipy.spatial import cKDTree
@@ -281,37 +281,37 @@ class _Chooser:
 
     @property
     def ends(self) -> NDArray[np.intp]:
-        """(L, 2)."""
+        """(L, 2) indices of the ends."""
         return np.array(self._chosen, np.intp).reshape(-1, 2)
 
     @property
     def full(self) -> bool:
-        """Whether there are as many lines as there may be."""
+        """Whether the maximum number of lines is reached."""
         return len(self._chosen) >= self._options.most_lines
 
-    def may_still(self, pairs: IntArray) -> BoolArray:
-        """Return which pairs (P, 2) have ends that may have a further line."""
+    def available(self, pairs: IntArray) -> BoolArray:
+        """Return a mask (P,) of the pairs (P, 2) whose ends can take another line."""
         return np.asarray((self._used[pairs] < self._options.lines_per_match).all(axis=1))
 
     def add(self, pairs: IntArray) -> None:
-        """Take what may be taken of pairs (P, 2)."""
+        """Add the allowed ones of pairs (P, 2)."""
         for i, j in pairs.tolist():
             if self.full:
                 return
-            if max(self._used[i], self._used[j]) >= self._options.lines_per_match or self._doubles(i, j):
+            if max(self._used[i], self._used[j]) >= self._options.lines_per_match or self._duplicates(i, j):
                 continue
             self._chosen.append((i, j))
             self._other_ends[i].add(j)
             self._other_ends[j].add(i)
             self._used[[i, j]] += 1
 
-    def _doubles(self, i: int, j: int) -> bool:
+    def _duplicates(self, i: int, j: int) -> bool:
         """Return whether both ends lie within an interval of another line's ends."""
         return any(not self._other_ends[k].isdisjoint(self._near[j]) for k in self._near[i] if self._other_ends[k])
 
 
 def _kappa(scan_uv: FloatArray, ends: IntArray, surface: _Surface, pose: Rigid) -> NDArray[np.float64]:
-    """Return kappa (L,) of each line; 1 where an end lies behind the camera."""
+    """Return kappa (L,) of each line; 1 if an end lies behind the camera."""
     view = surface.view
     points = view.rays_at(scan_uv[ends]) * surface.ranges_at(scan_uv[ends])[..., None]
     in_view, in_photo = (view.view_from_scanner @ points)[..., 2], (pose @ points)[..., 2]

@@ -1,4 +1,4 @@
-"""The thesis's correspondences, as in its Figure 2.13: corners, correlation, culling, the second search, lines."""
+"""Corner matching of the thesis (Figure 2.13): corners, correlation, disparity filter, guided matching, lines."""
 
 from __future__ import annotations
 
@@ -15,88 +15,91 @@ from ladarreg_core.features.correlation import check_window, correlation_product
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels
-from ladarreg_core.matching.roll import Turn, seems_turned
-from ladarreg_core.matching.thesis.culling import CullingSide, alike, check_culling, disparities
+from ladarreg_core.matching.roll import Roll, detect_roll
 from ladarreg_core.matching.thesis.densify import DensifyOptions, lines_between
 from ladarreg_core.matching.thesis.search import (
-    alike_displacements,
+    FilterSide,
     candidates_near,
+    check_filter,
+    consistent_displacements,
+    disparities,
     matches_near,
     predicted_pixels,
     recentred,
+    within_disparity,
 )
 
 DepthEdges = Literal["foreground", "left_out"]
-SecondCulling = Literal["prediction", "disparity"]
+GuidedFilter = Literal["prediction", "disparity"]
 _MANY_CORNERS = CornerOptions(count=1500)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThesisMatchOptions:
-    """The thresholds of thesis 2.3.2."""
+    """Thresholds of thesis 2.3.2."""
 
     scan_corners: CornerOptions = _MANY_CORNERS
-    """Of the intensity picture."""
+    """Corners of the intensity image."""
     photo_corners: CornerOptions = _MANY_CORNERS
-    """Of the photo."""
+    """Corners of the photo."""
     window_px: int = 15
-    """Side of the correlated neighbourhoods."""
+    """Side of the correlation window."""
     t1: float = 0.2
-    """C1 - C2 must exceed it."""
+    """T1: C1 - C2 must exceed it."""
     mutual: bool = False
-    """Whether a scan corner must also be the best of its photo corner; the thesis does not ask."""
+    """Whether the match must also be the best one of the photo corner (mutual best match); not so in the thesis."""
     depth_edges: DepthEdges = "left_out"
-    """A corner at a depth edge takes the range of the `foreground`, or is `left_out`."""
+    """Corners at a depth edge take the range of the `foreground`, or are `left_out`."""
     t2_px: float = 20.0
-    """Largest deviation of a disparity from the median."""
-    culling: CullingSide = "two_sided"
-    """`one_sided` is the thesis's Step 5 to the letter."""
+    """T2: largest deviation of a disparity from the median."""
+    culling: FilterSide = "two_sided"
+    """Side of the disparity filter; `one_sided` is the thesis's Step 5 literally."""
     search_px: float = 15.0
-    """Half the side of the window of the second search."""
+    """Half the side of the search window of guided matching."""
     first_search_px: float = 80.0
-    """Half the side of a larger window that is searched before: what it finds moves the small windows around it, for
-    a rough pose is wrong by more than they reach. As small as `search_px`: only these, as in the thesis."""
+    """Half the side of a larger window searched first, whose matches recentre the small windows, because an approximate
+    pose is wrong by more than these. Equal to `search_px`: the small windows only, as in the thesis."""
     constrained_t1: float = 0.1
-    """T1 of the second search, where rivals are few."""
+    """T1 of guided matching, where competitors are few."""
     least_score: float = 0.4
-    """C2 counts as at least so much in the second search, also where a corner has no rival."""
-    second_culling: SecondCulling = "prediction"
-    """The second search is culled by how far matches lie from their `prediction`, or by `disparity` as the first."""
+    """Lower limit of C2 in guided matching, also for a corner with a single candidate."""
+    second_culling: GuidedFilter = "prediction"
+    """Filter of guided matches: by displacement from the `prediction`, or by `disparity` as before."""
     second_t2_px: float = 6.0
     """Largest deviation from the median displacement from the prediction."""
     densify: DensifyOptions = field(default_factory=DensifyOptions)
     """Lines between matches."""
 
     def __post_init__(self) -> None:
-        for name, wanted in (
+        for name, expected_type in (
             ("scan_corners", CornerOptions),
             ("photo_corners", CornerOptions),
             ("densify", DensifyOptions),
             ("mutual", bool),
         ):
-            if not isinstance(getattr(self, name), wanted):
-                raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a {wanted.__name__}")
+            if not isinstance(getattr(self, name), expected_type):
+                raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a {expected_type.__name__}")
         check_window(self.window_px)
-        check_culling(self.t2_px, self.culling)
-        check_culling(self.second_t2_px, self.culling)
+        check_filter(self.t2_px, self.culling)
+        check_filter(self.second_t2_px, self.culling)
         for name in ("t1", "constrained_t1", "least_score", "search_px", "first_search_px"):
             value, in_pixels = getattr(self, name), name.endswith("_px")
             number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
             if not (number and np.isfinite(value) and (value > 0 if in_pixels else 0 <= value <= 2)):
-                raise OptionError(f"{name} is {value!r}; it must be a number {_SPAN[in_pixels]}")
-        for name, kind in (("depth_edges", DepthEdges), ("second_culling", SecondCulling)):
+                raise OptionError(f"{name} is {value!r}; it must be a number {_ALLOWED[in_pixels]}")
+        for name, kind in (("depth_edges", DepthEdges), ("second_culling", GuidedFilter)):
             if getattr(self, name) not in get_args(kind):
                 raise OptionError(f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(get_args(kind))}")
 
 
-_MOST_CORNERS = 4000  # every one is compared with every other
-_SURE_T1, _SURE_SCORE, _SURE_T2_PX = 0.1, 0.5, 15.0  # of the large window, whose matches only move the small ones
-_SPAN = {True: "of pixels above 0", False: "from 0 to 2"}
+_MAX_CORNERS = 4000  # all pairs are correlated
+_WIDE_T1, _WIDE_SCORE, _WIDE_T2_PX = 0.1, 0.5, 15.0  # stricter, for the large window that recentres the small ones
+_ALLOWED = {True: "of pixels above 0", False: "from 0 to 2"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundMatches:
-    """K matches of one search, as the interface draws them and as a solver eats them."""
+    """K matches of one search, as pixels of both images and as input of the solvers."""
 
     scan_uv: FloatArray
     """(K, 2) view pixels."""
@@ -107,13 +110,13 @@ class FoundMatches:
     matches: Matches
     """The same in scanner rays and the photo's own pixels."""
     predicted_uv: FloatArray | None = None
-    """(K, 2) working pixels where the second search expected them."""
+    """(K, 2) working pixels predicted by guided matching; None: unconstrained."""
 
     def __len__(self) -> int:
         return len(self.scan_uv)
 
     def subset(self, keep: Any) -> FoundMatches:
-        """Return those of a mask (K,)."""
+        """Return the matches of a mask (K,) or of indices."""
         predicted = None if self.predicted_uv is None else self.predicted_uv[keep]
         return FoundMatches(
             self.scan_uv[keep], self.photo_uv[keep], self.score[keep], self.matches.subset(keep), predicted
@@ -121,7 +124,7 @@ class FoundMatches:
 
 
 class ThesisSearch:
-    """One view of the scan and one photo; corners and correlations are made once for both searches."""
+    """Matches one view of the scan with one photo; corners and correlations are computed once for both searches."""
 
     def __init__(self, scan: ScanLevels, photo: PhotoLevels, options: ThesisMatchOptions) -> None:
         self.scan = scan
@@ -130,16 +133,16 @@ class ThesisSearch:
 
     @cached_property
     def scan_uv(self) -> FloatArray:
-        """(N, 2) view pixels of the intensity picture's corners, those with a range. Source: thesis 2.3.2."""
+        """(N, 2) view pixels of the intensity image's corners that have a range. Source: thesis 2.3.2."""
         usable = np.isfinite(self.scan.ranges)
         if self.options.depth_edges == "left_out":
             usable &= ~self.scan.edge
-        return find_corners(self.scan.gray_planes[0], self.options.scan_corners, usable=usable).uv[:_MOST_CORNERS]
+        return find_corners(self.scan.gray_planes[0], self.options.scan_corners, usable=usable).uv[:_MAX_CORNERS]
 
     @cached_property
     def photo_uv(self) -> FloatArray:
         """(M, 2) working pixels of the photo's corners. Source: thesis 2.3.2."""
-        return find_corners(self.photo.gray, self.options.photo_corners, usable=self.photo.usable[0]).uv[:_MOST_CORNERS]
+        return find_corners(self.photo.gray, self.options.photo_corners, usable=self.photo.usable[0]).uv[:_MAX_CORNERS]
 
     @cached_property
     def correlation(self) -> FloatArray:
@@ -155,13 +158,13 @@ class ThesisSearch:
         return self.scan.view.rays_at(self.scan_uv) * self.scan.ranges[pixel[:, 1], pixel[:, 0], None]
 
     def unconstrained(self, *, t1: float | None = None) -> FoundMatches:
-        """Match every scan corner with every photo corner, by the options' T1 or another. Thesis 2.3.2, Step 1."""
+        """Match all scan corners with all photo corners, with the options' T1 or another. Thesis 2.3.2, Step 1."""
         margin = self.options.t1 if t1 is None else t1
         first, second, score = unique_matches(self.correlation, margin=margin, mutual=self.options.mutual)
         return self._found(first, second, score)
 
     def constrained(self, camera_from_scanner: Rigid) -> FoundMatches:
-        """Match every scan corner with the photo corners near where the pose and its range say that it is.
+        """Match every scan corner with the photo corners near its prediction by pose and range (guided matching).
 
         Source: thesis 2.3.2, Step 7.
         """
@@ -171,10 +174,10 @@ class ThesisSearch:
         if reach > o.search_px:
             near = candidates_near(expected, self.photo_uv, search_px=reach)
             first, second, _ = matches_near(
-                self.correlation, near, margin=_SURE_T1, least_score=_SURE_SCORE, mutual=o.mutual
+                self.correlation, near, margin=_WIDE_T1, least_score=_WIDE_SCORE, mutual=o.mutual
             )
             shift = self.photo_uv[second] - expected[first]
-            sure = alike_displacements(shift, most_px=_SURE_T2_PX)
+            sure = consistent_displacements(shift, most_px=_WIDE_T2_PX)
             expected = recentred(expected, expected[first[sure]], shift[sure])
         near = candidates_near(expected, self.photo_uv, search_px=o.search_px)
         first, second, score = matches_near(
@@ -182,18 +185,18 @@ class ThesisSearch:
         )
         return self._found(first, second, score, expected[first])
 
-    def culled(self, found: FoundMatches) -> FoundMatches:
-        """Leave out what moved unlike the others: by disparity, or from where the second search expected it.
+    def filtered(self, found: FoundMatches) -> FoundMatches:
+        """Return the matches without those of deviating disparity, or of deviating displacement from the prediction.
 
         Source: thesis 2.3.2, disparity culling, Steps 2-5.
         """
         o = self.options
         if found.predicted_uv is not None and o.second_culling == "prediction":
             shift = found.photo_uv - found.predicted_uv
-            return found.subset(alike_displacements(shift, most_px=o.second_t2_px))
+            return found.subset(consistent_displacements(shift, most_px=o.second_t2_px))
         scan, photo = self.scan.cameras[0], self.photo.cameras[0]
         disparity = disparities(found.scan_uv - (scan.cx, scan.cy), found.photo_uv - (photo.cx, photo.cy))
-        return found.subset(alike(disparity, t2_px=o.t2_px, side=o.culling))
+        return found.subset(within_disparity(disparity, t2_px=o.t2_px, side=o.culling))
 
     def densified(self, found: FoundMatches, camera_from_scanner: Rigid | None = None) -> FoundMatches:
         """Add points along lines between matches on planar surfaces. Source: thesis 2.3.2, Figure 2.17."""
@@ -225,9 +228,9 @@ class ThesisSearch:
             both,
         )
 
-    def seems_turned(self) -> Turn | None:
-        """Return by how much the photo seems rolled against the view; None where upright fits best. Thesis 3.4."""
-        return seems_turned(
+    def detect_roll(self) -> Roll | None:
+        """Return the roll of the camera relative to the view; None if none is detected. Thesis 3.4."""
+        return detect_roll(
             self.scan.gray_planes[0],
             self.scan_uv,
             self.photo.gray,
@@ -252,5 +255,5 @@ class ThesisSearch:
         return found if own.all() else found.subset(own)
 
     def _own_pixels(self, uv: FloatArray) -> FloatArray:
-        """Return the photo's own pixels of working ones (K, 2)."""
+        """Convert working pixels (K, 2) to the photo's own pixels."""
         return self.photo.source.project(self.photo.cameras[0].unproject(uv))

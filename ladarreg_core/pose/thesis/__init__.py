@@ -1,1 +1,1 @@
-"""The pose estimators of the thesis (1998): linear, stereo residuals, downhill simplex."""
+"""Pose estimators of the thesis (1998): the linear method, stereo residuals and the downhill simplex."""

@@ -1,8 +1,8 @@
-"""The same geometry without poles: how far a colour pixel lies from where the laser's depth puts it.
+"""The stereo geometry as a residual without poles: distance of a colour pixel from its prediction by laser depth.
 
-Eq 2.19 solved for the disparity instead of the depth: with e = 0 both say the same. A small baseline makes this
-residual small and no worse defined, and the turn to equal baselines, which leaves a sum of squares as it is, is not
-needed.
+Eq 2.19 solved for the disparity instead of the depth; both are equivalent for e = 0. With a small baseline this
+residual becomes small but stays well defined, and the rotation to equal baselines, under which a sum of squares is
+invariant, is not needed.
 
 Source: thesis Eq 2.13, 2.17-2.18.
 """
@@ -18,18 +18,18 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.pose.thesis.stereo import POLE, StereoPairs, rectify
 
-_EPIPOLAR_ROWS = Struct("9d 32x 6d 24x 3d 8x 3d 72x d 3d 72x d")  # doubles, and bytes of zero between them
+_EPIPOLAR_ROWS = Struct("9d 32x 6d 24x 3d 8x 3d 72x d 3d 72x d")  # doubles, separated by zero bytes
 
 
 def epipolar_residuals(x: FloatArray, pairs: StereoPairs) -> FloatArray:
-    """Return e_x = (x'c - xl) - (Tx + Tz x'c) / Zl and e_y alike, with lambda = 1.
+    """Return e_x = (x'c - xl) - (Tx + Tz x'c) / Zl and e_y likewise, with lambda = 1.
 
     Args:
         x: (6,) Tx, Ty, Tz (m), alpha, beta, gamma (rad).
         pairs: M matches.
 
     Returns:
-        (2, M), tangents in the rectified picture; times the focal length they are pixels.
+        (2, M), tangents in the rectified image; multiply by the focal length for pixels.
     """
     Tx, Ty, Tz, alpha, beta, gamma = map(float, x)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -39,16 +39,16 @@ def epipolar_residuals(x: FloatArray, pairs: StereoPairs) -> FloatArray:
 
 
 def epipolar_cost(pairs: StereoPairs) -> Callable[[FloatArray], float]:
-    """Return the sum of squares of `epipolar_residuals`, times weight, as a function of the pose.
+    """Return the weighted sum of squares of `epipolar_residuals` as a function of the pose.
 
-    As in `stereo_cost` the residuals, times v_z, are sums of products that do not depend on the pose: w, w / Zl, xl w
-    and yl w.
+    As in `stereo_cost`, the residuals multiplied by v_z are linear in terms that do not depend on the pose: w, w / Zl,
+    xl w and yl w.
 
     Args:
         pairs: M matches, all usable.
 
     Returns:
-        A function of x = (Tx, Ty, Tz, alpha, beta, gamma) in m and rad. It uses its own memory: one thread at a time.
+        A function of x = (Tx, Ty, Tz, alpha, beta, gamma) in m and rad. It reuses its buffers and is not thread-safe.
     """
     count = len(pairs)
     sight = np.vstack([-pairs.colour, np.ones(count)])

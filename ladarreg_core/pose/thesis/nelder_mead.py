@@ -1,7 +1,7 @@
-"""The downhill simplex method, one frozen step at a time, so that anyone can draw it.
+"""The downhill simplex method as a generator of frozen steps.
 
-Source: Nelder and Mead, A simplex method for function minimization (1965). The order of evaluations, of ties and of the
-stop rule is SciPy's (`minimize(method="Nelder-Mead", initial_simplex=...)`), with which it agrees step by step.
+Source: Nelder and Mead, A simplex method for function minimization (1965). The order of evaluations, the handling of
+ties and the stopping rule are SciPy's (`minimize(method="Nelder-Mead", initial_simplex=...)`); the steps are identical.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ladarreg_core.errors import OptionError, ShapeError
 Move = Literal["start", "reflect", "expand", "contract_outside", "contract_inside", "shrink"]
 Stopped = Literal["tolerance", "iterations", "evaluations"]
 Cost = Callable[[FloatArray], float]
-"""From parameters (P,) to a number; NaN counts as infinite. It must not keep or change the array."""
+"""Cost of parameters (P,); NaN counts as infinite. It must not keep or modify the array."""
 
 _REFLECT, _EXPAND, _CONTRACT, _SHRINK = 1.0, 2.0, 0.5, 0.5
 
@@ -29,15 +29,15 @@ class SimplexStep:
     """The simplex after one move."""
 
     iteration: int
-    """1 for the start, then one more each time, as SciPy's `nit` counts."""
+    """1 for the start, then counting up, as SciPy's `nit`."""
     move: Move
-    """What led here."""
+    """The move that led to this simplex."""
     vertices: FloatArray
     """(P + 1, P), the best first."""
     costs: FloatArray
-    """(P + 1,), lowest first; infinite where the cost was not a number."""
+    """(P + 1,), lowest first; infinite if the cost was NaN."""
     evaluations: int
-    """Of the cost, so far."""
+    """Evaluations of the cost so far."""
 
     @property
     def best(self) -> FloatArray:
@@ -51,21 +51,21 @@ class SimplexStep:
 
 
 def start_simplex(point: ArrayLike, steps: ArrayLike) -> FloatArray:
-    """Return the simplex (P + 1, P) of a point (P,) and one more vertex a step (P,) along each parameter.
+    """Return the simplex (P + 1, P) of a point (P,) and one vertex a step (P,) away along each parameter.
 
     Raises:
-        ShapeError: if the two disagree, or are empty.
-        OptionError: if a number is not finite, or a step is zero and leaves the simplex flat.
+        ShapeError: if the shapes disagree or are empty.
+        OptionError: if a number is not finite, or a step does not change its parameter.
     """
     origin = read_only(point, np.float64, (None,), "the simplex's start")
     sides = read_only(steps, np.float64, (len(origin),), "the simplex's steps")
     if not len(origin):
-        raise ShapeError("the simplex's start has no parameter; it needs at least one")
+        raise ShapeError("the start of the simplex has no parameters; it needs at least one")
     if not (np.isfinite(origin).all() and np.isfinite(sides).all()):
-        raise OptionError("the simplex's start or a step is not finite; give finite numbers")
+        raise OptionError("the start of the simplex or a step is not finite; give finite numbers")
     simplex = np.vstack([origin, origin + np.diag(sides)])
     if (np.diag(simplex[1:]) == origin).any():
-        raise OptionError("a step of the simplex does not move its parameter; give each a step that is not zero")
+        raise OptionError("a step of the simplex does not change its parameter; give a non-zero step for each")
     return simplex
 
 
@@ -78,48 +78,48 @@ def nelder_mead(
     most_iterations: int = 1200,
     most_evaluations: int = 1200,
 ) -> Generator[SimplexStep, None, Stopped]:
-    """Walk downhill from a start simplex, one step a move; the last step is the answer.
+    """Minimise a cost from an initial simplex, one step per move; the last step is the result.
 
     Args:
-        cost: what is minimised.
-        simplex: (P + 1, P), the vertices to start from.
-        x_tolerance: it stops where no vertex is further than this from the best one in any parameter, and
-        cost_tolerance: no cost further than this from the lowest.
-        most_iterations: it stops at this `iteration`.
-        most_evaluations: it stops after so many evaluations.
+        cost: the cost to minimise.
+        simplex: (P + 1, P) vertices of the initial simplex.
+        x_tolerance: stop when no vertex differs from the best by more than this in any parameter, and
+        cost_tolerance: no cost differs from the lowest by more than this.
+        most_iterations: stop at this `iteration`.
+        most_evaluations: stop after this many evaluations.
 
     Yields:
-        The start, and the simplex after every move; where the evaluations end within a move, what it left, under the
-        iteration before.
+        The initial simplex, then the simplex after every move. If the evaluations run out during a move, the incomplete
+        simplex is yielded with the previous iteration number.
 
     Returns:
-        Why it stopped.
+        The reason for stopping.
 
     Raises:
-        ShapeError: if the simplex has not one vertex more than parameters.
-        OptionError: if a vertex is not finite, a tolerance is negative, or a limit is not a positive whole number.
+        ShapeError: if the number of vertices is not one more than that of the parameters.
+        OptionError: if a vertex is not finite, a tolerance is negative, or a limit is not a positive integer.
     """
     given = read_only(simplex, np.float64, (None, None), "the simplex")
     if len(given) < 2 or len(given) != given.shape[1] + 1:
         raise ShapeError(f"the simplex has the shape {len(given)} x {given.shape[1]}; it must be P + 1 x P")
     if not np.isfinite(given).all():
-        raise OptionError("the simplex holds NaN or infinity; its vertices must be finite")
+        raise OptionError("the simplex contains NaN or infinity; its vertices must be finite")
     for name, tolerance in (("x_tolerance", x_tolerance), ("cost_tolerance", cost_tolerance)):
         if not tolerance >= 0:
             raise OptionError(f"{name} is {tolerance!r}; it must be at least 0")
     for name, limit in (("most_iterations", most_iterations), ("most_evaluations", most_evaluations)):
         if isinstance(limit, bool) or not isinstance(limit, int | np.integer) or limit < 1:
             raise OptionError(f"{name} is {limit!r}; it must be a whole number of at least 1")
-    return _walk(_Counted(cost, most_evaluations), given, x_tolerance, cost_tolerance, most_iterations)
+    return _iterate(_Counted(cost, most_evaluations), given, x_tolerance, cost_tolerance, most_iterations)
 
 
 class _SpentError(Exception):
-    """No evaluation is left."""
+    """The limit of evaluations is reached."""
 
 
 @dataclass(slots=True)
 class _Counted:
-    """A cost that counts its evaluations and never answers NaN."""
+    """A cost that counts its evaluations and returns infinity instead of NaN."""
 
     cost: Cost
     most: int
@@ -133,7 +133,7 @@ class _Counted:
         return value if value == value else np.inf
 
 
-def _walk(
+def _iterate(
     cost: _Counted, given: FloatArray, x_tolerance: float, cost_tolerance: float, most_iterations: int
 ) -> Generator[SimplexStep, None, Stopped]:
     vertices, count = np.array(given), given.shape[1]
@@ -144,12 +144,12 @@ def _walk(
     except _SpentError:
         pass
     vertices, costs = _sorted(vertices, costs)
-    vertices, costs = _sorted(vertices, costs)  # twice, as SciPy does: its order of ties is the sort's own
+    vertices, costs = _sorted(vertices, costs)  # twice, as SciPy does, for the same order of ties
     iteration = 1
     move: Move = "start"
     yield _step(iteration, move, vertices, costs, cost)
     while cost.count < cost.most and iteration < most_iterations:
-        # An infinite cost is never near another: inf - inf would be no number.
+        # inf - inf is NaN: infinite costs never count as converged
         level = costs[-1] < np.inf and costs[-1] - costs[0] <= cost_tolerance
         if level and np.abs(vertices[1:] - vertices[0]).max() <= x_tolerance:
             return "tolerance"
@@ -170,12 +170,12 @@ def _walk(
 
 
 def _improve(cost: _Counted, vertices: FloatArray, costs: FloatArray) -> Move:
-    """Replace the worst vertex, in place, or answer that the simplex must shrink."""
+    """Replace the worst vertex in place, or return that the simplex must shrink."""
     worst = vertices[-1]
     middle = np.add.reduce(vertices[:-1], 0) / len(worst)
 
     def along(reach: float) -> FloatArray:
-        """Return the point that lies `reach` from the middle, away from the worst vertex."""
+        """Return the point at `reach` from the centroid, away from the worst vertex."""
         return np.asarray((1 + reach) * middle - reach * worst)
 
     def take(point: FloatArray, value: float, move: Move) -> Move:

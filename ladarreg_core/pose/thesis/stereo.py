@@ -1,9 +1,9 @@
-"""The thesis's stereo depths, equation by equation, and their sum of squares in one go.
+"""The thesis's stereo depths, equation by equation, and a fast evaluation of their sum of squares.
 
-The LADAR and the colour camera become two parallel cameras, whose disparities give a depth by x and one by y. Frame
-and letters are the thesis's: x left, y up, z forward, x = -lambda X / Z; (Tx, Ty, Tz) is the colour camera's centre in
-the LADAR's frame, and alpha, beta, gamma turn Q = Ry(-alpha) Rx(beta) Rz(gamma) from the camera's axes into the
-LADAR's. What the text prints otherwise is corrected where it says so.
+LADAR and colour camera are rectified to two parallel cameras, whose x and y disparities give one depth each. Frame and
+symbols are the thesis's: x left, y up, z forward, x = -lambda X / Z; (Tx, Ty, Tz) is the centre of the colour camera in
+the LADAR frame, and Q = Ry(-alpha) Rx(beta) Rz(gamma) rotates camera axes into LADAR axes. Corrections of printed
+equations are noted in place.
 
 Source: thesis 2.4.2, Eq 2.11-2.21.
 """
@@ -28,12 +28,12 @@ STEREO_AXES_FROM_SCANNER = np.diag([-1.0, -1.0, 1.0]) @ CAMERA_AXES_FROM_SCANNER
 STEREO_AXES_FROM_SCANNER.flags.writeable = False
 
 _WELL_IN_FRONT = np.cos(np.deg2rad(60.0))
-_LEAST_COSINE = 0.05  # nearer to a right angle from the view, a depth says nothing of its range
+_LEAST_COSINE = 0.05  # closer to 90 degrees off the axis, depth does not determine range
 _LEAST_MEAN = 1e-3
 
 POLE = 1e-140
-"""Added to what is divided by: beside it any disparity is large, and one of exactly 0 is not divided by."""
-_STEREO_ROWS = Struct("20d 48x 3d 8x 48x 3d 8x")  # doubles, and bytes of zero between them
+"""Added to denominators: negligible beside any disparity, and avoids division by exactly 0."""
+_STEREO_ROWS = Struct("20d 48x 3d 8x 48x 3d 8x")  # doubles, separated by zero bytes
 
 _Coordinates = tuple[FloatArray, FloatArray]
 
@@ -41,10 +41,10 @@ _Coordinates = tuple[FloatArray, FloatArray]
 def rectify(
     xc: FloatArray, yc: FloatArray, *, alpha: float, beta: float, gamma: float, focal: float = 1.0
 ) -> _Coordinates:
-    """Return the colour picture's coordinates as if the camera looked the way the LADAR does.
+    """Return the coordinates in the colour image, rectified to the orientation of the LADAR.
 
     Args:
-        xc: (N,) in the colour picture.
+        xc: (N,) in the colour image.
         yc: (N,) likewise.
         alpha: pan, rad.
         beta: tilt, rad.
@@ -54,7 +54,7 @@ def rectify(
     Returns:
         x'c and y'c, (N,) each.
 
-    Source: thesis Eq 2.13; its printed y'c has the opposite sign (at no turn at all it would answer -yc).
+    Source: thesis Eq 2.13; its printed y'c has the opposite sign (without rotation it would be -yc).
     """
     sin_a, cos_a, sin_b, cos_b, sin_g, cos_g = sin(alpha), cos(alpha), sin(beta), cos(beta), sin(gamma), cos(gamma)
     across = xc * (sin_b * sin_a * sin_g - cos_a * cos_g) + yc * (sin_b * sin_a * cos_g + cos_a * sin_g)
@@ -64,38 +64,38 @@ def rectify(
     return focal * (across - focal * sin_a * cos_b) / along, -focal * up / along
 
 
-def equal_baselines_turn(Tx: float, Ty: float) -> FloatArray:
-    """Return the turn (2, 2) by omega1 = 45 deg - atan2(Ty, Tx) about the optical axis, which makes bx = by.
+def equal_baselines_rotation(Tx: float, Ty: float) -> FloatArray:
+    """Return the rotation (2, 2) by omega1 = 45 deg - atan2(Ty, Tx) about the optical axis, which makes bx = by.
 
-    Source: thesis Eq 2.15; the text says "rotated by -omega1", the matrix turns by +omega1 and is right.
+    Source: thesis Eq 2.15; the text says "rotated by -omega1", the matrix rotates by +omega1 and is correct.
     """
     return np.asarray(np.array([[Tx + Ty, Ty - Tx], [Tx - Ty, Tx + Ty]]) / np.sqrt(2 * (Tx * Tx + Ty * Ty)))
 
 
 def equal_baseline(Tx: float, Ty: float) -> float:
-    """Return bx = by, the baselines along x and y after that turn. Source: thesis Eq 2.14."""
+    """Return bx = by, the baselines along x and y after that rotation. Source: thesis Eq 2.14."""
     return float(np.sqrt((Tx * Tx + Ty * Ty) / 2))
 
 
-def turned(x: FloatArray, y: FloatArray, turn: FloatArray) -> _Coordinates:
-    """Return picture coordinates (N,) turned about the optical axis. Source: thesis Eq 2.15, 2.16."""
-    return turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
+def rotate_coordinates(x: FloatArray, y: FloatArray, rotation: FloatArray) -> _Coordinates:
+    """Return image coordinates (N,) rotated about the optical axis. Source: thesis Eq 2.15, 2.16."""
+    return rotation[0, 0] * x + rotation[0, 1] * y, rotation[1, 0] * x + rotation[1, 1] * y
 
 
 def stereo_depth(
     colour: FloatArray, laser: FloatArray, *, baseline: float, Tz: float, focal: float = 1.0
 ) -> FloatArray:
-    """Return the depth (N,) by the disparity along one axis, x (Eq 2.19) or y (Eq 2.20).
+    """Return the depth (N,) from the disparity along one axis, x (Eq 2.19) or y (Eq 2.20).
 
     Args:
-        colour: (N,) the rectified, turned colour coordinate.
-        laser: (N,) the turned LADAR coordinate.
+        colour: (N,) the rectified, rotated colour coordinate.
+        laser: (N,) the rotated LADAR coordinate.
         baseline: bx or by, m.
-        Tz: how far the colour camera stands forward, m.
+        Tz: forward offset of the colour camera, m.
         focal: lambda.
 
     Returns:
-        Zs, m: infinite where there is no disparity; not a number where there is no baseline either.
+        Zs, m: infinite without disparity; NaN without baseline as well.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray((focal * baseline + Tz * colour) / (colour - laser))
@@ -104,7 +104,7 @@ def stereo_depth(
 def stereo_depths(
     parameters: ThesisParameters, laser: FloatArray, colour: FloatArray, *, focal: float = 1.0
 ) -> _Coordinates:
-    """Return both stereo depths of every match: rectify, turn to equal baselines, divide by the disparities.
+    """Return both stereo depths of every match: rectify, rotate to equal baselines, divide by the disparities.
 
     Args:
         parameters: the pose.
@@ -121,8 +121,8 @@ def stereo_depths(
     x, y = rectify(colour[0], colour[1], alpha=p.alpha, beta=p.beta, gamma=p.gamma, focal=focal)
     if not hypot(p.Tx, p.Ty) > 0:
         return np.full_like(x, np.nan), np.full_like(x, np.nan)
-    turn, baseline = equal_baselines_turn(p.Tx, p.Ty), equal_baseline(p.Tx, p.Ty)
-    (xl, yl), (xc, yc) = turned(laser[0], laser[1], turn), turned(x, y, turn)
+    rotation, baseline = equal_baselines_rotation(p.Tx, p.Ty), equal_baseline(p.Tx, p.Ty)
+    (xl, yl), (xc, yc) = rotate_coordinates(laser[0], laser[1], rotation), rotate_coordinates(x, y, rotation)
     return (
         stereo_depth(xc, xl, baseline=baseline, Tz=p.Tz, focal=focal),
         stereo_depth(yc, yl, baseline=baseline, Tz=p.Tz, focal=focal),
@@ -130,15 +130,15 @@ def stereo_depths(
 
 
 def stereo_frame(rays_scanner: FloatArray) -> FloatArray:
-    """Return the rotation (3, 3), into axes whose X all rays (N, 3) lie well in front of, from the scanner's.
+    """Return the rotation (3, 3) from scanner axes to axes whose X is the direction of depth for rays (N, 3).
 
-    It is the identity, and depth the scanner's X, where every ray lies within 60 degrees of that; otherwise X is the
-    mean ray, so that a scan that looks aside has depths too.
+    It is the identity if every ray lies within 60 degrees of the scanner's X. Otherwise X is the mean ray, so that
+    matches to the side of the scanner have depths too.
     """
     if len(rays_scanner) == 0 or (rays_scanner[:, 0] >= _WELL_IN_FRONT).all():
         return np.eye(3)
     mean = rays_scanner.mean(axis=0)
-    if not np.linalg.norm(mean) > _LEAST_MEAN:  # all around: no direction is better
+    if not np.linalg.norm(mean) > _LEAST_MEAN:  # rays all around: no preferred direction
         return np.eye(3)
     return np.asarray(CAMERA_AXES_FROM_SCANNER.T @ look_along(mean))
 
@@ -150,7 +150,7 @@ def pose_of(x: FloatArray, frame_from_scanner: FloatArray) -> Rigid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoPairs:
-    """Matches as coordinates of the thesis's two pictures, both with lambda = 1 and no lens distortion."""
+    """Matches in the coordinates of the thesis's two images, both with lambda = 1 and without lens distortion."""
 
     frame_from_scanner: FloatArray
     """(3, 3) rotation to the axes along whose X depth is measured; see `stereo_frame`."""
@@ -163,7 +163,7 @@ class StereoPairs:
     weights: FloatArray
     """(M,) multiply squared residuals."""
     usable: BoolArray
-    """(M,) bool: in front of the scanner, and where the lens sees something; the others' coordinates mean nothing."""
+    """(M,) bool: in front of the scanner and within the field of the lens; other coordinates are meaningless."""
 
     @staticmethod
     def of(matches: Matches, camera: Camera, *, frame_from_scanner: ArrayLike | None = None) -> StereoPairs:
@@ -171,7 +171,7 @@ class StereoPairs:
 
         Args:
             matches: M matches.
-            camera: the photo's camera, whose lens is undone.
+            camera: the photo's camera, whose distortion is removed.
             frame_from_scanner: (3, 3), None: `stereo_frame` of the matches.
         """
         assert matches.weights is not None
@@ -179,7 +179,7 @@ class StereoPairs:
         points = STEREO_AXES_FROM_SCANNER @ frame @ matches.points.T
         sight = camera.unproject(matches.uv).T
         with np.errstate(divide="ignore", invalid="ignore"):
-            laser, colour = -points[:2] / points[2], sight[:2] / sight[2]  # twice turned round: camera to stereo axes
+            laser, colour = -points[:2] / points[2], sight[:2] / sight[2]  # both negated: camera to stereo axes
             usable = (points[2] > _LEAST_COSINE * matches.ranges) & np.isfinite(colour).all(axis=0)
         return StereoPairs(frame, laser, colour, points[2], matches.weights, usable)
 
@@ -198,7 +198,7 @@ class StereoPairs:
         )
 
     def pose(self, x: FloatArray) -> Rigid:
-        """Return `camera_from_scanner` of Tx, Ty, Tz (m), alpha, beta, gamma (rad), which are meant in this frame."""
+        """Return `camera_from_scanner` of Tx, Ty, Tz (m), alpha, beta, gamma (rad) in this frame."""
         return pose_of(x, self.frame_from_scanner)
 
     def parameters(self, camera_from_scanner: Rigid) -> FloatArray:
@@ -207,7 +207,7 @@ class StereoPairs:
         return np.array([p.Tx, p.Ty, p.Tz, p.alpha, p.beta, p.gamma])
 
     def ahead(self, camera_from_scanner: Rigid) -> BoolArray:
-        """Return which colour pixels (M,) look forward along the frame's X once derotated."""
+        """Return which colour pixels (M,) point forward along the frame's X after derotation."""
         forward = camera_from_scanner.rotation @ self.frame_from_scanner[0]
         return np.asarray(forward @ np.vstack([self.colour, np.ones(len(self))]) > 0)
 
@@ -217,26 +217,26 @@ class StereoPairs:
             return np.stack(stereo_depths(ThesisParameters(*map(float, x)), self.laser, self.colour))
 
     def depth_errors(self, x: FloatArray) -> FloatArray:
-        """Return sqrt((Zl - Zxs)^2 + (Zl - Zys)^2), (M,) m, by which the thesis rejects; infinite where undefined."""
+        """Return sqrt((Zl - Zxs)^2 + (Zl - Zys)^2), (M,) m, the thesis's rejection criterion; infinite if undefined."""
         with np.errstate(invalid="ignore", over="ignore"):
             squared = ((self.depth - self.depths(x)) ** 2).sum(axis=0)
         return np.where(self.usable & np.isfinite(squared), np.sqrt(np.where(squared >= 0, squared, 0)), np.inf)
 
 
 def stereo_cost(pairs: StereoPairs) -> Callable[[FloatArray], float]:
-    """Return Ez of Eq 2.21 as a function of the pose, ready to be asked some ten thousand times a second.
+    """Return Ez of Eq 2.21 as a function of the pose that evaluates some ten thousand times a second.
 
-    With w = (-xc, -yc, 1) the direction in which a colour pixel looks and v = Q w, x'c = -v_x / v_z and
-    y'c = -v_y / v_z. Multiplied by v_z, every numerator and denominator of Eq 2.21 is a sum of nine products, xl w,
-    yl w and w, which do not depend on the pose: one matrix product of the pose's coefficients with them is all that an
-    evaluation has to do. What remains is the cost of calling NumPy, hence a function that holds its arrays.
+    With w = (-xc, -yc, 1) the direction of a colour pixel and v = Q w, x'c = -v_x / v_z and y'c = -v_y / v_z.
+    Multiplied by v_z, every numerator and denominator of Eq 2.21 is linear in nine terms, xl w, yl w and w, which do
+    not depend on the pose. An evaluation is one product of a coefficient matrix with these terms; the rest is NumPy's
+    call overhead, hence the preallocated buffers.
 
     Args:
         pairs: M matches, all usable.
 
     Returns:
         A function from x = (Tx, Ty, Tz, alpha, beta, gamma) in m and rad to m^2 (times weight); NaN at Tx = Ty = 0,
-        where no stereo depth exists. It uses its own memory: one thread at a time.
+        where no stereo depth exists. It reuses its buffers and is not thread-safe.
 
     Source: thesis Eq 2.21, with lambda = 1.
     """

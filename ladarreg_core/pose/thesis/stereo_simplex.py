@@ -1,10 +1,10 @@
-"""The thesis's nonlinear estimation: walk down Ez, leave out what lies off in depth, walk again.
+"""The thesis's nonlinear estimation: minimise Ez with a simplex, remove outliers by depth error, and solve again.
 
     start -> nelder_mead over all matches -> depth errors -> matches within the threshold -> nelder_mead -> ...
 
 `residual="stereo"` minimises Ez itself (Eq 2.21), `"epipolar"` the same geometry in image units. Ez has poles where a
-disparity vanishes and a valley of finite height at T = 0, so that it depends on its start; where it ends in doubt it is
-tried again from where the epipolar residual leads, which has neither.
+disparity vanishes and a valley of finite cost at T = 0, so its result depends on the starting pose. A doubtful result
+is repeated from the minimum of the epipolar residual, which has neither poles nor valley.
 
 Source: thesis 2.4.2.
 """
@@ -24,7 +24,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.thesis.epipolar import epipolar_cost, epipolar_residuals
 from ladarreg_core.pose.thesis.nelder_mead import SimplexStep, nelder_mead, start_simplex
-from ladarreg_core.pose.thesis.starts import StartName, first_poses
+from ladarreg_core.pose.thesis.starts import StartName, starting_poses
 from ladarreg_core.pose.thesis.stereo import StereoPairs, pose_of, stereo_cost
 
 Residual = Literal["stereo", "epipolar"]
@@ -35,10 +35,10 @@ LEAST_MATCHES = 4
 _LEAST_KEPT = 6
 _MAD = 1.4826
 _LEAST, _MOST = 1e-15, 1e6
-_NARROW = 0.1  # the simplex of a later round, over the first one
-_DOUBT_OF_DEPTH = 0.05  # stereo depths this far off, of the depth, are no stereo depths
+_NARROW = 0.1  # size of the simplex of later rounds, relative to the first
+_DOUBT_OF_DEPTH = 0.05  # relative error of stereo depths beyond which the result is doubtful
 _DOUBT_SIGMA, _DOUBT_OF_FOCAL = 10.0, 0.01
-_VALLEY = 0.5  # of 2 sum(w Zl^2), the cost at T = 0; good ends lie below .005
+_VALLEY = 0.5  # of 2 sum(w Zl^2), the cost at T = 0; good minima lie below .005
 _NEVER_BELOW_OF_RANGE, _NEVER_BELOW_PX = 1e-9, 1e-6
 _MEANINGFUL_DISPARITY_SIGMA = 40.0
 
@@ -54,30 +54,30 @@ def _positive(value: Any) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimplexOptions:
-    """How the simplex walks and what it leaves out."""
+    """Options of the simplex and its outlier rejection."""
 
     residual: Residual = "stereo"
     """`stereo` (Eq 2.21, m) or `epipolar` (the same geometry without poles, image units)."""
     step_m: float | None = None
-    """Side of the start simplex along Tx, Ty, Tz, m; None: a tenth of the median depth."""
+    """Size of the initial simplex along Tx, Ty, Tz, m; None: a tenth of the median depth."""
     step_rad: float = 0.1
-    """Side of the start simplex along alpha, beta, gamma, rad."""
+    """Size of the initial simplex along alpha, beta, gamma, rad."""
     tolerance: float = 1e-7
-    """A descent ends where the simplex is no larger: rad, and m at a median depth of 1 m or more."""
+    """A descent stops when the simplex is no larger than this: rad, and m at a median depth of 1 m or more."""
     most_iterations: int = 1500
-    """Of one descent."""
+    """Maximum number of iterations of one descent."""
     most_evaluations: int = 4000
-    """Of one descent."""
+    """Maximum number of cost evaluations of one descent."""
     restarts: int = 2
-    """Starts elsewhere, at most, where a descent ended in doubt; 0: the thesis's one descent."""
+    """Maximum number of further starting poses after a doubtful descent; 0: the thesis's single descent."""
     stop_cost: float | None = None
-    """A descent ends where its cost falls below this: m^2 for `stereo`, image units^2 for `epipolar`; None: never."""
+    """A descent stops when its cost falls below this: m^2 for `stereo`, image units^2 for `epipolar`; None: never."""
     reject_depth_m: float | None = None
-    """Largest depth error sqrt((Zl - Zxs)^2 + (Zl - Zys)^2) of an inlier, m; None: from the data."""
+    """Largest depth error sqrt((Zl - Zxs)^2 + (Zl - Zys)^2) of an inlier, m; None: estimated from the data."""
     reject_sigma: float = 2.5
-    """Where it comes from the data: in robust standard deviations, 1.4826 times the median error."""
+    """Threshold estimated from the data: in robust standard deviations, 1.4826 times the median error."""
     reject_rounds: int = 12
-    """Rejections, each with a descent after it, at most; 0: all matches count."""
+    """Maximum number of rejections, each followed by a descent; 0: all matches count."""
 
     def __post_init__(self) -> None:
         if self.residual not in get_args(Residual):
@@ -98,70 +98,70 @@ DEFAULT_SIMPLEX = SimplexOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescentStep:
-    """One step of the simplex, with what it was walking on."""
+    """One step of the simplex, with its context."""
 
     simplex: SimplexStep
     """Vertices (Tx, Ty, Tz, alpha, beta, gamma in m and rad), costs, and the move."""
     round: int
-    """Rejections so far."""
+    """Number of rejections so far."""
     restart: int
-    """Starts elsewhere so far."""
+    """Number of restarts so far."""
     residual: Residual
-    """What was minimised."""
+    """The residual that is minimised."""
     inliers: BoolArray
-    """(M,) the matches that counted."""
+    """(M,) the matches that count."""
     frame_from_scanner: FloatArray
-    """(3, 3) rotation to the axes that the parameters are meant in."""
+    """(3, 3) rotation to the axes of the parameters."""
 
     @property
     def camera_from_scanner(self) -> Rigid:
-        """The best vertex's pose."""
+        """Pose of the best vertex."""
         return pose_of(self.simplex.best, self.frame_from_scanner)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimplexPose:
-    """Where a descent ended."""
+    """Result of a descent."""
 
     camera_from_scanner: Rigid
     """The pose."""
     inliers: BoolArray
     """(M,) the matches that counted."""
     cost: float
-    """The least cost, m^2 (`stereo`) or image units^2 (`epipolar`)."""
+    """The minimum of the cost, m^2 (`stereo`) or image units^2 (`epipolar`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimplexFit:
-    """The pose before rejection and after it, and how it came about."""
+    """The poses before and after outlier rejection, with details of the search."""
 
     before: SimplexPose
     """From all usable matches."""
     after: SimplexPose
-    """From those that were kept."""
+    """From the inliers."""
     residual: Residual
-    """What was minimised."""
+    """The residual that was minimised."""
     start: StartName
-    """Which start led here: `given`, `linear`, or `aimed` (looking at the matches from a little to the left)."""
+    """The starting pose of this result: `given`, `linear`, or `aimed` (a camera slightly to the left)."""
     rejected_by: RejectedBy
-    """What was compared with the threshold."""
+    """The error that was compared with the threshold."""
     threshold: float
-    """The last threshold, m or px; infinite where none was applied."""
+    """The last threshold, m or px; infinite if none was applied."""
     rounds: int
-    """Rejections with a descent after them."""
+    """Number of rejections that were followed by a descent."""
     restarts: int
-    """Starts elsewhere."""
+    """Number of restarts."""
     iterations: int
-    """Of all descents."""
+    """Iterations of all descents."""
     evaluations: int
-    """Of all descents."""
+    """Cost evaluations of all descents."""
     stopped: DescentEnd
-    """Why it ended."""
+    """The reason for stopping."""
     collapsed: bool
-    """Whether it ended in the valley at T = 0, which is an answer to the cost and none to the question."""
+    """True if the minimum is the valley at T = 0, where the cost is finite but the pose meaningless."""
 
-    def story(self) -> dict[str, Any]:
-        """Return what a result's diagnostics say of it, JSON-ready."""
+    def diagnostics(self) -> dict[str, Any]:
+        """Return the details of the search for the diagnostics of a result, JSON-ready."""
         return {
             "residual": self.residual,
             "start": self.start,
@@ -176,25 +176,25 @@ class SimplexFit:
             "before_rejection": self.before.camera_from_scanner.matrix.tolist(),
         }
 
-    def in_words(self) -> str:
-        """Return one sentence on the outcome."""
+    def describe(self) -> str:
+        """Return the outcome in one sentence."""
         if self.collapsed:
             return (
-                "the stereo depths collapsed onto a camera at the scanner's own place, where their cost is finite and "
-                "means nothing; start nearer, use 'epipolar_simplex' or 'robust', or take a photo from further aside"
+                "the solution collapsed to the scanner's position, where the stereo cost is finite but meaningless; "
+                "start from a closer pose, use 'epipolar_simplex' or 'robust', or increase the baseline"
             )
         kept, all_of_them = int(self.after.inliers.sum()), len(self.after.inliers)
         if not np.isfinite(self.threshold):
-            return f"{kept} of {all_of_them} matches counted, none was rejected, {self.iterations} iterations"
+            return f"{kept} of {all_of_them} matches used, no outlier rejection, {self.iterations} iterations"
         unit = "m" if self.rejected_by == "depth error" else "px"
         return (
-            f"{kept} of {all_of_them} matches kept by their {self.rejected_by} (at most {self.threshold:.3g} {unit}) "
-            f"in {self.rounds} rounds, {self.iterations} iterations"
+            f"{kept} of {all_of_them} inliers by {self.rejected_by} (threshold {self.threshold:.3g} {unit}), "
+            f"{self.rounds} rounds, {self.iterations} iterations"
         )
 
 
 def stopped_at(step: DescentStep) -> SimplexFit:
-    """Return the best that a walk had found when somebody stopped it; it is not asked whether it had collapsed."""
+    """Return the best pose of a fit that was stopped at a step, without a test for collapse."""
     end = SimplexPose(step.camera_from_scanner, step.inliers, step.simplex.cost)
     return SimplexFit(
         before=end,
@@ -220,8 +220,8 @@ def fit_simplex(
     initial: Rigid | None = None,
     sigma_px: float = 1.0,
 ) -> SimplexFit:
-    """Return the pose before and after the rejection of outliers; `descend` is this, watched."""
-    return _exhausted(descend(matches, camera, options, initial=initial, sigma_px=sigma_px))
+    """Return the poses before and after outlier rejection; `descend` yields the individual steps."""
+    return _return_value(descend(matches, camera, options, initial=initial, sigma_px=sigma_px))
 
 
 def descend(
@@ -232,15 +232,15 @@ def descend(
     initial: Rigid | None = None,
     sigma_px: float = 1.0,
 ) -> Generator[DescentStep, None, SimplexFit]:
-    """Walk down, reject, and walk again until the kept matches stay the same.
+    """Alternate between simplex descents and outlier rejection until the inliers are stable.
 
     Args:
         matches: M matches; weights multiply squared residuals.
         camera: the photo's camera.
-        options: how.
-        initial: camera_from_scanner to start from; None: the linear pose, or one aimed at the matches where that is
-            refused or worse.
-        sigma_px: pixel noise, by which a baseline is too small to be one.
+        options: options of the simplex; None: the defaults.
+        initial: camera_from_scanner to start from; None: the linear pose, or a camera aimed at the matches if there is
+            no linear pose or it is worse.
+        sigma_px: pixel noise, by which a baseline is recognised as too small.
 
     Yields:
         Every step of every descent.
@@ -249,7 +249,7 @@ def descend(
         The fit.
 
     Raises:
-        DegenerateGeometryError: if fewer than 4 matches lie in front of the scanner and within the lens.
+        DegenerateGeometryError: if fewer than 4 matches lie in front of the scanner and within the field of the lens.
         OptionError: if `sigma_px` is not a positive number.
 
     Source: thesis 2.4.2, Eq 2.21.
@@ -260,16 +260,16 @@ def descend(
     usable = int(np.count_nonzero(pairs.usable))
     if usable < LEAST_MATCHES:
         raise DegenerateGeometryError(
-            f"only {usable} of {len(matches)} matches lie in front of the scanner and within the lens, and a pose "
-            f"needs {LEAST_MATCHES}; add matches"
+            f"only {usable} of {len(matches)} matches lie in front of the scanner and within the field of the lens, "
+            f"and a pose needs {LEAST_MATCHES}; add matches"
         )
-    walk = _Walk(pairs, options or SimplexOptions(), camera.focal_px, float(sigma_px))
-    return walk.whole(first_poses(matches, pairs, initial))
+    fitter = _Fitter(pairs, options or SimplexOptions(), camera.focal_px, float(sigma_px))
+    return fitter.run(starting_poses(matches, pairs, initial))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _End:
-    """Where a descent, or a descent with its rejections, ended."""
+class _Minimum:
+    """Minimum of a descent, with or without outlier rejection."""
 
     x: FloatArray
     keep: BoolArray
@@ -283,7 +283,7 @@ _Steps = Generator[DescentStep, None, _T]
 
 
 @dataclass(slots=True, eq=False)
-class _Walk:
+class _Fitter:
     """All descents of one fit."""
 
     pairs: StereoPairs
@@ -299,35 +299,35 @@ class _Walk:
     def reach_m(self) -> float:
         return float(np.median(self.pairs.depth[self.pairs.usable]))
 
-    def whole(self, starts: list[tuple[StartName, FloatArray]]) -> _Steps[SimplexFit]:
-        """Walk from the first start, elsewhere where that ends in doubt, and reject in between."""
+    def run(self, starts: list[tuple[StartName, FloatArray]]) -> _Steps[SimplexFit]:
+        """Descend from the first starting pose, restart while the result is doubtful, and reject outliers."""
         residual, everything = self.options.residual, self.pairs.usable
         name, x = starts[0]
         others = starts[1:]
-        if residual == "stereo" and name == "aimed":  # too far off for Ez, whose valley is near
-            best = yield from self.led(x)
+        if residual == "stereo" and name == "aimed":  # too inaccurate for Ez, whose valley is near
+            best = yield from self.via_epipolar(x)
             self.round = 0
             before = yield from self.descent(best.x, everything, residual, narrow=True)
-            best = min(best, before, key=self.worth)
+            best = min(best, before, key=self.rank)
         else:
             before = best = yield from self.descent(x, everything, residual)
             if residual == "stereo":
-                others = starts  # the residual without poles may lead out from where Ez itself did not
+                others = starts  # the epipolar residual may succeed from a start where Ez itself failed
         while self.restart < self.options.restarts and others and self.doubtful(best, residual):
             self.restart += 1
             (other_name, x), others = others[0], others[1:]
-            end = yield from (self.led(x) if residual == "stereo" else self.descent(x, everything, residual))
+            end = yield from (self.via_epipolar(x) if residual == "stereo" else self.descent(x, everything, residual))
             self.round = 0
-            if self.worth(end) < self.worth(best):
+            if self.rank(end) < self.rank(best):
                 best, name = end, other_name
         if best is not before:
             again = yield from self.descent(best.x, everything, residual, narrow=True)
             if again.cost < before.cost or self.collapsed(before, residual):
                 before = again
-        after = yield from self.rejecting(best, residual)
+        after = yield from self.reject_outliers(best, residual)
         return SimplexFit(
-            before=self.answer(before),
-            after=self.answer(after),
+            before=self.simplex_pose(before),
+            after=self.simplex_pose(after),
             residual=residual,
             start=name,
             rejected_by=self.rejected_by(after.x, residual),
@@ -340,22 +340,22 @@ class _Walk:
             collapsed=self.collapsed(after, residual),
         )
 
-    def led(self, x: FloatArray) -> _Steps[_End]:
-        """Walk the residual without poles first, and reject; then leave out what lies near a pole, and walk down Ez."""
+    def via_epipolar(self, x: FloatArray) -> _Steps[_Minimum]:
+        """Minimise the epipolar residual first and reject outliers; then minimise Ez without matches near a pole."""
         end = yield from self.descent(x, self.pairs.usable, "epipolar")
-        end = yield from self.rejecting(end, "epipolar")
-        return (yield from self.rejecting(end, "stereo"))
+        end = yield from self.reject_outliers(end, "epipolar")
+        return (yield from self.reject_outliers(end, "stereo"))
 
-    def worth(self, end: _End) -> tuple[bool, float]:
-        """Return what orders ends, the best first."""
-        return self.collapsed(end, self.options.residual), self.typical(end, self.options.residual)
+    def rank(self, end: _Minimum) -> tuple[bool, float]:
+        """Return the sort key of minima, the best first."""
+        return self.collapsed(end, self.options.residual), self.median_error(end, self.options.residual)
 
-    def answer(self, end: _End) -> SimplexPose:
-        return SimplexPose(self.pairs.pose(end.x), _frozen(end.keep), end.cost)
+    def simplex_pose(self, end: _Minimum) -> SimplexPose:
+        return SimplexPose(self.pairs.pose(end.x), _read_only(end.keep), end.cost)
 
-    def descent(self, x: FloatArray, keep: BoolArray, residual: Residual, *, narrow: bool = False) -> _Steps[_End]:
-        """Walk down the cost of the matches kept."""
-        o, chosen, reach, keep = self.options, self.pairs.subset(keep), self.reach_m, _frozen(keep)
+    def descent(self, x: FloatArray, keep: BoolArray, residual: Residual, *, narrow: bool = False) -> _Steps[_Minimum]:
+        """Minimise the cost of the matches kept."""
+        o, chosen, reach, keep = self.options, self.pairs.subset(keep), self.reach_m, _read_only(keep)
         share = _NARROW if narrow else 1.0
         side_m = (o.step_m if o.step_m is not None else 0.1 * reach) * share
         sides = np.maximum([side_m] * 3 + [o.step_rad * share] * 3, 1e-6 * np.abs(x))
@@ -371,7 +371,7 @@ class _Walk:
         )
         goal = o.stop_cost if o.stop_cost is not None and residual == o.residual else -np.inf
         while True:
-            with np.errstate(all="ignore"):  # a pole is no error
+            with np.errstate(all="ignore"):  # poles are expected
                 step = next(steps, None)
             if step is None:
                 break
@@ -381,10 +381,10 @@ class _Walk:
                 break
         self.iterations += last.iteration
         self.evaluations += last.evaluations
-        return _End(last.best, keep, last.cost, "cost below threshold" if last.cost <= goal else "settled")
+        return _Minimum(last.best, keep, last.cost, "cost below threshold" if last.cost <= goal else "settled")
 
-    def rejecting(self, end: _End, residual: Residual) -> _Steps[_End]:
-        """Keep what lies within the threshold and walk again, until the same matches are kept; some may come back."""
+    def reject_outliers(self, end: _Minimum, residual: Residual) -> _Steps[_Minimum]:
+        """Alternate between selecting matches within the threshold and descending, until the selection is stable."""
         x, keep, cost, threshold = end.x, end.keep, end.cost, np.inf
         known: set[bytes] = set()
         stopped: DescentEnd = "round limit"
@@ -395,11 +395,11 @@ class _Walk:
             threshold = self.threshold(errors, x, residual)
             within = errors <= threshold
             halving = halving and self.rejected_by(x, residual) == "pixel residual"
-            if (within == keep).all() and not (halving and self.doubtful(_End(x, keep, cost), residual)):
+            if (within == keep).all() and not (halving and self.doubtful(_Minimum(x, keep, cost), residual)):
                 stopped = "settled"
                 break
             if halving:
-                # Many mismatches hold the first pose far off; the better half lets go of them step by step.
+                # many outliers bias the first pose; keeping the better half removes them step by step
                 better = errors <= np.median(errors[self.pairs.usable])
                 halving = better.tobytes() not in known and rounds < self.options.reject_rounds // 2
                 within = better if halving else within
@@ -418,24 +418,24 @@ class _Walk:
             if there.stopped == "cost below threshold":
                 stopped = there.stopped
                 break
-        return _End(x, keep, cost, stopped, float(threshold), end.rounds + rounds)
+        return _Minimum(x, keep, cost, stopped, float(threshold), end.rounds + rounds)
 
     def rejected_by(self, x: FloatArray, residual: Residual) -> RejectedBy:
-        """Return what tells outliers: the depth error, but pixels where the epipolar residual's depths mean little."""
+        """Return the error that identifies outliers: depth error, or pixels if the baseline is too small for depths."""
         if residual == "stereo":
             return "depth error"
         if self.options.reject_depth_m is None or self.options.residual == "stereo":
             return "pixel residual"
         disparity = np.hypot(x[0], x[1]) / self.reach_m * self.focal_px
-        # at a small baseline depths mean nothing
+        # depths are meaningless at a small baseline
         return "depth error" if disparity >= _MEANINGFUL_DISPARITY_SIGMA * self.sigma_px else "pixel residual"
 
     def errors(self, x: FloatArray, residual: Residual) -> FloatArray:
-        """Return the error (M,) of each match, m or px; infinite where it has none."""
+        """Return the error (M,) of each match, m or px; infinite if undefined."""
         return self.pairs.depth_errors(x) if self.rejected_by(x, residual) == "depth error" else self.pixel_errors(x)
 
     def pixel_errors(self, x: FloatArray) -> FloatArray:
-        """Return the length (M,) of the epipolar residual, px; infinite where there is none."""
+        """Return the length (M,) of the epipolar residual, px; infinite if undefined."""
         pixels = np.linalg.norm(epipolar_residuals(x, self.pairs), axis=0) * self.focal_px
         return np.where(self.pairs.usable & np.isfinite(pixels), pixels, np.inf)
 
@@ -443,25 +443,25 @@ class _Walk:
         by_depth = self.rejected_by(x, residual) == "depth error"
         if by_depth and self.options.reject_depth_m is not None:
             return float(self.options.reject_depth_m)
-        # Exact matches leave nothing but rounding, which is no reason to reject.
+        # do not reject exact matches for rounding errors
         least = _NEVER_BELOW_OF_RANGE * self.reach_m if by_depth else _NEVER_BELOW_PX
         return max(self.options.reject_sigma * _MAD * float(np.median(errors[self.pairs.usable])), least)
 
-    def typical(self, end: _End, residual: Residual) -> float:
-        """Return the median error of all usable matches, of the depth (`stereo`) or in px: poles do not move it."""
+    def median_error(self, end: _Minimum, residual: Residual) -> float:
+        """Return the median error of all usable matches, relative to depth (`stereo`) or in px; robust to poles."""
         if residual == "stereo":
             relative = self.pairs.depth_errors(end.x)[self.pairs.usable] / self.pairs.depth[self.pairs.usable]
             return float(np.median(relative) / np.sqrt(2))
         return float(np.median(self.pixel_errors(end.x)[self.pairs.usable]))
 
-    def doubtful(self, end: _End, residual: Residual) -> bool:
+    def doubtful(self, end: _Minimum, residual: Residual) -> bool:
         if self.collapsed(end, residual):
             return True
         most = max(_DOUBT_SIGMA * self.sigma_px, _DOUBT_OF_FOCAL * self.focal_px)
-        return not self.typical(end, residual) <= (_DOUBT_OF_DEPTH if residual == "stereo" else most)
+        return not self.median_error(end, residual) <= (_DOUBT_OF_DEPTH if residual == "stereo" else most)
 
-    def collapsed(self, end: _End, residual: Residual) -> bool:
-        """Return whether the baseline is below what a pixel can tell, or the cost that of no baseline at all."""
+    def collapsed(self, end: _Minimum, residual: Residual) -> bool:
+        """Return whether the baseline is within pixel noise, or the cost that of a zero baseline."""
         if residual == "epipolar":
             return False
         kept = self.pairs.subset(end.keep)
@@ -470,7 +470,7 @@ class _Walk:
         return bool(within_noise or not end.cost < _VALLEY * valley)
 
 
-def _exhausted(steps: Generator[Any, None, _T]) -> _T:
+def _return_value(steps: Generator[Any, None, _T]) -> _T:
     while True:
         try:
             next(steps)
@@ -479,7 +479,7 @@ def _exhausted(steps: Generator[Any, None, _T]) -> _T:
             return value
 
 
-def _frozen(mask: BoolArray) -> BoolArray:
+def _read_only(mask: BoolArray) -> BoolArray:
     mask = mask.copy()
     mask.flags.writeable = False
     return mask

@@ -1,19 +1,19 @@
-/** The part below the panes: what it holds follows the step of the work. */
+/** The dock below the panes: its panels depend on the current step. */
 
-import { mountChain } from "../panels/pipeline.js";
-import { mountCurves } from "../panels/convergence.js";
+import { mountConvergence } from "../panels/convergence.js";
 import { mountDepthPlot } from "../panels/depth_plot.js";
-import { element } from "../ui/dom.js";
 import { mountExport } from "../panels/export.js";
 import { mountMatchTable } from "../panels/match_table.js";
+import { mountPipeline } from "../panels/pipeline.js";
 import { mountStages } from "../panels/stages.js";
 import { mountVerdict } from "../panels/verdict.js";
 import { view } from "../state/view.js";
+import { element } from "../ui/dom.js";
 
-/** Which parts a step shows, in this order; each part is made once and only moved. */
+/** The panels of each step, in order; each panel is created once and then only shown or hidden. */
 const SHOWN = {
   match: ["table", "matching", "verdict"],
-  solve: ["table", "chain", "curves"],
+  solve: ["table", "pipeline", "convergence"],
   judge: ["depth", "verdict", "stages"],
   export: ["export", "files", "verdict"],
 };
@@ -23,9 +23,9 @@ export const mountDock = (dock) => {
   const [exporting, files] = mountExport();
   const parts = {
     table: mountMatchTable(),
-    matching: mountChain("match", "Find matches"),
-    chain: mountChain("all", "Solve step by step"),
-    curves: mountCurves(),
+    matching: mountPipeline("match", "Find matches"),
+    pipeline: mountPipeline("all", "Solve step by step"),
+    convergence: mountConvergence(),
     depth: mountDepthPlot(),
     verdict: mountVerdict(),
     stages: mountStages(),

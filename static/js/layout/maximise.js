@@ -1,36 +1,37 @@
-/** One pane over the whole width, and back. */
+/** Maximising one pane over the full width. */
 
-import { button, put } from "../ui/dom.js";
-import { icon } from "../ui/icons.js";
 import { view } from "../state/view.js";
+import { button } from "../ui/controls.js";
+import { setChildren } from "../ui/dom.js";
+import { icon } from "../ui/icons.js";
 
 const NAMES = { scan: "the scan", photo: "the photograph", model: "the model" };
 
-/** @param {"scan" | "photo" | "model"} name */
-export const toggleFilled = (name) => view.set({ filled: view.get().filled === name ? null : name });
+/** Maximise a pane, or restore all three. @param {"scan" | "photo" | "model"} name */
+export const toggleMaximised = (name) => view.set({ filled: view.get().filled === name ? null : name });
 
 /** @param {HTMLElement} panes */
-export const mountFilling = (panes) => {
+export const mountMaximise = (panes) => {
   const buttons = Object.keys(NAMES).map((name) => {
-    const made = button({
-      label: `Fill the width with ${NAMES[name]}`,
+    const toggle = button({
+      label: `Maximise ${NAMES[name]}`,
       icon: "fill",
       bare: true,
       kind: "small fill",
-      act: () => toggleFilled(name),
+      act: () => toggleMaximised(name),
     });
-    panes.querySelector(`#${name}-pane .pane-head`).append(made);
-    return [name, made];
+    panes.querySelector(`#${name}-pane .pane-head`).append(toggle);
+    return [name, toggle];
   });
   const show = () => {
     const { filled } = view.get();
     if (filled) panes.dataset.filled = filled;
     else delete panes.dataset.filled;
-    for (const [name, made] of buttons) {
+    for (const [name, toggle] of buttons) {
       const is = filled === name;
-      put(made, icon(is ? "unfill" : "fill"));
-      made.setAttribute("aria-pressed", String(is));
-      made.title = is ? "Back to three panes (F, Esc)" : `Fill the width with ${NAMES[name]} (F)`;
+      setChildren(toggle, icon(is ? "unfill" : "fill"));
+      toggle.setAttribute("aria-pressed", String(is));
+      toggle.title = is ? "Restore three panes (F, Esc)" : `Maximise ${NAMES[name]} (F)`;
     }
   };
   view.on((_, changed) => changed.has("filled") && show());

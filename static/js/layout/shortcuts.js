@@ -1,56 +1,55 @@
-/** Keys of the whole page; those of the pictures are theirs (panes/). */
+/** Keyboard shortcuts of the whole page; panes/keyboard.js has those of the pictures. */
 
-import { isTyping } from "../ui/dom.js";
-import { wish } from "../net/requests.js";
-import { toggleFilled } from "./maximise.js";
-import { openKeys } from "../panels/keys_dialog.js";
-import { notice } from "../ui/notices.js";
+import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
+import { openKeys } from "../panels/key_reference.js";
 import { view } from "../state/view.js";
+import { isTyping } from "../ui/dom.js";
+import { notice } from "../ui/notices.js";
+import { toggleMaximised } from "./maximise.js";
 
-/** Whose own pop-ups and dialogs keep their keys. */
+/** Dialogs keep their keys. */
 const inDialog = () => document.querySelector("dialog[open]") !== null;
 
-const saved = () => {
+const reportSaved = () => {
   const project = store.get("project");
   if (project?.unsaved) notice(
-    `The last steps could not be saved: ${project.unsaved_why || "see what the workbench printed"}`,
+    `The last edits could not be saved: ${project.unsaved_why || "see the output of the workbench"}`,
     "bad",
   );
   else notice(
-    `Everything is saved already${project?.saved_at ? `, the last step at ${project.saved_at}` : ""}: ` +
-      `there is nothing to do.`,
+    `All edits are saved automatically${project?.saved_at ? `, the last one at ${project.saved_at}` : ""}.`,
   );
 };
 
-/** The pane that the focus or the pointer is in. */
-const paneMeant = () => {
+/** @returns {string | null} the pane with the focus, or under the pointer */
+const currentPane = () => {
   const pane = document.activeElement?.closest?.(".pane") ?? document.querySelector(".pane:hover");
   return pane?.id.replace("-pane", "") ?? null;
 };
 
 const commands = (event) => {
   const key = event.key.toLowerCase();
-  if (key === "s") return saved;
+  if (key === "s") return reportSaved;
   const figures = event.target.type === "number" || event.target.inputMode === "decimal";
-  if (isTyping(event.target) && !figures) return null; // the field's own undo
-  if (key === "z") return event.shiftKey ? () => wish("redo") : () => wish("undo");
-  return key === "y" ? () => wish("redo") : null;
+  if (isTyping(event.target) && !figures) return null; // the field has its own undo
+  if (key === "z") return event.shiftKey ? () => request("redo") : () => request("undo");
+  return key === "y" ? () => request("redo") : null;
 };
 
 const plain = (event) => {
   if (event.key === "?") return openKeys;
   if (event.key === "h" || event.key === "H") return () => document.querySelector(".history-button").click();
   if (event.key === "f" || event.key === "F") {
-    const pane = view.get().filled ?? paneMeant();
-    return pane && (() => toggleFilled(pane));
+    const pane = view.get().filled ?? currentPane();
+    return pane && (() => toggleMaximised(pane));
   }
   const open = document.querySelector("[popover]:popover-open");
   return event.key === "Escape" && view.get().filled && !open ? () => view.set({ filled: null }) : null;
 };
 
-/** Listen from now on. */
-export const listenToPageKeys = () => {
+/** Listen to the keyboard. */
+export const listenToShortcuts = () => {
   addEventListener("keydown", (event) => {
     if (event.defaultPrevented || event.altKey) return;
     const command = event.ctrlKey || event.metaKey;

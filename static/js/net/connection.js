@@ -1,34 +1,33 @@
-/** The websocket `document`: questions up, slices and events down, and a new connection when it is lost. */
+/** The websocket `document`: commands up, slices and events down; it reconnects when the connection is lost. */
 
 import { store } from "./store.js";
 
 const FIRST_WAIT_MS = 300;
 const LONGEST_WAIT_MS = 5000;
 const LOST =
-  "The connection was lost before the answer came, so it is not known whether this was done: look at " +
-  "the page when it is back, and do it again if it was not.";
+  "The connection was lost before the answer arrived, so it is unknown whether the command was carried out: " +
+  "check when the page is connected again, and repeat it if it was not.";
 const OFFLINE =
-  "There is no connection to the workbench, so nothing was changed: wait until the status bar says " +
-  "connected, and do it again.";
+  "Not connected to the workbench, so nothing was changed: wait until the status bar shows connected, then repeat it.";
 
-/** The code that a page is turned away with where too many are open, and the status of an answer that says so. */
+/** Close code, and HTTP status, when the workbench serves its maximum number of pages. */
 const FULL = 1013;
 const UNAVAILABLE = 503;
-const CROWDED = "More pages are open than the workbench serves: close one that nobody needs.";
+const CROWDED = "The workbench serves its maximum number of pages: close one that is not needed.";
 
 /** @typedef {"connecting" | "connected" | "lost" | "refused" | "full"} ConnectionState */
 
 let socket = null;
 let wait_ms = FIRST_WAIT_MS;
 let timer = 0;
-let next = 1;
+let nextId = 1;
 /** @type {ConnectionState} */
 let state = "connecting";
 let reason = "";
 const unanswered = new Map();
 const listeners = new Set();
 
-const become = (now) => {
+const setState = (now) => {
   if (now === state) return;
   state = now;
   for (const listen of [...listeners]) listen(state);
@@ -37,20 +36,20 @@ const become = (now) => {
 /** @returns {ConnectionState} */
 export const connectionState = () => state;
 
-/** @returns {string} why there is no place, in the state "full" */
+/** @returns {string} the reason for the state "full" */
 export const fullReason = () => reason;
 
 /**
  * Call `listen(state)` at each change.
  * @param {(state: ConnectionState) => void} listen
- * @returns {() => void} stops it
+ * @returns {() => void} removes the listener
  */
 export const onConnection = (listen) => {
   listeners.add(listen);
   return () => listeners.delete(listen);
 };
 
-/** @returns {URL} the websocket's address, in the page's own folder, under any prefix */
+/** @returns {URL} address of the websocket, relative to the page so that any prefix works */
 export const socketAddress = (page = location.href) => {
   const address = new URL("document", page);
   address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
@@ -60,95 +59,95 @@ export const socketAddress = (page = location.href) => {
 };
 
 /**
- * Ask for something by name (docs/workbench.md, commands).
- * @param {string} what
+ * Send a command (docs/workbench.md, commands).
+ * @param {string} command
  * @param {Record<string, any>} [args]
  * @returns {Promise<any>} the answer; rejects with an Error whose message is one sentence
  */
-export const ask = (what, args = {}) => {
+export const ask = (command, args = {}) => {
   if (state !== "connected") return Promise.reject(new Error(OFFLINE));
-  const id = next++;
+  const id = nextId++;
   return new Promise((resolve, reject) => {
     unanswered.set(id, { resolve, reject });
-    socket.send(JSON.stringify({ ...args, id, do: what }));
+    socket.send(JSON.stringify({ ...args, id, do: command }));
   });
 };
 
-const answered = (message) => {
+const settle = (message) => {
   const waiting = unanswered.get(message.reply);
   if (!waiting) return;
   unanswered.delete(message.reply);
   if (message.ok) waiting.resolve(message);
-  else waiting.reject(new Error(message.error ?? "The workbench did not say why it refused: try again."));
+  else waiting.reject(new Error(message.error ?? "The workbench refused without a reason: try again."));
 };
 
-const heard = (text) => {
+const receive = (text) => {
   let message;
   try {
     message = JSON.parse(text);
   } catch {
-    return; // not ours; if it was, the next one does not follow on what is here, and all is told anew
+    return; // if it was one of the workbench's, the next version number does not follow, and the page reconnects
   }
-  if (message.reply !== undefined) answered(message);
-  else if (!store.take(message)) anew();
+  if (message.reply !== undefined) settle(message);
+  else if (!store.take(message)) reconnect();
 };
 
-/** A page that cannot follow is told everything when it comes again. */
-const anew = () => {
-  const mine = socket;
-  ended(mine, true);
-  mine.close();
+/** Reconnect after a gap in the messages: a new connection receives all slices. */
+const reconnect = () => {
+  const current = socket;
+  closed(current, true);
+  current.close();
 };
 
-const full = (said) => {
-  reason = said || CROWDED;
-  become("full");
+const setFull = (text) => {
+  reason = text || CROWDED;
+  setState("full");
   wait_ms = LONGEST_WAIT_MS;
 };
 
-/** A websocket does not tell why it was turned away; the page's own address does. */
-const lookWhy = async () => {
+/** A websocket does not report why it was refused; a request to the page's own address does. */
+const findReason = async () => {
   try {
     const { status } = await fetch("./", { method: "HEAD", cache: "no-store" });
     if (state === "connected") return;
-    if (status === UNAVAILABLE) full("");
-    else become(status === 401 || status === 403 ? "refused" : "lost");
+    if (status === UNAVAILABLE) setFull("");
+    else setState(status === 401 || status === 403 ? "refused" : "lost");
   } catch {
-    if (state === "refused") become("lost");
+    if (state === "refused") setState("lost");
   }
 };
 
-const ended = (mine, opened, { code = 0, reason: said = "" } = {}) => {
-  if (socket !== mine) return;
+const closed = (from, opened, { code = 0, reason: text = "" } = {}) => {
+  if (socket !== from) return;
   socket = null;
   for (const { reject } of unanswered.values()) reject(new Error(LOST));
   unanswered.clear();
-  if (code === FULL) full(said);
-  else if (state !== "refused") become("lost");
-  if (!opened) lookWhy();
+  if (code === FULL) setFull(text);
+  else if (state !== "refused") setState("lost");
+  if (!opened) findReason();
   timer = setTimeout(connect, wait_ms);
   wait_ms = Math.min(2 * wait_ms, LONGEST_WAIT_MS);
 };
 
-/** Connect, and again whenever the connection ends. */
+/** Connect, and reconnect whenever the connection ends. */
 export const connect = () => {
   clearTimeout(timer);
-  const mine = new WebSocket(socketAddress());
+  const current = new WebSocket(socketAddress());
   let opened = false;
-  socket = mine;
-  mine.addEventListener("open", () => {
+  socket = current;
+  current.addEventListener("open", () => {
     opened = true;
   });
-  mine.addEventListener("message", (event) => {
-    if (socket !== mine || typeof event.data !== "string") return;
+  current.addEventListener("message", (event) => {
+    if (socket !== current || typeof event.data !== "string") return;
     wait_ms = FIRST_WAIT_MS;
-    become("connected"); // not before: a page too many is heard, too, only to be turned away
-    heard(event.data);
+    setState("connected"); // not at "open": a page beyond the maximum is opened, too, and closed at once
+    receive(event.data);
   });
-  mine.addEventListener("close", (event) => ended(mine, opened, event));
+  current.addEventListener("close", (event) => closed(current, opened, event));
 };
 
-/** Try at once instead of at the end of the wait. */
+/** Try now instead of at the end of the waiting time. */
 export const connectNow = () => {
   if (socket === null) connect();
 };

@@ -1,36 +1,37 @@
-/** How a slice becomes another by what the server tells of it (docs/workbench.md): what app/gateway/delta.py made. */
+/** Applying the changes that the server sends of a slice (docs/workbench.md); app/gateway/delta.py computes them. */
 
 /**
  * @typedef {{set?: any, gone?: (string | number)[], in?: Record<string, Change>, order?: (string | number)[]}} Change
  */
 
-const keyOf = (thing) => thing.id ?? thing.n;
+const keyOf = (item) => item.id ?? item.n;
 
 const changedList = (before, { set = [], gone = [], order }) => {
-  const left = new Set(gone);
-  const things = new Map();
-  for (const thing of before) if (!left.has(keyOf(thing))) things.set(keyOf(thing), thing);
-  for (const thing of set) things.set(keyOf(thing), thing);
-  if (!order) return [...things.values()];
-  if (order.length !== things.size || !order.every((key) => things.has(key))) throw new RangeError("other things");
-  return order.map((key) => things.get(key));
+  const removed = new Set(gone);
+  const items = new Map();
+  for (const item of before) if (!removed.has(keyOf(item))) items.set(keyOf(item), item);
+  for (const item of set) items.set(keyOf(item), item);
+  if (!order) return [...items.values()];
+  const complete = order.length === items.size && order.every((key) => items.has(key));
+  if (!complete) throw new RangeError("the order is of another list");
+  return order.map((key) => items.get(key));
 };
 
 const changedObject = (before, { set = {}, gone = [], in: inner = {} }) => {
-  const found = { ...before, ...set };
-  for (const name of gone) delete found[name];
-  for (const [name, change] of Object.entries(inner)) found[name] = changed(before[name], change);
-  return found;
+  const after = { ...before, ...set };
+  for (const name of gone) delete after[name];
+  for (const [name, change] of Object.entries(inner)) after[name] = changed(before[name], change);
+  return after;
 };
 
 /**
- * Return what a change makes of a value; the value stays as it is, and what did not change stays the same object.
+ * Apply a change to a value. The value itself is not modified, and its unchanged parts stay the same objects.
  * @param {any} before
  * @param {Change} change
- * @returns {any}
- * @throws {RangeError} if the change is one of another value
+ * @returns {any} the new value
+ * @throws {RangeError} if the change does not fit the value
  */
 export const changed = (before, change) => {
-  if (before === null || typeof before !== "object") throw new RangeError("nothing that could change so");
+  if (before === null || typeof before !== "object") throw new RangeError("the value is neither an object nor a list");
   return Array.isArray(before) ? changedList(before, change) : changedObject(before, change);
 };

@@ -1,23 +1,23 @@
-/** Asking for changes where a refusal is told to the person and nothing else hangs on the answer. */
+/** Requests to the workbench whose refusal is shown as a notice and needs no further handling. */
 
-import { ask } from "./connection.js";
 import { notice } from "../ui/notices.js";
+import { ask } from "./connection.js";
 import { store } from "./store.js";
 
 /**
- * Ask; a refusal becomes a notice.
- * @param {string} what
+ * Send a command; a refusal becomes a notice.
+ * @param {string} command
  * @param {Record<string, any>} [args]
- * @returns {Promise<any>} the answer, or null where it was refused
+ * @returns {Promise<any>} the answer, or null if it was refused
  */
-export const wish = async (what, args = {}) => {
+export const request = async (command, args = {}) => {
   try {
-    return await ask(what, args);
+    return await ask(command, args);
   } catch (error) {
     notice(error.message, "bad");
     return null;
   }
 };
 
-/** Ask for something about the shown photograph; see `wish`. */
-export const wishHere = (what, args = {}) => wish(what, { photo: store.shown(), ...args });
+/** Send a command about the shown photograph; see `request`. */
+export const requestForPhoto = (command, args = {}) => request(command, { photo: store.shown(), ...args });

@@ -1,9 +1,9 @@
 /**
- * The document as the server tells it, slice by slice (docs/workbench.md). Nothing here changes it: edits are asked for
- * over the connection and come back as slices.
+ * The page's copy of the document, slice by slice (docs/workbench.md). It is read-only: edits are sent as commands and
+ * come back as slices.
  */
 
-import { changed as after } from "./delta.js";
+import { changed as applied } from "./delta.js";
 
 /**
  * @typedef {{id: string, number: number, kind: "point" | "line", scan: number[][], photo: number[][], on: boolean,
@@ -13,18 +13,18 @@ import { changed as after } from "./delta.js";
 
 const matches = (pattern, name) => (pattern.endsWith("*") ? name.startsWith(pattern.slice(0, -1)) : pattern === name);
 
-/** Slices by name, and who listens to them. */
+/** Slices by name, with their listeners. */
 export class Store {
   #slices = new Map();
   #listeners = new Set();
   #watchers = new Set();
   #events = new Map();
 
-  /** The number of the newest message with slices; 0 before the first. */
+  /** Number of the newest message with slices; 0 before the first. */
   version = 0;
 
   /**
-   * Return a slice, or null.
+   * Return a slice, or null if there is none.
    * @param {string} slice
    * @returns {any}
    */
@@ -33,10 +33,10 @@ export class Store {
   }
 
   /**
-   * Call `listen(value, slice)` each time that a slice changes, after the whole message is in.
-   * @param {string} pattern a slice's name, or a beginning followed by `*`
+   * Call `listen(value, slice)` whenever a slice changes, once the whole message is applied.
+   * @param {string} pattern name of a slice, or a prefix followed by `*`
    * @param {SliceListener} listen
-   * @returns {() => void} stops it
+   * @returns {() => void} removes the listener
    */
   on(pattern, listen) {
     const entry = { pattern, listen };
@@ -45,10 +45,10 @@ export class Store {
   }
 
   /**
-   * Call `draw()` once a message that changes any of the slices.
+   * Call `draw()` once for each message that changes any of the slices.
    * @param {string[]} patterns
    * @param {() => void} draw
-   * @returns {() => void} stops it
+   * @returns {() => void} removes the listener
    */
   watch(patterns, draw) {
     const entry = { patterns, draw };
@@ -60,7 +60,7 @@ export class Store {
    * Call `listen(event)` at each event of a kind: `simplex`, `hover`, `notice`, `export_ready`.
    * @param {string} kind
    * @param {(event: any) => void} listen
-   * @returns {() => void} stops it
+   * @returns {() => void} removes the listener
    */
   onEvent(kind, listen) {
     if (!this.#events.has(kind)) this.#events.set(kind, new Set());
@@ -69,9 +69,9 @@ export class Store {
   }
 
   /**
-   * Take a message of the server: slices, changes of slices, or an event. Message 1 tells all slices that there are.
+   * Apply a message of the server: slices, changes of slices, or an event. Message 1 contains all slices.
    * @param {any} message
-   * @returns {boolean} false: it does not follow on what is here, so that nothing was taken and all must be told anew
+   * @returns {boolean} false if it does not continue this copy: nothing was applied, and all slices are needed again
    */
   take(message) {
     if (typeof message.event === "string") {
@@ -83,23 +83,23 @@ export class Store {
     const slices = version === 1 ? this.#all(message.slices) : { ...message.slices };
     if (version !== 1 && version !== this.version + 1) return false;
     try {
-      for (const [name, change] of Object.entries(message.changes ?? {})) slices[name] = after(this.get(name), change);
+      for (const [name, change] of Object.entries(message.changes ?? {})) slices[name] = applied(this.get(name), change);
     } catch (error) {
       if (error instanceof RangeError) return false;
       throw error;
     }
     this.version = version;
-    this.#put(slices);
+    this.#apply(slices);
     return true;
   }
 
-  /** All slices that are told, and null for every other that is here. */
-  #all(told) {
-    const others = [...this.#slices.keys()].filter((name) => !(name in told));
-    return { ...Object.fromEntries(others.map((name) => [name, null])), ...told };
+  /** @returns {Record<string, any>} all slices of message 1, and null for those that exist no longer */
+  #all(slices) {
+    const removed = [...this.#slices.keys()].filter((name) => !(name in slices));
+    return { ...Object.fromEntries(removed.map((name) => [name, null])), ...slices };
   }
 
-  #put(slices) {
+  #apply(slices) {
     const changed = Object.keys(slices);
     for (const name of changed) {
       if (slices[name] === null) this.#slices.delete(name);
@@ -113,13 +113,13 @@ export class Store {
     }
   }
 
-  /** @returns {string | null} the id of the photograph that all look at */
+  /** @returns {string | null} id of the photograph that all clients see */
   shown() {
     return this.get("shown");
   }
 
   /**
-   * @param {string | null} [photo] the shown one where it is left out
+   * @param {string | null} [photo] by default the shown one
    * @returns {any} the entry of slice `photos`, or null
    */
   photo(photo = this.shown()) {
@@ -128,7 +128,7 @@ export class Store {
 
   /**
    * @param {string | null} [photo]
-   * @returns {Pick[]} its picks, in order; empty where there are none
+   * @returns {Pick[]} its picks, in order; empty if there are none
    */
   picksOf(photo = this.shown()) {
     return this.get(`picks:${photo}`) ?? [];
@@ -136,7 +136,7 @@ export class Store {
 
   /**
    * @param {string | null} [photo]
-   * @returns {any} what the shown pose says of its picks, or null
+   * @returns {any} slice `judged:pID`: its picks under the shown pose; or null
    */
   judgedOf(photo = this.shown()) {
     return this.get(`judged:${photo}`);
@@ -152,7 +152,7 @@ export class Store {
 
   /**
    * @param {string | null} [photo]
-   * @returns {any} the shown stage of the photograph, or null before there is a pose
+   * @returns {any} the shown stage of the photograph, or null if there is no pose
    */
   stageOf(photo = this.shown()) {
     const poses = this.posesOf(photo);
@@ -163,15 +163,15 @@ export class Store {
 export const store = new Store();
 
 /**
- * The CSS custom property of a match's colour.
- * @param {number} number from 1
+ * CSS custom property with the colour of a match, for use over pictures.
+ * @param {number} number of the match, from 1
  * @returns {string} such as `--lr-match-3`
  */
 export const matchColour = (number) => `--lr-match-${((number - 1) % 6) + 1}`;
 
 /**
- * The same where thin strokes lie on the page's own ground instead of on a picture.
- * @param {number} number from 1
+ * CSS custom property with the colour of a match, for thin strokes on the page's background.
+ * @param {number} number of the match, from 1
  * @returns {string} such as `--lr-stem-3`
  */
 export const stemColour = (number) => `--lr-stem-${((number - 1) % 6) + 1}`;

@@ -1,17 +1,16 @@
-/** Files on their way to the workbench. */
+/** Upload of files to the workbench. */
 
 import { bytes } from "../ui/numbers.js";
 import { store } from "./store.js";
 
-const UNREACHED =
-  "The file did not arrive: the connection was lost on the way; send it again when the status bar says " +
-  "connected.";
+const CONNECTION_LOST =
+  "the connection was lost during the upload; send the file again when the status bar shows connected.";
 
-const STRANGER = "The workbench no longer knows this page: open its address again, with the token.";
+const NOT_AUTHORISED = "The workbench no longer accepts this page: open its address again, with the token.";
 
 const tooLarge = (name, most) =>
-  `${name} is larger than the ${bytes(most)} that are taken here: make it smaller, ` +
-  (store.get("served") ? "or put it into the served folder." : "or have the workbench started on it or with a larger limit.");
+  `${name} is larger than the ${bytes(most)} that the workbench accepts: reduce it, ` +
+  (store.get("served") ? "or put it into the served folder." : "or start the workbench with the file, or with a larger limit.");
 
 const answerOf = (request) => {
   try {
@@ -22,20 +21,20 @@ const answerOf = (request) => {
 };
 
 const refusal = (request, name) => {
-  const said = answerOf(request).error;
-  if (said) return said.startsWith(name) ? said : `${name}: ${said}`;
+  const error = answerOf(request).error;
+  if (error) return error.startsWith(name) ? error : `${name}: ${error}`;
   const { status } = request;
   if (status === 413) return tooLarge(name, store.get("limits")?.upload_bytes ?? 0);
-  if (status === 401 || status === 403) return STRANGER;
-  return `${name} was refused (status ${status}): try again, or look at what the workbench printed.`;
+  if (status === 401 || status === 403) return NOT_AUTHORISED;
+  return `${name} was refused (status ${status}): try again, or see the output of the workbench.`;
 };
 
 /**
- * Send a file.
+ * Upload a file.
  * @param {File} file
- * @param {{what: string, photo?: string | null, progress?: (share: number) => void}} as
- * @returns {{finished: Promise<string>, abort: () => void}} `finished` gives the id, or rejects with an Error in one
- *   sentence; after an abort its name is `AbortError`
+ * @param {{what: string, photo?: string | null, progress?: (share: number) => void}} options
+ * @returns {{finished: Promise<string>, abort: () => void}} `finished` resolves to the id, or rejects with an Error
+ *   whose message is one sentence; after `abort` its name is `AbortError`
  */
 export const sendFile = (file, { what, photo = null, progress = () => {} }) => {
   const request = new XMLHttpRequest();
@@ -52,8 +51,8 @@ export const sendFile = (file, { what, photo = null, progress = () => {} }) => {
       if (request.status === 200 && answer.ok) resolve(answer.id);
       else reject(new Error(refusal(request, file.name)));
     });
-    request.addEventListener("error", () => reject(new Error(`${file.name}: ${UNREACHED}`)));
-    request.addEventListener("abort", () => reject(new DOMException(`${file.name} was not sent.`, "AbortError")));
+    request.addEventListener("error", () => reject(new Error(`${file.name}: ${CONNECTION_LOST}`)));
+    request.addEventListener("abort", () => reject(new DOMException(`The upload of ${file.name} was cancelled.`, "AbortError")));
   });
   const most = store.get("limits")?.upload_bytes;
   if (most && file.size > most) {

@@ -1,13 +1,14 @@
-/** Telling the focal length of a photograph: as phones tell it, as the lens tells it, in pixels, or by a camera file. */
+/** The form for the camera of a photograph: 35 mm equivalent, lens and sensor, pixels, or a camera file. */
 
-import { attribute, button, element, newId, put, say } from "../ui/dom.js";
 import { ask } from "../net/connection.js";
+import { store } from "../net/store.js";
+import { sendFile } from "../net/uploads.js";
+import { button } from "../ui/controls.js";
+import { element, newId, setAttribute, setChildren, setText } from "../ui/dom.js";
 import { fixed, sentences } from "../ui/numbers.js";
 import { popoverOf } from "../ui/popover.js";
-import { sendFile } from "../net/uploads.js";
-import { store } from "../net/store.js";
 
-const NOTHING = "Fill in one of the three: the 35 mm equivalent, or focal length and sensor width, or pixels.";
+const EMPTY = "Fill in one of the three: the 35 mm equivalent, or focal length and sensor width, or pixels.";
 
 const field = (label, unit, example) => {
   const id = newId("field");
@@ -32,11 +33,11 @@ const field = (label, unit, example) => {
   };
 };
 
-/** One way to tell it, and where it is found. */
-const way = (where, ...fields) =>
-  element("fieldset", {}, ...fields.map(({ row }) => row), element("p", { class: "dim field-where" }, where));
+/** One way to specify the focal length, with its source. */
+const option = (source, ...fields) =>
+  element("fieldset", {}, ...fields.map(({ row }) => row), element("p", { class: "dim field-source" }, source));
 
-/** @param {HTMLButtonElement} opener */
+/** Attach the form to its button. @param {HTMLButtonElement} opener */
 export const mountCameraForm = (opener) => {
   const film = field("35 mm equivalent", "mm", "26");
   film.input.autofocus = true;
@@ -48,18 +49,18 @@ export const mountCameraForm = (opener) => {
   const wrong = element("p", { class: "form-wrong", role: "alert", hidden: true });
   const file = element(
     "input",
-    { type: "file", accept: ".json,.yaml,.yml,.xml", class: "told", tabIndex: -1, "aria-hidden": "true" },
+    { type: "file", accept: ".json,.yaml,.yml,.xml", class: "visually-hidden", tabIndex: -1, "aria-hidden": "true" },
   );
   const or = () => element("p", { class: "or" }, "or");
   const form = element(
     "form",
     { class: "camera-form", noValidate: true },
     head,
-    way("Phones and most cameras tell it in the details of the original photograph.", film),
+    option("Shown by phones and most cameras in the details of the original photograph.", film),
     or(),
-    way("From the lens, and the width of the sensor from the camera's data sheet.", mm, sensor),
+    option("Focal length from the lens, sensor width from the camera's data sheet.", mm, sensor),
     or(),
-    way("From a calibration of the camera at this picture size.", px),
+    option("From a camera calibration at this picture size.", px),
     wrong,
     element(
       "div",
@@ -67,18 +68,18 @@ export const mountCameraForm = (opener) => {
       button({
         label: "Camera file…",
         icon: "file",
-        title: "A camera file: JSON or OpenCV's YAML",
+        title: "Camera file: JSON, or YAML of OpenCV",
         act: () => file.click(),
       }),
-      element("button", { class: "button primary", type: "submit" }, "Use it"),
+      element("button", { class: "button primary", type: "submit" }, "Apply"),
     ),
     file,
   );
   const panel = popoverOf(opener, "Camera of the photograph", form);
   const fail = (text, { input } = {}) => {
-    say(wrong, text);
+    setText(wrong, text);
     wrong.hidden = text === "";
-    for (const each of Object.values(fields)) attribute(each.input, "aria-invalid", each.input === input);
+    for (const each of Object.values(fields)) setAttribute(each.input, "aria-invalid", each.input === input);
     input?.focus();
   };
   const done = () => {
@@ -91,24 +92,24 @@ export const mountCameraForm = (opener) => {
     fail(text, where);
     return null;
   };
-  /** @returns {Record<string, number> | null} what was filled in; null where something is to be said first */
-  const wanted = () => {
+  /** @returns {Record<string, number> | null} the values; null if they are incomplete, which is then shown */
+  const read = () => {
     const filled = Object.entries(fields).filter(([, { input }]) => input.value.trim() !== "");
     const numbers = Object.fromEntries(filled.map(([name, { input }]) => [name, numberOf(input.value)]));
     const [, bad] = filled.find(([name]) => !(numbers[name] > 0 && numbers[name] < Infinity)) ?? [];
-    if (bad) return refuse(`${bad.label}: “${bad.input.value.trim().slice(0, 20)}” is no number above 0.`, bad);
+    if (bad) return refuse(`${bad.label}: “${bad.input.value.trim().slice(0, 20)}” is not a number above 0.`, bad);
     if ("focal_mm" in numbers !== "sensor_mm" in numbers) {
       const missing = "focal_mm" in numbers ? sensor : mm;
-      return refuse(`${missing.label} is missing: the two belong together.`, missing);
+      return refuse(`${missing.label} is missing: focal length and sensor width belong together.`, missing);
     }
-    const ways = new Set(filled.map(([name]) => (name === "sensor_mm" ? "focal_mm" : name)));
-    if (ways.size === 0) return refuse(NOTHING, film);
-    if (ways.size > 1) return refuse("More than one is filled in: empty all but one.", filled[0][1]);
+    const options = new Set(filled.map(([name]) => (name === "sensor_mm" ? "focal_mm" : name)));
+    if (options.size === 0) return refuse(EMPTY, film);
+    if (options.size > 1) return refuse("More than one is filled in: clear all but one.", filled[0][1]);
     return numbers;
   };
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
-    const camera = wanted();
+    const camera = read();
     if (!camera) return;
     try {
       await ask("set_camera", { photo: store.shown(), ...camera });
@@ -132,26 +133,26 @@ export const mountCameraForm = (opener) => {
   const show = () => {
     const photo = store.photo();
     const camera = photo?.camera;
-    const said = camera
+    const text = camera
       ? `${photo.name}: ${camera.said || `f ${fixed(camera.fx, 1)} px`}`
-      : `${photo?.name ?? "The file"} does not tell its focal length: say it in one of these ways.`;
-    put(head, said);
+      : `${photo?.name ?? "The file"} has no focal length: enter it in one of these ways.`;
+    setChildren(head, text);
   };
-  const asked = new Set();
-  const askOnce = () => {
+  const offered = new Set();
+  const offerOnce = () => {
     const photo = store.photo();
-    if (!photo || photo.camera || photo.error || asked.has(photo.id)) return;
+    if (!photo || photo.camera || photo.error || offered.has(photo.id)) return;
     if (opener.hidden || document.querySelector("dialog[open], [popover]:popover-open")) return;
-    asked.add(photo.id); // who puts it away finds it at the tab
+    offered.add(photo.id); // once it is closed, the button beside the tab opens it again
     panel.showPopover();
   };
   store.watch(["photos", "shown"], () => {
     show();
-    requestAnimationFrame(askOnce);
+    requestAnimationFrame(offerOnce);
   });
-  document.addEventListener("close", () => requestAnimationFrame(askOnce), true); // of a dialog that stood before it
+  document.addEventListener("close", () => requestAnimationFrame(offerOnce), true); // when the dialog over it closes
   panel.addEventListener("beforetoggle", (event) => event.newState === "open" && (fail(""), show()));
 };
 
-/** @returns {number} of a text with a decimal point or comma; NaN where it is none */
+/** @returns {number} the number in a text with a decimal point or comma; NaN if there is none */
 const numberOf = (text) => Number(text.trim().replace(",", "."));

@@ -1,34 +1,34 @@
-/** Who is here, and by which name one's own steps go into the history. */
+/** The list of connected clients, and the name under which one's own edits appear in the history. */
 
-import { element, newId, put } from "../ui/dom.js";
-import { wish } from "../net/requests.js";
-import { popoverOf } from "../ui/popover.js";
+import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
+import { element, newId, setChildren } from "../ui/dom.js";
+import { popoverOf } from "../ui/popover.js";
 
-/** @param {HTMLButtonElement} opener */
-export const mountPeople = (opener) => {
-  const list = element("ul", { class: "people-list" });
+/** Attach the list to its button. @param {HTMLButtonElement} opener */
+export const mountClients = (opener) => {
+  const list = element("ul", { class: "clients-list" });
   const id = newId("field");
   const input = element("input", { id, maxLength: 40, autocomplete: "name", spellcheck: false });
   const form = element(
     "form",
-    { class: "people-form" },
+    { class: "clients-form" },
     element("label", { for: id }, "Your name"),
     input,
-    element("button", { type: "submit", class: "button" }, "Call me so"),
+    element("button", { type: "submit", class: "button" }, "Set name"),
   );
-  const panel = popoverOf(opener, "Who is here", element("h2", {}, "Here now"), list, form);
+  const panel = popoverOf(opener, "Connected clients", element("h2", {}, "Connected clients"), list, form);
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     const name = input.value.trim();
-    if (name && (await wish("call_me", { name }))) panel.hidePopover();
+    if (name && (await request("call_me", { name }))) panel.hidePopover();
   });
   const show = () => {
-    const people = store.get("people") ?? { names: [] };
-    const you = people.you ?? store.get("you");
-    put(
+    const clients = store.get("people") ?? { names: [] };
+    const you = clients.you ?? store.get("you");
+    setChildren(
       list,
-      ...(people.names ?? []).map(
+      ...(clients.names ?? []).map(
         (name) => element("li", {}, name, name === you ? element("span", { class: "dim" }, " · you") : null),
       ),
     );

@@ -1,16 +1,73 @@
-/** The live simplex: six parameters about where they are now (thesis Figure 3.2), and the logarithm of the cost. */
+/** The live convergence of the simplex: its six parameters (thesis Figure 3.2) and the logarithm of its cost. */
 
-import { makeCanvas } from "../ui/canvas.js";
-import { runs } from "../state/pipeline.js";
-import { logCosts, NAMES, scaledCurves, Walk } from "./convergence_data.js";
-import { decimalsOf, marks } from "./depth_scale.js";
-import { element, put, say } from "../ui/dom.js";
-import { jobControls } from "./job_controls.js";
-import { fixed, short } from "../ui/numbers.js";
 import { stemColour, store } from "../net/store.js";
+import { isRunning } from "../state/pipeline.js";
+import { makeCanvas } from "../ui/canvas.js";
+import { element, setChildren, setText } from "../ui/dom.js";
+import { fixed, short } from "../ui/numbers.js";
+import { decimalsOf, marks } from "./depth_scale.js";
+import { jobControls } from "./job_controls.js";
 
 const DASHES = [[], [], [], [5, 3], [5, 3], [5, 3]];
 const DEGREES = 180 / Math.PI;
+
+const MOST_STEPS = 1200;
+const NAMES = ["Tx", "Ty", "Tz", "α", "β", "γ"];
+
+/** The steps of one run; every second one is dropped when they become too many. */
+class SimplexRun {
+  steps = [];
+  #every = 1;
+  #seen = 0;
+  #last = null;
+
+  /** @param {{iteration: number, parameters: number[], cost: number}} event */
+  add({ iteration, parameters, cost }) {
+    if (this.#last && iteration < this.#last.iteration) this.clear();
+    this.#last = { iteration, parameters, cost };
+    if (this.#seen++ % this.#every === 0) this.steps.push(this.#last);
+    if (this.steps.length > MOST_STEPS) {
+      this.steps = this.steps.filter((_, index) => index % 2 === 0);
+      this.#every *= 2;
+    }
+  }
+
+  clear() {
+    this.steps = [];
+    this.#every = 1;
+    this.#seen = 0;
+    this.#last = null;
+  }
+
+  /** @returns {{iteration: number, parameters: number[], cost: number}[]} always ending with the newest */
+  get shown() {
+    return this.#last && this.steps.at(-1) !== this.#last ? [...this.steps, this.#last] : this.steps;
+  }
+}
+
+/**
+ * Scale six curves to a common axis: each is relative to its last value; lengths and angles have one scale each.
+ * @param {{parameters: number[]}[]} steps
+ * @returns {{curves: number[][], reach: number[]}} values within [-1, 1]; the size of 1 in m and in rad
+ */
+const scaledCurves = (steps) => {
+  const last = steps.at(-1)?.parameters ?? [0, 0, 0, 0, 0, 0];
+  const offsets = NAMES.map((_, index) => steps.map(({ parameters }) => parameters[index] - last[index]));
+  const largest = (from) => offsets.slice(from, from + 3).flat().reduce(
+    (most, value) => Math.max(most, Math.abs(value)),
+    0,
+  );
+  const reach = [largest(0), largest(3)];
+  const curves = offsets.map((curve, index) => curve.map((value) => value / (reach[index < 3 ? 0 : 1] || 1)));
+  return { curves, reach };
+};
+
+/** @returns {number[]} log10 of the costs; costs that are not positive count as the smallest positive one */
+const logCosts = (steps) => {
+  const positive = steps.map(({ cost }) => cost).filter((cost) => cost > 0);
+  const least = positive.length ? Math.min(...positive) : 1;
+  return steps.map(({ cost }) => Math.log10(cost > 0 ? cost : least));
+};
 
 const curve = (context, values, x, y) => {
   context.beginPath();
@@ -19,8 +76,8 @@ const curve = (context, values, x, y) => {
 };
 
 /** @returns {HTMLElement} */
-export const mountCurves = () => {
-  const walk = new Walk();
+export const mountConvergence = () => {
+  const run = new SimplexRun();
   let photo = null;
   const xOf = (steps, left, right) => {
     const [first, last] = [steps[0]?.iteration ?? 0, steps.at(-1)?.iteration ?? 1];
@@ -28,7 +85,7 @@ export const mountCurves = () => {
   };
 
   const paintSix = (context, width, height, ink, em) => {
-    const steps = walk.shown;
+    const steps = run.shown;
     const { curves, reach } = scaledCurves(steps);
     const [left, right, top, bottom] = [em * 0.5, width - em * 1.8, em * 1.4, height - em * 0.4];
     const y = (value) => (top + bottom) / 2 - (value * (bottom - top)) / 2;
@@ -37,7 +94,7 @@ export const mountCurves = () => {
     context.fillStyle = ink("--lr-dim");
     context.textBaseline = "top";
     context.fillText(
-      steps.length > 1 ? `± ${short(reach[0])} m, dashed ± ${short(reach[1] * DEGREES)}°, about the last` : "",
+      steps.length > 1 ? `± ${short(reach[0])} m, dashed ± ${short(reach[1] * DEGREES)}°, relative to the last` : "",
       left,
       0,
     );
@@ -53,7 +110,7 @@ export const mountCurves = () => {
     context.setLineDash([]);
   };
   const paintCost = (context, width, height, ink, em) => {
-    const steps = walk.shown;
+    const steps = run.shown;
     const values = logCosts(steps);
     if (values.length < 2) return;
     const [least, most] = [Math.min(...values), Math.max(...values)];
@@ -95,11 +152,11 @@ export const mountCurves = () => {
   const empty = element(
     "p",
     { class: "empty" },
-    "While the simplex walks, its six parameters and the logarithm of its cost are drawn here.",
+    "While the simplex runs, its six parameters and the logarithm of its cost are plotted here.",
   );
   const body = element(
     "div",
-    { class: "curves-body", hidden: true },
+    { class: "convergence-body", hidden: true },
     six.canvas,
     legend,
     element("p", { class: "dim curve-title" }, "log₁₀ cost"),
@@ -107,7 +164,7 @@ export const mountCurves = () => {
   );
   const part = element(
     "section",
-    { class: "dock-part curves-part", "aria-label": "Live simplex" },
+    { class: "dock-part convergence-part", "aria-label": "Convergence of the simplex" },
     element(
       "div",
       { class: "part-head" },
@@ -121,15 +178,15 @@ export const mountCurves = () => {
 
   const draw = () => (six.draw(), cost.draw());
   store.onEvent("simplex", (event) => {
-    if (event.photo !== photo) walk.clear();
+    if (event.photo !== photo) run.clear();
     photo = event.photo;
-    walk.take(event);
+    run.add(event);
     body.hidden = false;
     empty.hidden = true;
     event.parameters.forEach(
-      (value, index) => say(values[index], index < 3 ? `${fixed(value, 3)} m` : `${fixed(value * DEGREES, 2)}°`),
+      (value, index) => setText(values[index], index < 3 ? `${fixed(value, 3)} m` : `${fixed(value * DEGREES, 2)}°`),
     );
-    say(
+    setText(
       state,
       `${event.iteration} · ${event.inliers} of ${event.matches}${event.round ? ` · round ${event.round + 1}` : ""}`,
     );
@@ -137,9 +194,9 @@ export const mountCurves = () => {
   });
   const show = () => {
     const job = store.get("job");
-    const walks = job && ["simplex", "reject_outliers", "thesis"].includes(job.kind) && runs(job);
-    state.classList.toggle("accent", Boolean(walks && job.state === "running"));
-    if (!walk.shown.length) put(state);
+    const active = job && ["simplex", "reject_outliers", "thesis"].includes(job.kind) && isRunning(job);
+    state.classList.toggle("accent", Boolean(active && job.state === "running"));
+    if (!run.shown.length) setChildren(state);
   };
   store.watch(["job"], show);
   show();

@@ -1,8 +1,12 @@
-/** The depth-error plot (thesis Figures 3.3, 3.4): a stem for each match, a threshold to drag, and a histogram. */
+/** The depth-error plot (thesis Figures 3.3, 3.4): a stem for each match, a draggable threshold, and a histogram. */
 
+import { requestForPhoto } from "../net/requests.js";
+import { stemColour, store } from "../net/store.js";
+import { view } from "../state/view.js";
 import { makeCanvas } from "../ui/canvas.js";
-import { attribute, button, element, put, say } from "../ui/dom.js";
-import { wishHere } from "../net/requests.js";
+import { button } from "../ui/controls.js";
+import { element, setAttribute, setText } from "../ui/dom.js";
+import { counted, fixed, short } from "../ui/numbers.js";
 import {
   decimalsOf,
   histogram,
@@ -15,27 +19,24 @@ import {
   suggestedThreshold,
 } from "./depth_scale.js";
 import { rowsOf } from "./match_rows.js";
-import { counted, fixed, short } from "../ui/numbers.js";
-import { stemColour, store } from "../net/store.js";
-import { view } from "../state/view.js";
 
 const BINS = 31;
 const GRIP_PX = 7;
-const FEW = 40; // up to here each stem wears its match's colour
+const FEW = 40; // up to this number each stem has the colour of its match
 const UNITS = { depth: "m", px: "px" };
 
 /** @returns {HTMLElement} */
 export const mountDepthPlot = () => {
   let stems = [];
   let shown = [];
-  let keptOnly = false;
+  let inliersOnly = false;
   let hovering = null;
   let dragging = false;
 
   const by = () => view.get().threshold.by;
   const sigmas = () => store.get("settings")?.reject_sigma?.value;
   const chosen = () => view.get().threshold.above[by()] ?? suggestedThreshold(stems, sigmas());
-  /** Both signs of it where errors have a sign; nothing where there is none. */
+  /** The threshold, with both signs if errors are signed. */
   const thresholds = () => {
     const above = chosen();
     if (above === null) return [];
@@ -68,7 +69,7 @@ export const mountDepthPlot = () => {
   const paint = (context, width, height, ink, em) => {
     const { y, most, least } = scale(height, em);
     const above = chosen();
-    const { above: gone } = rejection(stems, above);
+    const { above: outliers } = rejection(stems, above);
     const x0 = left(em);
     context.textBaseline = "middle";
     context.textAlign = "right";
@@ -87,7 +88,7 @@ export const mountDepthPlot = () => {
     const { hovered, selected } = view.get();
     shown.forEach((stem, index) => {
       const x = xOf(index, width, em);
-      const off = !stem.on || gone.has(stem.id);
+      const off = !stem.on || outliers.has(stem.id);
       const clipped = Math.max(least, Math.min(most, stem.value));
       const lit = stem.id === hovered || selected.has(stem.id);
       context.globalAlpha = off && !lit ? 0.6 : 1;
@@ -112,21 +113,21 @@ export const mountDepthPlot = () => {
   const paintHistogram = (context, width, height, ink, em) => {
     const { y, most, least } = scale(height, em);
     const bins = histogram(shown, least, most, BINS);
-    const tallest = Math.max(1, ...bins.kept.map((count, index) => count + bins.gone[index]));
+    const tallest = Math.max(1, ...bins.on.map((count, index) => count + bins.off[index]));
     const depth = Math.abs(y(least) - y(most)) / BINS;
     const above = chosen();
     for (let index = 0; index < BINS; index += 1) {
       const top = y(least + ((index + 1) / BINS) * (most - least)) + 0.5;
       const middle = least + ((index + 0.5) / BINS) * (most - least);
       const beyond = above !== null && Math.abs(middle) > above;
-      const kept = (bins.kept[index] / tallest) * (width - 4);
-      const gone = (bins.gone[index] / tallest) * (width - 4);
+      const enabled = (bins.on[index] / tallest) * (width - 4);
+      const disabled = (bins.off[index] / tallest) * (width - 4);
       context.fillStyle = ink(beyond ? "--lr-dim" : "--lr-accent");
       context.globalAlpha = beyond ? 0.6 : 1;
-      context.fillRect(0, top, kept, Math.max(1, depth - 1));
+      context.fillRect(0, top, enabled, Math.max(1, depth - 1));
       context.fillStyle = ink("--lr-dim");
       context.globalAlpha = 0.4;
-      context.fillRect(kept, top, gone, Math.max(1, depth - 1));
+      context.fillRect(enabled, top, disabled, Math.max(1, depth - 1));
     }
     context.globalAlpha = 1;
     context.strokeStyle = ink("--lr-line");
@@ -164,23 +165,23 @@ export const mountDepthPlot = () => {
   );
   const field = element(
     "input",
-    { class: "number short", type: "number", min: "0", step: "any", "aria-label": "Reject above" },
+    { class: "number short", type: "number", min: "0", step: "any", "aria-label": "Disable above" },
   );
   field.addEventListener("change", () => (field.valueAsNumber > 0 ? setAbove(field.valueAsNumber) : read()));
-  const unitSaid = element("span", { class: "dim" });
-  const said = element("span", { class: "told", role: "status" });
-  const reject = button({
-    label: "Reject",
+  const unitLabel = element("span", { class: "dim" });
+  const status = element("span", { class: "visually-hidden", role: "status" });
+  const apply = button({
+    label: "Disable",
     kind: "small warn-button",
-    act: () => wishHere("reject", { by: by(), above: chosen() }),
+    act: () => requestForPhoto("reject", { by: by(), above: chosen() }),
   });
-  const which = button({
-    label: "Kept only",
+  const inliersToggle = button({
+    label: "Inliers only",
     kind: "small toggle",
-    title: "Before and after: show only what is kept, on a scale of its own",
-    act: () => ((keptOnly = !keptOnly), read()),
+    title: "Show only the matches below the threshold, on their own scale",
+    act: () => ((inliersOnly = !inliersOnly), read()),
   });
-  const empty = element("p", { class: "empty" }, "The errors of the matches stand here once there is a pose.");
+  const empty = element("p", { class: "empty" }, "The errors of the matches are plotted here once there is a pose.");
   const body = element("div", { class: "depth-body" }, canvas, bars.canvas);
   const part = element(
     "section",
@@ -190,21 +191,19 @@ export const mountDepthPlot = () => {
       { class: "part-head" },
       element("h2", {}, "Depth error"),
       unit,
-      which,
+      inliersToggle,
       element(
         "div",
         { class: "end" },
         element(
           "label",
           { class: "inline" },
-          element("span", { class: "wide" }, "reject"),
-          " above ",
+          "above",
           field,
-          unitSaid,
-          element("span", { class: "wide" }, "→"),
+          unitLabel,
         ),
-        reject,
-        said,
+        apply,
+        status,
       ),
     ),
     body,
@@ -215,32 +214,32 @@ export const mountDepthPlot = () => {
     const { threshold } = view.get();
     stems = stemsOf(rowsOf(store.picksOf(), store.judgedOf()), threshold.by);
     const above = chosen();
-    const { above: gone, off, on } = rejection(stems, above);
-    shown = keptOnly ? stems.filter((stem) => stem.on && !gone.has(stem.id)) : stems;
+    const { above: outliers, off, on } = rejection(stems, above);
+    shown = inliersOnly ? stems.filter((stem) => stem.on && !outliers.has(stem.id)) : stems;
     empty.hidden = stems.length > 0;
     body.hidden = stems.length === 0;
     unit.value = threshold.by;
-    say(unitSaid, UNITS[threshold.by]);
+    setText(unitLabel, UNITS[threshold.by]);
     if (document.activeElement !== field) field.value = above === null ? "" : String(rounded3(above));
     field.disabled = above === null;
-    which.setAttribute("aria-pressed", String(keptOnly));
+    inliersToggle.setAttribute("aria-pressed", String(inliersOnly));
     const nothing = off === 0 && on === 0;
-    say(said, above === null ? "" : `${counted(gone.size, "match", "matches")} above`);
-    reject.disabled = nothing || above === null;
-    say(
-      reject.querySelector("span"),
-      off > 0 ? `Reject ${off}` : on > 0 ? `Take back ${on}` : gone.size > 0 ? `${gone.size} rejected` : "Reject none",
+    setText(status, above === null ? "" : `${counted(outliers.size, "match", "matches")} above`);
+    apply.disabled = nothing || above === null;
+    setText(
+      apply.querySelector("span"),
+      off > 0 ? `Disable ${off}` : on > 0 ? `Re-enable ${on}` : outliers.size > 0 ? `${outliers.size} disabled` : "Disable none",
     );
-    reject.title = nothing ? "Nothing would change" : [
-      off ? `switches ${off} off` : "",
-      on ? `switches ${on} on again` : "",
+    apply.title = nothing ? "No match would change" : [
+      off ? `Disables ${counted(off, "match", "matches")} above the threshold` : "",
+      on ? `${off ? "re-enables" : "Re-enables"} ${on} below it` : "",
     ].filter(Boolean).join(", ");
-    attribute(canvas, "aria-valuenow", above);
-    attribute(canvas, "aria-valuemax", rounded(reach(shown, above)));
-    attribute(
+    setAttribute(canvas, "aria-valuenow", above);
+    setAttribute(canvas, "aria-valuemax", rounded(reach(shown, above)));
+    setAttribute(
       canvas,
       "aria-valuetext",
-      above === null ? "no errors yet" : `${short(above)} ${UNITS[threshold.by]}, ${gone.size} matches above`,
+      above === null ? "no errors yet" : `${short(above)} ${UNITS[threshold.by]}, ${outliers.size} matches above`,
     );
     redraw();
   };
@@ -325,7 +324,7 @@ const ring = (context, x, y, radius) => {
   context.arc(x, y, radius, 0, 2 * Math.PI);
   context.stroke();
 };
-/** An error beyond the axis. */
+/** An arrow for an error beyond the axis. */
 const arrow = (context, x, y, sign, size) => {
   context.beginPath();
   context.moveTo(x - size, y + sign * size);

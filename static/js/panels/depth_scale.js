@@ -1,4 +1,4 @@
-/** Arithmetic of the depth-error plot: thresholds, scales, bins. No DOM here. */
+/** Thresholds, scales and bins of the depth-error plot. No DOM here. */
 
 import { median } from "../ui/numbers.js";
 
@@ -11,7 +11,7 @@ const ROOM = 1.15;
  */
 
 /**
- * The matches that have an error, in the order of the document.
+ * Select the matches that have an error, in the order of the document.
  * @param {import("./match_rows.js").Row[]} rows
  * @param {"depth" | "px"} by
  * @returns {Stem[]}
@@ -25,21 +25,21 @@ export const stemsOf = (rows, by) =>
 
 /**
  * @param {Stem[]} stems
- * @returns {number} robust standard deviation about zero of those that are on; 0 where there are none
+ * @returns {number} robust standard deviation about zero of the enabled matches; 0 if there are none
  */
 export const robustSigma = (stems) => {
   const sizes = stems.filter(({ on }) => on).map(({ value }) => Math.abs(value));
   return sizes.length ? SIGMA_OF_MAD * median(sizes) : 0;
 };
 
-/** @returns {number} two figures: a threshold is a person's number */
+/** @returns {number} rounded to two significant figures */
 export const rounded = (value) => (value > 0 ? Number(value.toPrecision(2)) : 0);
 
 /**
- * The threshold to begin with.
+ * Suggest an initial threshold.
  * @param {Stem[]} stems
- * @param {number | null} [sigmas] as the settings say
- * @returns {number | null} null where there is nothing to judge by
+ * @param {number | null} [sigmas] multiple of the standard deviation, from the settings
+ * @returns {number | null} null if there are no errors
  */
 export const suggestedThreshold = (stems, sigmas) => {
   const sigma = robustSigma(stems);
@@ -47,10 +47,10 @@ export const suggestedThreshold = (stems, sigmas) => {
 };
 
 /**
- * What `reject` would change: it switches off what lies above, and on again what lies below.
+ * Preview of the command `reject`, which disables the matches above the threshold and re-enables those below.
  * @param {Stem[]} stems
  * @param {number | null} above
- * @returns {{above: Set<string>, off: number, on: number}} those above; how many it switches off, and on again
+ * @returns {{above: Set<string>, off: number, on: number}} the matches above; how many are disabled, and re-enabled
  */
 export const rejection = (stems, above) => {
   const beyond = (stem) => above !== null && Math.abs(stem.value) > above;
@@ -62,7 +62,7 @@ export const rejection = (stems, above) => {
 };
 
 /**
- * The largest value that the axis shows: a single wild match must not press all others onto the zero line.
+ * The largest value on the axis: a single gross error must not compress all others.
  * @param {Stem[]} stems
  * @param {number | null} above
  * @returns {number} > 0
@@ -75,10 +75,10 @@ export const reach = (stems, above) => {
 };
 
 /**
- * Round marks of an axis.
+ * Round tick values of an axis.
  * @param {number} least
  * @param {number} most
- * @param {number} about how many
+ * @param {number} about approximate number of ticks
  * @returns {number[]}
  */
 export const marks = (least, most, about) => {
@@ -93,30 +93,30 @@ export const marks = (least, most, about) => {
   return found;
 };
 
-/** @returns {number} decimals that tell round marks apart */
+/** @returns {number} decimals that distinguish the ticks */
 export const decimalsOf = (values) => {
   if (values.length < 2) return 1;
   return Math.max(0, Math.min(6, -Math.floor(Math.log10(Math.abs(values[1] - values[0])) + 1e-9)));
 };
 
 /**
- * Counts of equal bins; what lies beyond is counted in the outermost.
+ * Count the errors in equal bins; those beyond the axis belong to the outermost bins.
  * @param {Stem[]} stems
  * @param {number} least
  * @param {number} most
  * @param {number} count of bins
- * @returns {{kept: number[], gone: number[]}} those that are on, and those that are off
+ * @returns {{on: number[], off: number[]}} counts of the enabled and of the disabled matches
  */
 export const histogram = (stems, least, most, count) => {
-  const bins = { kept: new Array(count).fill(0), gone: new Array(count).fill(0) };
+  const bins = { on: new Array(count).fill(0), off: new Array(count).fill(0) };
   for (const { value, on } of stems) {
     const at = Math.floor(((value - least) / (most - least)) * count);
-    (on ? bins.kept : bins.gone)[Math.max(0, Math.min(count - 1, at))] += 1;
+    (on ? bins.on : bins.off)[Math.max(0, Math.min(count - 1, at))] += 1;
   }
   return bins;
 };
 
-/** @returns {number} a threshold after one press of an arrow key: 2 %, with Shift 20 % */
+/** @returns {number} the threshold after an arrow key: 2 % more or less, 20 % with Shift */
 export const stepped = (above, up, fast) => {
   const factor = fast ? 1.2 : 1.02;
   return Number((up ? above * factor : above / factor).toPrecision(3));

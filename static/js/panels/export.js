@@ -1,37 +1,38 @@
-/** Taking results home: what is written, as a zip or into a folder; and why not, where nothing is coloured. */
+/** Export of results, as a zip or into a folder: which files are written, and why some are not. */
 
-import { button, element, newId, put, say } from "../ui/dom.js";
-import { runs } from "../state/pipeline.js";
-import { wishHere } from "../net/requests.js";
+import { requestForPhoto } from "../net/requests.js";
+import { store } from "../net/store.js";
+import { isRunning } from "../state/pipeline.js";
+import { button } from "../ui/controls.js";
+import { element, newId, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { notice } from "../ui/notices.js";
 import { sentences } from "../ui/numbers.js";
-import { store } from "../net/store.js";
 
 const FILES = [
-  ["registration.json", "pose, covariance, matches, how it was found", false],
-  ["matches.json", "the matches, to be opened again", false],
-  ["registered.png", "the photograph on the scan's grid", true],
-  ["labels.png", "seen, hidden, outside, grazing or uncertain, cell by cell", true],
-  ["uncertainty.png", "how many pixels the registration may be off, cell by cell", true],
-  ["model.glb", "the textured surface", true],
-  ["cloud.ply", "the coloured points", true],
+  ["registration.json", "pose, covariance, matches, options", false],
+  ["matches.json", "the matches, which can be opened again", false],
+  ["registered.png", "the photograph resampled to the scan grid", true],
+  ["labels.png", "visibility class of each cell", true],
+  ["uncertainty.png", "registration uncertainty of each cell, in pixels", true],
+  ["model.glb", "textured surface", true],
+  ["cloud.ply", "coloured points", true],
 ];
 const FOLDER_KEY = "ladarreg-folder";
 
 const listed = (accepted) =>
-  FILES.map(([name, said, needs]) => {
-    const written = accepted || !needs;
+  FILES.map(([name, description, needsAcceptance]) => {
+    const written = accepted || !needsAcceptance;
     return element(
       "li",
       { class: written ? "" : "left-out" },
       element("span", { class: `sign ${written ? "ok" : "dim"}` }, icon(written ? "tick" : "cross")),
       element("code", {}, name),
-      element("span", { class: "dim" }, written ? said : `${said}: not written`),
+      element("span", { class: "dim" }, written ? description : `${description} (not written)`),
     );
   });
 
-const kept = () => {
+const storedFolder = () => {
   try {
     return localStorage.getItem(FOLDER_KEY) ?? "";
   } catch {
@@ -39,12 +40,12 @@ const kept = () => {
   }
 };
 
-/** @returns {HTMLElement[]} the options and the list */
+/** @returns {HTMLElement[]} the form and the list of files */
 export const mountExport = () => {
-  let wanted = null; // the photograph whose zip is to be saved as soon as it is ready
+  let requested = null; // the photograph whose zip is saved as soon as it is ready
   const verdict = element("div", {});
   const zip = button({ label: "Download zip", kind: "primary", icon: "download", act: () => download() });
-  const ready = element("a", { class: "ready", hidden: true, download: "" }, "Save the zip that is ready");
+  const ready = element("a", { class: "ready", hidden: true, download: "" }, "Save the finished zip");
   const id = newId("field");
   const folder = element(
     "input",
@@ -54,7 +55,7 @@ export const mountExport = () => {
       placeholder: "/home/me/results/office-7",
       spellcheck: false,
       autocomplete: "off",
-      value: kept(),
+      value: storedFolder(),
     },
   );
   const force = element("input", { type: "checkbox" });
@@ -62,20 +63,20 @@ export const mountExport = () => {
     "button",
     { type: "submit", class: "button" },
     icon("folder"),
-    element("span", {}, "Write into a folder"),
+    element("span", {}, "Write to folder"),
   );
   const wrong = element("p", { class: "form-wrong", role: "alert", hidden: true });
   const form = element(
     "form",
     { class: "export-form" },
-    element("label", { for: id }, "Folder on the workbench's machine"),
+    element("label", { for: id }, "Folder on the workbench's computer"),
     folder,
     element("div", { class: "row" }, write, element("label", { class: "inline" }, force, "replace earlier results")),
     element(
       "p",
       { class: "dim" },
-      "A folder is replaced only if it holds exported results and nothing else; the old ones stay until the new ones " +
-        "are complete.",
+      "A folder is replaced only if it contains exported results and nothing else. The old results are kept until the " +
+        "new ones are complete.",
     ),
     wrong,
   );
@@ -88,35 +89,35 @@ export const mountExport = () => {
   const files = element("ul", { class: "export-list" });
   const right = element(
     "section",
-    { class: "dock-part export-files", "aria-label": "What is written" },
-    element("div", { class: "part-head" }, element("h2", {}, "What is written")),
+    { class: "dock-part export-files", "aria-label": "Exported files" },
+    element("div", { class: "part-head" }, element("h2", {}, "Exported files")),
     element("div", { class: "part-body" }, files),
   );
 
   const download = async () => {
     ready.hidden = true;
-    wanted = store.shown();
-    if (!(await wishHere("run", { job: "export" }))) wanted = null;
+    requested = store.shown();
+    if (!(await requestForPhoto("run", { job: "export" }))) requested = null;
   };
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     const name = folder.value.trim();
     wrong.hidden = name !== "";
-    say(wrong, name ? "" : "Give the folder that the results shall go to.");
+    setText(wrong, name ? "" : "Enter the folder for the results.");
     if (!name) return;
     try {
       localStorage.setItem(FOLDER_KEY, name);
     } catch {
-      // storage is off: it is asked for again
+      // storage is disabled: it has to be entered again next time
     }
-    if (await wishHere("export_folder", { folder: name, force: force.checked })) notice(`Writing into ${name}.`);
+    if (await requestForPhoto("export_folder", { folder: name, force: force.checked })) notice(`Writing to ${name}.`);
   });
   store.onEvent("export_ready", ({ photo, url }) => {
     if (photo !== store.shown()) return;
     ready.href = url;
     ready.hidden = false;
-    if (wanted === photo) ready.click();
-    wanted = null;
+    if (requested === photo) ready.click();
+    requested = null;
   });
   store.on("shown", () => {
     ready.hidden = true;
@@ -125,25 +126,24 @@ export const mountExport = () => {
   const show = () => {
     const stage = store.stageOf();
     const accepted = Boolean(stage?.accepted);
-    const busy = runs(store.get("job"));
+    const busy = isRunning(store.get("job"));
     zip.disabled = write.disabled = !stage || busy;
-    zip.title = stage ? (busy ? "Something is running" : "") : "Solve first";
-    const word = !stage
+    zip.title = stage ? (busy ? "A job is running" : "") : "Solve first";
+    const text = !stage
       ? "There is no pose yet: solve first, or register automatically."
       : accepted
-        ? `${stage.label} is accepted: everything is written.`
-        : `${stage.label} is not accepted, so nothing is coloured by it: only the figures are written, with ` +
-          `the reasons.`;
-    put(
+        ? `${stage.label}: accepted. All files are written.`
+        : `${stage.label}: not accepted. Only the data files are written, with the reasons; no coloured output.`;
+    setChildren(
       verdict,
       element(
         "div",
         { class: `verdict ${accepted ? "ok" : stage ? "bad" : "none"}` },
         icon(accepted ? "tick" : stage ? "bad" : "info"),
-        element("p", {}, word, stage && !accepted ? ` ${sentences(stage.reasons ?? [])}` : ""),
+        element("p", {}, text, stage && !accepted ? ` ${sentences(stage.reasons ?? [])}` : ""),
       ),
     );
-    put(files, ...listed(accepted));
+    setChildren(files, ...listed(accepted));
   };
   store.watch(["poses:*", "shown", "job"], show);
   show();

@@ -1,8 +1,8 @@
-/** What a file is most likely, by its name; the person may say otherwise before it is sent. No DOM here. */
+/** The type of a file, guessed from its name; the user may choose another. No DOM here. */
 
 /** @typedef {"scan" | "photo" | "camera" | "matches"} Kind */
 
-/** In the order in which they are opened: a camera and matches belong to a photograph. */
+/** In the order of opening: a camera and matches belong to a photograph. */
 export const KINDS = [
   { kind: "scan", label: "Scan" },
   { kind: "photo", label: "Photograph" },
@@ -11,22 +11,22 @@ export const KINDS = [
 ];
 const ORDER = KINDS.map(({ kind }) => kind);
 const SCANS = new Set(["e57", "npz", "pcd"]);
-/** Not read, but scans beyond doubt: the workbench says so best. */
-const FOREIGN = new Set(["fls", "las", "laz", "ply", "pts", "ptx", "zfs"]);
+/** Scan formats that may not be readable: the workbench explains what to do with them. */
+const OTHER_SCANS = new Set(["fls", "las", "laz", "ply", "pts", "ptx", "zfs"]);
 const PHOTOS = new Set(["png", "jpg", "jpeg", "tif", "tiff", "webp", "bmp"]);
 const CAMERAS = new Set(["yaml", "yml", "xml"]);
 
-/** What the file chooser offers. */
+/** File types in the file chooser. */
 export const ACCEPTED = [...SCANS, ...PHOTOS, ...CAMERAS, "json", "csv"].map((suffix) => `.${suffix}`).join(",");
 
 /**
  * @param {string} name
- * @returns {{kind: Kind, sure: boolean}} `sure` is false where the name does not tell
+ * @returns {{kind: Kind, sure: boolean}} `sure` is false if the name is ambiguous
  */
 export const kindOf = (name) => {
   const lower = name.toLowerCase();
   const suffix = lower.slice(lower.lastIndexOf(".") + 1);
-  if (SCANS.has(suffix) || FOREIGN.has(suffix)) return { kind: "scan", sure: true };
+  if (SCANS.has(suffix) || OTHER_SCANS.has(suffix)) return { kind: "scan", sure: true };
   if (PHOTOS.has(suffix)) return { kind: "photo", sure: true };
   if (CAMERAS.has(suffix)) return { kind: "camera", sure: true };
   if (suffix === "csv") return { kind: "matches", sure: true };
@@ -38,6 +38,6 @@ export const kindOf = (name) => {
 /**
  * @template {{kind: Kind}} T
  * @param {T[]} files
- * @returns {T[]} in the order in which they are opened
+ * @returns {T[]} in the order of opening
  */
 export const inOrder = (files) => [...files].sort((a, b) => ORDER.indexOf(a.kind) - ORDER.indexOf(b.kind));

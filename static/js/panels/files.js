@@ -1,17 +1,18 @@
-/** Opening files: dropped, chosen or from the served folder. */
+/** The dialog for opening files: dropped, chosen, or from the served folder. */
 
-import { button, element, newId, put, say } from "../ui/dom.js";
+import { request } from "../net/requests.js";
+import { store } from "../net/store.js";
+import { sendFile } from "../net/uploads.js";
+import { button } from "../ui/controls.js";
 import { makeDialog } from "../ui/dialog.js";
-import { wish } from "../net/requests.js";
-import { ACCEPTED, inOrder, kindOf, KINDS } from "./file_kinds.js";
+import { element, newId, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { notice } from "../ui/notices.js";
 import { bytes } from "../ui/numbers.js";
-import { store } from "../net/store.js";
-import { sendFile } from "../net/uploads.js";
+import { ACCEPTED, inOrder, kindOf, KINDS } from "./file_kinds.js";
 
-const OPENED = new Set(["scan", "photo", "camera", "matches"]);
-const WORDS = {
+const OPENABLE = new Set(["scan", "photo", "camera", "matches"]);
+const LABELS = {
   scan: "scan",
   photo: "photograph",
   camera: "camera",
@@ -20,34 +21,34 @@ const WORDS = {
   other: "file",
 };
 const NEEDS_PHOTO = new Set(["camera", "matches"]);
-const UNTOLD = "The name does not tell what it is: say it here.";
+const UNKNOWN = "Unknown type: choose one.";
 
 const isLeft = ({ state }) => state === "waiting" || state === "refused";
 
-let made = null;
+let files = null; // the dialog
 
-/** One file that waits to be told about, is due, travels, has arrived or was refused. */
-class Waiting {
-  constructor(file, changed, gone) {
+/** One file of the list: waiting, due, being sent, opened or refused. */
+class FileEntry {
+  constructor(file, changed, removed) {
     const { kind, sure } = kindOf(file.name);
     Object.assign(this, { file, kind, sure, state: "waiting", abort: () => {} });
     this.choice = element(
       "select",
       {
-        "aria-label": `What ${file.name} is`,
-        on: { change: () => (this.#told(), changed()) },
+        "aria-label": `Type of ${file.name}`,
+        on: { change: () => (this.#chosen(), changed()) },
       },
-      sure ? null : element("option", { value: "", selected: true, disabled: true }, "What is it?"),
+      sure ? null : element("option", { value: "", selected: true, disabled: true }, "Choose a type"),
       ...KINDS.map((each) => element("option", { value: each.kind, selected: sure && each.kind === kind }, each.label)),
     );
-    this.progress = element("progress", { max: 1, value: 0, hidden: true, "aria-label": `Sending ${file.name}` });
-    this.said = element("span", { class: "file-said", role: "status" });
-    this.away = button({
-      label: `Leave ${file.name} out`,
+    this.progress = element("progress", { max: 1, value: 0, hidden: true, "aria-label": `Upload of ${file.name}` });
+    this.status = element("span", { class: "file-status", role: "status" });
+    this.discard = button({
+      label: `Remove ${file.name}`,
       icon: "close",
       bare: true,
       kind: "plain small",
-      act: () => (this.state === "sending" ? this.abort() : gone(this)),
+      act: () => (this.state === "sending" ? this.abort() : removed(this)),
     });
     this.row = element(
       "li",
@@ -57,26 +58,26 @@ class Waiting {
       element("span", { class: "dim figures" }, bytes(file.size)),
       this.choice,
       this.progress,
-      this.away,
-      this.said,
+      this.discard,
+      this.status,
     );
-    if (!sure) this.tell(UNTOLD, "warn");
+    if (!sure) this.setStatus(UNKNOWN, "warn");
   }
 
-  #told() {
+  #chosen() {
     this.kind = this.choice.value;
     this.sure = true;
-    if (this.said.textContent === UNTOLD) this.tell("");
+    if (this.status.textContent === UNKNOWN) this.setStatus("");
   }
 
-  tell(text, level = "") {
-    say(this.said, text);
+  setStatus(text, level = "") {
+    setText(this.status, text);
     this.row.dataset.level = level;
   }
 
   wait() {
     this.state = "due";
-    this.tell("Waits its turn …");
+    this.setStatus("Waiting …");
   }
 
   async send() {
@@ -84,25 +85,25 @@ class Waiting {
     this.choice.disabled = true;
     this.progress.hidden = false;
     const photo = NEEDS_PHOTO.has(this.kind) ? store.shown() : null;
-    this.tell("Sending …");
+    this.setStatus("Uploading …");
     const sending = sendFile(this.file, {
       what: this.kind,
       photo,
       progress: (share) => {
         this.progress.value = share;
-        this.tell(share < 1 ? `${Math.round(100 * share)} %` : "Arrived; being read …");
+        this.setStatus(share < 1 ? `${Math.round(100 * share)} %` : "Uploaded; reading …");
       },
     });
     this.abort = sending.abort;
     try {
       await sending.finished;
       this.state = "opened";
-      this.tell("Opened.", "ok");
+      this.setStatus("Opened.", "ok");
     } catch (error) {
       this.state = "refused";
       this.choice.disabled = false;
-      this.tell(error.message, error.name === "AbortError" ? "warn" : "bad");
-      if (!made.dialog.open && error.name !== "AbortError") notice(error.message, "bad");
+      this.setStatus(error.message, error.name === "AbortError" ? "warn" : "bad");
+      if (!files.dialog.open && error.name !== "AbortError") notice(error.message, "bad");
     }
     this.progress.hidden = true;
   }
@@ -111,22 +112,22 @@ class Waiting {
 const servedList = () => {
   const list = element("ul", { class: "served-list" });
   const title = element("h3", {});
-  const again = button({ label: "Look again", kind: "small", act: () => wish("list_served") });
+  const again = button({ label: "Refresh", kind: "small", act: () => request("list_served") });
   const section = element("section", { class: "served" }, element("div", { class: "row" }, title, again), list);
   const row = ({ path, size, kind }) => {
     const open = async () => {
       opener.disabled = true;
-      const opened = await wish(
+      const opened = await request(
         "open_served",
-        { path, what: OPENED.has(kind) ? kind : "scan", photo: NEEDS_PHOTO.has(kind) ? store.shown() : undefined },
+        { path, what: OPENABLE.has(kind) ? kind : "scan", photo: NEEDS_PHOTO.has(kind) ? store.shown() : undefined },
       );
       opener.disabled = false;
-      if (opened) say(opener.querySelector("span"), "Opened; again");
-      if (opened && store.get("scan") && store.photo()) made.close();
+      if (opened) setText(opener.querySelector("span"), "Open again");
+      if (opened && store.get("scan") && store.photo()) files.close();
     };
-    const usable = OPENED.has(kind);
+    const usable = OPENABLE.has(kind);
     const opener = button({
-      label: usable ? `Open as ${WORDS[kind]}` : "Cannot be opened",
+      label: usable ? `Open as ${LABELS[kind]}` : "Cannot be opened",
       kind: "small",
       disabled: !usable,
       act: open,
@@ -144,9 +145,9 @@ const servedList = () => {
     const served = store.get("served");
     section.hidden = !served;
     if (!served) return;
-    say(title, `In the served folder ${served.label ?? ""}`);
-    const nothing = element("li", { class: "dim" }, "There is no file in it that could be opened.");
-    put(list, ...(served.files.length ? served.files.map(row) : [nothing]));
+    setText(title, `Served folder ${served.label ?? ""}`);
+    const nothing = element("li", { class: "dim" }, "It contains no file that can be opened.");
+    setChildren(list, ...(served.files.length ? served.files.map(row) : [nothing]));
   };
   store.watch(["served", "shown"], show);
   show();
@@ -158,7 +159,7 @@ const build = () => {
   const list = element("ul", { class: "file-list", "aria-label": "Files to open" });
   const input = element(
     "input",
-    { type: "file", multiple: true, accept: ACCEPTED, class: "told", tabIndex: -1, "aria-hidden": "true" },
+    { type: "file", multiple: true, accept: ACCEPTED, class: "visually-hidden", tabIndex: -1, "aria-hidden": "true" },
   );
   const hint = element("p", { class: "dim", id: newId("hint") });
   const choose = button({
@@ -182,56 +183,56 @@ const build = () => {
   const sample = element(
     "p",
     { class: "dim" },
-    "Nothing at hand? ",
+    "No data yet? ",
     element("code", {}, "ladarreg demo"),
-    " opens a sample; ",
+    " opens a sample project; ",
     element("code", {}, "ladarreg simulate"),
-    " makes more.",
+    " generates more.",
   );
-  made = makeDialog("Open files", { kind: "files-dialog" }, zone, list, foot, servedList(), sample);
+  files = makeDialog("Open files", { kind: "files-dialog" }, zone, list, foot, servedList(), sample);
 
   const changed = () => {
     const left = waiting.filter(isLeft);
-    put(list, ...waiting.map(({ row }) => row));
+    setChildren(list, ...waiting.map(({ row }) => row));
     foot.hidden = left.length === 0;
     send.disabled = left.some(({ sure }) => !sure);
-    say(send.querySelector("span"), left.length > 1 ? `Open ${left.length} files` : "Open");
-    send.title = send.disabled ? "Say first what each file is" : "";
+    setText(send.querySelector("span"), left.length > 1 ? `Open ${left.length} files` : "Open");
+    send.title = send.disabled ? "Choose the type of each file first" : "";
   };
-  const gone = (one) => {
+  const removed = (one) => {
     waiting.splice(waiting.indexOf(one), 1);
     changed();
   };
-  let going = false;
-  /** Send one after the other what is due, also what becomes due meanwhile. */
+  let sending = false;
+  /** Send the due files in sequence, including those added meanwhile. */
   const sendAll = async (due) => {
     for (const one of due) one.wait();
     changed();
-    if (going) return;
-    going = true;
+    if (sending) return;
+    sending = true;
     for (let next; (next = inOrder(waiting.filter(({ state }) => state === "due"))[0]); ) {
-      const sending = next.send();
+      const sent = next.send();
       changed();
-      await sending;
+      await sent;
       changed();
     }
-    going = false;
+    sending = false;
     if (waiting.some(({ state }) => state !== "opened")) return;
     waiting.length = 0;
     changed();
-    made.close();
+    files.close();
   };
-  made.take = (files) => {
-    for (const old of waiting.filter(({ state }) => state === "opened")) gone(old);
-    const came = [...files].map((file) => new Waiting(file, changed, gone));
-    waiting.push(...came);
+  files.add = (added) => {
+    for (const old of waiting.filter(({ state }) => state === "opened")) removed(old);
+    const entries = [...added].map((file) => new FileEntry(file, changed, removed));
+    waiting.push(...entries);
     changed();
-    if (came.length && came.every(({ sure }) => sure)) sendAll(came);
+    if (entries.length && entries.every(({ sure }) => sure)) sendAll(entries);
   };
-  made.want = (what) => {
+  files.expect = (what) => {
     const limit = store.get("limits")?.upload_bytes;
-    const most = limit ? ` At most ${bytes(limit)} each.` : "";
-    say(
+    const most = limit ? ` Up to ${bytes(limit)} each.` : "";
+    setText(
       zone.querySelector(".drop-title"),
       what === "photo"
         ? "Drop photographs here"
@@ -239,31 +240,31 @@ const build = () => {
         ? "Drop a scan here"
         : "Drop a scan and its photographs here",
     );
-    say(
+    setText(
       hint,
-      `Scans: E57, NPZ, PCD, descriptor JSON. Photographs: PNG, JPEG, TIFF. Camera files and matches, too.${most}`,
+      `Scans: E57, NPZ, PCD, descriptor JSON. Photographs: PNG, JPEG, TIFF. Also camera files and matches.${most}`,
     );
   };
   input.addEventListener("change", () => {
-    made.take(input.files);
+    files.add(input.files);
     input.value = "";
   });
-  return made;
+  return files;
 };
 
 /**
  * Open the dialog.
- * @param {"scan" | "photo" | null} [what] is looked for
+ * @param {"scan" | "photo" | null} [what] type of file to ask for
  */
 export const openFiles = (what = null) => {
-  made ??= build();
-  made.want(what);
-  if (store.get("served")) wish("list_served");
-  made.open();
+  files ??= build();
+  files.expect(what);
+  if (store.get("served")) request("list_served");
+  files.open();
 };
 
-/** Open files that were dropped on the page. @param {Iterable<File>} files */
-export const takeFiles = (files) => {
+/** Open files that were dropped on the page. @param {Iterable<File>} dropped */
+export const addFiles = (dropped) => {
   openFiles();
-  made.take(files);
+  files.add(dropped);
 };

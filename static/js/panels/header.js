@@ -1,23 +1,23 @@
-/** The header: project, scan, photographs, the four steps, and what concerns the whole. */
+/** The header: project, scan, photographs, the four steps, and general controls. */
 
-import { attribute, button, element, put, say } from "../ui/dom.js";
-import { wish, wishHere } from "../net/requests.js";
-import { mountHistory } from "./history.js";
+import { request, requestForPhoto } from "../net/requests.js";
+import { store } from "../net/store.js";
+import { isRunning } from "../state/pipeline.js";
+import { button } from "../ui/controls.js";
+import { element, setAttribute, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
-import { openKeys } from "./keys_dialog.js";
 import { notice } from "../ui/notices.js";
 import { counted } from "../ui/numbers.js";
+import { chosenTheme, nextTheme, onTheme } from "../ui/theme.js";
+import { mountClients } from "./clients.js";
 import { openFiles } from "./files.js";
-import { mountPeople } from "./clients.js";
+import { mountHistory } from "./history.js";
+import { openKeys } from "./key_reference.js";
 import { mountPhotoTabs } from "./photo_tabs.js";
 import { mountStepTabs } from "./step_tabs.js";
-import { store } from "../net/store.js";
-import { nextTheme } from "../ui/theme.js";
-import { runs } from "../state/pipeline.js";
-import { view } from "../state/view.js";
 
-const MOST_NAME = 80;
-const THEMES = { system: "Theme: as the system has it", dark: "Theme: dark", light: "Theme: light" };
+const MOST_LETTERS = 80;
+const THEMES = { system: "Theme: system", dark: "Theme: dark", light: "Theme: light" };
 
 const projectName = () => {
   const input = element(
@@ -26,7 +26,7 @@ const projectName = () => {
       class: "project-name",
       "aria-label": "Project name",
       title: "Project name: click to rename",
-      maxLength: MOST_NAME,
+      maxLength: MOST_LETTERS,
       spellcheck: false,
       autocomplete: "off",
     },
@@ -39,7 +39,7 @@ const projectName = () => {
   };
   input.addEventListener("change", () => {
     const name = input.value.trim();
-    if (name && name !== store.get("project")?.name) wish("rename", { name });
+    if (name && name !== store.get("project")?.name) request("rename", { name });
   });
   input.addEventListener("blur", show);
   input.addEventListener("keydown", (event) => {
@@ -56,7 +56,7 @@ const scanChip = () => {
   const show = () => {
     const scan = store.get("scan");
     const size = scan?.columns ? `${scan.columns}×${scan.rows}` : "";
-    put(
+    setChildren(
       chip,
       icon(scan ? (scan.error ? "bad" : "file") : "plus"),
       element("span", { class: "clip" }, scan ? scan.name : "Open a scan"),
@@ -66,7 +66,7 @@ const scanChip = () => {
     chip.title = scan
       ? `${scan.error ?? `${scan.name}, ${counted(scan.returns ?? 0, "return")}${notes}`}\nClick to open another scan.`
       : "Open a scan: E57, NPZ, PCD or a descriptor";
-    chip.classList.toggle("wanted", !scan);
+    chip.classList.toggle("attention", !scan);
   };
   store.watch(["scan"], show);
   show();
@@ -74,15 +74,15 @@ const scanChip = () => {
 };
 
 const historyButtons = () => {
-  const undo = button({ label: "Undo", icon: "undo", bare: true, act: () => wish("undo") });
-  const redo = button({ label: "Redo", icon: "redo", bare: true, act: () => wish("redo") });
+  const undo = button({ label: "Undo", icon: "undo", bare: true, act: () => request("undo") });
+  const redo = button({ label: "Redo", icon: "redo", bare: true, act: () => request("redo") });
   const show = () => {
     const project = store.get("project");
-    for (const [made, word, key, keys] of [[undo, "Undo", "undo", "Ctrl Z"], [redo, "Redo", "redo", "Ctrl Shift Z"]]) {
+    for (const [control, word, key, keys] of [[undo, "Undo", "undo", "Ctrl Z"], [redo, "Redo", "redo", "Ctrl Shift Z"]]) {
       const what = project?.[key];
-      made.disabled = !what;
-      made.title = what ? `${word}: ${what} (${keys})` : `Nothing to ${word.toLowerCase()}`;
-      made.setAttribute("aria-label", what ? `${word}: ${what}` : word);
+      control.disabled = !what;
+      control.title = what ? `${word}: ${what} (${keys})` : `Nothing to ${word.toLowerCase()}`;
+      control.setAttribute("aria-label", what ? `${word}: ${what}` : word);
     }
   };
   store.watch(["project"], show);
@@ -90,58 +90,58 @@ const historyButtons = () => {
   return [undo, redo];
 };
 
-/** What keeps the automatic registration from running; empty where nothing does. */
+/** @returns {string} why the automatic registration cannot run now; empty if it can */
 const autoMissing = () => {
   const photo = store.photo();
-  if (!store.get("scan")) return "Open a scan first, then it can be registered.";
-  if (!photo) return "Open a photograph first, then it can be registered.";
-  if (!photo.camera) return `Tell the focal length of ${photo.name} first: nothing in the file says it.`;
+  if (!store.get("scan")) return "Open a scan first.";
+  if (!photo) return "Open a photograph first.";
+  if (!photo.camera) return `Enter the focal length of ${photo.name} first: the file does not contain it.`;
   const job = store.get("job");
-  return runs(job) ? `“${job.label}” is running: wait until it ends, or stop it in the status bar.` : "";
+  return isRunning(job) ? `“${job.label}” is running: wait until it ends, or stop it in the status bar.` : "";
 };
 
 const autoButton = () => {
-  const made = button({
+  const control = button({
     label: "Register automatically",
     kind: "primary",
     act: () => {
       const missing = autoMissing();
       if (missing) notice(missing, "warn");
-      else wishHere("run", { job: "auto" });
+      else requestForPhoto("run", { job: "auto" });
     },
   });
   const show = () => {
     const missing = autoMissing();
-    attribute(made, "aria-disabled", missing ? "true" : null);
-    made.title = missing || "Find the pose from the pictures alone; drawn matches stay what they are";
+    setAttribute(control, "aria-disabled", missing ? "true" : null);
+    control.title = missing || "Find the pose from the images alone; drawn matches are not changed";
   };
   store.watch(["scan", "photos", "shown", "job"], show);
   show();
-  return made;
+  return control;
 };
 
 const themeButton = () => {
-  const made = button({ label: "Theme", icon: "system", bare: true, act: nextTheme });
+  const control = button({ label: "Theme", icon: "system", bare: true, act: nextTheme });
   const show = () => {
-    const { theme } = view.get();
-    put(made, icon(theme));
-    made.title = `${THEMES[theme]}; click for the next`;
-    made.setAttribute("aria-label", `${THEMES[theme]}`);
+    const theme = chosenTheme();
+    setChildren(control, icon(theme));
+    control.title = `${THEMES[theme]}; click to change`;
+    control.setAttribute("aria-label", `${THEMES[theme]}`);
   };
-  view.on((_, changed) => changed.has("theme") && show());
+  onTheme(show);
   show();
-  return made;
+  return control;
 };
 
 /** @param {HTMLElement} header */
 export const mountHeader = (header) => {
   const history = button({
     label: "History",
-    title: "Every step of the work; go back to any (H)",
+    title: "All edits; go back to any of them (H)",
     icon: "history",
     kind: "history-button",
   });
-  const people = button({ label: "1 here", title: "Who is here", icon: "people", kind: "chip people-button" });
+  const clients = button({ label: "1 client", title: "Connected clients", icon: "people", kind: "chip clients-button" });
   header.append(
     element(
       "div",
@@ -163,14 +163,14 @@ export const mountHeader = (header) => {
       ...historyButtons(),
       history,
       autoButton(),
-      people,
+      clients,
       themeButton(),
       button({ label: "Keyboard reference (?)", icon: "help", bare: true, act: openKeys }),
     ),
   );
   mountHistory(history);
-  mountPeople(people);
-  const count = () => say(people.querySelector("span"), `${store.get("people")?.count ?? 1} here`);
+  mountClients(clients);
+  const count = () => setText(clients.querySelector("span"), counted(store.get("people")?.count ?? 1, "client"));
   store.watch(["people"], count);
   count();
 };

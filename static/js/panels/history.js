@@ -1,45 +1,46 @@
-/** The history: every step with its author and time; a click goes there. */
+/** The history of edits with author and time; a click goes to that state. */
 
-import { button, element, put } from "../ui/dom.js";
-import { wish } from "../net/requests.js";
+import { request } from "../net/requests.js";
+import { store } from "../net/store.js";
+import { button } from "../ui/controls.js";
+import { element, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { popoverOf } from "../ui/popover.js";
-import { store } from "../net/store.js";
 
-/** @param {HTMLButtonElement} opener */
+/** Attach the history to its button. @param {HTMLButtonElement} opener */
 export const mountHistory = (opener) => {
-  const list = element("ol", { class: "history-list", "aria-label": "Steps, the newest first" });
+  const list = element("ol", { class: "history-list", "aria-label": "Edits, newest first" });
   const panel = popoverOf(
     opener,
     "History",
     element("h2", {}, "History"),
     list,
-    element("p", { class: "dim" }, "Shared by all who are here. Going back loses nothing until something new is done."),
+    element("p", { class: "dim" }, "Shared by all clients. Undone edits can be redone until a new edit is made."),
   );
   panel.classList.add("history");
 
   const entry = ({ n, label, author, when }, at) => {
-    const present = n === at;
-    const made = button({
+    const current = n === at;
+    const item = button({
       label,
       kind: "history-entry plain",
-      act: () => present || wish("go_to", { n }),
-      "aria-current": present ? "step" : null,
-      autofocus: present, // when the panel opens; Escape then gives the focus back
+      act: () => current || request("go_to", { n }),
+      "aria-current": current ? "step" : null,
+      autofocus: current, // so that Escape returns the focus to the button
     });
-    put(
-      made,
-      element("span", { class: "sign" }, present ? icon("right") : null),
+    setChildren(
+      item,
+      element("span", { class: "sign" }, current ? icon("right") : null),
       element("span", { class: "clip", title: label }, label),
       element("span", { class: "dim clip" }, author),
       element("span", { class: "dim figures" }, when),
     );
-    return element("li", { class: n > at ? "undone" : "" }, made);
+    return element("li", { class: n > at ? "undone" : "" }, item);
   };
   const show = () => {
     const history = store.get("history") ?? { at: 0, entries: [] };
     const focused = [...list.querySelectorAll("button")].indexOf(document.activeElement);
-    put(list, ...history.entries.toReversed().map((each) => entry(each, history.at)));
+    setChildren(list, ...history.entries.toReversed().map((each) => entry(each, history.at)));
     if (focused >= 0) list.querySelectorAll("button")[focused]?.focus();
   };
   store.watch(["history"], () => panel.matches(":popover-open") && show());

@@ -1,21 +1,22 @@
-/** Pause, step, stop and speed of the job that runs, as far as it can. */
+/** Controls of the running job: pause, step, stop and speed, as far as it supports them. */
 
-import { runs } from "../state/pipeline.js";
-import { button, element, put } from "../ui/dom.js";
-import { wish } from "../net/requests.js";
-import { icon } from "../ui/icons.js";
+import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
+import { isRunning } from "../state/pipeline.js";
+import { button } from "../ui/controls.js";
+import { element, setChildren } from "../ui/dom.js";
+import { icon } from "../ui/icons.js";
 
-/** Iterations a second; 0 is as fast as it goes. */
-const SPEEDS = [[2, "2 a second"], [10, "10 a second"], [60, "60 a second"], [240, "240 a second"], [0, "full speed"]];
+/** Iterations per second; 0 is unlimited. */
+const SPEEDS = [[2, "2 per second"], [10, "10 per second"], [60, "60 per second"], [240, "240 per second"], [0, "full speed"]];
 const KEEPS_BEST = new Set(["simplex", "reject_outliers"]);
 
 /**
- * @param {{kinds?: string[] | null}} [options] of jobs that it is for; null: of all
- * @returns {HTMLElement} hidden while nothing of these runs
+ * @param {{kinds?: string[] | null}} [options] kinds of jobs that are controlled; null for all
+ * @returns {HTMLElement} hidden while no such job is running
  */
 export const jobControls = ({ kinds = null } = {}) => {
-  const control = (action, value) => wish("job_control", value === undefined ? { action } : { action, value });
+  const control = (action, value) => request("job_control", value === undefined ? { action } : { action, value });
   const pause = button({
     label: "Pause",
     icon: "pause",
@@ -40,7 +41,7 @@ export const jobControls = ({ kinds = null } = {}) => {
   let job = null;
   const show = () => {
     const now = store.get("job");
-    box.hidden = !runs(now) || (kinds !== null && !kinds.includes(now.kind));
+    box.hidden = !isRunning(now) || (kinds !== null && !kinds.includes(now.kind));
     if (box.hidden) return;
     if (now.id !== job) {
       job = now.id;
@@ -52,12 +53,12 @@ export const jobControls = ({ kinds = null } = {}) => {
     stop.hidden = !can.includes("stop");
     speed.hidden = !can.includes("speed");
     const paused = now.state === "paused";
-    put(pause, icon(paused ? "play" : "pause"));
+    setChildren(pause, icon(paused ? "play" : "pause"));
     pause.title = paused ? "Resume" : "Pause";
     pause.setAttribute("aria-label", pause.title);
     const best = KEEPS_BEST.has(now.kind);
-    put(stop, icon("stop"), element("span", {}, best ? "Keep best" : "Stop"));
-    stop.title = best ? "Stop, and keep the best so far" : "Stop";
+    setChildren(stop, icon("stop"), element("span", {}, best ? "Keep best" : "Stop"));
+    stop.title = best ? "Stop, and keep the best pose so far" : "Stop";
   };
   store.watch(["job"], show);
   show();

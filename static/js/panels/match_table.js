@@ -1,127 +1,72 @@
-/** The match table: only the rows in sight are elements, so that 500 matches scroll like 5. */
+/** The match table. Only visible rows are elements, so that 500 matches scroll as fast as 5. */
 
-import { attribute, button, element, inNextFrame, put, say } from "../ui/dom.js";
-import { wishHere } from "../net/requests.js";
-import { icon } from "../ui/icons.js";
-import { between, filtered, FILTERS, inSight, rowsOf, sorted } from "./match_rows.js";
-import { notice } from "../ui/notices.js";
-import { counted, fixed, NONE, short } from "../ui/numbers.js";
-import { matchColour, store } from "../net/store.js";
+import { requestForPhoto } from "../net/requests.js";
+import { store } from "../net/store.js";
+import { nextAction } from "../state/progress.js";
 import { view } from "../state/view.js";
-import { nextThing } from "../state/progress.js";
+import { button } from "../ui/controls.js";
+import { element, setAttribute, setText } from "../ui/dom.js";
+import { notice } from "../ui/notices.js";
+import { counted } from "../ui/numbers.js";
+import { inNextFrame } from "../ui/throttle.js";
+import { classOf, COLUMNS, gridTracks, makeCell, sorted } from "./match_columns.js";
+import { filtered, FILTERS, idsBetween, rowsOf, visibleRange } from "./match_rows.js";
 
-const COLUMNS = [
-  { by: "on", label: "on", said: "Counts or not", sortable: true },
-  { by: "number", label: "match", said: "Number and colour" },
-  { by: "kind", label: "kind", said: "Point or line" },
-  { by: "origin", label: "origin", said: "Who put it there" },
-  { by: "samples", label: "samples", said: "Samples with a range, of those along the line", figures: true },
-  { by: "px", label: "px", said: "Residual in the photograph, pixels", figures: true },
-  { by: "mm", label: "mm", said: "Residual in range, millimetres", figures: true },
-  { by: "depth_m", label: "depth m", said: "Laser minus stereo depth, metres", figures: true },
-  { by: "influence", label: "influence", said: "How far the picture would move without it, pixels", figures: true },
-  { by: "weight", label: "weight", said: "Its weight in the solution", figures: true },
-];
-const FAST = 10;
+const PAGE_ROWS = 10;
 
-/** One row's elements, made once for a match and then only refreshed. */
+/** The elements of one row: made once for a match, then only refreshed. */
 class RowElements {
   constructor(id) {
-    this.id = id;
-    this.on = element("input", { type: "checkbox", tabIndex: -1 });
-    this.swatch = element("span", { class: "swatch", "aria-hidden": "true" });
-    this.number = element("span", {});
-    this.mark = element("span", { class: "mark" });
-    this.cells = Object.fromEntries(
-      ["kind", "origin", "samples", "px", "mm", "depth_m", "influence"].map(
-        (name) => [name, element("div", { class: `cell col-${name}` })],
-      ),
-    );
-    for (const name of ["samples", "px", "mm", "depth_m", "influence"]) this.cells[name].classList.add("figures");
-    this.weight = element(
-      "input",
-      { class: "weight", inputMode: "decimal", tabIndex: -1, title: "Weight: Enter sets it, Esc leaves it" },
-    );
-    this.row = element(
+    this.cells = COLUMNS.map(makeCell);
+    this.element = element(
       "div",
       { class: "row-line", role: "row", id: `match-${id}` },
-      element("div", { class: "cell col-on" }, this.on),
-      element("div", { class: "cell col-number" }, this.swatch, this.number, this.mark),
-      ...Object.values(this.cells),
-      element("div", { class: "cell col-weight figures" }, this.weight),
+      ...this.cells.map(({ cell }) => cell),
     );
-    for (const cell of this.row.children) cell.setAttribute("role", "gridcell");
-    this.row.dataset.pick = id;
+    this.element.dataset.pick = id;
+    this.weight = this.element.querySelector("input.weight");
   }
 
   show(row, { selected, hovered, cursor }, index, top) {
-    this.value = row;
-    const line = this.row;
-    line.classList.toggle("off", !row.on);
-    line.classList.toggle("rejected", row.on && row.inlier === false);
+    this.row = row;
+    const line = this.element;
+    line.classList.toggle("disabled", !row.on);
+    line.classList.toggle("outlier", row.on && row.inlier === false);
     line.classList.toggle("hovered", hovered);
     line.classList.toggle("cursor", cursor);
-    attribute(line, "aria-selected", String(selected));
-    attribute(line, "aria-rowindex", index + 2);
+    setAttribute(line, "aria-selected", String(selected));
+    setAttribute(line, "aria-rowindex", index + 2);
     line.style.setProperty("transform", `translateY(${top}px)`);
-    this.swatch.style.setProperty("--colour", `var(${matchColour(row.number)})`);
-    this.on.checked = row.on;
-    attribute(this.on, "aria-label", `Match ${row.number} counts`);
-    say(this.number, String(row.number));
-    const mark = !row.on ? "off" : row.inlier === false ? "rejected" : "";
-    if (this.mark.dataset.mark !== mark) {
-      this.mark.dataset.mark = mark;
-      put(
-        this.mark,
-        mark === "rejected" ? icon("cross") : null,
-        mark ? element("span", { class: mark === "off" ? "told" : "" }, mark) : null,
-      );
-    }
-    say(this.cells.kind, row.kind);
-    say(this.cells.origin, row.origin);
-    say(
-      this.cells.samples,
-      row.used === null ? NONE : row.used === row.sampled ? String(row.used) : `${row.used}/${row.sampled}`,
-    );
-    this.cells.samples.classList.toggle("short", row.used !== null && row.used < row.sampled);
-    say(this.cells.px, fixed(row.px, 2));
-    say(this.cells.mm, fixed(row.mm, row.mm !== null && row.mm < 10 ? 1 : 0));
-    say(this.cells.depth_m, fixed(row.depth_m, 3));
-    say(this.cells.influence, short(row.influence));
-    if (document.activeElement !== this.weight) this.weight.value = fixed(
-      row.weight,
-      row.weight % 1 && row.weight < 10 ? 2 : 1,
-    );
-    attribute(this.weight, "aria-label", `Weight of match ${row.number}`);
+    for (const { show } of this.cells) show(row);
   }
 }
 
-/** @returns {HTMLElement} the whole column: head, chips, table */
+/** @returns {HTMLElement} the panel: head, filters, table */
 export const mountMatchTable = () => {
   const title = element("h2", {}, "Matches");
   const counts = element("span", { class: "counts" });
   const chips = FILTERS.map(({ name }) => {
-    const made = element("button", { type: "button", class: "chip small filter" });
-    made.addEventListener("click", () => {
+    const chip = element("button", { type: "button", class: "chip small filter" });
+    chip.addEventListener("click", () => {
       const { filter } = view.get();
       view.set({ filter: filter.includes(name) ? filter.filter((each) => each !== name) : [...filter, name] });
     });
-    return made;
+    return chip;
   });
   const remove = button({ label: "Remove", kind: "small", act: () => removeSelected() });
-  const switcher = button({ label: "Off", kind: "small", act: () => switchSelected() });
-  const heads = COLUMNS.map(({ by, label, said, figures }) => {
-    const made = element(
+  const switcher = button({ label: "Disable", kind: "small", act: () => switchSelected() });
+  const heads = COLUMNS.map((column) => {
+    const { id, label, title: hint, figures } = column;
+    const sorter = element(
       "button",
-      { type: "button", class: `sorter ${figures ? "figures" : ""}`, title: `${said}; click to sort`, tabIndex: 0 },
+      { type: "button", class: "sorter", title: `${hint}; click to sort`, tabIndex: 0 },
       element("span", {}, label),
     );
-    made.addEventListener("click", () => {
+    sorter.addEventListener("click", () => {
       const { sort } = view.get();
-      const worstFirst = Boolean(figures);
-      view.set({ sort: { by, descending: sort.by === by ? !sort.descending : worstFirst } });
+      view.set({ sort: { by: id, descending: sort.by === id ? !sort.descending : Boolean(figures) } });
     });
-    return element("div", { class: `cell head col-${by} ${figures ? "figures" : ""}`, role: "columnheader" }, made);
+    return element("div", { class: `${classOf(column)} head`, role: "columnheader" }, sorter);
   });
   const headRow = element("div", { class: "row-line heads", role: "row" }, ...heads);
   const spacer = element("div", { class: "rows", role: "rowgroup" });
@@ -131,6 +76,7 @@ export const mountMatchTable = () => {
     { class: "match-grid", role: "grid", tabIndex: 0, "aria-label": "Matches", "aria-multiselectable": "true" },
     scroller,
   );
+  for (const [name, tracks] of Object.entries(gridTracks())) grid.style.setProperty(name, tracks);
   const empty = element("p", { class: "empty" });
   const column = element(
     "section",
@@ -149,8 +95,8 @@ export const mountMatchTable = () => {
 
   let rows = [];
   let all = [];
-  let cursor = null; // the row that keys move
-  let anchor = null; // where a range begins
+  let cursor = null; // the row that the arrow keys start from
+  let anchor = null; // the first row of a range
   const elements = new Map();
 
   const chosen = () => [...view.get().selected].filter((id) => all.some((row) => row.id === id));
@@ -160,7 +106,7 @@ export const mountMatchTable = () => {
     const { selected, hovered } = view.get();
     const height = rowHeight();
     spacer.style.setProperty("height", `${rows.length * height}px`);
-    const [first, end] = inSight({
+    const [first, end] = visibleRange({
       top: scroller.scrollTop,
       height: scroller.clientHeight,
       row: height,
@@ -171,52 +117,52 @@ export const mountMatchTable = () => {
       const row = rows[index];
       keep.add(row.id);
       if (!elements.has(row.id)) elements.set(row.id, new RowElements(row.id));
-      const made = elements.get(row.id);
-      made.show(
+      const line = elements.get(row.id);
+      line.show(
         row,
         { selected: selected.has(row.id), hovered: hovered === row.id, cursor: cursor === row.id },
         index,
         index * height,
       );
-      if (!made.row.isConnected) spacer.append(made.row);
+      if (!line.element.isConnected) spacer.append(line.element);
     }
-    for (const [id, made] of elements) {
-      if (keep.has(id) || made.row.contains(document.activeElement)) continue;
-      made.row.remove();
+    for (const [id, line] of elements) {
+      if (keep.has(id) || line.element.contains(document.activeElement)) continue;
+      line.element.remove();
       if (!all.some((row) => row.id === id)) elements.delete(id);
     }
-    attribute(grid, "aria-activedescendant", cursor && keep.has(cursor) ? `match-${cursor}` : null);
-    attribute(grid, "aria-rowcount", rows.length + 1);
+    setAttribute(grid, "aria-activedescendant", cursor && keep.has(cursor) ? `match-${cursor}` : null);
+    setAttribute(grid, "aria-rowcount", rows.length + 1);
     const ids = chosen();
     remove.disabled = switcher.disabled = ids.length === 0;
     remove.title = `Remove ${counted(ids.length, "match", "matches")} (Delete)`;
-    const off = ids.every((id) => !all.find((row) => row.id === id).on);
-    say(switcher.querySelector("span"), off && ids.length ? "On" : "Off");
-    switcher.title = `Switch ${counted(ids.length, "match", "matches")} ${off ? "on" : "off"} (Space)`;
+    const allDisabled = ids.every((id) => !all.find((row) => row.id === id).on);
+    setText(switcher.querySelector("span"), allDisabled && ids.length ? "Enable" : "Disable");
+    switcher.title = `${allDisabled ? "Enable" : "Disable"} ${counted(ids.length, "match", "matches")} (Space)`;
   });
 
   const read = () => {
     const { filter, sort } = view.get();
     all = rowsOf(store.picksOf(), store.judgedOf());
     rows = sorted(filtered(all, filter), sort);
-    FILTERS.forEach(({ name, one = name, keeps }, index) => {
+    FILTERS.forEach(({ name, one, many, keeps }, index) => {
       const count = all.filter(keeps).length;
-      const made = chips[index];
-      say(made, counted(count, one, name));
-      made.hidden = (count === 0 || count === all.length) && !filter.includes(name); // it would tell nothing apart
-      made.setAttribute("aria-pressed", String(filter.includes(name)));
-      made.title = filter.includes(name) ? "Show all again" : `Show only: ${name}`;
+      const chip = chips[index];
+      setText(chip, counted(count, one, many));
+      chip.hidden = (count === 0 || count === all.length) && !filter.includes(name); // it would select nothing or all
+      chip.setAttribute("aria-pressed", String(filter.includes(name)));
+      chip.title = filter.includes(name) ? "Show all matches" : `Show only ${many}`;
     });
-    const on = all.filter((row) => row.on).length;
-    say(counts, all.length ? `${on} of ${all.length} on` : "");
-    COLUMNS.forEach(({ by }, index) => {
-      attribute(heads[index], "aria-sort", sort.by === by ? (sort.descending ? "descending" : "ascending") : null);
+    const enabled = all.filter((row) => row.on).length;
+    setText(counts, all.length ? `${enabled} of ${all.length} enabled` : "");
+    COLUMNS.forEach(({ id }, index) => {
+      setAttribute(heads[index], "aria-sort", sort.by === id ? (sort.descending ? "descending" : "ascending") : null);
     });
     grid.hidden = all.length === 0;
     empty.hidden = all.length > 0 && rows.length > 0;
-    say(
+    setText(
       empty,
-      all.length ? (rows.length ? "" : "No match is of this kind; click the chip again to see all.") : nextThing({
+      all.length ? (rows.length ? "" : "No match passes the filters; click them again to show all.") : nextAction({
         scan: store.get("scan"),
         photo: store.photo(),
         picks: [],
@@ -226,7 +172,7 @@ export const mountMatchTable = () => {
     draw();
   };
 
-  const intoSight = (id) => {
+  const scrollTo = (id) => {
     const index = rows.findIndex((row) => row.id === id);
     if (index < 0) return;
     const height = rowHeight();
@@ -239,7 +185,7 @@ export const mountMatchTable = () => {
   const pickRow = (id, { shift = false, more = false } = {}) => {
     const { selected } = view.get();
     cursor = id;
-    if (shift && anchor) select(more ? [...selected, ...between(rows, anchor, id)] : between(rows, anchor, id));
+    if (shift && anchor) select(more ? [...selected, ...idsBetween(rows, anchor, id)] : idsBetween(rows, anchor, id));
     else if (more) {
       anchor = id;
       const next = new Set(selected);
@@ -253,11 +199,11 @@ export const mountMatchTable = () => {
   };
   const removeSelected = () => {
     const picks = chosen();
-    if (picks.length) wishHere("remove_picks", { picks });
+    if (picks.length) requestForPhoto("remove_picks", { picks });
   };
   const switchSelected = () => {
     const picks = chosen();
-    if (picks.length) wishHere(
+    if (picks.length) requestForPhoto(
       "switch_picks",
       { picks, on: picks.every((id) => !all.find((row) => row.id === id).on) },
     );
@@ -279,15 +225,15 @@ export const mountMatchTable = () => {
     if (event.target.type === "checkbox") {
       const { selected } = view.get();
       const picks = selected.has(id) && selected.size > 1 ? chosen() : [id];
-      wishHere("switch_picks", { picks, on: event.target.checked });
+      requestForPhoto("switch_picks", { picks, on: event.target.checked });
       return;
     }
     const weight = Number(event.target.value.replace(",", "."));
-    const made = elements.get(id);
-    if (Number.isFinite(weight) && weight > 0) wishHere("set_pick", { pick: id, weight });
+    const line = elements.get(id);
+    if (Number.isFinite(weight) && weight > 0) requestForPhoto("set_pick", { pick: id, weight });
     else {
-      notice(`The weight of match ${made.value.number} must be a number above zero; it stays what it was.`, "bad");
-      event.target.value = String(made.value.weight);
+      notice(`The weight of match ${line.row.number} must be a number above zero; it was not changed.`, "bad");
+      event.target.value = String(line.row.weight);
     }
     event.target.blur();
     draw();
@@ -295,7 +241,7 @@ export const mountMatchTable = () => {
   spacer.addEventListener("keydown", (event) => {
     if (!event.target.matches("input.weight")) return;
     event.stopPropagation();
-    if (event.key === "Escape") event.target.value = String(elements.get(rowAt(event.target)).value.weight);
+    if (event.key === "Escape") event.target.value = String(elements.get(rowAt(event.target)).row.weight);
     if (event.key === "Escape" || event.key === "Enter") {
       event.preventDefault();
       event.target.blur();
@@ -313,13 +259,13 @@ export const mountMatchTable = () => {
     const at = rows.findIndex((row) => row.id === cursor);
     const next = rows[Math.max(0, Math.min(rows.length - 1, at < 0 ? 0 : at + by))].id;
     pickRow(next, { shift });
-    intoSight(next);
+    scrollTo(next);
   };
   const keys = {
     ArrowDown: (event) => move(1, event.shiftKey),
     ArrowUp: (event) => move(-1, event.shiftKey),
-    PageDown: (event) => move(FAST, event.shiftKey),
-    PageUp: (event) => move(-FAST, event.shiftKey),
+    PageDown: (event) => move(PAGE_ROWS, event.shiftKey),
+    PageUp: (event) => move(-PAGE_ROWS, event.shiftKey),
     Home: (event) => move(-rows.length, event.shiftKey),
     End: (event) => move(rows.length, event.shiftKey),
     Delete: removeSelected,
@@ -345,7 +291,7 @@ export const mountMatchTable = () => {
       const [only] = state.selected;
       if (state.selected.size === 1 && only !== cursor) {
         cursor = anchor = only;
-        intoSight(only); // chosen in a picture
+        scrollTo(only); // selected in a picture
       }
       draw();
     } else if (changed.has("hovered")) draw();

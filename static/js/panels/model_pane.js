@@ -1,20 +1,21 @@
-/** The 3-D model: viser's own page in a frame, and what is shared of how it looks. */
+/** The 3-D model: viser's page in a frame, with the display options that all clients share. */
 
-import { element, put } from "../ui/dom.js";
 import { connectionState, onConnection } from "../net/connection.js";
-import { wish } from "../net/requests.js";
-import { mountSoftwareHint } from "./software_drawing.js";
+import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
+import { button } from "../ui/controls.js";
+import { element, setChildren } from "../ui/dom.js";
+import { mountSoftwareHint } from "./software_drawing.js";
 
 const SWITCHES = [
   [
     "z_buffer",
-    "z-buffer",
-    "On: the photograph colours what the camera saw. Off: everything behind it, too (thesis Figure 2.23)",
+    "Hide occluded",
+    "On: the photograph colours only what the camera saw. Off: what lies behind, too (thesis Figure 2.23)",
   ],
-  ["light", "light", "A coarser mesh, for slow machines"],
-  ["cameras", "cameras", "Show where scanner and camera stand"],
-  ["matches", "matches", "Show the matches in space"],
+  ["light", "Coarse mesh", "Use a coarser mesh, for slow computers"],
+  ["cameras", "Cameras", "Show scanner and camera"],
+  ["matches", "Matches", "Show the matches in 3-D"],
 ];
 
 const controls = () => {
@@ -23,14 +24,19 @@ const controls = () => {
     {
       class: "select",
       "aria-label": "Texture of the model",
-      title: "What the model is painted with",
-      on: { change: () => wish("set_model", { texture: texture.value }) },
+      title: "Texture of the model",
+      on: { change: () => request("set_model", { texture: texture.value }) },
     },
   );
-  const switches = SWITCHES.map(([name, label, said]) => {
-    const made = element("button", { type: "button", class: "button small toggle", title: said }, label);
-    made.addEventListener("click", () => wish("set_model", { [name]: made.getAttribute("aria-pressed") !== "true" }));
-    return [name, made];
+  const switches = SWITCHES.map(([name, label, title]) => {
+    const toggle = button({
+      label,
+      title,
+      kind: "small toggle",
+      act: () => request("set_model", { [name]: toggle.getAttribute("aria-pressed") !== "true" }),
+    });
+    toggle.firstElementChild.classList.add("clip");
+    return [name, toggle];
   });
   let drawn = "";
   const show = () => {
@@ -38,39 +44,39 @@ const controls = () => {
     const text = JSON.stringify(model?.choices ?? []);
     if (text !== drawn) {
       drawn = text;
-      put(
+      setChildren(
         texture,
         ...(model?.choices ?? []).map(
           ({ value, label, usable, said }) => element(
             "option",
             { value, disabled: !usable, title: said },
-            usable ? label : `${label} · not yet`,
+            usable ? label : `${label} · not available yet`,
           ),
         ),
       );
     }
     if (model) texture.value = model.texture;
     texture.disabled = !model;
-    for (const [name, made] of switches) {
-      made.disabled = !model;
-      made.setAttribute("aria-pressed", String(Boolean(model?.[name])));
+    for (const [name, toggle] of switches) {
+      toggle.disabled = !model;
+      toggle.setAttribute("aria-pressed", String(Boolean(model?.[name])));
     }
   };
   store.watch(["model"], show);
   show();
-  return [texture, ...switches.map(([, made]) => made)];
+  return [texture, ...switches.map(([, toggle]) => toggle)];
 };
 
 const TYPING = "input, textarea, select, [contenteditable], [role=textbox]";
 
-/** A frame never says that the focus is inside it: show where the keys go. */
+/** Show that the focus is inside the frame, which CSS cannot detect. */
 const showFocus = (frame) => {
   const inner = frame.contentWindow;
   inner.addEventListener("focus", () => frame.classList.add("focused"));
   inner.addEventListener("blur", () => frame.classList.remove("focused"));
 };
 
-/** Keys pressed in the frame would stay there: send them to the page, except where somebody types. */
+/** Forward keys from the frame to the page, except while text is typed. */
 const forwardKeys = (frame) => {
   const inner = frame.contentWindow;
   for (const kind of ["keydown", "keyup"]) {
@@ -86,7 +92,7 @@ const forwardKeys = (frame) => {
   }
 };
 
-/** @param {HTMLElement} pane */
+/** Mount the frame and its controls. @param {HTMLElement} pane */
 export const mountModelPane = (pane) => {
   pane.querySelector(".pane-controls").append(...controls());
   const body = pane.querySelector(".pane-body");
@@ -96,7 +102,7 @@ export const mountModelPane = (pane) => {
       forwardKeys(frame);
       showFocus(frame);
     } catch {
-      // the frame shows an error page of the browser's own: there is nothing to listen to
+      // the frame shows the browser's error page, which is not accessible
     }
   });
   const note = element("p", { class: "pane-empty", hidden: true });
@@ -104,10 +110,10 @@ export const mountModelPane = (pane) => {
   mountSoftwareHint(body);
   const show = () => {
     const scan = store.get("scan");
-    put(
+    setChildren(
       note,
       connectionState() === "connected" && !scan
-        ? "The scan will stand here as a surface, with the camera beside it."
+        ? "The scan is shown here as a surface, with the camera."
         : "",
     );
     note.hidden = note.textContent === "";

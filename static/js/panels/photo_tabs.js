@@ -1,30 +1,31 @@
-/** The photographs as tabs; the shown one is the one that all look at. */
+/** The photographs as tabs; all clients see the chosen one. */
 
-import { button, element, put } from "../ui/dom.js";
-import { wish } from "../net/requests.js";
-import { openFiles } from "./files.js";
-import { icon } from "../ui/icons.js";
-import { mountCameraForm } from "./camera_form.js";
-import { notice } from "../ui/notices.js";
+import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
-import { choose, walkByArrows } from "../ui/tablist.js";
+import { button } from "../ui/controls.js";
+import { element, setChildren } from "../ui/dom.js";
+import { icon } from "../ui/icons.js";
+import { notice } from "../ui/notices.js";
+import { markChosen, navigateByArrows } from "../ui/tablist.js";
+import { mountCameraForm } from "./camera_form.js";
+import { openFiles } from "./files.js";
 
-const SIGNS = { empty: "dot", solved: "target", accepted: "tick", refused: "bad" };
-const WORDS = { empty: "not solved yet", solved: "solved", accepted: "accepted", refused: "not accepted" };
+const ICONS = { empty: "dot", solved: "target", accepted: "tick", refused: "bad" };
+const STATES = { empty: "not solved yet", solved: "solved", accepted: "accepted", refused: "not accepted" };
 
 const stateOf = (photo) => {
   if (photo.error) return { sign: "bad", word: photo.error, level: "bad" };
-  if (!photo.camera) return { sign: "warn", word: "its focal length is not known", level: "warn" };
+  if (!photo.camera) return { sign: "warn", word: "focal length unknown", level: "warn" };
   const level = { accepted: "ok", refused: "bad", solved: "accent" }[photo.state] ?? "dim";
-  return { sign: SIGNS[photo.state] ?? "dot", word: WORDS[photo.state] ?? photo.state, level };
+  return { sign: ICONS[photo.state] ?? "dot", word: STATES[photo.state] ?? photo.state, level };
 };
 
 const remove = async (photo) => {
-  const removed = await wish("remove_photo", { photo: photo.id });
+  const removed = await request("remove_photo", { photo: photo.id });
   if (removed) notice(
-    `${photo.name} was taken out of the project.`,
+    `${photo.name} was removed from the project.`,
     "info",
-    { label: "Undo", act: () => wish("undo") },
+    { label: "Undo", act: () => request("undo") },
   );
 };
 
@@ -38,22 +39,22 @@ export const mountPhotoTabs = () => {
     kind: "small",
     act: () => openFiles("photo"),
   });
-  const away = button({
-    label: "Take this photograph out of the project",
+  const discard = button({
+    label: "Remove this photograph from the project",
     icon: "close",
     bare: true,
     kind: "plain small",
   });
   const camera = button({ label: "Camera", icon: "warn", kind: "small camera-button" });
-  const shelf = element("div", { class: "photo-shelf" }, list, away, camera, add);
-  walkByArrows(list);
-  away.addEventListener("click", () => store.photo() && remove(store.photo()));
+  const shelf = element("div", { class: "photo-shelf" }, list, discard, camera, add);
+  navigateByArrows(list);
+  discard.addEventListener("click", () => store.photo() && remove(store.photo()));
   mountCameraForm(camera);
   let drawn = "";
 
   const tab = (photo) => {
     const { sign, word, level } = stateOf(photo);
-    const made = element(
+    const chip = element(
       "button",
       {
         type: "button",
@@ -65,12 +66,12 @@ export const mountPhotoTabs = () => {
       },
       element("span", { class: `sign ${level}` }, icon(sign)),
       element("span", { class: "clip" }, photo.name),
-      element("span", { class: "told" }, `, ${word}`),
+      element("span", { class: "visually-hidden" }, `, ${word}`),
     );
-    made.dataset.photo = photo.id;
-    made.addEventListener("click", () => photo.id !== store.shown() && wish("show_photo", { photo: photo.id }));
-    made.addEventListener("keydown", (event) => event.key === "Delete" && remove(photo));
-    return made;
+    chip.dataset.photo = photo.id;
+    chip.addEventListener("click", () => photo.id !== store.shown() && request("show_photo", { photo: photo.id }));
+    chip.addEventListener("keydown", (event) => event.key === "Delete" && remove(photo));
+    return chip;
   };
 
   const show = () => {
@@ -78,32 +79,32 @@ export const mountPhotoTabs = () => {
     const text = JSON.stringify(photos);
     if (text !== drawn) {
       const focused = list.contains(document.activeElement) ? document.activeElement.dataset.photo : null;
-      put(list, ...photos.map(tab));
+      setChildren(list, ...photos.map(tab));
       drawn = text;
       if (focused) [...list.children].find(({ dataset }) => dataset.photo === focused)?.focus();
     }
     const chosen = [...list.children].find(({ dataset }) => dataset.photo === store.shown());
-    choose([...list.children], chosen);
+    markChosen([...list.children], chosen);
     const shown = store.photo();
-    away.hidden = !shown;
+    discard.hidden = !shown;
     camera.hidden = !shown || Boolean(shown.error);
-    put(
+    setChildren(
       camera,
       icon(shown?.camera ? "target" : "warn"),
       element("span", { class: "figures" }, shown?.camera ? `f ${Math.round(shown.camera.fx)}` : "Focal length"),
     );
-    camera.classList.toggle("wanted", Boolean(shown && !shown.camera));
+    camera.classList.toggle("attention", Boolean(shown && !shown.camera));
     camera.title = shown?.camera
       ? `Camera of ${shown.name}: ${shown.camera.said ?? ""}`
-      : "The focal length is not known: tell it here";
-    camera.setAttribute("aria-label", shown?.camera ? "Camera of the photograph" : "Tell the focal length");
+      : "The focal length is unknown: enter it here";
+    camera.setAttribute("aria-label", shown?.camera ? "Camera of the photograph" : "Enter the focal length");
     const full = photos.length >= (store.get("limits")?.photos ?? Infinity);
     add.disabled = full;
-    add.title = full ? `A project holds at most ${store.get("limits").photos} photographs` : "Add photographs";
-    put(add, icon("plus"), photos.length ? null : element("span", {}, "Photograph"));
+    add.title = full ? `A project has at most ${store.get("limits").photos} photographs` : "Add photographs";
+    setChildren(add, icon("plus"), photos.length ? null : element("span", {}, "Photograph"));
     add.classList.toggle("bare", photos.length > 0);
-    add.classList.toggle("wanted", photos.length === 0 && Boolean(store.get("scan")));
-    chosen?.scrollIntoView({ block: "nearest", inline: "nearest" }); // now that all beside it has its width
+    add.classList.toggle("attention", photos.length === 0 && Boolean(store.get("scan")));
+    chosen?.scrollIntoView({ block: "nearest", inline: "nearest" }); // after everything beside it has its final width
   };
   store.watch(["photos", "shown", "scan", "limits"], show);
   show();

@@ -1,15 +1,16 @@
-/** The thesis's steps in order, each with its button, how it stands and its settings. */
+/** The steps of the thesis in order, each with its state, its settings and a button to run it. */
 
-import { CHAIN, OTHERS, runs, settingsOf, stepState } from "../state/pipeline.js";
-import { attribute, button, element, put, say } from "../ui/dom.js";
-import { wishHere } from "../net/requests.js";
+import { requestForPhoto } from "../net/requests.js";
+import { store } from "../net/store.js";
+import { GENERAL, isRunning, PIPELINE, settingsOf, stepState } from "../state/pipeline.js";
+import { button } from "../ui/controls.js";
+import { element, setAttribute, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { settingsForm } from "./settings_form.js";
-import { store } from "../net/store.js";
 
-const SIGNS = { none: "dot", running: "running", paused: "pause", done: "tick", failed: "bad", stopped: "stop" };
+const ICONS = { none: "dot", running: "running", paused: "pause", done: "tick", failed: "bad", stopped: "stop" };
 const LEVELS = { none: "dim", running: "accent", paused: "warn", done: "ok", failed: "bad", stopped: "warn" };
-const WORDS = {
+const STATES = {
   none: "not run",
   running: "running",
   paused: "paused",
@@ -18,46 +19,46 @@ const WORDS = {
   stopped: "stopped",
 };
 
-/** The newest finished job of each kind and photograph: slice `job` holds only the last one of all. */
+/** The newest finished job of each kind and photograph; slice `job` contains only the last one of all. */
 const finished = new Map();
 store.on("job", (job) => {
-  if (job && !runs(job)) finished.set(`${job.photo} ${job.kind}`, job);
+  if (job && !isRunning(job)) finished.set(`${job.photo} ${job.kind}`, job);
 });
 
 /**
- * @param {"match" | "solve" | "all"} which steps are shown
+ * @param {"match" | "solve" | "all"} the steps to show
  * @param {string} title
  * @returns {HTMLElement}
  */
-export const mountChain = (which, title) => {
-  const steps = CHAIN.filter((step) => which === "all" || step.in === which);
+export const mountPipeline = (which, title) => {
+  const steps = PIPELINE.filter((step) => which === "all" || step.in === which);
   let chosen = steps[0];
   let drawn = "";
   let form = null;
-  const list = element("ol", { class: "chain", "aria-label": title });
-  const pane = element("div", { class: "chain-settings" });
-  const failure = element("p", { class: "bad chain-failure", role: "status" });
+  const list = element("ol", { class: "pipeline", "aria-label": title });
+  const pane = element("div", { class: "pipeline-settings" });
+  const failure = element("p", { class: "bad pipeline-failure", role: "status" });
   const rows = new Map();
 
   const run = (step) => {
     choose(step);
-    wishHere("run", { job: step.job });
+    requestForPhoto("run", { job: step.job });
   };
   const choose = (step) => {
     chosen = step;
     show();
   };
-  for (const step of [...steps, OTHERS]) {
+  for (const step of [...steps, GENERAL]) {
     const sign = element("span", { class: "sign" });
-    const said = element("span", { class: "clip dim chain-said" });
-    const word = element("span", { class: "told" });
+    const status = element("span", { class: "clip dim pipeline-status" });
+    const word = element("span", { class: "visually-hidden" });
     const open = element(
       "button",
-      { type: "button", class: "chain-open", title: step.said, on: { click: () => choose(step) } },
+      { type: "button", class: "pipeline-open", title: step.description, on: { click: () => choose(step) } },
       sign,
-      element("span", { class: "chain-name" }, step.label),
+      element("span", { class: "pipeline-name" }, step.label),
       word,
-      said,
+      status,
     );
     const go = step.job ? button({
       label: `Run: ${step.label}`,
@@ -66,36 +67,36 @@ export const mountChain = (which, title) => {
       kind: "small",
       act: () => run(step),
     }) : null;
-    const row = element("li", { class: "chain-step" }, open, go);
+    const row = element("li", { class: "pipeline-step" }, open, go);
     list.append(row);
-    rows.set(step, { row, open, sign, said, word, go });
+    rows.set(step, { row, open, sign, status, word, go });
   }
   const all = [
     button({
-      label: "All in one",
+      label: "Automatic",
       kind: "small primary-quiet",
       icon: "wand",
-      title: "Register automatically: the default, from the pictures alone",
-      act: () => wishHere("run", { job: "auto" }),
+      title: "Register automatically, from the images alone (the default)",
+      act: () => requestForPhoto("run", { job: "auto" }),
     }),
     button({
       label: "Thesis chain",
       kind: "small",
-      title: "All steps of the thesis, one after the other",
-      act: () => wishHere("run", { job: "thesis" }),
+      title: "Run all steps of the thesis in sequence",
+      act: () => requestForPhoto("run", { job: "thesis" }),
     }),
   ];
   const part = element(
     "section",
-    { class: "dock-part chain-part", "aria-label": title },
+    { class: "dock-part pipeline-part", "aria-label": title },
     element("div", { class: "part-head" }, element("h2", {}, title), element("div", { class: "end" }, ...all)),
-    element("div", { class: "chain-body" }, list, pane),
+    element("div", { class: "pipeline-body" }, list, pane),
   );
 
   const show = () => {
     const photo = store.shown();
     const job = store.get("job");
-    const busy = runs(job);
+    const busy = isRunning(job);
     const context = {
       job: job?.photo === photo ? job : null,
       stages: store.posesOf()?.stages ?? [],
@@ -103,41 +104,41 @@ export const mountChain = (which, title) => {
       picks: store.picksOf(),
     };
     const missing = !store.get("scan") || !store.photo()?.camera;
-    for (const [step, { row, open, sign, said, word, go }] of rows) {
-      const { state, said: text } = step.job ? stepState(
+    for (const [step, { row, open, sign, status, word, go }] of rows) {
+      const { state, text } = step.job ? stepState(
         step,
         { ...context, last: finished.get(`${photo} ${step.job}`) ?? null },
-      ) : { state: "none", said: "" };
-      if (row.dataset.state !== state) put(sign, icon(step.job ? SIGNS[state] : "more"));
+      ) : { state: "none", text: "" };
+      if (row.dataset.state !== state) setChildren(sign, icon(step.job ? ICONS[state] : "more"));
       row.dataset.state = state;
       sign.className = `sign ${LEVELS[state]}`;
-      say(said, text);
-      said.title = text;
-      say(word, step.job ? `, ${WORDS[state]}` : "");
+      setText(status, text);
+      status.title = text;
+      setText(word, step.job ? `, ${STATES[state]}` : "");
       row.classList.toggle("chosen", step === chosen);
-      attribute(open, "aria-current", step === chosen ? "true" : null);
+      setAttribute(open, "aria-current", step === chosen ? "true" : null);
       if (go) {
         go.disabled = busy || missing;
         go.title = missing
-          ? "Needs a scan and a photograph whose focal length is known"
+          ? "Needs a scan, and a photograph with a known focal length"
           : busy
           ? `${job.label} is running`
           : `Run: ${step.label}`;
       }
     }
-    for (const made of all) made.disabled = busy || missing;
-    const { row: chosenRow, said: chosenSaid } = rows.get(chosen);
-    say(failure, chosenRow.dataset.state === "failed" ? `Failed: ${chosenSaid.textContent}` : "");
+    for (const control of all) control.disabled = busy || missing;
+    const { row: chosenRow, status: chosenStatus } = rows.get(chosen);
+    setText(failure, chosenRow.dataset.state === "failed" ? `Failed: ${chosenStatus.textContent}` : "");
     const entries = settingsOf(store.get("settings"), chosen);
-    const shape = JSON.stringify([chosen.label, entries.map(([name, { value, ...rest }]) => [name, rest])]);
+    const shape = JSON.stringify([chosen.label, entries.map(([name, entry]) => [name, { ...entry, value: null }])]);
     if (shape !== drawn) {
       drawn = shape;
       form = settingsForm(entries);
-      put(
+      setChildren(
         pane,
-        element("p", { class: "dim chain-about" }, chosen.said),
+        element("p", { class: "dim pipeline-about" }, chosen.description),
         failure,
-        entries.length ? form.form : element("p", { class: "dim" }, "It has no settings of its own."),
+        entries.length ? form.form : element("p", { class: "dim" }, "This step has no settings of its own."),
       );
     } else form?.show();
   };

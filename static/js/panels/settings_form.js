@@ -1,12 +1,12 @@
-/** Controls for settings, drawn from what the server says of each. */
+/** Controls for settings, generated from their descriptions in slice `settings`. */
 
-import { element, newId } from "../ui/dom.js";
-import { wish } from "../net/requests.js";
+import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
+import { element, newId } from "../ui/dom.js";
 
 const set = async (name, value, show) => {
   if (value === store.get("settings")?.[name]?.value) return show();
-  if (!(await wish("set_settings", { [name]: value }))) show(); // refused: what holds stands there again
+  if (!(await request("set_settings", { [name]: value }))) show(); // refused: show the current value again
   return undefined;
 };
 
@@ -69,25 +69,25 @@ const switchControl = (name, id) => {
   return { control: input, show };
 };
 
-const MADE = { number: numberControl, choice: choiceControl, switch: switchControl };
+const CONTROLS = { number: numberControl, choice: choiceControl, switch: switchControl };
 
 /**
  * @param {[string, any][]} entries names and entries of slice `settings`
- * @returns {{form: HTMLElement, show: () => void}} `show` puts the present values
+ * @returns {{form: HTMLElement, show: () => void}} `show` updates the values
  */
 export const settingsForm = (entries) => {
   const rows = entries.map(([name, entry]) => {
     const id = newId("setting");
-    const said = newId("said");
-    const { control, show } = (MADE[entry.kind] ?? numberControl)(name, id, entry);
-    control.setAttribute("aria-describedby", said);
+    const description = newId("description");
+    const { control, show } = (CONTROLS[entry.kind] ?? numberControl)(name, id, entry);
+    control.setAttribute("aria-describedby", description);
     const row = element(
       "div",
       { class: "setting", title: entry.said },
       element("label", { for: id }, entry.label),
       control,
       element("span", { class: "dim" }, entry.unit ?? ""),
-      element("span", { class: "told", id: said }, entry.said ?? ""),
+      element("span", { class: "visually-hidden", id: description }, entry.said ?? ""),
     );
     return { row, show };
   });

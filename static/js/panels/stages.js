@@ -1,16 +1,17 @@
-/** All stages side by side (thesis Tables 3.2-3.5); a click on one has it shown and judged. */
+/** The stages side by side (thesis Tables 3.2-3.5); a click shows a stage and its verdict. */
 
-import { button, element, put } from "../ui/dom.js";
-import { wishHere } from "../net/requests.js";
+import { requestForPhoto } from "../net/requests.js";
+import { store } from "../net/store.js";
+import { button } from "../ui/controls.js";
+import { element, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { duration, fixed, NONE, parameterName, typeset } from "../ui/numbers.js";
-import { store } from "../net/store.js";
 
 const FIGURES = [
   ["inliers", (stage) => (stage.matches === undefined ? NONE : `${stage.inliers} of ${stage.matches}`)],
   ["median px", (stage) => fixed(stage.median_px, 2)],
   ["depth rms m", (stage) => fixed(stage.rms_depth_m, 3)],
-  ["focal px", (stage) => fixed(stage.focal_px, 1)],
+  ["focal length px", (stage) => fixed(stage.focal_px, 1)],
   ["time", (stage) => duration(stage.seconds)],
 ];
 
@@ -31,20 +32,20 @@ const table = (stages, shown) => {
   const heads = stages.map((stage) => {
     const present = stage.stage === shown;
     const word = stage.accepted ? "accepted" : "not accepted";
-    const made = button({
+    const opener = button({
       label: stage.label,
       kind: "stage plain",
-      title: present ? `This stage is shown: ${word}` : `Show ${stage.label}: ${word}`,
+      title: present ? `Shown: ${word}` : `Show ${stage.label}: ${word}`,
       "aria-pressed": String(present),
-      act: () => present || wishHere("use_stage", { stage: stage.stage }),
+      act: () => present || requestForPhoto("use_stage", { stage: stage.stage }),
     });
-    put(
-      made,
+    setChildren(
+      opener,
       element("span", { class: `sign ${stage.accepted ? "ok" : "bad"}` }, icon(stage.accepted ? "tick" : "cross")),
       element("span", {}, stage.label),
-      element("span", { class: "told" }, `, ${word}`),
+      element("span", { class: "visually-hidden" }, `, ${word}`),
     );
-    return element("th", { scope: "col", class: present ? "shown" : "" }, made);
+    return element("th", { scope: "col", class: present ? "shown" : "" }, opener);
   });
   const rows = [...parameterRows(stages), ...FIGURES].map(([name, cell]) =>
     element(
@@ -76,9 +77,9 @@ const selfTest = (found) =>
 const selfTestCounts = (rows) => {
   const kinds = [...new Set(rows.map(({ kind }) => kind))];
   return kinds.map((kind) => {
-    const of = rows.filter((row) => row.kind === kind);
-    const [right, accepted] = ["right", "accepted"].map((name) => of.filter((row) => row[name]).length);
-    return `${kind}: ${right} of ${of.length} right, ${accepted} accepted`;
+    const cases = rows.filter((row) => row.kind === kind);
+    const [right, accepted] = ["right", "accepted"].map((name) => cases.filter((row) => row[name]).length);
+    return `${kind}: ${right} of ${cases.length} correct, ${accepted} accepted`;
   }).join("; ");
 };
 
@@ -98,21 +99,21 @@ export const mountStages = () => {
         button({
           label: "Compare all",
           kind: "small",
-          title: "Solve by every method, and set them side by side",
-          act: () => wishHere("run", { job: "compare" }),
+          title: "Solve with every method and compare the results",
+          act: () => requestForPhoto("run", { job: "compare" }),
         }),
         button({
           label: "Self-test",
           kind: "small",
-          title: "Photographs made from this scan, registered and compared with the truth: what to expect here",
-          act: () => wishHere("run", { job: "self_test" }),
+          title: "Register photographs simulated from this scan and compare with the true poses: estimates what to expect",
+          act: () => requestForPhoto("run", { job: "self_test" }),
         }),
       ),
     ),
     body,
   );
   let drawn = "";
-  const intoSight = () => {
+  const scrollToShown = () => {
     const column = body.querySelector("th.shown");
     if (column) body.scrollLeft = Math.max(0, column.offsetLeft + column.offsetWidth - body.clientWidth);
   };
@@ -122,18 +123,18 @@ export const mountStages = () => {
     const text = JSON.stringify([poses?.shown, poses?.stages, found]);
     if (text === drawn) return;
     drawn = text;
-    put(
+    setChildren(
       body,
       poses?.stages?.length ? table(poses.stages, poses.shown) : element(
         "p",
         { class: "empty" },
-        "Each way of solving becomes a column here; Compare all runs them one after the other.",
+        "Each method becomes a column here; Compare all runs them in sequence.",
       ),
       found ? selfTest(found) : null,
     );
-    intoSight();
+    scrollToShown();
   };
-  new ResizeObserver(intoSight).observe(body); // it has no width while another step is shown
+  new ResizeObserver(scrollToShown).observe(body); // it has no width while another step is shown
   store.watch(["poses:*", "self_test:*", "shown"], show);
   show();
   return part;

@@ -1,14 +1,15 @@
-/** The lowest line: what is under the cursor, what the tool expects, the job, what was saved, the connection. */
+/** The status bar: readout under the cursor, hint of the current tool, job, saving, connection. */
 
-import { runs, shareDone } from "../state/pipeline.js";
-import { attribute, button, element, put, say } from "../ui/dom.js";
 import { connectionState, connectNow, onConnection } from "../net/connection.js";
-import { icon } from "../ui/icons.js";
-import { jobControls } from "./job_controls.js";
-import { openKeys } from "./keys_dialog.js";
-import { duration, fixed } from "../ui/numbers.js";
 import { store } from "../net/store.js";
+import { isRunning, shareDone } from "../state/pipeline.js";
 import { view } from "../state/view.js";
+import { button } from "../ui/controls.js";
+import { element, setAttribute, setChildren, setText } from "../ui/dom.js";
+import { icon } from "../ui/icons.js";
+import { duration, fixed } from "../ui/numbers.js";
+import { jobControls } from "./job_controls.js";
+import { openKeys } from "./key_reference.js";
 
 const CONNECTIONS = {
   connecting: ["running", "connecting", "dim"],
@@ -17,7 +18,7 @@ const CONNECTIONS = {
   refused: ["bad", "refused: open the address with its token again", "bad"],
   full: ["warn", "too many pages are open: trying again", "warn"],
 };
-/** Done is not yet good: the verdict on the pose says that. */
+/** A finished job is not marked as good: that is for the verdict to say. */
 const ENDS = { done: ["tick", "dim"], failed: ["bad", "bad"], stopped: ["stop", "warn"] };
 const LONG_S = 2;
 
@@ -34,26 +35,26 @@ const jobBar = () => {
   const text = element("span", { class: "clip" });
   const bar = element("progress", { max: 1 });
   const box = element("div", { class: "job-bar", role: "group", "aria-label": "Job" }, sign, text, bar, jobControls());
-  const told = element("span", { class: "told", role: "status" }); // heard once when it begins and once when it ends
+  const announcement = element("span", { class: "visually-hidden", role: "status" }); // at the start and the end
   const show = () => {
     const job = store.get("job");
     box.hidden = !job;
     if (!job) return;
-    const busy = runs(job);
+    const busy = isRunning(job);
     const share = shareDone(job);
     const [shape, level] = busy ? [
       job.state === "paused" ? "pause" : "running",
       "accent",
     ] : (ENDS[job.state] ?? ENDS.done);
-    if (sign.dataset.shape !== shape) put(sign, icon(shape));
+    if (sign.dataset.shape !== shape) setChildren(sign, icon(shape));
     sign.dataset.shape = shape;
     sign.className = `sign ${level}`;
     const seconds = busy || job.seconds >= LONG_S ? duration(job.seconds) : "";
-    const names = job.said?.startsWith(job.label); // said with its own name
-    say(
+    const named = job.said?.startsWith(job.label); // the text already contains the label
+    setText(
       text,
       [
-        names ? "" : job.label,
+        named ? "" : job.label,
         job.state === "paused" ? "paused" : "",
         job.said || (busy ? (job.steps?.at(-1)?.name ?? "") : job.state),
         seconds,
@@ -68,53 +69,53 @@ const jobBar = () => {
     bar.hidden = !busy;
     if (share === null) bar.removeAttribute("value");
     else bar.value = share;
-    attribute(bar, "aria-label", `${job.label}, progress`);
-    say(told, busy ? `${job.label} began` : `${job.label}: ${job.state}. ${job.said ?? ""}`);
+    setAttribute(bar, "aria-label", `${job.label}, progress`);
+    setText(announcement, busy ? `${job.label} started` : `${job.label}: ${job.state}. ${job.said ?? ""}`);
   };
   store.watch(["job"], show);
   show();
-  return [box, told];
+  return [box, announcement];
 };
 
 /** @param {HTMLElement} footer */
 export const mountStatusBar = (footer) => {
   const readout = element("span", { class: "readout figures" });
   const hint = element("span", { class: "hint clip" });
-  const keys = button({ label: "all keys ?", kind: "plain small", title: "Keyboard reference (?)", act: openKeys });
+  const keys = button({ label: "Keys ?", kind: "plain small", title: "Keyboard reference (?)", act: openKeys });
   const saved = element("span", { class: "saved" });
   const sign = element("span", { class: "sign" });
-  const word = element("span", {});
+  const label = element("span", {});
   const connection = element(
     "button",
     { type: "button", class: "button plain small connection", on: { click: connectNow } },
     sign,
-    word,
+    label,
   );
-  const spoken = element("span", { class: "told", role: "status" });
-  footer.append(readout, hint, keys, ...jobBar(), element("div", { class: "end" }, saved, connection, spoken));
+  const announcement = element("span", { class: "visually-hidden", role: "status" });
+  footer.append(readout, hint, keys, ...jobBar(), element("div", { class: "end" }, saved, connection, announcement));
 
   const showSaved = () => {
     const project = store.get("project");
     saved.classList.toggle("warn", Boolean(project?.unsaved));
-    say(saved, project ? (project.unsaved ? "NOT SAVED: trying again" : project.saved_at ? `saved ${project.saved_at}` : "") : "");
+    setText(saved, project ? (project.unsaved ? "NOT SAVED: retrying" : project.saved_at ? `saved ${project.saved_at}` : "") : "");
     saved.title = project?.unsaved
-      ? `${project.unsaved_why}. It is tried again every 5 s; what is done meanwhile is lost if the machine stops.`
-      : "Everything is saved with every step";
+      ? `${project.unsaved_why}. Saving is retried every 5 s; unsaved edits are lost if the computer stops.`
+      : "Every edit is saved automatically";
   };
   const showConnection = () => {
     const [shape, text, level] = CONNECTIONS[connectionState()];
-    put(sign, icon(shape));
+    setChildren(sign, icon(shape));
     sign.className = `sign ${level}`;
-    say(word, text);
-    say(spoken, text);
-    connection.title = connectionState() === "connected" ? "Connected to the workbench" : "Click to try at once";
+    setText(label, text);
+    setText(announcement, text);
+    connection.title = connectionState() === "connected" ? "Connected to the workbench" : "Click to reconnect now";
     document.body.dataset.connection = connectionState();
   };
   const showView = () => {
-    const { readout: read, hint: said } = view.get();
-    say(readout, read ? readoutText(read) : "");
-    say(hint, said ?? "");
-    hint.title = said ?? "";
+    const { readout: values, hint: text } = view.get();
+    setText(readout, values ? readoutText(values) : "");
+    setText(hint, text ?? "");
+    hint.title = text ?? "";
   };
   view.on((_, changed) => (changed.has("readout") || changed.has("hint")) && showView());
   store.watch(["project"], showSaved);

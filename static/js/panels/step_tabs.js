@@ -1,15 +1,15 @@
-/** Match, Solve, Judge, Export: where the work stands, and which of them the dock shows. */
+/** The tabs Match, Solve, Judge and Export: the progress of the work, and the choice of what the dock shows. */
 
-import { element, newId, put, say } from "../ui/dom.js";
-import { icon } from "../ui/icons.js";
 import { store } from "../net/store.js";
-import { choose, walkByArrows } from "../ui/tablist.js";
-import { view } from "../state/view.js";
 import { workSteps } from "../state/progress.js";
+import { view } from "../state/view.js";
+import { element, newId, setChildren, setText } from "../ui/dom.js";
+import { icon } from "../ui/icons.js";
+import { markChosen, navigateByArrows } from "../ui/tablist.js";
 
 const exported = new Set();
 
-/** @returns {import("../state/progress.js").WorkStep[]} of the shown photograph, now */
+/** @returns {import("../state/progress.js").WorkStep[]} of the shown photograph */
 export const stepsNow = () =>
   workSteps({
     scan: store.get("scan"),
@@ -21,10 +21,10 @@ export const stepsNow = () =>
 
 /** @returns {HTMLElement} */
 export const mountStepTabs = () => {
-  const list = element("div", { class: "steps", role: "tablist", "aria-label": "Steps of the work" });
+  const list = element("div", { class: "steps", role: "tablist", "aria-label": "Steps" });
   const tabs = new Map();
   for (const { name, label } of stepsNow()) {
-    const described = element("span", { id: newId("step"), class: "told" });
+    const described = element("span", { id: newId("step"), class: "visually-hidden" });
     const sign = element("span", { class: "sign" });
     const tab = element(
       "button",
@@ -43,17 +43,17 @@ export const mountStepTabs = () => {
     list.append(tab, described);
     tabs.set(name, { tab, described, sign });
   }
-  walkByArrows(list);
+  navigateByArrows(list);
 
   const show = () => {
-    for (const { name, done, missing, said } of stepsNow()) {
+    for (const { name, done, missing, status } of stepsNow()) {
       const { tab, described, sign } = tabs.get(name);
       tab.classList.toggle("done", done);
-      put(sign, done ? icon("tick") : null);
-      tab.title = [said, missing].filter(Boolean).join("\n");
-      say(described, `${done ? "Done. " : ""}${said} ${missing}`);
+      setChildren(sign, done ? icon("tick") : null);
+      tab.title = [status, missing].filter(Boolean).join("\n");
+      setText(described, `${done ? "Done. " : ""}${status} ${missing}`);
     }
-    choose([...tabs.values()].map(({ tab }) => tab), tabs.get(view.get().step).tab);
+    markChosen([...tabs.values()].map(({ tab }) => tab), tabs.get(view.get().step).tab);
   };
   store.watch(["scan", "photos", "shown", "picks:*", "poses:*"], show);
   store.onEvent("export_ready", ({ photo }) => {

@@ -1,16 +1,17 @@
-/** The verdict on the shown pose: accepted or not, six parameters with their sigmas, findings, and what to do next. */
+/** The verdict on the shown pose: accepted or not, parameters with standard deviations, findings and suggestions. */
 
-import { button, element, put } from "../ui/dom.js";
+import { store } from "../net/store.js";
+import { nextAction } from "../state/progress.js";
+import { view } from "../state/view.js";
+import { button } from "../ui/controls.js";
+import { element, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { parameterName, sentences, typeset } from "../ui/numbers.js";
-import { store } from "../net/store.js";
-import { view } from "../state/view.js";
-import { nextThing } from "../state/progress.js";
 
 const LEVELS = { good: ["tick", "Good", "ok"], fair: ["warn", "Fair", "warn"], poor: ["bad", "Poor", "bad"] };
 const EMPTY =
-  "Once there is a pose, its verdict stands here: accepted or not and why, six parameters with their " +
-  "uncertainty, and what would help.";
+  "Once there is a pose, its verdict is shown here: accepted or not, with reasons, six parameters with their " +
+  "uncertainty, and suggestions.";
 const WORST_FIRST = ["poor", "fair", "good"];
 
 const head = (stage) => {
@@ -67,7 +68,7 @@ const advices = (stage) =>
         label: "Show",
         kind: "small",
         icon: "target",
-        title: "Bring the place into sight in the photograph",
+        title: "Show this point in the photograph",
         act: () => view.set({ reveal_uv: { side: "photo", uv } }),
       }),
     ),
@@ -83,7 +84,7 @@ const check = (stage) =>
       label: "Show",
       kind: "small",
       icon: "target",
-      title: "Bring the match into sight",
+      title: "Show this match in the pictures",
       act: () => view.set({ selected: new Set([stage.check_pick]), end: null, reveal: stage.check_pick }),
     }) : null,
   );
@@ -91,40 +92,40 @@ const check = (stage) =>
 /** @returns {HTMLElement} */
 export const mountVerdict = () => {
   const body = element("div", { class: "part-body" });
-  const staged = element("span", { class: "dim clip" });
+  const stageLabel = element("span", { class: "dim clip" });
   const part = element(
     "section",
     { class: "dock-part verdict-part", "aria-label": "Verdict" },
-    element("div", { class: "part-head" }, element("h2", {}, "Verdict"), staged),
+    element("div", { class: "part-head" }, element("h2", {}, "Verdict"), stageLabel),
     body,
   );
   let drawn = "";
   const show = () => {
     const stage = store.stageOf();
     const judged = store.judgedOf();
-    // a pose that was verified needs no method of the thesis any more
-    const told = { losses: judged?.losses ?? [], cautions: stage?.evidence === "image" ? [] : judged?.cautions ?? [] };
+    // for a verified pose the limits of the thesis's methods do not matter
+    const limits = { losses: judged?.losses ?? [], cautions: stage?.evidence === "image" ? [] : judged?.cautions ?? [] };
     const [scan, photo] = [store.get("scan"), store.photo()];
-    const next = stage || !store.picksOf().length ? "" : nextThing({ scan, photo, picks: store.picksOf(), poses: store.posesOf() });
-    const text = JSON.stringify([stage, told, next]);
+    const next = stage || !store.picksOf().length ? "" : nextAction({ scan, photo, picks: store.picksOf(), poses: store.posesOf() });
+    const text = JSON.stringify([stage, limits, next]);
     if (text === drawn) return;
     drawn = text;
-    put(staged, stage ? stage.label : "");
+    setChildren(stageLabel, stage ? stage.label : "");
     if (!stage) {
-      put(body, element("p", { class: "empty" }, EMPTY, element("strong", {}, next)), ...warnings(told));
+      setChildren(body, element("p", { class: "empty" }, EMPTY, element("strong", {}, next)), ...warnings(limits));
       return;
     }
     const findings = (stage.findings ?? []).toSorted(
       (a, b) => WORST_FIRST.indexOf(a.level) - WORST_FIRST.indexOf(b.level),
     );
-    put(
+    setChildren(
       body,
       head(stage),
       stage.note ? element("p", { class: "dim" }, stage.note) : null,
       stage.parameters?.length ? six(stage.parameters) : null,
       stage.uncertainty ? element("p", { class: "dim" }, stage.uncertainty) : null,
       element("ul", { class: "findings" }, ...advices(stage), check(stage), ...findings.map(finding)),
-      ...warnings(told),
+      ...warnings(limits),
     );
   };
   store.watch(["poses:*", "judged:*", "shown", "scan", "photos", "picks:*"], show);
@@ -140,15 +141,15 @@ const warning = (word) => (sentence) =>
     element("span", {}, sentence),
   );
 
-/** What was left out of the matches, and what hurts the thesis's own methods on them (thesis 3.4), before it does. */
+/** Warnings: excluded matches, and limits of the thesis's methods with these matches (thesis 3.4). */
 const warnings = ({ losses, cautions }) =>
   losses.length + cautions.length
     ? [
         element(
           "ul",
           { class: "findings" },
-          ...losses.map(warning("Left out")),
-          ...cautions.map(warning("Thesis's methods")),
+          ...losses.map(warning("Excluded")),
+          ...cautions.map(warning("Thesis methods")),
         ),
       ]
     : [];

@@ -1,4 +1,6 @@
-/** The overlays' colours, from the page's tokens. They lie on pictures, so that their halo is dark in either theme. */
+/**
+ * Colours and sizes of what is drawn over the pictures. The halo is dark in both themes, since it lies on a picture.
+ */
 
 const MATCH_COLOURS = 6;
 
@@ -6,7 +8,7 @@ const ROOT_PX = 13;
 
 /**
  * @returns {{matches: string[], ink: string, dim: string, warn: string, halo: string, font: string, scale: number}}
- *   `scale`: of strokes and signs; the page's sizes grow with very large screens, and theirs with them
+ *   `scale` multiplies strokes and symbols: they grow with the page's font size on very large screens
  */
 export const readLook = () => {
   const tokens = getComputedStyle(document.documentElement);
@@ -23,5 +25,5 @@ export const readLook = () => {
   };
 };
 
-/** @returns {string} the colour of a match by its number, from 1 */
+/** @returns {string} the colour of a match; numbers start at 1 */
 export const colourOf = (look, number) => look.matches[(number - 1) % MATCH_COLOURS];

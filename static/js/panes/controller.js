@@ -1,42 +1,42 @@
-/** What the parts of the two panes share: the sides, the panes, what is being drawn and moved, and who is told. */
+/** The state that the parts of the two image panes share, and the edits that they send to the workbench. */
 
-import { Edits } from "./pending_moves.js";
-import { hintOf } from "./hints.js";
 import { readLook } from "./colors.js";
 import { marksOf } from "./marks.js";
+import { hintOf } from "./notes.js";
+import { PendingMoves } from "./pending_moves.js";
 import { other, Picking } from "./picking.js";
 import { PhotoSide, ScanSide } from "./sides.js";
 import { Snapping } from "./snapping.js";
 import { centredOn } from "./viewport.js";
 
-/** A pair that was sent stays drawn until the workbench shows it. */
-const SENT_LINGERS_MS = 2000;
-const MARKED_MS = 6000;
+/** A pair that was sent stays drawn until its slice arrives, this long at most. */
+const SENT_SHOWN_MS = 2000;
+const MARK_SHOWN_MS = 6000;
 
-/** The desk on which both pictures lie. */
-export class Desk {
+/** Controller of the two image panes. */
+export class Controller {
   /** @type {Record<"scan" | "photo", import("./pane.js").Pane>} */
   panes = {};
   picking = new Picking();
-  /** @type {"scan" | "photo"} the pane that was used last */
+  /** @type {"scan" | "photo"} the pane used last */
   active = "scan";
-  /** @type {(import("./picking.js").Pair & {id: string | null})[]} pairs on their way */
+  /** @type {(import("./picking.js").Pair & {id: string | null})[]} pairs sent but not yet shown by the workbench */
   sent = [];
-  /** @type {{side: "scan" | "photo", uv: number[], moved: boolean} | null} the keyboard's crosshair */
+  /** @type {{side: "scan" | "photo", uv: number[], moved: boolean} | null} the keyboard crosshair */
   cursor = null;
   /** @type {{open: import("./picking.js").Drawn, samples: [number[], boolean][]} | null} samples of the open line */
   openSamples = null;
-  /** @type {{side: "scan" | "photo", id: string, index: number} | null} the end that keys are moving */
+  /** @type {{side: "scan" | "photo", id: string, index: number} | null} the end being moved by keys */
   nudged = null;
-  /** Called when a corner near the pointer is told, or that there is none. */
+  /** Called when the answer to a snap question has arrived. */
   onSnapped = () => {};
-  /** Called after each stroke. */
-  onTaken = () => {};
-  /** Whether Alt is held. */
+  /** Called after each change of what is being drawn. */
+  onPickingChanged = () => {};
+  /** Alt is held, which inverts snapping. */
   inverted = false;
   #marks = {};
   #marked = new Map();
-  #fading = 0;
+  #markTimer = 0;
   #corners = {};
 
   constructor({ store, view, ask }) {
@@ -46,8 +46,8 @@ export class Desk {
     this.view = view;
     this.ask = ask;
     this.sides = { scan: new ScanSide(store, view), photo: new PhotoSide(store, view) };
-    this.edits = new Edits(
-      (id, side, ends) => this.#tellEnds(id, side, ends),
+    this.pendingMoves = new PendingMoves(
+      (id, side, ends) => this.#sendEnds(id, side, ends),
       () => this.changed(),
     );
     this.snapping = new Snapping(
@@ -60,41 +60,55 @@ export class Desk {
     );
   }
 
-  async #tellEnds(id, side, ends) {
+  async #sendEnds(id, side, ends) {
     try {
       await this.ask("set_pick", { photo: this.store.shown(), pick: id, [side === "scan" ? "scan" : "photo_uv"]: ends });
     } catch (error) {
-      this.say(error);
+      this.report(error);
       throw error;
     }
   }
 
-  /** Tell the operator what was refused. */
-  say(error) {
+  /**
+   * Send an edit of the shown photograph; a refusal is reported.
+   * @returns {Promise<any>} the answer, or null if it was refused
+   */
+  async edit(what, args) {
+    try {
+      return await this.ask(what, { photo: this.store.shown(), ...args });
+    } catch (error) {
+      this.report(error);
+      return null;
+    }
+  }
+
+  /** Show an error as a notice. */
+  report(error) {
     this.store.take({ event: "notice", level: "bad", text: error.message });
   }
 
-  /** The matches have changed: work them out again, and draw. */
+  /** Recompute the marks and redraw, after the matches or views have changed. */
   changed() {
     this.#marks = {};
     this.#corners = {};
     this.redraw("matches", "live");
   }
 
+  /** Redraw layers of both panes. */
   redraw(...layers) {
     for (const pane of Object.values(this.panes)) pane.invalidate(...layers);
   }
 
-  /** @returns {import("./marks.js").Mark[]} of the shown photograph's matches */
+  /** @returns {import("./marks.js").Mark[]} marks of the shown photograph's matches */
   marks(side) {
     const { store } = this;
     this.#marks[side] ??= this.sides[side].extent
-      ? marksOf(side, store.picksOf(), store.judgedOf(), this.sides[side].lens, (pick) => this.edits.endsOf(pick, side))
+      ? marksOf(side, store.picksOf(), store.judgedOf(), this.sides[side].lens, (pick) => this.pendingMoves.endsOf(pick, side))
       : [];
     return this.#marks[side];
   }
 
-  /** @returns {number[][]} corners that were found, in pixels */
+  /** @returns {number[][]} detected corners, in pixels */
   corners(side) {
     this.#corners[side] ??= (this.store.get(`corners:${this.store.shown()}`)?.[side] ?? [])
       .map((world) => this.sides[side].toPixel(world))
@@ -102,7 +116,7 @@ export class Desk {
     return this.#corners[side];
   }
 
-  /** @returns {boolean} */
+  /** @returns {boolean} whether detected corners are shown */
   get showsCorners() {
     return this.view.get().corners !== false;
   }
@@ -112,7 +126,7 @@ export class Desk {
     return this.store.picksOf().find((pick) => pick.id === id) ?? null;
   }
 
-  /** @returns {boolean} whether ends go to corners now */
+  /** @returns {boolean} whether ends snap to corners now */
   get snaps() {
     return this.view.get().snap !== this.inverted;
   }
@@ -122,7 +136,7 @@ export class Desk {
     return this.store.stageOf() !== null;
   }
 
-  /** Select, by id; the end by its index, on the side that was used last. */
+  /** Select matches by id, and optionally an end by its index, on the side used last. */
   select(ids, index = null) {
     this.view.set({ selected: new Set(ids), end: index === null ? null : { side: this.active, index } });
   }
@@ -133,71 +147,72 @@ export class Desk {
     return selected.size === 1 ? [...selected][0] : null;
   }
 
-  /** @returns {import("./picking.js").Place} */
-  placeAt(side, uv, time_ms = performance.now()) {
+  /** @returns {import("./picking.js").PickPosition} */
+  positionAt(side, uv, time_ms = performance.now()) {
     return { world: this.sides[side].toWorld(uv), uv, zoom: this.panes[side].viewport.zoom, time_ms };
   }
 
-  /** Put the keyboard's crosshair on a pixel; a line being drawn follows it. */
+  /** Move the keyboard crosshair to a pixel; a line being drawn follows it. */
   moveCursor(side, uv) {
     const pane = this.panes[side];
     this.cursor = { side, uv, moved: true };
-    this.picking.move(side, this.placeAt(side, uv));
+    this.picking.move(side, this.positionAt(side, uv));
     if (pane.screenOf(uv).some((at, axis) => at < 0 || at > pane.size[axis])) pane.place(centredOn(uv, pane.viewport.zoom, pane.size), "hand");
     this.redraw("live");
   }
 
-  /** @returns {boolean} whether the keyboard's crosshair is to be seen in a pane */
+  /** @returns {boolean} whether the keyboard crosshair is shown in a pane */
   cursorShown(side) {
     return this.cursor?.side === side && document.activeElement === this.panes[side].body;
   }
 
-  /** Point at a place for some seconds. */
+  /** Mark a pixel for some seconds. */
   mark(side, uv) {
     this.#marked.set(side, uv);
-    clearTimeout(this.#fading);
-    this.#fading = setTimeout(() => {
+    clearTimeout(this.#markTimer);
+    this.#markTimer = setTimeout(() => {
       this.#marked.clear();
       this.redraw("live");
-    }, MARKED_MS);
+    }, MARK_SHOWN_MS);
     this.redraw("live");
   }
 
-  /** @returns {number[] | undefined} the pixel that is pointed at */
+  /** @returns {number[] | undefined} the marked pixel */
   marked(side) {
     return this.#marked.get(side);
   }
 
-  /** What comes of a stroke: a first side waits for its partner, a pair goes to the workbench. */
-  took(outcome) {
+  /** Handle the outcome of a stroke: a complete pair is sent, a first side gets its samples and prediction. */
+  handle(outcome) {
     if (outcome === "open") this.#opened();
     else if (typeof outcome === "object" && outcome) this.#send(outcome);
     this.hint();
-    this.onTaken();
+    this.onPickingChanged();
     this.redraw("live");
   }
 
+  /** Update the hint in the status bar. */
   hint() {
-    const pictured = Boolean(this.sides.scan.extent && this.sides.photo.extent);
-    const hint = pictured ? hintOf(this.picking, this.view.get().tool) : null;
+    const ready = Boolean(this.sides.scan.extent && this.sides.photo.extent);
+    const hint = ready ? hintOf(this.picking, this.view.get().tool) : null;
     if (hint !== this.view.get().hint) this.view.set({ hint });
   }
 
-  /** Abandon what is begun. @returns {boolean} whether there was something */
+  /** Discard what is being drawn. @returns {boolean} whether there was anything */
   abandon() {
     const any = this.picking.abandon();
-    if (any) this.took("nothing");
+    if (any) this.handle("nothing");
     return any;
   }
 
   /** Accept the predicted partner. @returns {boolean} whether there was one */
   accept() {
     const pair = this.picking.accept();
-    if (pair) this.took(pair);
+    if (pair) this.handle(pair);
     return pair !== null;
   }
 
-  /** Ask what is known of a line as soon as it is drawn: its samples, and the partner that the pose predicts. */
+  /** Request the samples of a new first side, and the partner that the pose predicts for it. */
   #opened() {
     const { open } = this.picking;
     this.openSamples = null;
@@ -210,7 +225,7 @@ export class Desk {
       const { scan_samples: samples } = await this.ask("sample_line", { scan: open.ends });
       this.openSamples = { open, samples };
     } catch {
-      return; // they are shown again with the finished match
+      return; // the finished match shows its samples, too
     }
     this.redraw("live");
   }
@@ -223,33 +238,33 @@ export class Desk {
     } catch {
       return; // without a prediction the partner is drawn by hand
     }
-    this.took("nothing");
+    this.handle("nothing");
   }
 
   async #send(pair) {
     const first = this.active === "scan" ? "photo" : "scan";
     const entry = { ...pair, id: null };
     this.sent.push(entry);
-    const gone = () => {
-      this.sent = this.sent.filter((other) => other !== entry);
+    const forget = () => {
+      this.sent = this.sent.filter((each) => each !== entry);
       this.redraw("live");
     };
     try {
       const { pick } = await this.ask("add_pick", { photo: this.store.shown(), kind: pair.kind, scan: pair.scan, photo_uv: pair.photo });
       entry.id = typeof pick === "object" && pick ? pick.id : pick;
       if (this.picking.idle) this.select([entry.id], pair[this.active].length - 1);
-      this.arrived();
-      setTimeout(gone, SENT_LINGERS_MS);
+      this.forgetArrived();
+      setTimeout(forget, SENT_SHOWN_MS);
     } catch (error) {
-      gone();
-      this.say(error);
+      forget();
+      this.report(error);
       this.picking.reopen({ side: first, kind: pair.kind, ends: pair[first] });
-      this.took("nothing");
+      this.handle("nothing");
     }
   }
 
-  /** Pairs that the workbench shows need not be drawn here any longer. */
-  arrived() {
+  /** Forget sent pairs that the workbench shows by now. */
+  forgetArrived() {
     this.sent = this.sent.filter(({ id }) => id === null || !this.pick(id));
   }
 }

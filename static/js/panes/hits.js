@@ -1,13 +1,15 @@
-/** What is under the pointer: ends before lines, the nearest first, and what is selected before the rest. */
+/** Hit tests: ends before lines, selected matches before others, the nearest first. */
 
 import { toScreen } from "./viewport.js";
 
-/** @typedef {{id: string, index: number | null, distance: number}} Hit `index` of the end; null: the line between */
+/**
+ * @typedef {{id: string, index: number | null, distance: number}} Hit `index` of the end; null for the line between
+ */
 
 export const END_PX = 9;
 export const LINE_PX = 6;
 
-/** @returns {number} distance of a point from the segment between a and b */
+/** @returns {number} distance of a point from the segment ab */
 export const distanceToSegment = (p, a, b) => {
   const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
   const squared = dx * dx + dy * dy;
@@ -18,11 +20,12 @@ export const distanceToSegment = (p, a, b) => {
 const nearer = (best, hit) => (!best || hit.distance < best.distance ? hit : best);
 
 /**
+ * Find the match under the pointer.
  * @param {import("./marks.js").Mark[]} marks
  * @param {import("./viewport.js").Viewport} viewport
  * @param {readonly number[]} xy CSS pixels of the pane
  * @param {ReadonlySet<string>} selected
- * @param {number} scale of signs
+ * @param {number} scale of symbols
  * @returns {Hit | null}
  */
 export const hitAt = (marks, viewport, xy, selected = new Set(), scale = 1) => {

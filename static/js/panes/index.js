@@ -1,109 +1,105 @@
-/** The two image panes: scan and photograph side by side, and the drawing of matches in them. */
+/** The two image panes: scan and photograph side by side, with the matches drawn in them. */
 
-import { Desk } from "./controller.js";
+import { throttled } from "../ui/throttle.js";
+import { mountSwipe } from "./compare.js";
+import { Controller } from "./controller.js";
+import { mountPhotoHead, mountScanHead } from "./heads.js";
 import { listenToKeys } from "./keyboard.js";
 import { linkPanes } from "./linked_views.js";
-import { onePane } from "./pane_setup.js";
-import { mountPhotoHead } from "./photo_head.js";
+import { mountPane } from "./pane_setup.js";
 import { readoutOf } from "./readout.js";
 import { listenToReveals } from "./reveal.js";
-import { Running } from "./simplex_preview.js";
-import { mountScanHead } from "./scan_head.js";
-import { Strokes } from "./tools.js";
-import { mountSwipe } from "./swipe.js";
+import { SimplexPreview } from "./simplex_preview.js";
+import { Tools } from "./tools.js";
 
 const SIDES = ["scan", "photo"];
-const PICTURES_APART_MS = 180;
+const PICTURE_INTERVAL_MS = 180;
 
 /**
- * Fill the two image panes.
+ * Mount the two image panes.
  * @param {{scanHead: HTMLElement, scanBody: HTMLElement, photoHead: HTMLElement, photoBody: HTMLElement,
  *          store: import("../net/store.js").Store, view: any, ask: (what: string, args?: any) => Promise<any>}} page
  */
 export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, view, ask }) => {
-  const desk = new Desk({ store, view, ask });
-  const strokes = new Strokes(desk);
+  const controller = new Controller({ store, view, ask });
+  const tools = new Tools(controller);
   const space = { held: false, used: false };
-  const running = new Running(store, (began) => {
-    desk.panes.photo?.invalidate("live");
-    if (began) desk.panes.photo?.invalidate("matches");
+  const preview = new SimplexPreview(store, (began) => {
+    controller.panes.photo?.invalidate("live");
+    if (began) controller.panes.photo?.invalidate("matches");
   });
-  const shared = { desk, strokes, running, space, readout: readoutOf(desk) };
+  const shared = { controller, tools, preview, space, readout: readoutOf(controller) };
   const bodies = { scan: scanBody, photo: photoBody };
-  const built = Object.fromEntries(SIDES.map((side) => [side, onePane(bodies[side], side, shared)]));
+  const built = Object.fromEntries(SIDES.map((side) => [side, mountPane(bodies[side], side, shared)]));
   const controlsOf = (head) => head.querySelector(".pane-controls") ?? head;
-  mountScanHead(controlsOf(scanHead), desk);
-  mountPhotoHead(controlsOf(photoHead), desk);
-  mountSwipe(desk);
-  linkPanes(desk);
-  listenToKeys(desk, strokes, space);
-  listenToReveals(desk);
+  mountScanHead(controlsOf(scanHead), controller);
+  mountPhotoHead(controlsOf(photoHead), controller);
+  mountSwipe(controller);
+  linkPanes(controller);
+  listenToKeys(controller, tools, space);
+  listenToReveals(controller);
 
-  const notesShown = () => SIDES.forEach((side) => built[side].notes.show());
-  desk.onTaken = notesShown;
+  const showNotes = () => SIDES.forEach((side) => built[side].notes.show());
+  controller.onPickingChanged = showNotes;
 
-  /** Ask for what is to be shown now; of pictures that a slider asks for, a few a second. */
-  let timer = 0;
-  const askForPictures = () => {
-    timer = 0;
-    for (const side of SIDES) built[side].slots.picture.show(desk.sides[side].address, desk.sides[side].pictured);
-    built.photo.slots.compare.show(desk.sides.photo.overlayAddress);
+  const loadPictures = () => {
+    for (const side of SIDES) built[side].slots.picture.show(controller.sides[side].address, controller.sides[side].subject);
+    built.photo.slots.compare.show(controller.sides.photo.overlayAddress);
   };
-  const picturesSoon = () => {
-    timer ||= setTimeout(askForPictures, PICTURES_APART_MS);
-  };
+  /** While a slider moves, a few pictures a second are enough. */
+  const loadPicturesSoon = throttled(loadPictures, PICTURE_INTERVAL_MS);
 
-  const things = {};
-  const takeSlices = () => {
+  const shownIds = {};
+  const showSlices = () => {
     for (const side of SIDES) {
-      const { thing, extent } = desk.sides[side];
-      if (thing !== things[side]) {
-        desk.picking.forget(side);
-        desk.cursor = null;
+      const { id, extent } = controller.sides[side];
+      if (id !== shownIds[side]) {
+        controller.picking.forget(side);
+        controller.cursor = null;
       }
-      desk.panes[side].setExtent(extent);
-      things[side] = thing;
+      controller.panes[side].setExtent(extent);
+      shownIds[side] = id;
     }
-    askForPictures();
-    desk.changed();
-    desk.hint();
-    notesShown();
+    loadPictures();
+    controller.changed();
+    controller.hint();
+    showNotes();
   };
-  store.watch(["scan", "photos", "shown", "poses:*"], takeSlices);
+  store.watch(["scan", "photos", "shown", "poses:*"], showSlices);
   store.watch(["picks:*", "judged:*", "corners:*"], () => {
-    desk.arrived();
-    desk.changed();
+    controller.forgetArrived();
+    controller.changed();
   });
 
-  const filters = (state) => {
+  const applyFilters = (state) => {
     for (const side of SIDES) {
       bodies[side].style.setProperty("--lr-brightness", state[side].brightness);
       bodies[side].style.setProperty("--lr-contrast", state[side].contrast);
-      // A filter that changes nothing would still be worked out for every frame.
+      // a filter without effect would still be computed for every frame
       bodies[side].classList.toggle("lit", state[side].brightness !== 1 || state[side].contrast !== 1);
     }
   };
-  let shownView = desk.sides.scan.index;
+  let shownView = controller.sides.scan.index;
   view.on((state, changed) => {
-    if (changed.has("scan") || changed.has("photo")) filters(state);
+    if (changed.has("scan") || changed.has("photo")) applyFilters(state);
     if (changed.has("scan")) {
-      if (desk.sides.scan.index !== shownView) {
-        desk.picking.dropStroke("scan");
-        takeSlices();
-      } else picturesSoon();
-      shownView = desk.sides.scan.index;
+      if (controller.sides.scan.index !== shownView) {
+        controller.picking.dropStroke("scan");
+        showSlices();
+      } else loadPicturesSoon();
+      shownView = controller.sides.scan.index;
     }
     if (changed.has("photo")) {
-      picturesSoon();
-      desk.panes.photo.invalidate("compare");
+      loadPicturesSoon();
+      controller.panes.photo.invalidate("compare");
     }
     if (changed.has("tool")) {
-      if (desk.picking.drawing) desk.picking.abandon();
-      desk.took("nothing");
+      if (controller.picking.drawing) controller.picking.abandon();
+      controller.handle("nothing");
     }
-    if (["hovered", "selected", "end", "loupe", "snap"].some((name) => changed.has(name))) desk.redraw("live");
-    if (changed.has("corners")) desk.redraw("matches");
+    if (["hovered", "selected", "end", "loupe", "snap"].some((name) => changed.has(name))) controller.redraw("live");
+    if (changed.has("corners")) controller.redraw("matches");
   });
-  filters(view.get());
-  takeSlices();
+  applyFilters(view.get());
+  showSlices();
 };

@@ -1,45 +1,145 @@
-/** Keys of the two panes: tools, zoom, moving ends, walking through matches, and drawing without a mouse. */
+/** Keys of the two image panes: tools, zoom, moving ends, stepping through matches, and drawing without a mouse. */
 
 import { isTyping } from "../ui/dom.js";
-import { movesOf } from "./key_moves.js";
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const TOOLS = { l: "line", p: "point", v: "select", s: "select" };
 const NUDGE_PX = 0.1;
 const ZOOM_STEP = 1.25;
 
-const MOVED_IN = "[role=grid], [role=listbox], [role=slider], [role=separator], [role=tablist], [role=menu], table, canvas[tabindex], input";
-const PRESSED = "button, a, summary, label";
-const PRESSES = new Set(["Enter", " ", "Tab"]);
+const USES_KEYS = "[role=grid], [role=listbox], [role=slider], [role=separator], [role=tablist], [role=menu], table, canvas[tabindex], input";
+const PRESSABLE = "button, a, summary, label";
+const PRESS_KEYS = new Set(["Enter", " ", "Tab"]);
 
+/** Keys that work even where a control uses other keys itself. */
 const EVERYWHERE = new Set(["l", "p", "v", "s", "o", "n", "k", "c", "escape"]);
 
-/** @param {import("./controller.js").Desk} desk @param {import("./tools.js").Strokes} strokes @param {{held: boolean, used: boolean}} space */
-export const listenToKeys = (desk, strokes, space) => {
-  const { view } = desk;
-  const pane = () => desk.panes[desk.active];
-  const { nudge, walk, enter, walkMatches, chooseEnd, remove, toggle, turnPage } = movesOf(desk);
-  let freed = false; // after Esc, Tab leaves the pictures
+/**
+ * What keys do to matches and to the crosshair; most return whether there was anything to do.
+ * @param {import("./controller.js").Controller} controller
+ */
+const actionsOf = (controller) => {
+  const { view } = controller;
+  const pane = () => controller.panes[controller.active];
+
+  /** Move the selected end, or all ends if none is selected. */
+  const nudge = (by) => {
+    const pick = controller.chosen && controller.pick(controller.chosen);
+    if (!pick) return false;
+    const end = view.get().end;
+    const side = controller.sides[end?.side ?? controller.active];
+    const ends = controller.pendingMoves.endsOf(pick, side.name).map((world, index) => {
+      if (end && end.index !== index) return world;
+      const uv = side.toPixel(world);
+      return uv && side.toWorld([uv[0] + by[0], uv[1] + by[1]]);
+    });
+    if (ends.every(Boolean)) {
+      controller.nudged = { side: side.name, id: pick.id, index: end?.index ?? 0 };
+      controller.pendingMoves.commit(pick.id, side.name, ends);
+    }
+    return true;
+  };
+
+  /** Move the crosshair that replaces the pointer. */
+  const moveCrosshair = (by) => {
+    const { active } = controller;
+    if (!pane().extent) return false;
+    const start = controller.cursor?.side === active ? controller.cursor.uv : pane().pixelAt(pane().size.map((length) => length / 2));
+    const uv = pane().pixelAt(pane().screenOf([start[0] + by[0], start[1] + by[1]]));
+    controller.moveCursor(active, uv);
+    return true;
+  };
+
+  /** Accept the predicted partner; if the crosshair was moved since it appeared, set an end there instead. */
+  const enter = () => {
+    const { picking } = controller;
+    const { cursor } = controller;
+    if (picking.acceptable && !picking.drawing && !cursor?.moved) return controller.accept();
+    const { tool } = view.get();
+    if (!cursor || cursor.side !== controller.active || tool === "select") return false;
+    controller.handle(picking.set(cursor.side, tool, controller.positionAt(cursor.side, cursor.uv)));
+    cursor.moved = false;
+    if (picking.missingSide && !picking.drawing && picking.missingSide !== controller.active) controller.panes[picking.missingSide].body.focus();
+    return true;
+  };
+
+  const stepMatch = (step) => {
+    const picks = controller.store.picksOf();
+    const at = picks.findIndex(({ id }) => id === controller.chosen);
+    if (picks.length === 0) return false;
+    const next = at < 0 ? (step > 0 ? 0 : picks.length - 1) : at + step;
+    if (next < 0 || next >= picks.length) {
+      controller.select([]);
+      return false; // past the last match, Tab moves the focus as usual
+    }
+    controller.select([picks[next].id], 0);
+    view.set({ reveal: picks[next].id });
+    return true;
+  };
+
+  const chooseEnd = (step) => {
+    const pick = controller.chosen && controller.pick(controller.chosen);
+    if (!pick) return false;
+    const count = pick[controller.active].length;
+    const at = view.get().end?.index ?? (step > 0 ? -1 : count);
+    view.set({ end: { side: controller.active, index: (at + step + count) % count } });
+    return true;
+  };
+
+  const remove = () => {
+    const picks = [...view.get().selected].filter((id) => controller.pick(id));
+    if (picks.length === 0) return false;
+    controller.select([]);
+    controller.edit("remove_picks", { picks });
+    return true;
+  };
+
+  const toggle = () => {
+    const picks = [...view.get().selected].map((id) => controller.pick(id)).filter(Boolean);
+    if (picks.length > 0) controller.edit("switch_picks", { picks: picks.map(({ id }) => id), on: !picks.every(({ on }) => on) });
+  };
+
+  const changeView = (step) => {
+    const views = controller.sides.scan.scan?.views ?? [];
+    if (views.length < 2) return false;
+    view.set({ scan: { view: (controller.sides.scan.index + step + views.length) % views.length } });
+    return true;
+  };
+
+  return { nudge, moveCrosshair, enter, stepMatch, chooseEnd, remove, toggle, changeView };
+};
+
+/**
+ * Listen to the keyboard.
+ * @param {import("./controller.js").Controller} controller
+ * @param {import("./tools.js").Tools} tools
+ * @param {{held: boolean, used: boolean}} space whether the space bar is held, and has panned meanwhile
+ */
+export const listenToKeys = (controller, tools, space) => {
+  const { view } = controller;
+  const pane = () => controller.panes[controller.active];
+  const { nudge, moveCrosshair, enter, stepMatch, chooseEnd, remove, toggle, changeView } = actionsOf(controller);
+  let freed = false; // after Esc, Tab leaves the panes
 
   const arrow = (event) => {
     const [dx, dy] = ARROWS[event.key];
-    const drawn = desk.picking.idle && view.get().selected.size > 0;
-    if (drawn) return nudge([dx, dy].map((step) => step * (event.shiftKey ? 1 : NUDGE_PX)));
+    const nudges = controller.picking.idle && view.get().selected.size > 0;
+    if (nudges) return nudge([dx, dy].map((step) => step * (event.shiftKey ? 1 : NUDGE_PX)));
     const step = event.shiftKey ? 10 : event.ctrlKey || event.metaKey ? 0.1 : 1;
-    return walk([dx * step, dy * step]);
+    return moveCrosshair([dx * step, dy * step]);
   };
 
   const escape = () => {
-    if (strokes.abandon() || desk.abandon()) return true;
+    if (tools.abandon() || controller.abandon()) return true;
     freed = true;
     if (view.get().selected.size === 0) return false;
-    desk.select([]);
+    controller.select([]);
     return true;
   };
 
   const zoom = (factor) => {
-    const { pointer } = strokes;
-    pane().zoomTo(pane().viewport.zoom * factor, "hand", pointer?.side === desk.active ? pointer.xy : undefined);
+    const { pointer } = tools;
+    pane().zoomTo(pane().viewport.zoom * factor, "hand", pointer?.side === controller.active ? pointer.xy : undefined);
     return true;
   };
 
@@ -52,29 +152,29 @@ export const listenToKeys = (desk, strokes, space) => {
     o: () => (view.set({ loupe: !view.get().loupe }), true),
     c: () => (view.set({ corners: view.get().corners === false }), true),
     n: () => (view.set({ snap: !view.get().snap }), true),
-    k: () => (desk.posed ? (view.set({ linked: !view.get().linked }), true) : false),
+    k: () => (controller.posed ? (view.set({ linked: !view.get().linked }), true) : false),
     "[": () => chooseEnd(-1),
     "]": () => chooseEnd(1),
     Delete: remove,
     Backspace: remove,
-    PageUp: () => turnPage(-1),
-    PageDown: () => turnPage(1),
+    PageUp: () => changeView(-1),
+    PageDown: () => changeView(1),
     Escape: escape,
     Enter: enter,
   };
 
-  const inPane = (target) => Object.values(desk.panes).some(({ body }) => body === target);
+  const inPane = (target) => Object.values(controller.panes).some(({ body }) => body === target);
 
-  /** @returns {boolean} whether the key was ours */
+  /** @returns {boolean} whether the key was handled */
   const handle = (event) => {
     const { key } = event;
     const focused = inPane(event.target);
     const command = event.ctrlKey || event.metaKey;
-    if (key === "Tab") return focused && !freed && !command && !event.altKey && walkMatches(event.shiftKey ? -1 : 1);
+    if (key === "Tab") return focused && !freed && !command && !event.altKey && stepMatch(event.shiftKey ? -1 : 1);
     freed = freed && focused && key === "Shift";
     if (ARROWS[key] && !event.altKey) return arrow(event);
     if (command && key.toLowerCase() === "a") {
-      desk.select(desk.store.picksOf().map(({ id }) => id));
+      controller.select(controller.store.picksOf().map(({ id }) => id));
       return true;
     }
     if (command || event.altKey) return false;
@@ -90,43 +190,43 @@ export const listenToKeys = (desk, strokes, space) => {
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented || isTyping(event.target)) return;
     if (document.querySelector("dialog:modal, :popover-open")) return;
-    // Other controls keep the keys that they use themselves.
-    if (event.target.closest?.(MOVED_IN) && !EVERYWHERE.has(event.key.toLowerCase())) return;
-    if (event.target.closest?.(PRESSED) && PRESSES.has(event.key)) return;
+    // other controls keep the keys that they use themselves
+    if (event.target.closest?.(USES_KEYS) && !EVERYWHERE.has(event.key.toLowerCase())) return;
+    if (event.target.closest?.(PRESSABLE) && PRESS_KEYS.has(event.key)) return;
     if (event.key === "Alt") setInverted(true);
     if (event.key === " ") {
       event.preventDefault();
       if (!event.repeat) Object.assign(space, { held: true, used: false });
-      for (const { body } of Object.values(desk.panes)) body.classList.add("pannable");
+      for (const { body } of Object.values(controller.panes)) body.classList.add("pannable");
       return;
     }
     if (handle(event)) event.preventDefault();
   });
 
   const setInverted = (inverted) => {
-    desk.inverted = inverted;
-    desk.redraw("live");
+    controller.inverted = inverted;
+    controller.redraw("live");
   };
 
-  const release = (acted) => {
+  const releaseSpace = (acted) => {
     if (space.held && !space.used && acted) toggle();
     space.held = false;
-    for (const { body } of Object.values(desk.panes)) body.classList.remove("pannable");
+    for (const { body } of Object.values(controller.panes)) body.classList.remove("pannable");
   };
   document.addEventListener("keyup", (event) => {
-    if (event.key === " ") release(true);
+    if (event.key === " ") releaseSpace(true);
     if (event.key === "Alt") setInverted(false);
   });
   window.addEventListener("blur", () => {
-    release(false);
+    releaseSpace(false);
     setInverted(false);
   });
 
-  for (const { body, side } of Object.values(desk.panes)) {
+  for (const { body, side } of Object.values(controller.panes)) {
     body.addEventListener("focus", () => {
-      desk.active = side;
-      desk.redraw("live");
+      controller.active = side;
+      controller.redraw("live");
     });
-    body.addEventListener("blur", () => desk.redraw("live"));
+    body.addEventListener("blur", () => controller.redraw("live"));
   }
 };

@@ -1,75 +1,75 @@
-/** The topmost layer of a pane: strokes under way, crosshairs, and the loupe. */
+/** The top layer of a pane: unfinished strokes, crosshairs and the loupe. */
 
 import { motionAllowed } from "./pane.js";
-import { drawCrosshair, drawSnap } from "./signs.js";
+import { drawCrosshair, drawSnap } from "./symbols.js";
 import { outsideBy, toPixel } from "./viewport.js";
 
-const LOUPE_NEEDED_BELOW = 12;
+const LOUPE_BELOW_ZOOM = 12;
 const MARK_PX = 20;
 
-/** What is drawn anew with each move of the pointer. */
+/** The layer that is redrawn with each move of the pointer. */
 export class LiveLayer {
-  #desk;
+  #controller;
   #pane;
   #painting;
-  #strokes;
+  #tools;
   #loupe;
 
-  /** @param {{desk: any, pane: any, painting: any, strokes: any, loupe: any}} parts */
-  constructor({ desk, pane, painting, strokes, loupe }) {
-    this.#desk = desk;
+  /** @param {{controller: any, pane: any, painting: any, tools: any, loupe: any}} parts */
+  constructor({ controller, pane, painting, tools, loupe }) {
+    this.#controller = controller;
     this.#pane = pane;
     this.#painting = painting;
-    this.#strokes = strokes;
+    this.#tools = tools;
     this.#loupe = loupe;
   }
 
   get #side() {
-    return this.#desk.sides[this.#pane.side];
+    return this.#controller.sides[this.#pane.side];
   }
 
   /** @returns {any} the pointer, if it is in this pane */
   get #pointer() {
-    const { pointer } = this.#strokes;
+    const { pointer } = this.#tools;
     return pointer?.side === this.#pane.side ? pointer : null;
   }
 
-  /** @returns {number[] | null} the corner that an end would go to now */
+  /** @returns {number[] | null} the corner that an end would snap to now */
   #snapped() {
-    const desk = this.#desk;
-    if (!this.#pointer || !desk.snaps || this.#strokes.dragged || desk.view.get().tool === "select") return null;
-    return desk.snapping.near(this.#pane, this.#pointer.uv);
+    const controller = this.#controller;
+    if (!this.#pointer || !controller.snaps || this.#tools.dragged || controller.view.get().tool === "select") return null;
+    return controller.snapping.near(this.#pane, this.#pointer.uv);
   }
 
-  /** @returns {number[] | null} the end that is being moved, by the pointer or by keys */
+  /** @returns {number[] | null} the end being moved, by the pointer or by keys */
   #movedEnd() {
-    const { dragged } = this.#strokes;
-    const moved = dragged ? dragged.moved && dragged.index !== null && dragged : this.#desk.nudged;
+    const { dragged } = this.#tools;
+    const moved = dragged ? dragged.moved && dragged.index !== null && dragged : this.#controller.nudged;
     if (!moved || moved.side !== this.#pane.side) return null;
-    const pick = this.#desk.pick(moved.id);
-    return pick && this.#side.toPixel(this.#desk.edits.endsOf(pick, moved.side)[moved.index]);
+    const pick = this.#controller.pick(moved.id);
+    return pick && this.#side.toPixel(this.#controller.pendingMoves.endsOf(pick, moved.side)[moved.index]);
   }
 
-  /** @returns {number[] | null} the pixel that the loupe shows: an end being placed, or where one would be */
-  #looked() {
-    const desk = this.#desk;
+  /** @returns {number[] | null} the pixel that the loupe shows: the end being placed, or where it would be placed */
+  #loupeCentre() {
+    const controller = this.#controller;
     const pane = this.#pane;
-    const { loupe, tool } = desk.view.get();
+    const { loupe, tool } = controller.view.get();
     const pointer = this.#pointer;
-    const end = pane.viewport.zoom < LOUPE_NEEDED_BELOW ? this.#movedEnd() : null;
+    const end = pane.viewport.zoom < LOUPE_BELOW_ZOOM ? this.#movedEnd() : null;
     if (end) return end;
-    if (desk.nudged) return null;
-    if (!pointer) return !this.#strokes.pointer && desk.cursorShown(pane.side) && loupe ? desk.cursor.uv : null;
-    if (pane.viewport.zoom >= LOUPE_NEEDED_BELOW || outsideBy(toPixel(pane.viewport, pointer.xy), pane.extent) > 0) return null;
-    if (tool === "select" || this.#strokes.dragged || this.#strokes.frame) return null;
-    const { drawing, wanted } = desk.picking;
-    if (!drawing && wanted && wanted !== pane.side) return null;
-    return drawing?.side === pane.side || wanted === pane.side || loupe ? this.#strokes.aim(pane, pointer.uv) : null;
+    if (controller.nudged) return null;
+    if (!pointer) return !this.#tools.pointer && controller.cursorShown(pane.side) && loupe ? controller.cursor.uv : null;
+    if (pane.viewport.zoom >= LOUPE_BELOW_ZOOM || outsideBy(toPixel(pane.viewport, pointer.xy), pane.extent) > 0) return null;
+    if (tool === "select" || this.#tools.dragged || this.#tools.frame) return null;
+    const { drawing, missingSide } = controller.picking;
+    if (!drawing && missingSide && missingSide !== pane.side) return null;
+    return drawing?.side === pane.side || missingSide === pane.side || loupe ? this.#tools.aim(pane, pointer.uv) : null;
   }
 
-  /** @returns {number[] | null} where the line under way began, CSS pixels of the pane */
-  #began() {
-    const { drawing } = this.#desk.picking;
+  /** @returns {number[] | null} first end of the line being drawn, CSS pixels of the pane */
+  #firstEnd() {
+    const { drawing } = this.#controller.picking;
     const from = drawing?.side === this.#pane.side && drawing.kind === "line" && this.#side.toPixel(drawing.from.world);
     return from ? this.#pane.screenOf(from) : null;
   }
@@ -84,13 +84,13 @@ export class LiveLayer {
     }
     const moves = motionAllowed();
     const pulses = this.#painting.live(context, pane.viewport, pane.size, performance.now(), moves);
-    if (this.#desk.cursorShown(pane.side)) drawCrosshair(context, pane.screenOf(this.#desk.cursor.uv), look);
-    const marked = this.#desk.marked(pane.side);
+    if (this.#controller.cursorShown(pane.side)) drawCrosshair(context, pane.screenOf(this.#controller.cursor.uv), look);
+    const marked = this.#controller.marked(pane.side);
     if (marked) drawCrosshair(context, pane.screenOf(marked), look, MARK_PX);
     const snapped = this.#snapped();
     if (snapped) drawSnap(context, pane.screenOf(snapped), look);
-    const looked = this.#looked();
-    if (looked) this.#loupe.show(looked, this.#began(), snapped ? "corner" : "", look.scale);
+    const centre = this.#loupeCentre();
+    if (centre) this.#loupe.show(centre, this.#firstEnd(), snapped ? "corner" : "", look.scale);
     else this.#loupe.hide();
     if (pulses && moves) pane.invalidate("live");
   }

@@ -1,4 +1,4 @@
-/** The loupe: what is under the pointer, pixel by pixel, beside the pointer and never upon what is being placed. */
+/** The loupe: an enlarged view of the pixels under the pointer, placed so that it covers nothing that matters. */
 
 export const RADIUS_PX = 66;
 const TIMES = 5;
@@ -11,11 +11,11 @@ const CAPTION_PX = 24;
 export const loupeZoom = (zoom) => Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, TIMES * zoom));
 
 /**
- * @param {readonly number[]} xy the place that is looked at, CSS pixels of the pane
+ * @param {readonly number[]} xy the enlarged point, CSS pixels of the pane
  * @param {readonly number[]} size of the pane
- * @param {readonly number[] | null} away the other end, which is to stay clear, too
- * @param {number} scale of signs
- * @returns {[number, number]} the loupe's middle: up and to the right, elsewhere near borders
+ * @param {readonly number[] | null} away the other end of the line, which stays clear, too
+ * @param {number} scale of symbols
+ * @returns {[number, number]} centre of the loupe: above right, elsewhere near borders
  */
 export const loupePlace = (xy, size, away = null, scale = 1) => {
   const radius = RADIUS_PX * scale;
@@ -54,14 +54,14 @@ export class Loupe {
     this.#paint = [picture, over];
     this.#box.className = "loupe";
     this.#box.hidden = true;
-    this.#box.setAttribute("aria-hidden", "true"); // the status bar says the same
+    this.#box.setAttribute("aria-hidden", "true"); // the status bar has the same text
     this.#glass.className = "loupe-glass";
     this.#caption.className = "loupe-caption";
     this.#contexts = ["pane-picture", "pane-live"].map((name) => {
       const canvas = document.createElement("canvas");
       canvas.className = name;
       this.#glass.append(canvas);
-      return canvas.getContext("2d", { willReadFrequently: true }); // small, and full of strokes
+      return canvas.getContext("2d", { willReadFrequently: true }); // small, with many strokes
     });
     this.#box.append(this.#glass, this.#caption);
     pane.body.append(this.#box);
@@ -72,10 +72,10 @@ export class Loupe {
   }
 
   /**
-   * @param {readonly number[]} uv the pixel in the middle
+   * @param {readonly number[]} uv the pixel in the centre
    * @param {readonly number[] | null} away the other end, CSS pixels of the pane
-   * @param {string} note said below
-   * @param {number} scale of signs
+   * @param {string} note below the loupe
+   * @param {number} scale of symbols
    */
   show(uv, away, note, scale) {
     const zoom = loupeZoom(this.#pane.viewport.zoom);
@@ -98,7 +98,7 @@ export class Loupe {
     this.#box.hidden = false;
   }
 
-  /** A thin cross that leaves the very middle free. */
+  /** Draw a thin cross that leaves the centre free. */
   #cross(context, radius, scale) {
     const path = new Path2D();
     for (const [dx, dy] of [[-1, 0], [1, 0], [0, -1], [0, 1]]) {

@@ -1,28 +1,28 @@
-/** What is to be drawn of each match in one pane, in pixels of its picture: worked out once a change, not once a frame. */
+/** Marks: the matches in image pixels of one pane. They are computed once a change, not once a frame. */
 
 import { pixelOf, segmentOf } from "./projection.js";
 
 /**
- * @typedef {"on" | "off" | "rejected"} MarkState
+ * @typedef {"enabled" | "disabled" | "outlier"} MarkState
  * @typedef {object} Mark
  * @property {string} id
  * @property {number} number
  * @property {"line" | "point"} kind
  * @property {MarkState} state
- * @property {(number[] | null)[]} ends pixels; null where not in front of this view
- * @property {number[][] | null} line the two pixels between which it is drawn
+ * @property {(number[] | null)[]} ends pixels; null if not in front of this view
+ * @property {number[][] | null} line the two pixels between which the line is drawn
  * @property {{uv: number[], has_range: boolean}[]} samples of a line, in the scan's pane
- * @property {(number[] | null)[]} predicted where the pose puts its ends, in the photograph's pane
+ * @property {(number[] | null)[]} predicted its ends under the shown pose, in the photograph's pane
  */
 
 const stateOf = (pick, judged) => {
-  if (!pick.on) return "off";
-  return judged?.by_pick?.[pick.id]?.inlier === false ? "rejected" : "on";
+  if (!pick.on) return "disabled";
+  return judged?.by_pick?.[pick.id]?.inlier === false ? "outlier" : "enabled";
 };
 
 /**
  * @param {number[][]} ends rays or pixels
- * @param {import("./projection.js").ScanView | null} lens the scan's view; null for pixels of the photograph
+ * @param {import("./projection.js").ScanView | null} lens the view of the scan; null for pixels of the photograph
  * @returns {{ends: (number[] | null)[], line: number[][] | null}} in pixels
  */
 export const placed = (ends, lens) => ({
@@ -30,8 +30,8 @@ export const placed = (ends, lens) => ({
   line: ends.length < 2 ? null : lens ? segmentOf(lens, ends[0], ends[1]) : [ends[0], ends[1]],
 });
 
-const samplesOf = (told, lens) =>
-  (told?.scan_samples ?? [])
+const samplesOf = (line, lens) =>
+  (line?.scan_samples ?? [])
     .map(([ray, has_range]) => ({ uv: pixelOf(lens, ray), has_range: Boolean(has_range) }))
     .filter(({ uv }) => uv !== null);
 
@@ -39,8 +39,9 @@ const samplesOf = (told, lens) =>
  * @param {"scan" | "photo"} side
  * @param {import("../net/store.js").Pick[]} picks
  * @param {any} judged slice `judged:pID`, or null
- * @param {import("./projection.js").ScanView | null} lens the scan's view in the scan's pane, null in the photograph's
- * @param {(pick: any) => number[][]} endsOf the ends as they are shown: an edit under way comes first
+ * @param {import("./projection.js").ScanView | null} lens the view of the scan in its pane; null in the photograph's
+ *   pane
+ * @param {(pick: any) => number[][]} endsOf the ends to show, unfinished moves included
  * @returns {Mark[]}
  */
 export const marksOf = (side, picks, judged, lens, endsOf) =>

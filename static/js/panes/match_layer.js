@@ -1,11 +1,10 @@
 /**
- * Draws matches over a picture. Strokes are as wide at every zoom, and each lies on a dark halo, so that it reads on any
- * picture. One path per style and colour: five hundred matches cost a dozen strokes.
+ * Drawing of matches over a picture. Strokes have the same width at every zoom, on a dark halo, so that they are
+ * legible on any picture. There is one path for each style and colour: 500 matches cost a dozen strokes.
  */
 
-import { drawLabels, drawNumber } from "./labels.js";
 import { colourOf } from "./colors.js";
-import { stamp } from "./stamps.js";
+import { drawLabels, drawNumber, stamp, strokeHaloed } from "./symbols.js";
 import { toPixel, toScreen } from "./viewport.js";
 
 /**
@@ -16,12 +15,12 @@ import { toPixel, toScreen } from "./viewport.js";
 
 export const RING_PX = 5;
 const POINT_PX = 4;
-const BEYOND_PX = 24;
-const SAMPLES_APART_PX = 7;
-const RESIDUAL_SEEN_PX = 3;
+const MARGIN_PX = 24;
+const LEAST_SAMPLE_SPACING_PX = 7;
+const LEAST_RESIDUAL_PX = 3;
 const CROSS_PX = 5;
-const WIDTHS = { on: 2, off: 1.25, rejected: 4 };
-const DASHES = { on: [], off: [4, 4], rejected: [] };
+const WIDTHS = { enabled: 2, disabled: 1.25, outlier: 4 };
+const DASHES = { enabled: [], disabled: [4, 4], outlier: [] };
 const DOTS = { line: 1, point: 1.25 };
 const RADII = { line: RING_PX, point: POINT_PX };
 const TAU = 2 * Math.PI;
@@ -38,7 +37,7 @@ const cross = (path, [x, y], reach) => {
   path.lineTo(x + reach, y - reach);
 };
 
-/** The line from ring to ring: what an end stands on stays visible inside its ring. */
+/** Trace the line from ring to ring: the pixels inside the rings stay visible. */
 const between = (path, a, b, ringed, radius) => {
   const length = Math.hypot(b[0] - a[0], b[1] - a[1]);
   if (length < 0.5) return;
@@ -48,28 +47,14 @@ const between = (path, a, b, ringed, radius) => {
   path.lineTo(...at(1 - cut(1)));
 };
 
-/** Stroke a path upon its halo. */
-export const strokeHaloed = (context, path, look, { colour, width = 2, dash = [] }) => {
-  const { scale } = look;
-  context.setLineDash([]);
-  context.lineWidth = (width + 2.5) * scale;
-  context.strokeStyle = look.halo;
-  context.stroke(path);
-  context.setLineDash(dash.map((length) => length * scale));
-  context.lineWidth = width * scale;
-  context.strokeStyle = colour;
-  context.stroke(path);
-  context.setLineDash([]);
-};
-
-/** @returns {number[]} left, top, right, bottom of what can be seen, in pixels: told before anything is worked out */
-const sightOf = (viewport, size) => [
-  ...toPixel(viewport, [-BEYOND_PX, -BEYOND_PX]),
-  ...toPixel(viewport, [size[0] + BEYOND_PX, size[1] + BEYOND_PX]),
+/** @returns {number[]} left, top, right, bottom of the visible part, in image pixels */
+const visibleBox = (viewport, size) => [
+  ...toPixel(viewport, [-MARGIN_PX, -MARGIN_PX]),
+  ...toPixel(viewport, [size[0] + MARGIN_PX, size[1] + MARGIN_PX]),
 ];
 
-/** @returns {boolean} whether anything of what lies between the pixels can be seen */
-const inSight = (uvs, sight) => {
+/** @returns {boolean} whether the bounding box of the pixels is visible in part */
+const isVisible = (uvs, box) => {
   let [left, right, top, bottom] = [Infinity, -Infinity, Infinity, -Infinity];
   for (const uv of uvs) {
     if (!uv) continue;
@@ -78,18 +63,18 @@ const inSight = (uvs, sight) => {
     top = Math.min(top, uv[1]);
     bottom = Math.max(bottom, uv[1]);
   }
-  return right >= sight[0] && bottom >= sight[1] && left <= sight[2] && top <= sight[3];
+  return right >= box[0] && bottom >= box[1] && left <= box[2] && top <= box[3];
 };
 
-/** A mark with its places in the pane. */
+/** A mark with its positions in the pane, CSS pixels. */
 const onScreen = (mark, viewport) => ({
   mark,
   ends: mark.ends.map((uv) => uv && toScreen(viewport, uv)),
   line: mark.line && mark.line.map((uv) => toScreen(viewport, uv)),
 });
 
-/** Where the cross of a rejected match stands. */
-const crossPlace = ({ ends, line }) => (line ? [(line[0][0] + line[1][0]) / 2, (line[0][1] + line[1][1]) / 2] : ends[0]);
+/** @returns {number[] | null} position of an outlier's cross */
+const crossPosition = ({ ends, line }) => (line ? [(line[0][0] + line[1][0]) / 2, (line[0][1] + line[1][1]) / 2] : ends[0]);
 
 const trace = ({ mark, ends, line }, { scale }, strokes, rings, dots) => {
   if (line) between(strokes, line[0], line[1], ends, RING_PX * scale);
@@ -98,27 +83,27 @@ const trace = ({ mark, ends, line }, { scale }, strokes, rings, dots) => {
     ring(rings, end, RADII[mark.kind] * scale);
     ring(dots, end, DOTS[mark.kind] * scale);
   }
-  const at = mark.state === "rejected" ? crossPlace({ ends, line }) : null;
+  const at = mark.state === "outlier" ? crossPosition({ ends, line }) : null;
   if (at) cross(rings, at, (CROSS_PX + 1) * scale);
 };
 
-/** Draw the samples along a line; those without a range are open circles with a cross through them. */
+/** Draw the samples along a line; those without a range are crossed circles. */
 export const drawSamples = (context, viewport, samples, look, colour) => {
   if (samples.length < 2) return;
   const places = samples.map(({ uv }) => toScreen(viewport, uv));
   const [first, last] = [places[0], places.at(-1)];
   const apart = Math.hypot(last[0] - first[0], last[1] - first[1]) / (samples.length - 1);
-  if (apart < SAMPLES_APART_PX * look.scale) return;
+  if (apart < LEAST_SAMPLE_SPACING_PX * look.scale) return;
   stamp(context, look, places.filter((_, k) => samples[k].has_range), { colour, halo: look.halo, radius: 1.2, width: 2 });
   stamp(context, look, places.filter((_, k) => !samples[k].has_range), { colour: look.ink, halo: look.halo, radius: 4, width: 1, cross: 2.8 });
 };
 
-/** Hairlines from where the pose puts a match to where it was picked, where that can be seen. */
+/** Trace hairlines from the picked to the predicted positions, where they are far enough apart to be seen. */
 const traceResidual = (path, tips, viewport, predicted, ends) => {
   predicted.forEach((uv, k) => {
     if (!uv || !ends[k]) return;
     const at = toScreen(viewport, uv);
-    if (Math.hypot(at[0] - ends[k][0], at[1] - ends[k][1]) < RESIDUAL_SEEN_PX) return;
+    if (Math.hypot(at[0] - ends[k][0], at[1] - ends[k][1]) < LEAST_RESIDUAL_PX) return;
     path.moveTo(...ends[k]);
     path.lineTo(...at);
     tips.push(at);
@@ -126,17 +111,17 @@ const traceResidual = (path, tips, viewport, predicted, ends) => {
 };
 
 /**
- * Draw matches, number and all.
+ * Draw matches with their numbers.
  * @param {Context} context in CSS pixels of the pane
  * @param {Viewport} viewport
  * @param {readonly number[]} size of the pane
  * @param {Mark[]} marks
  * @param {ReturnType<typeof import("./colors.js").readLook>} look
- * @param {{residuals?: boolean}} [options] `residuals`: also where the pose puts them
+ * @param {{residuals?: boolean}} [options] `residuals`: draw predicted positions, too
  */
 export const drawMatches = (context, viewport, size, marks, look, { residuals = true } = {}) => {
-  const sight = sightOf(viewport, size);
-  const shown = marks.filter((mark) => inSight(mark.line ?? mark.ends, sight)).map((mark) => onScreen(mark, viewport));
+  const box = visibleBox(viewport, size);
+  const shown = marks.filter((mark) => isVisible(mark.line ?? mark.ends, box)).map((mark) => onScreen(mark, viewport));
   const buckets = new Map();
   for (const entry of shown) {
     const { number, state, kind } = entry.mark;
@@ -147,23 +132,23 @@ export const drawMatches = (context, viewport, size, marks, look, { residuals = 
     const bucket = buckets.get(key);
     if (entry.line) between(bucket.strokes, entry.line[0], entry.line[1], entry.ends, RING_PX * look.scale);
     bucket.ends.push(...entry.ends.filter(Boolean));
-    if (state === "rejected") bucket.crosses.push(crossPlace(entry));
+    if (state === "outlier") bucket.crosses.push(crossPosition(entry));
   }
   context.lineCap = "round";
   for (const { state, kind, colour, strokes, ends, crosses } of buckets.values()) {
-    context.globalAlpha = state === "off" ? 0.75 : 1;
+    context.globalAlpha = state === "disabled" ? 0.75 : 1;
     if (kind === "line") strokeHaloed(context, strokes, look, { colour, width: WIDTHS[state], dash: DASHES[state] });
-    if (kind === "line" && state === "rejected") {
+    if (kind === "line" && state === "outlier") {
       context.lineWidth = 1.75 * look.scale;
       context.strokeStyle = look.halo;
       context.stroke(strokes);
     }
-    const sign = { colour, halo: look.halo, radius: RADII[kind], width: 1.5, dash: state === "off" ? [3, 3] : [], dot: DOTS[kind] };
-    stamp(context, look, ends, sign);
+    const symbol = { colour, halo: look.halo, radius: RADII[kind], width: 1.5, dash: state === "disabled" ? [3, 3] : [], dot: DOTS[kind] };
+    stamp(context, look, ends, symbol);
     stamp(context, look, crosses.filter(Boolean), { colour, halo: look.halo, radius: 0, width: 1.5, cross: CROSS_PX + 1 });
   }
   context.globalAlpha = 1;
-  for (const { mark } of shown) if (mark.state !== "off") drawSamples(context, viewport, mark.samples, look, colourOf(look, mark.number));
+  for (const { mark } of shown) if (mark.state !== "disabled") drawSamples(context, viewport, mark.samples, look, colourOf(look, mark.number));
   if (residuals) {
     const [hairs, tips] = [new Path2D(), []];
     for (const { mark, ends } of shown) traceResidual(hairs, tips, viewport, mark.predicted, ends);
@@ -174,7 +159,7 @@ export const drawMatches = (context, viewport, size, marks, look, { residuals = 
 };
 
 /**
- * Draw one match again, on top of the rest: under the pointer, selected, or being moved.
+ * Draw one match again, on top of the others: hovered, selected, or being moved.
  * @param {{hovered?: boolean, selected?: boolean, end?: number | null}} how
  */
 export const drawMark = (context, viewport, mark, look, { hovered = false, selected = false, end = null }) => {
@@ -215,9 +200,10 @@ export const drawMark = (context, viewport, mark, look, { hovered = false, selec
 };
 
 /**
- * Draw what is unfinished, or offered: dashed.
+ * Draw an unfinished side, or a predicted partner, dashed.
  * @param {{ends: (number[] | null)[], line: number[][] | null}} placed in pixels
- * @param {{colour: string, outline?: number, offered?: boolean}} how `outline`: strength of the glow around what waits
+ * @param {{colour: string, outline?: number, offered?: boolean}} how `outline`: opacity of the glow around a side that
+ *   waits for its partner
  */
 export const drawOpen = (context, viewport, { ends, line }, look, { colour, outline = 0, offered = false }) => {
   const [strokes, rings] = [new Path2D(), new Path2D()];
@@ -242,16 +228,16 @@ export const drawOpen = (context, viewport, { ends, line }, look, { colour, outl
 };
 
 /**
- * Draw where a running solver has the matches now: small rings, each tied to what was picked by a hairline.
+ * Draw the positions of the matches under a running solver's pose: small rings, joined to the picks by hairlines.
  * @param {Record<string, (number[] | null)[]>} predicted
  */
 export const drawPredictions = (context, viewport, size, marks, predicted, look) => {
   const [hairs, tips] = [new Path2D(), []];
-  const sight = sightOf(viewport, size);
+  const box = visibleBox(viewport, size);
   for (const mark of marks) {
     (predicted[mark.id] ?? []).forEach((uv, k) => {
       if (!uv || !mark.ends[k]) return;
-      if (!inSight([uv, mark.ends[k]], sight)) return;
+      if (!isVisible([uv, mark.ends[k]], box)) return;
       const [at, from] = [toScreen(viewport, uv), toScreen(viewport, mark.ends[k])];
       hairs.moveTo(...from);
       hairs.lineTo(...at);

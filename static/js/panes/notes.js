@@ -1,68 +1,99 @@
-/** Sentences on a pane: what to do first, that a picture is coming, why it did not, and what the tool expects here. */
+/** Texts on a pane and in the status bar: the next action, loading and errors, and what the current tool expects. */
 
-import { element } from "../ui/dom.js";
-import { icon } from "../ui/icons.js";
 import { button } from "../ui/controls.js";
-import { wantedHint } from "./hints.js";
+import { element } from "../ui/dom.js";
+import { other } from "./picking.js";
 
-const LOADING_SAID_AFTER_MS = 300;
+const PANE = { scan: "scan", photo: "photograph" };
+const LOADING_SHOWN_AFTER_MS = 300;
 
-/** Notes of one pane. */
+/**
+ * @param {import("./picking.js").Picking} picking
+ * @param {string} tool
+ * @returns {string} for the status bar
+ */
+export const hintOf = (picking, tool) => {
+  const { drawing, open } = picking;
+  if (drawing?.clicked) return "Click the other end of the line · Esc cancels";
+  if (drawing) return drawing.kind === "line" ? "Release at the other end of the line · Esc cancels" : "Release to set the point · Esc cancels";
+  if (open) return partnerHint(picking);
+  if (tool === "line") return "Draw a line in either picture: drag, or click both ends";
+  if (tool === "point") return "Click a point in either picture";
+  return "Click a match to select it, drag an end to move it; arrow keys move it by 0.1 px";
+};
+
+/** @returns {string} for the pane in which the partner is missing */
+export const partnerHint = ({ open, acceptable }) => {
+  const where = `Draw the same ${open.kind} in the ${PANE[other(open.side)]}`;
+  return acceptable ? `${where}, or press Enter to accept the dashed one · Esc cancels` : `${where} · Esc cancels`;
+};
+
+/** The texts on one pane. */
 export class Notes {
-  #desk;
+  #controller;
   #side;
   #slots;
   #middle = element("p", { class: "pane-middle", role: "status" });
   #note = element("p", { class: "pane-note" });
-  #wanted = element("p", { role: "status" });
-  #wantedBox = element("div", { class: "pane-wanted" }, this.#wanted);
+  #partnerText = element("p", { role: "status" });
+  #partnerBox = element("div", { class: "pane-partner" }, this.#partnerText);
   #since = 0;
   #timer = 0;
 
-  /** @param {import("./controller.js").Desk} desk @param {import("./pane.js").Pane} pane @param {{picture: any, compare: any}} slots */
-  constructor(desk, pane, slots) {
-    this.#desk = desk;
+  /**
+   * @param {import("./controller.js").Controller} controller
+   * @param {import("./pane.js").Pane} pane
+   * @param {{picture: any, compare: any}} slots
+   */
+  constructor(controller, pane, slots) {
+    this.#controller = controller;
     this.#side = pane.side;
     this.#slots = slots;
     this.body = pane.body;
-    // by hand, too: a finger has no Esc
-    const drop = () => {
-      desk.abandon();
+    // touch has no Esc key
+    const discard = () => {
+      controller.abandon();
       pane.body.focus({ preventScroll: true });
     };
-    this.#wantedBox.append(button("Drop what was drawn", "Drop what was drawn (Esc)", drop, icon("close")));
-    pane.body.append(this.#middle, this.#note, this.#wantedBox);
+    this.#partnerBox.append(button({
+      label: "Discard the drawing",
+      title: "Discard the drawing (Esc)",
+      icon: "close",
+      bare: true,
+      kind: "pane-button",
+      act: discard,
+    }));
+    pane.body.append(this.#middle, this.#note, this.#partnerBox);
   }
 
-  #said() {
+  #status() {
     const { picture } = this.#slots;
-    const side = this.#desk.sides[this.#side];
+    const side = this.#controller.sides[this.#side];
     if (side.empty) return side.empty;
     if (picture.error) return picture.error;
     if (!picture.loading) this.#since = 0;
     if (!picture.loading || picture.picture) return "";
     this.#since ||= performance.now();
-    const left = this.#since + LOADING_SAID_AFTER_MS - performance.now();
+    const left = this.#since + LOADING_SHOWN_AFTER_MS - performance.now();
     if (left <= 0) return "Loading the picture …";
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.show(), left + 1);
     return "";
   }
 
-  /** Say what there is to say now. */
+  /** Update all texts. */
   show() {
-    const { picking, sides } = this.#desk;
-    put(this.#middle, this.#said());
-    put(this.#note, this.#slots.compare?.error ?? sides[this.#side].note ?? "");
-    const wanted = picking.wanted === this.#side && !picking.drawing;
-    put(this.#wanted, wanted ? wantedHint(picking) : "");
-    this.#wantedBox.hidden = !wanted;
-    this.body.classList.toggle("wants-partner", picking.wanted === this.#side);
+    const { picking, sides } = this.#controller;
+    setParagraph(this.#middle, this.#status());
+    setParagraph(this.#note, this.#slots.compare?.error ?? sides[this.#side].note ?? "");
+    const awaited = picking.missingSide === this.#side && !picking.drawing;
+    setParagraph(this.#partnerText, awaited ? partnerHint(picking) : "");
+    this.#partnerBox.hidden = !awaited;
+    this.body.classList.toggle("awaits-partner", picking.missingSide === this.#side);
   }
 }
 
-const put = (paragraph, text) => {
+const setParagraph = (paragraph, text) => {
   if (paragraph.textContent !== text) paragraph.textContent = text;
   paragraph.hidden = text === "";
 };
-

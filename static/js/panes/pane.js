@@ -1,21 +1,21 @@
-/** One pane: a picture with canvases upon each other, where it stands, and when which layer is drawn again. */
+/** A pane: stacked canvases, the viewport of the picture, and which layers need redrawing. */
 
 import { allowed, between, fitted, inside, keptInSight, moved, toPixel, toScreen, zoomedAbout } from "./viewport.js";
 
 const LAYERS = ["picture", "compare", "matches", "live"];
 /**
- * Layers of many strokes are drawn by the processor, which is what `willReadFrequently` asks for: 500 matches take it some
- * 10 ms, and a graphics driver in software, as of remote desktops, seconds.
+ * Layers of many strokes are rasterised by the CPU, which `willReadFrequently` requests: 500 matches take about 10 ms
+ * there, and seconds in a software graphics driver, as on remote desktops.
  */
-const DRAWN = new Set(["matches", "live"]);
+const ON_CPU = new Set(["matches", "live"]);
 const GLIDE_MS = 220;
 
-const calm = matchMedia("(prefers-reduced-motion: reduce)");
+const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)");
 
-/** @returns {boolean} whether things may move by themselves */
-export const motionAllowed = () => !calm.matches;
+/** @returns {boolean} whether animations are allowed */
+export const motionAllowed = () => !reducedMotion.matches;
 
-/** @typedef {"hand" | "link" | "page"} Mover who moved the picture: the operator here, the other pane, or the page */
+/** @typedef {"hand" | "link" | "page"} Mover who moved the picture: the operator, the linked pane, or the page */
 
 /** A pane and its layers. */
 export class Pane {
@@ -37,8 +37,8 @@ export class Pane {
   /**
    * @param {HTMLElement} body
    * @param {"scan" | "photo"} side
-   * @param {Record<string, (context: CanvasRenderingContext2D) => boolean | void>} paint one painter a layer; false: there is
-   *   nothing on it
+   * @param {Record<string, (context: CanvasRenderingContext2D) => boolean | void>} paint one painter for each layer;
+   *   false: the layer is empty
    */
   constructor(body, side, paint) {
     this.body = body;
@@ -49,13 +49,13 @@ export class Pane {
       canvas.className = `pane-layer pane-${layer}`;
       canvas.setAttribute("aria-hidden", "true");
       body.append(canvas);
-      this.#contexts.set(layer, canvas.getContext("2d", { willReadFrequently: DRAWN.has(layer) }));
+      this.#contexts.set(layer, canvas.getContext("2d", { willReadFrequently: ON_CPU.has(layer) }));
     }
     new ResizeObserver(() => this.#resize()).observe(body);
     this.#watchRatio();
   }
 
-  /** A window dragged to another screen changes its ratio without changing its size. */
+  /** A window moved to another screen may change its pixel ratio without changing its size. */
   #watchRatio() {
     matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`).addEventListener("change", () => {
       this.#resize();
@@ -69,7 +69,7 @@ export class Pane {
     for (const { canvas } of this.#contexts.values()) {
       canvas.width = Math.max(1, Math.round(size[0] * ratio));
       canvas.height = Math.max(1, Math.round(size[1] * ratio));
-      // Not 100 %: a body of fractional width would stretch the picture against the pointer.
+      // not 100 %: a body of fractional width would stretch the picture under the pointer
       canvas.style.setProperty("width", `${canvas.width / ratio}px`);
       canvas.style.setProperty("height", `${canvas.height / ratio}px`);
     }
@@ -80,11 +80,11 @@ export class Pane {
       else this.place(moved(this.viewport, [(size[0] - before[0]) / 2, (size[1] - before[1]) / 2]), "page");
     }
     this.invalidate(...LAYERS);
-    this.#draw(); // in this frame: a canvas that was resized is empty
+    this.#draw(); // in this frame: a resized canvas is empty
   }
 
   /**
-   * Show something of another size; of the same size, zoom and place stay.
+   * Set the size of the picture; zoom and position stay if it has not changed.
    * @param {readonly number[] | null} extent
    */
   setExtent(extent) {
@@ -95,7 +95,7 @@ export class Pane {
     for (const listen of this.#listeners) listen(this, "page");
   }
 
-  /** Draw layers again in the next frame. */
+  /** Redraw layers in the next frame. */
   invalidate(...layers) {
     for (const layer of layers) this.#dirty.add(layer);
     if (!this.#frame) this.#frame = requestAnimationFrame((now) => this.#step(now));
@@ -116,7 +116,7 @@ export class Pane {
       context.setTransform(1, 0, 0, 1, 0, 0);
       context.clearRect(0, 0, context.canvas.width, context.canvas.height);
       context.setTransform(ratio, 0, 0, ratio, 0, 0);
-      // An empty layer is left out of the page: laying it over the others costs time in each frame.
+      // an empty layer is hidden: compositing it costs time in each frame
       context.canvas.hidden = this.#paint[layer](context) === false;
     }
     if (this.#measured.began) {
@@ -127,19 +127,19 @@ export class Pane {
     }
   }
 
-  /** Note what a move of the pointer cost before its drawing: together they are the measure `pane move`. */
+  /** Record the cost of a pointer move before its drawing: both add up to the measure `pane move`. */
   noteMove(began_ms) {
     this.#measured.began ||= began_ms;
     this.#measured.spent_ms += performance.now() - began_ms;
   }
 
-  /** @param {(pane: Pane, by: Mover) => void} listen called when the picture moves */
+  /** @param {(pane: Pane, by: Mover) => void} listen called when the viewport changes */
   onMove(listen) {
     this.#listeners.add(listen);
   }
 
   /**
-   * Put the picture there, as far as it may go.
+   * Set the viewport, limited so that some of the picture stays visible.
    * @param {import("./viewport.js").Viewport} viewport
    * @param {Mover} by
    */
@@ -155,24 +155,24 @@ export class Pane {
     for (const listen of this.#listeners) listen(this, by);
   }
 
-  /** Show the whole picture. */
+  /** Fit the whole picture. */
   fit(by) {
     if (!this.extent || this.size[0] === 0) return;
     this.place(fitted(this.size, this.extent), by);
     this.#fits = true;
   }
 
-  /** Zoom to a factor of the picture's pixels; what is at xy (the middle where left out) stays there. */
+  /** Zoom, in screen pixels per image pixel; the point at xy (by default the centre) stays in place. */
   zoomTo(zoom, by, xy = [this.size[0] / 2, this.size[1] / 2]) {
     if (this.extent) this.place(zoomedAbout(this.viewport, xy, allowed(zoom, this.size, this.extent)), by);
   }
 
-  /** @returns {number} the zoom as a share of that at which the whole picture fits */
+  /** @returns {number} zoom relative to that at which the whole picture fits */
   get relativeZoom() {
     return this.extent ? this.viewport.zoom / fitted(this.size, this.extent).zoom : 1;
   }
 
-  /** Go to a place, gliding where motion is allowed. */
+  /** Move to a viewport, animated if motion is allowed. */
   glideTo(viewport, by) {
     if (!motionAllowed() || viewport === this.viewport) return this.place(viewport, by);
     this.#glide = { from: this.viewport, to: viewport, by, began: performance.now() };
@@ -187,18 +187,18 @@ export class Pane {
     if (t >= 1) this.#glide = null;
   }
 
-  /** @returns {[number, number]} CSS pixels of the pane at a place of the window */
+  /** @returns {[number, number]} position of an event, CSS pixels of the pane */
   at(event) {
     const box = this.body.getBoundingClientRect();
     return [event.clientX - box.left - this.body.clientLeft, event.clientY - box.top - this.body.clientTop];
   }
 
-  /** @returns {[number, number]} the picture's pixel at a place of the pane, inside the picture */
+  /** @returns {[number, number]} the image pixel at a position of the pane, clamped to the picture */
   pixelAt(xy) {
     return inside(toPixel(this.viewport, xy), this.extent);
   }
 
-  /** @returns {[number, number]} */
+  /** @returns {[number, number]} position of an image pixel, CSS pixels of the pane */
   screenOf(uv) {
     return toScreen(this.viewport, uv);
   }

@@ -1,51 +1,51 @@
-/** Puts one pane together: layers, loupe, notes, tools, and the pointers on it. */
+/** Assembly of one pane: layers, loupe, texts, tools and pointer events. */
 
-import { listenToPointers } from "./pointer.js";
 import { LiveLayer } from "./live_layer.js";
 import { Loupe } from "./loupe.js";
 import { Notes } from "./notes.js";
 import { Painting } from "./painting.js";
 import { Pane } from "./pane.js";
 import { Slot } from "./picture_layer.js";
-import { mountToolbox } from "./toolbar.js";
+import { listenToPointers } from "./pointer.js";
+import { mountToolbar } from "./toolbar.js";
 
 const LABELS = { scan: "Scan: draw and move matches", photo: "Photograph: draw and move matches" };
-const BY_KEYS =
-  "Arrow keys move the crosshair and Enter sets an end there. " +
-  "Tab walks through the matches, arrow keys move the selected end; Escape and then Tab leaves.";
+const KEYS_HINT =
+  "Arrow keys move the crosshair, Enter sets an end there. " +
+  "Tab steps through the matches, arrow keys move the selected end; press Escape, then Tab to leave the pane.";
 
-const introduce = (body, side) => {
+const describe = (body, side) => {
   body.tabIndex = 0;
   body.setAttribute("role", "application");
   body.setAttribute("aria-label", LABELS[side]);
-  body.setAttribute("aria-description", BY_KEYS);
+  body.setAttribute("aria-description", KEYS_HINT);
 };
 
-/** @returns {number} where the swipe stands in the loupe, which shows another part at another zoom */
+/** @returns {number} position of the swipe in the loupe, which shows another part at another zoom */
 const swipeInLoupe = (pane, swipe_x, viewport) => ((swipe_x - pane.viewport.x) / pane.viewport.zoom) * viewport.zoom + viewport.x;
 
 /**
  * @param {HTMLElement} body
  * @param {"scan" | "photo"} side
- * @param {{desk: any, strokes: any, running: any, readout: any, space: any}} shared
+ * @param {{controller: any, tools: any, preview: any, readout: any, space: any}} shared
  * @returns {{pane: Pane, slots: {picture: Slot, compare: Slot | null}, notes: Notes}}
  */
-export const onePane = (body, side, { desk, strokes, running, readout, space }) => {
-  introduce(body, side);
+export const mountPane = (body, side, { controller, tools, preview, readout, space }) => {
+  describe(body, side);
   const changed = () => {
     notes.show();
     pane.invalidate("picture", "compare", "live");
   };
   const slots = { picture: new Slot(changed), compare: side === "photo" ? new Slot(changed) : null };
-  const painting = new Painting({ desk, side, slots, strokes, running });
-  const swipe_x = () => desk.view.get().photo.swipe * pane.size[0];
+  const painting = new Painting({ controller, side, slots, tools, preview });
+  const swipe_x = () => controller.view.get().photo.swipe * pane.size[0];
   const pane = new Pane(body, side, {
     picture: (context) => painting.picture(context, pane.viewport, pane.size),
     compare: (context) => painting.compare(context, pane.viewport, pane.size, swipe_x()),
     matches: (context) => painting.matches(context, pane.viewport, pane.size),
     live: (context) => layer.paint(context),
   });
-  desk.panes[side] = pane;
+  controller.panes[side] = pane;
   const loupe = new Loupe(
     pane,
     (context, viewport, size) => {
@@ -57,11 +57,11 @@ export const onePane = (body, side, { desk, strokes, running, readout, space }) 
       painting.live(context, viewport, size, 0, false);
     },
   );
-  const layer = new LiveLayer({ desk, pane, painting, strokes, loupe });
-  const notes = new Notes(desk, pane, slots);
-  mountToolbox(desk, pane);
-  listenToPointers(pane, strokes, space);
-  strokes.onPointer((at, uv) => at === pane && readout(pane, uv));
-  pane.onMove(() => strokes.pictureMoved(pane));
+  const layer = new LiveLayer({ controller, pane, painting, tools, loupe });
+  const notes = new Notes(controller, pane, slots);
+  mountToolbar(controller, pane);
+  listenToPointers(pane, tools, space);
+  tools.onPointer((at, uv) => at === pane && readout(pane, uv));
+  pane.onMove(() => tools.pictureMoved(pane));
   return { pane, slots, notes };
 };

@@ -1,13 +1,13 @@
 /**
- * Ends being moved. They are drawn where they are wanted at once; the workbench is told one place after the other, and
- * when it has said so, its own word counts again.
+ * Moves of ends that the workbench has not confirmed yet. They are drawn at once; positions are sent one at a time, and
+ * after the answer the workbench's own position is shown again.
  */
 
-/** Shown until the slice with the edit is in: an answer may come before it. */
-const LINGERS_MS = 400;
+/** The position is shown this long after the answer, since the slice with the edit may follow it. */
+const SHOWN_AFTER_MS = 400;
 
-/** Edits under way, by match and side. */
-export class Edits {
+/** Unconfirmed moves, by match and side. */
+export class PendingMoves {
   #shown = new Map();
   #queues = new Map();
   #send;
@@ -22,33 +22,33 @@ export class Edits {
     this.#changed = changed;
   }
 
-  /** @returns {number[][]} the ends of a match as they are to be shown */
+  /** @returns {number[][]} the ends of a match to show */
   endsOf(pick, side) {
     return this.#shown.get(`${side} ${pick.id}`)?.ends ?? pick[side];
   }
 
-  /** Show the ends there, without telling anyone. */
+  /** Show ends at a position without sending it. */
   show(id, side, ends) {
     this.#shown.set(`${side} ${id}`, { ends });
     this.#changed();
   }
 
-  /** Show them where the workbench has them. */
+  /** Show the workbench's position again, unless a move is being sent. */
   drop(id, side) {
     if (this.#queues.has(`${side} ${id}`)) return;
     if (this.#shown.delete(`${side} ${id}`)) this.#changed();
   }
 
-  /** Show the ends there and tell the workbench; of several places in quick succession the newest is told. */
+  /** Show ends at a position and send it; of several positions in quick succession the newest is sent. */
   commit(id, side, ends) {
     const key = `${side} ${id}`;
     this.show(id, side, ends);
     const busy = this.#queues.has(key);
     this.#queues.set(key, ends);
-    if (!busy) this.#tell(id, side, key);
+    if (!busy) this.#transmit(id, side, key);
   }
 
-  async #tell(id, side, key) {
+  async #transmit(id, side, key) {
     let sent;
     try {
       do {
@@ -56,10 +56,10 @@ export class Edits {
         await this.#send(id, side, sent);
       } while (this.#queues.get(key) !== sent);
     } catch {
-      sent = null; // `send` has said why; the old place is shown again at once
+      sent = null; // `send` has reported why; the old position is shown again at once
     }
     this.#queues.delete(key);
     const mine = this.#shown.get(key);
-    setTimeout(() => this.#shown.get(key) === mine && this.drop(id, side), sent ? LINGERS_MS : 0);
+    setTimeout(() => this.#shown.get(key) === mine && this.drop(id, side), sent ? SHOWN_AFTER_MS : 0);
   }
 }

@@ -1,19 +1,17 @@
 /**
- * Drawing a match: one side in either pane, its partner in the other. A state machine without page or network; the rest
- * tells it where the pointer goes and asks it what is drawn.
+ * State machine of drawing a match: one side in either pane, then its partner in the other. No DOM, no network.
  *
  *     nothing ── press ──> drawing ── second end ──> open ── its partner, drawn or accepted ──> a pair
  *                             └──── Esc ────> nothing <──── Esc ────┘
  *
- * Press, drag and release make a line, and so do two clicks. A line that is drawn while its partner is wanted takes the
- * open one's place where it is drawn in the same pane.
+ * A line is made by a drag or by two clicks. A second line in the same pane replaces the first.
  */
 
 /**
  * @typedef {"scan" | "photo"} Side
  * @typedef {"line" | "point"} Kind
- * @typedef {{world: number[], uv: readonly number[], zoom: number, time_ms: number}} Place `world`: a ray (scan) or pixel
- *   (photo); `uv`: the pixel, at the zoom of that moment
+ * @typedef {{world: number[], uv: readonly number[], zoom: number, time_ms: number}} PickPosition `world`: a ray (scan)
+ *   or pixel (photo); `uv`: the pixel; `zoom` at that moment
  * @typedef {{side: Side, kind: Kind, ends: number[][]}} Drawn `ends` are rays (scan) or pixels (photo)
  * @typedef {{kind: Kind, scan: number[][], photo: number[][]}} Pair
  */
@@ -21,92 +19,95 @@
 export const CLICK_PX = 6;
 const DOUBLE_CLICK_MS = 400;
 
-/** @returns {Side} */
+/** @returns {Side} the other side */
 export const other = (side) => (side === "scan" ? "photo" : "scan");
 
-/** @returns {number} CSS pixels, at the later place's zoom: the picture may have been moved in between */
+/** @returns {number} CSS pixels, at the later zoom: the picture may have moved in between */
 const distance = (a, b) => Math.hypot(a.uv[0] - b.uv[0], a.uv[1] - b.uv[1]) * b.zoom;
 
-/** What is being drawn, what waits for its partner, and what the pose offers as that. */
+/** What is being drawn, the side that waits for its partner, and the partner that the pose predicts. */
 export class Picking {
-  /** @type {{side: Side, kind: Kind, from: Place, to: Place, pressed: boolean, clicked: boolean} | null} */
+  /**
+   * @type {{side: Side, kind: Kind, from: PickPosition, to: PickPosition, pressed: boolean, clicked: boolean} | null}
+   */
   drawing = null;
   /** @type {Drawn | null} */
   open = null;
-  /** @type {(number[] | null)[] | null} ends of the predicted partner, of the side that is wanted */
+  /** @type {(number[] | null)[] | null} ends of the predicted partner, on the missing side */
   predicted = null;
   #ended = null;
 
-  /** @returns {Side | null} the pane where the partner is wanted */
-  get wanted() {
+  /** @returns {Side | null} the side on which the partner is missing */
+  get missingSide() {
     return this.open && other(this.open.side);
   }
 
-  /** @returns {boolean} whether nothing is begun */
+  /** @returns {boolean} whether nothing is being drawn */
   get idle() {
     return !this.drawing && !this.open;
   }
 
-  /** @returns {Kind} the partner is of the kind of the open one, whatever tool is in hand */
+  /** @returns {Kind} the partner is of the open side's kind, whatever the tool */
   #kindFor(side, kind) {
     return this.open && this.open.side !== side ? this.open.kind : kind;
   }
 
   /**
    * @param {Side} side
-   * @param {Kind} kind of the tool in hand
-   * @param {Place} place
-   * @returns {boolean} whether it begins or goes on; false for the second half of a double click, and in the wrong pane
+   * @param {Kind} kind of the current tool
+   * @param {PickPosition} position
+   * @returns {boolean} whether a stroke begins or continues; false for the second half of a double click, and in the
+   *   wrong pane
    */
-  press(side, kind, place) {
+  press(side, kind, position) {
     const last = this.#ended;
     this.#ended = null;
-    if (last && last.side === side && place.time_ms - last.place.time_ms < DOUBLE_CLICK_MS && distance(last.place, place) < CLICK_PX) {
+    if (last && last.side === side && position.time_ms - last.position.time_ms < DOUBLE_CLICK_MS && distance(last.position, position) < CLICK_PX) {
       return false;
     }
     if (this.drawing && this.drawing.side !== side) return false;
     if (this.drawing) {
-      this.drawing.to = place;
+      this.drawing.to = position;
       this.drawing.pressed = true;
     } else {
-      this.drawing = { side, kind: this.#kindFor(side, kind), from: place, to: place, pressed: true, clicked: false };
+      this.drawing = { side, kind: this.#kindFor(side, kind), from: position, to: position, pressed: true, clicked: false };
     }
     return true;
   }
 
   /** The pointer moved, pressed or not. */
-  move(side, place) {
+  move(side, position) {
     if (!this.drawing || this.drawing.side !== side) return false;
-    this.drawing.to = place;
-    if (this.drawing.kind === "point") this.drawing.from = place;
+    this.drawing.to = position;
+    if (this.drawing.kind === "point") this.drawing.from = position;
     return true;
   }
 
   /**
-   * @returns {"nothing" | "drawing" | "open" | Pair} what has come of it
+   * @returns {"nothing" | "drawing" | "open" | Pair} the outcome
    */
-  release(side, place) {
+  release(side, position) {
     const { drawing } = this;
     if (!drawing || drawing.side !== side || !drawing.pressed) return "nothing";
-    this.move(side, place);
+    this.move(side, position);
     drawing.pressed = false;
     const far = distance(drawing.from, drawing.to) >= CLICK_PX;
     if (drawing.kind === "line" && !far) {
-      // The second click on the same place is a double click, or a change of mind.
+      // a second click at the same position cancels
       if (drawing.clicked) this.drawing = null;
       else drawing.clicked = true;
       return this.drawing ? "drawing" : "nothing";
     }
     this.drawing = null;
-    this.#ended = { side, place };
+    this.#ended = { side, position };
     const ends = drawing.kind === "point" ? [drawing.to.world] : [drawing.from.world, drawing.to.world];
     return this.#drawn({ side, kind: drawing.kind, ends });
   }
 
-  /** Set an end without a pointer: the same as a click there. */
-  set(side, kind, place) {
+  /** Set an end without a pointer, as a click would. */
+  set(side, kind, position) {
     this.#ended = null;
-    const result = this.press(side, kind, place) ? this.release(side, place) : "nothing";
+    const result = this.press(side, kind, position) ? this.release(side, position) : "nothing";
     this.#ended = null;
     return result;
   }
@@ -130,7 +131,7 @@ export class Picking {
     return pair;
   }
 
-  /** Offer the partner that the pose predicts; forgotten if the open one has changed since it was asked. */
+  /** Offer the predicted partner; ignored if the open side has changed since it was requested. */
   offer(open, ends) {
     if (this.open === open) this.predicted = ends;
   }
@@ -145,12 +146,12 @@ export class Picking {
     return this.open && this.acceptable ? this.#paired(this.predicted) : null;
   }
 
-  /** Take a pair back that was refused: its first side is open again. */
+  /** Reopen the first side of a pair that was refused. */
   reopen(first) {
     if (this.idle) this.open = first;
   }
 
-  /** @returns {boolean} whether there was something to abandon; the stroke goes first, then what is open */
+  /** Discard the stroke, or else the open side. @returns {boolean} whether there was either */
   abandon() {
     this.#ended = null;
     if (this.drawing) this.drawing = null;
@@ -159,19 +160,19 @@ export class Picking {
     return true;
   }
 
-  /** Drop the stroke under way on a side, and nothing else. */
+  /** Discard the stroke on a side, but not an open side. */
   dropStroke(side) {
     if (this.drawing?.side === side) this.drawing = null;
   }
 
-  /** Drop all that was drawn on a side: its scan or photograph is no longer shown. */
+  /** Discard all that was drawn on a side whose scan or photograph is no longer shown. */
   forget(side) {
     if (this.drawing?.side === side) this.drawing = null;
     if (this.open?.side === side) this.open = this.predicted = null;
     else this.predicted = null;
   }
 
-  /** @returns {Drawn[]} all that is to be drawn as unfinished */
+  /** @returns {Drawn[]} what is to be drawn as unfinished */
   unfinished() {
     const { drawing, open } = this;
     if (!drawing) return open ? [open] : [];

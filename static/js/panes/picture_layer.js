@@ -1,12 +1,12 @@
 /**
- * Pictures by address: fetched once, decoded before they are shown, and halved a few times so that a large one can be
- * panned as a whole. While a new one comes, the old one stays.
+ * Pictures by URL: fetched once, decoded before they are shown, with reduced levels so that large ones pan smoothly.
+ * While a new one loads, the old one stays.
  */
 
 const KEPT = 10;
 const HALVED_ABOVE_PX = 1400;
 
-/** One decoded picture with its halves. */
+/** A decoded picture with its reduced levels. */
 export class Picture {
   #levels;
 
@@ -17,7 +17,7 @@ export class Picture {
     this.#levels = [bitmap];
   }
 
-  /** Make the halves, each of the one before. */
+  /** Build the reduced levels, each half the size of the one before. */
   async halve() {
     for (;;) {
       const last = this.#levels.at(-1);
@@ -27,7 +27,7 @@ export class Picture {
     }
   }
 
-  /** @returns {ImageBitmap} the smallest that still has a pixel for each of the screen; `scale` 1 is full size */
+  /** @returns {ImageBitmap} the smallest level that still has one pixel per screen pixel; `scale` 1 is full size */
   at(scale) {
     const step = Math.max(0, Math.floor(-Math.log2(Math.max(scale, 1e-6)) + 1e-6));
     return this.#levels[Math.min(step, this.#levels.length - 1)];
@@ -41,17 +41,17 @@ const decoded = async (address) => {
   try {
     answer = await fetch(address);
   } catch {
-    throw new Error("The picture did not come: check that the workbench is running; it is asked for again when the connection is back.");
+    throw new Error("The picture could not be loaded: check that the workbench is running. It is loaded again when the connection is back.");
   }
   if (!answer.ok) {
-    const said = (await answer.text()).trim();
-    const plain = said && said.length < 300 && !said.startsWith("<");
-    throw new Error(plain ? said : `The picture did not come (status ${answer.status}): reload the page.`);
+    const text = (await answer.text()).trim();
+    const plain = text && text.length < 300 && !text.startsWith("<");
+    throw new Error(plain ? text : `The picture could not be loaded (status ${answer.status}): reload the page.`);
   }
   try {
     return new Picture(await createImageBitmap(await answer.blob()));
   } catch {
-    throw new Error("This browser cannot show the picture, which may be too large for it: try another browser or a smaller picture.");
+    throw new Error("This browser cannot decode the picture, which may be too large for it: use another browser or a smaller picture.");
   }
 };
 
@@ -72,7 +72,7 @@ export const loadPicture = (address) => {
   return picture;
 };
 
-/** What one layer shows: the newest picture that has come, of the thing that is wanted. */
+/** The picture of one layer: the newest that has loaded of its subject. */
 export class Slot {
   /** @type {Picture | null} */
   picture = null;
@@ -80,23 +80,23 @@ export class Slot {
   error = null;
   loading = false;
   #address = null;
-  #thing = null;
+  #subject = null;
   #changed;
 
-  /** @param {() => void} changed called when what there is to show, or to say, has changed */
+  /** @param {() => void} changed called when the picture, its error or its loading state has changed */
   constructor(changed) {
     this.#changed = changed;
   }
 
   /**
-   * @param {string | null} address null: nothing
-   * @param {string | null} thing what it is a picture of; of another thing, the old picture goes at once
+   * @param {string | null} address null for no picture
+   * @param {string | null} subject what is pictured; when it changes, the old picture disappears at once
    */
-  show(address, thing = address) {
+  show(address, subject = address) {
     if (address === this.#address && !this.error) return;
-    if (thing !== this.#thing) this.picture = null;
+    if (subject !== this.#subject) this.picture = null;
     this.#address = address;
-    this.#thing = thing;
+    this.#subject = subject;
     this.error = null;
     this.loading = address !== null;
     if (address === null) this.picture = null;
@@ -109,7 +109,7 @@ export class Slot {
       const picture = await loadPicture(address);
       if (address !== this.#address) return;
       this.picture = picture;
-      picture.halve().then(() => address === this.#address && this.#changed(), () => {}); // without halves it is only slower
+      picture.halve().then(() => address === this.#address && this.#changed(), () => {}); // without levels it is only slower
     } catch (error) {
       if (address !== this.#address) return;
       this.error = error.message;
@@ -121,19 +121,19 @@ export class Slot {
 }
 
 /**
- * Draw the part of a picture that is in sight.
+ * Draw the visible part of a picture.
  * @param {CanvasRenderingContext2D} context in CSS pixels of the pane
  * @param {import("./viewport.js").Viewport} viewport
  * @param {readonly number[]} size of the pane
  * @param {Picture} picture
- * @param {readonly number[]} extent width and height that it stands for, in pixels of the thing pictured
+ * @param {readonly number[]} extent width and height that the picture represents, in pixels of the view or photograph
  * @param {boolean} smooth
  */
 export const drawPicture = (context, viewport, size, picture, extent, smooth) => {
   const ratio = window.devicePixelRatio || 1;
   const source = picture.at((viewport.zoom * ratio * extent[0]) / picture.width);
   const [sx, sy] = [source.width / extent[0], source.height / extent[1]];
-  // Only what is seen, in whole pixels with one to spare: a picture at ×64 is wider than canvases reckon with.
+  // only the visible part, in whole pixels with a margin of one: at ×64 a picture exceeds the range of canvas coordinates
   const span = (at, room, scale, whole) => {
     const first = Math.max(0, Math.floor((-at / viewport.zoom) * scale) - 1);
     const last = Math.min(whole, Math.ceil(((room - at) / viewport.zoom) * scale) + 1);

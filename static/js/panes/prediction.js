@@ -1,20 +1,21 @@
-/** The partner that the pose predicts, as it is offered: a tick to press, on the line's middle or beside the point. */
+/** The tick that accepts a predicted partner: at the middle of the line, or beside the point. */
 
 import { distanceToSegment, LINE_PX } from "./hits.js";
-import { RING_PX, strokeHaloed } from "./match_layer.js";
+import { RING_PX } from "./match_layer.js";
+import { strokeHaloed } from "./symbols.js";
 import { toScreen } from "./viewport.js";
 
 const TICK_PX = 9;
 const BESIDE_PX = 17;
-const FREE_ENDS_PX = 14;
+const CLEAR_OF_ENDS_PX = 14;
 
 /**
  * @param {{ends: (number[] | null)[], line: number[][] | null}} placed in pixels
  * @param {import("./viewport.js").Viewport} viewport
- * @param {number} scale of signs
- * @returns {number[] | null} where the tick stands, CSS pixels of the pane
+ * @param {number} scale of symbols
+ * @returns {number[] | null} position of the tick, CSS pixels of the pane
  */
-export const tickPlace = ({ ends, line }, viewport, scale) => {
+export const tickPosition = ({ ends, line }, viewport, scale) => {
   if (line) {
     const [a, b] = line.map((uv) => toScreen(viewport, uv));
     return [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
@@ -24,23 +25,23 @@ export const tickPlace = ({ ends, line }, viewport, scale) => {
 };
 
 /**
- * Around a line's ends nothing is taken for a yes: that is where a better one is begun by hand.
- * @returns {boolean} whether a press there accepts
+ * Presses near a line's ends do not accept it: there, a better line is begun by hand.
+ * @returns {boolean} whether a press at xy accepts
  */
 export const accepts = (placed, viewport, xy, scale) => {
-  const tick = tickPlace(placed, viewport, scale);
+  const tick = tickPosition(placed, viewport, scale);
   if (!tick) return false;
   if (Math.hypot(tick[0] - xy[0], tick[1] - xy[1]) <= (TICK_PX + 2) * scale) return true;
   if (!placed.line) return false;
   const [a, b] = placed.line.map((uv) => toScreen(viewport, uv));
-  const clear = [a, b].every((end) => Math.hypot(end[0] - xy[0], end[1] - xy[1]) > (FREE_ENDS_PX + RING_PX) * scale);
+  const clear = [a, b].every((end) => Math.hypot(end[0] - xy[0], end[1] - xy[1]) > (CLEAR_OF_ENDS_PX + RING_PX) * scale);
   return clear && distanceToSegment(xy, a, b) <= LINE_PX * scale;
 };
 
 /** Draw the tick. */
 export const drawTick = (context, placed, viewport, look, colour) => {
   const { scale } = look;
-  const at = tickPlace(placed, viewport, scale);
+  const at = tickPosition(placed, viewport, scale);
   if (!at) return;
   const [disc, tick] = [new Path2D(), new Path2D()];
   disc.arc(at[0], at[1], TICK_PX * scale, 0, 2 * Math.PI);

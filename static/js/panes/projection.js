@@ -1,14 +1,17 @@
 /**
- * View pixels and rays of the scanner, both ways. A view is a pinhole at the scanner (slice `scan`, `views`); rays are unit
- * vectors of the scanner frame, X forward, Y left, Z up.
+ * Projection between view pixels and scanner rays. A view is a pinhole camera at the scanner (slice `scan`, `views`);
+ * rays are unit vectors of the scanner frame: X forward, Y left, Z up.
  */
 
-/** @typedef {{width: number, height: number, f: number, cx: number, cy: number, rotation: number[], label?: string}} ScanView */
+/**
+ * @typedef {{width: number, height: number, f: number, cx: number, cy: number, rotation: number[], label?: string}}
+ *   ScanView
+ */
 
-const NEAREST = 0.03; // of a unit ray, along the view's axis: 88 degrees off, where the picture has long ended
+const NEAREST = 0.03; // depth of a unit ray along the view's axis: 88 degrees off, far outside any picture
 
-/** @returns {number[]} of the ray, in the view: right, down, forward */
-const turned = ({ rotation: R }, ray) => [
+/** @returns {number[]} the ray in the view's frame: right, down, forward */
+const rotated = ({ rotation: R }, ray) => [
   R[0] * ray[0] + R[1] * ray[1] + R[2] * ray[2],
   R[3] * ray[0] + R[4] * ray[1] + R[5] * ray[2],
   R[6] * ray[0] + R[7] * ray[1] + R[8] * ray[2],
@@ -31,10 +34,10 @@ export const rayOf = (view, uv) => {
 /**
  * @param {ScanView} view
  * @param {readonly number[]} ray
- * @returns {number[] | null} its pixel, also outside the picture; null where the ray is not in front of the view
+ * @returns {number[] | null} its pixel, possibly outside the picture; null if the ray is not in front of the view
  */
 export const pixelOf = (view, ray) => {
-  const seen = turned(view, ray);
+  const seen = rotated(view, ray);
   return seen[2] > NEAREST * Math.hypot(...seen) ? projected(view, seen) : null;
 };
 
@@ -42,10 +45,10 @@ export const pixelOf = (view, ray) => {
  * @param {ScanView} view
  * @param {readonly number[]} a unit ray
  * @param {readonly number[]} b unit ray
- * @returns {number[][] | null} the two pixels between which the line is drawn: the part in front; null where there is none
+ * @returns {number[][] | null} the two ends of the part in front of the view, in pixels; null if there is none
  */
 export const segmentOf = (view, a, b) => {
-  let [from, to] = [turned(view, a), turned(view, b)];
+  let [from, to] = [rotated(view, a), rotated(view, b)];
   if (from[2] <= NEAREST && to[2] <= NEAREST) return null;
   const cut = (behind, front) => {
     const t = (NEAREST - behind[2]) / (front[2] - behind[2]);
@@ -59,8 +62,8 @@ export const segmentOf = (view, a, b) => {
 /**
  * @param {ScanView[]} views
  * @param {number[][]} rays
- * @param {number} present index of the view that is shown; it is kept where no other shows more
- * @returns {number} index of the view that shows the most of the rays inside its picture
+ * @param {number} present index of the shown view, preferred among equals
+ * @returns {number} index of the view with the most rays inside its picture
  */
 export const viewShowing = (views, rays, present) => {
   const shown = (view) => {

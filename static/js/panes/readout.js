@@ -1,42 +1,40 @@
-/** What is under the cursor, for the status bar: pixel, zoom, and on the scan the range and intensity there. */
+/** Readout for the status bar: pixel and zoom under the pointer, and the range and intensity in the scan. */
 
-import { throttled } from "../ui/throttle.js";
+import { inNextFrame, throttled } from "../ui/throttle.js";
 
-const EVERY_MS = 100;
-const SAME_PLACE = 1e-3;
+const INTERVAL_MS = 100;
+const SAME_POINT_RAD = 0.02;
 
 /**
- * @param {import("./controller.js").Desk} desk
- * @returns {(pane: import("./pane.js").Pane, uv: number[]) => void} tells that the cursor is there
+ * @param {import("./controller.js").Controller} controller
+ * @returns {(pane: import("./pane.js").Pane, uv: number[]) => void} shows the readout of a pixel
  */
-export const readoutOf = (desk) => {
+export const readoutOf = (controller) => {
   let known = null;
-  let frame = 0;
   let at = null;
 
-  const show = () => {
-    frame = 0;
+  const show = inNextFrame(() => {
     if (!at) return;
     const { pane, uv } = at;
     const readout = { side: pane.side, uv, zoom: pane.viewport.zoom };
     if (pane.side === "scan" && known) {
-      const ray = desk.sides.scan.toWorld(uv);
+      const ray = controller.sides.scan.toWorld(uv);
       const apart = Math.hypot(...ray.map((value, k) => value - known.ray[k]));
-      // The last answer while the next is on its way, unless the cursor has gone far.
-      if (apart < 20 * SAME_PLACE) Object.assign(readout, { range_m: known.range_m, intensity: known.intensity });
+      // until the next answer the last one is shown, unless the pointer has moved far
+      if (apart < SAME_POINT_RAD) Object.assign(readout, { range_m: known.range_m, intensity: known.intensity });
     }
-    desk.view.set({ readout });
-  };
+    controller.view.set({ readout });
+  });
 
   const probe = throttled(async (ray) => {
-    const { range_m, intensity } = await desk.ask("probe", { scan: ray });
+    const { range_m, intensity } = await controller.ask("probe", { scan: ray });
     known = { ray, range_m, intensity };
-    if (at && desk.view.get().readout) show();
-  }, EVERY_MS);
+    if (at && controller.view.get().readout) show();
+  }, INTERVAL_MS);
 
   return (pane, uv) => {
     at = { pane, uv };
-    if (pane.side === "scan") probe(desk.sides.scan.toWorld(uv));
-    frame ||= requestAnimationFrame(show);
+    if (pane.side === "scan") probe(controller.sides.scan.toWorld(uv));
+    show();
   };
 };

@@ -1,4 +1,7 @@
-/** What the two panes show, and how places of theirs are told to the workbench: rays of the scanner, pixels of the photograph. */
+/**
+ * The two sides of a match: which picture each pane shows, and its pixels in the workbench's terms (rays, photo
+ * pixels).
+ */
 
 import { placed } from "./marks.js";
 import { pixelOf, rayOf } from "./projection.js";
@@ -9,7 +12,7 @@ const query = (entries) =>
     .map(([name, value]) => `${name}=${encodeURIComponent(value)}`)
     .join("&");
 
-/** The scan's pane: a view of the scan. */
+/** The side of the scan, shown in one of its views. */
 export class ScanSide {
   name = "scan";
   #store;
@@ -25,7 +28,7 @@ export class ScanSide {
     return this.#store.get("scan");
   }
 
-  /** @returns {number} index of the view that is shown */
+  /** @returns {number} index of the shown view */
   get index() {
     const count = this.scan?.views?.length ?? 0;
     return Math.max(0, Math.min(this.#view.get().scan.view, count - 1));
@@ -42,12 +45,12 @@ export class ScanSide {
   }
 
   /** @returns {string | null} id of the scan */
-  get thing() {
+  get id() {
     return this.scan?.id ?? null;
   }
 
-  /** @returns {string | null} changes when something else is pictured */
-  get pictured() {
+  /** @returns {string | null} identifies what is pictured */
+  get subject() {
     return this.scan && `${this.scan.id}/${this.index}`;
   }
 
@@ -66,22 +69,22 @@ export class ScanSide {
     return placed(ends, this.lens);
   }
 
-  /** @returns {string | null} address of the picture */
+  /** @returns {string | null} URL of the picture */
   get address() {
     if (!this.lens) return null;
     const { show, low, high, equalise, gamma } = this.#view.get().scan;
-    const impossible = (show === "color" && !this.scan.has_color) || (show === "intensity" && this.scan.has_intensity === false);
-    const shown = impossible ? "range" : show;
+    const unavailable = (show === "color" && !this.scan.has_color) || (show === "intensity" && this.scan.has_intensity === false);
+    const shown = unavailable ? "range" : show;
     return `picture/scan?${query({ view: this.index, show: shown, low, high, equalise: equalise ? 1 : 0, gamma, rev: this.scan.id })}`;
   }
 
-  /** @returns {string | null} what is to be done first */
+  /** @returns {string | null} what to do while there is no picture */
   get empty() {
-    return this.lens ? null : "No scan yet. Open one, or drop its file anywhere on this page.";
+    return this.lens ? null : "No scan yet. Open one, or drop a file anywhere on this page.";
   }
 }
 
-/** The photograph's pane. */
+/** The side of the photograph. */
 export class PhotoSide {
   name = "photo";
   lens = null;
@@ -102,12 +105,12 @@ export class PhotoSide {
     return this.photo && [this.photo.width, this.photo.height];
   }
 
-  get thing() {
+  get id() {
     return this.photo?.id ?? null;
   }
 
-  get pictured() {
-    return this.thing;
+  get subject() {
+    return this.id;
   }
 
   toWorld(uv) {
@@ -128,25 +131,25 @@ export class PhotoSide {
     return `picture/photo/${encodeURIComponent(id)}?${query({ rev: rev ?? id })}`;
   }
 
-  /** @returns {string | null} address of the scan as this photograph's camera sees it, under the shown pose */
+  /** @returns {string | null} URL of the scan projected into this photograph under the shown pose */
   get overlayAddress() {
     const stage = this.#store.stageOf();
     const { overlay } = this.#view.get().photo;
     if (!this.photo || !stage || overlay === "none") return null;
-    // A solution of the same name may come again with other figures.
+    // a stage may be solved again with another result
     const rev = [stage.when, stage.cost, stage.focal_px, ...(stage.parameters ?? []).map(({ value }) => value)].join(" ");
     const show = overlay === "edges" ? "edges" : "intensity";
     return `picture/overlay/${encodeURIComponent(this.photo.id)}?${query({ stage: stage.stage, show, rev })}`;
   }
 
   get empty() {
-    return this.photo ? null : "No photograph yet. Add one with +, or drop its file anywhere on this page.";
+    return this.photo ? null : "No photograph yet. Add one with +, or drop a file anywhere on this page.";
   }
 
-  /** @returns {string | null} what is not known yet, though matches can be drawn */
+  /** @returns {string | null} a note over the picture */
   get note() {
     return this.photo && !this.photo.camera
-      ? "Focal length not known yet. Matches can be drawn now; solving needs it: give it with the photograph's name above."
+      ? "Focal length unknown. Matches can be drawn, but solving needs it: enter it next to the photograph's name above."
       : null;
   }
 }

@@ -1,10 +1,10 @@
-/** The simplex while it runs: where each of its steps puts the matches in the photograph. */
+/** Preview of a running simplex: the positions of the matches in the photograph under its current pose. */
 
-const FORGOTTEN_AFTER_MS = 2500;
+const EXPIRES_AFTER_MS = 2500;
 
-/** Predictions of the newest step. */
-export class Running {
-  /** @type {Record<string, (number[] | null)[]> | null} by match; null while nothing runs */
+/** Predicted positions of the newest step. */
+export class SimplexPreview {
+  /** @type {Record<string, (number[] | null)[]> | null} by match id; null while nothing runs */
   predicted = null;
   #timer = 0;
 
@@ -21,8 +21,8 @@ export class Running {
       const began = !this.predicted;
       this.predicted = step.predicted ?? {};
       clearTimeout(this.#timer);
-      // A paused solver stays where it is; one that says no more has gone.
-      this.#timer = setTimeout(() => store.get("job")?.state !== "paused" && end(), FORGOTTEN_AFTER_MS);
+      // a paused solver stays; one without further steps has ended
+      this.#timer = setTimeout(() => store.get("job")?.state !== "paused" && end(), EXPIRES_AFTER_MS);
       changed(began);
     });
     store.on("job", (job) => (!job || !["running", "paused"].includes(job.state)) && end());

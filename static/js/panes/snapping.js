@@ -1,36 +1,36 @@
-/** Ends that go to the nearest corner. What is taken is only what was shown: a corner that has not come yet is none. */
+/** Snapping of ends to the nearest corner. Only a corner that is already shown is used. */
 
 import { throttled } from "../ui/throttle.js";
 
 export const REACH_PX = 6;
-const EVERY_MS = 40;
+const INTERVAL_MS = 40;
 
-/** The corner nearest to the pointer, as last told. */
+/** The corner nearest to the pointer, as last answered. */
 export class Snapping {
   #found = null;
-  #asking;
+  #request;
 
   /**
    * @param {(what: string, args: any) => Promise<any>} ask
-   * @param {() => any} where which photograph and view the question is about
+   * @param {() => any} where the photograph and view that the question refers to
    * @param {() => void} changed
    */
   constructor(ask, where, changed) {
-    this.#asking = throttled(async ({ side, uv }) => {
+    this.#request = throttled(async ({ side, uv }) => {
       const { at, found } = await ask("snap", { ...where(side), side, at: uv });
       this.#found = found ? { side, uv: at } : null;
       changed();
-    }, EVERY_MS);
+    }, INTERVAL_MS);
   }
 
-  /** Look for a corner near a pixel. */
-  look(side, uv) {
-    this.#asking({ side, uv });
+  /** Request the corner near a pixel. */
+  request(side, uv) {
+    this.#request({ side, uv });
   }
 
-  /** Look no longer, and forget what was found. */
+  /** Drop the request and its result. */
   forget() {
-    this.#asking.forget();
+    this.#request.forget();
     this.#found = null;
   }
 

@@ -1,55 +1,57 @@
-/** The tools, at the border of each picture: what the pointer does, and what helps it. */
+/** The toolbar on each picture: tools and drawing aids. */
 
-import { element } from "../ui/dom.js";
 import { button, press } from "../ui/controls.js";
-import { icon } from "./tool_icons.js";
+import { element } from "../ui/dom.js";
 
 const TOOLS = [
   ["line", "Draw a line", "Draw a line in either picture, then its partner in the other (L)"],
   ["point", "Draw a point", "Set a point in either picture, then its partner in the other (P)"],
   ["select", "Select and move", "Select matches and move their ends (V); with other tools, hold Ctrl"],
 ];
-const HELPS = [
-  ["snap", "Snap to corners", "Ends go to the nearest corner (N); hold Alt for the opposite"],
-  ["loupe", "Loupe", "Loupe before a line is begun, too (O); while drawing it is always there"],
-  ["corners", "Found corners", "Show the corners that were found (C)"],
+const AIDS = [
+  ["snap", "Snap to corners", "Snap ends to the nearest corner (N); hold Alt to invert"],
+  ["loupe", "Loupe", "Show the loupe before drawing, too (O); while drawing it is always shown"],
+  ["corners", "Detected corners", "Show detected corners (C)"],
 ];
 
-/** A press by hand leaves the keyboard with the picture; one by key stays where it is. */
-const handing = (pane, act) => (event) => {
+/** A click gives the focus to the picture; activation by key leaves it on the button. */
+const focusing = (pane, act) => (event) => {
   act();
   if (event.detail > 0) pane.body.focus({ preventScroll: true });
 };
 
-/** @param {import("./controller.js").Desk} desk @param {import("./pane.js").Pane} pane */
-export const mountToolbox = (desk, pane) => {
-  const { view } = desk;
+/**
+ * @param {import("./controller.js").Controller} controller
+ * @param {import("./pane.js").Pane} pane
+ */
+export const mountToolbar = (controller, pane) => {
+  const { view } = controller;
   const tools = TOOLS.map(([name, label, title]) => {
-    const take = handing(pane, () => view.set({ tool: name }));
-    return [name, button(label, title, take, icon(name))];
+    const activate = focusing(pane, () => view.set({ tool: name }));
+    return [name, button({ label, title, icon: name, bare: true, kind: "pane-button", act: activate })];
   });
-  const helps = HELPS.map(([name, label, title]) => {
-    const turn = handing(pane, () => view.set({ [name]: view.get()[name] === false }));
-    return [name, button(label, title, turn, icon(name))];
+  const aids = AIDS.map(([name, label, title]) => {
+    const toggle = focusing(pane, () => view.set({ [name]: view.get()[name] === false }));
+    return [name, button({ label, title, icon: name, bare: true, kind: "pane-button", act: toggle })];
   });
   const where = pane.side === "scan" ? "scan" : "photograph";
   pane.body.append(
     element(
       "div",
       { class: "pane-tools", role: "toolbar", "aria-label": `Tools on the ${where}`, "aria-orientation": "vertical" },
-      ...tools.map(([, made]) => made),
+      ...tools.map(([, control]) => control),
       element("hr"),
-      ...helps.map(([, made]) => made),
+      ...aids.map(([, control]) => control),
     ),
   );
   const show = () => {
     const state = view.get();
-    for (const [name, made] of tools) press(made, state.tool === name);
-    for (const [name, made] of helps) press(made, state[name] !== false);
-    helps.at(-1)[1].hidden = !desk.store.get(`corners:${desk.store.shown()}`);
+    for (const [name, control] of tools) press(control, state.tool === name);
+    for (const [name, control] of aids) press(control, state[name] !== false);
+    aids.at(-1)[1].hidden = !controller.store.get(`corners:${controller.store.shown()}`);
     pane.body.dataset.tool = state.tool;
   };
   view.on((_, changed) => (changed.has("tool") || changed.has("snap") || changed.has("loupe") || changed.has("corners")) && show());
-  desk.store.watch(["corners:*", "shown"], show);
+  controller.store.watch(["corners:*", "shown"], show);
   show();
 };

@@ -1,105 +1,110 @@
-/** What a press, a move and a release do with the tool in hand: draw, accept, select, drag, frame. */
+/** The pointer tools: what press, move and release do: draw, accept, select, drag, frame. */
 
 import { hitAt, within } from "./hits.js";
-import { accepts } from "./prediction.js";
 import { CLICK_PX } from "./picking.js";
+import { accepts } from "./prediction.js";
 import { outsideBy, toPixel } from "./viewport.js";
 
-const BESIDE_PICTURE_PX = 8;
+const PICTURE_MARGIN_PX = 8;
 const DRAG_PX = 2;
 
 const far = (a, b, px) => Math.hypot(a[0] - b[0], a[1] - b[1]) >= px;
 
-/** Strokes of the pointer on the desk. */
-export class Strokes {
-  /** @type {{side: string, xy: number[], uv: number[], event: PointerEvent} | null} where the pointer is */
+/** The pointer's strokes in both panes. */
+export class Tools {
+  /** @type {{side: string, xy: number[], uv: number[], event: PointerEvent} | null} position of the pointer */
   pointer = null;
-  /** @type {{side: string, from: number[], to: number[]} | null} pixels: the frame of a selection */
+  /** @type {{side: string, from: number[], to: number[]} | null} selection frame, in pixels */
   frame = null;
-  /** @type {{id: string, side: string, index: number | null, ends: number[][], from: number[], moved: boolean} | null} */
+  /**
+   * @type {{id: string, side: string, index: number | null, ends: number[][], from: number[], moved: boolean} | null}
+   */
   dragged = null;
-  #desk;
-  #yes = null;
+  #controller;
+  #accepting = null;
   #listeners = new Set();
 
-  /** @param {import("./controller.js").Desk} desk */
-  constructor(desk) {
-    this.#desk = desk;
-    desk.onSnapped = () => this.#settle();
+  /** @param {import("./controller.js").Controller} controller */
+  constructor(controller) {
+    this.#controller = controller;
+    controller.onSnapped = () => this.#settle();
   }
 
-  /** The end under the pointer goes to the corner that has just been told: what is seen is what a release gives. */
+  /** Move the end under the pointer to the corner that has just arrived: a release gives what is shown. */
   #settle() {
     const { pointer } = this;
-    const pane = pointer && this.#desk.panes[pointer.side];
+    const pane = pointer && this.#controller.panes[pointer.side];
     if (!pane?.extent) return;
     if (this.dragged?.side === pane.side) this.#drag(pane, pointer.xy, pointer.uv);
-    else if (this.#desk.picking.drawing) this.#desk.picking.move(pane.side, this.#place(pane, pointer.xy, pointer.event));
+    else if (this.#controller.picking.drawing) this.#controller.picking.move(pane.side, this.#positionAt(pane, pointer.xy, pointer.event));
   }
 
-  /** @param {(pane: any, uv: number[]) => void} listen called when the pointer comes to another pixel */
+  /** @param {(pane: any, uv: number[]) => void} listen called when another pixel is under the pointer */
   onPointer(listen) {
     this.#listeners.add(listen);
   }
 
-  /** Another pixel is under the pointer now, though the pointer has not moved. */
+  /** The picture has moved under the pointer. */
   pictureMoved(pane) {
     if (this.pointer?.side !== pane.side || !pane.extent) return;
     this.pointer.uv = pane.pixelAt(this.pointer.xy);
     for (const listen of this.#listeners) listen(pane, this.pointer.uv);
   }
 
-  /** @returns {"line" | "point" | "select"} Ctrl or Command selects with any tool */
+  /** @returns {"line" | "point" | "select"} the current tool; Ctrl or Command selects with any */
   #tool(event) {
-    return event.ctrlKey || event.metaKey ? "select" : this.#desk.view.get().tool;
+    return event.ctrlKey || event.metaKey ? "select" : this.#controller.view.get().tool;
   }
 
-  /** The pixel that is meant: the corner within reach, where ends go to corners. */
+  /** @returns {number[]} the corner within reach if snapping is on, else the pixel itself */
   aim(pane, uv) {
-    return (this.#desk.snaps && this.#desk.snapping.near(pane, uv)) || uv;
+    return (this.#controller.snaps && this.#controller.snapping.near(pane, uv)) || uv;
   }
 
-  #place(pane, xy, event) {
+  #positionAt(pane, xy, event) {
     const uv = this.aim(pane, pane.pixelAt(xy));
-    return this.#desk.placeAt(pane.side, uv, event.timeStamp);
+    return this.#controller.positionAt(pane.side, uv, event.timeStamp);
   }
 
-  /** @returns {{ends: (number[] | null)[], line: number[][] | null} | null} the offered partner, if it is in this pane */
+  /**
+   * @returns {{ends: (number[] | null)[], line: number[][] | null} | null} the predicted partner, if it belongs in this
+   *   pane
+   */
   offered(side) {
-    const { picking, sides } = this.#desk;
-    return picking.wanted === side && picking.acceptable ? sides[side].placed(picking.predicted) : null;
+    const { picking, sides } = this.#controller;
+    return picking.missingSide === side && picking.acceptable ? sides[side].placed(picking.predicted) : null;
   }
 
   /** @returns {"pan" | "stroke"} */
   press(pane, xy, event) {
-    const desk = this.#desk;
-    desk.active = pane.side;
-    desk.inverted = event.altKey;
-    this.#yes = null;
+    const controller = this.#controller;
+    controller.active = pane.side;
+    controller.inverted = event.altKey;
+    this.#accepting = null;
     if (!pane.extent) return "pan";
     const offered = this.offered(pane.side);
-    if (offered && !desk.picking.drawing && accepts(offered, pane.viewport, xy, desk.look.scale)) {
-      this.#yes = { xy, event };
+    if (offered && !controller.picking.drawing && accepts(offered, pane.viewport, xy, controller.look.scale)) {
+      this.#accepting = { xy, event };
       return "stroke";
     }
     if (this.#tool(event) === "select") return this.#grab(pane, xy, event);
-    if (outsideBy(toPixel(pane.viewport, xy), pane.extent) * pane.viewport.zoom > BESIDE_PICTURE_PX) return "pan";
+    if (outsideBy(toPixel(pane.viewport, xy), pane.extent) * pane.viewport.zoom > PICTURE_MARGIN_PX) return "pan";
     this.#draw(pane, xy, event);
     return "stroke";
   }
 
   #draw(pane, xy, event) {
-    const desk = this.#desk;
-    if (!desk.picking.press(pane.side, desk.view.get().tool === "point" ? "point" : "line", this.#place(pane, xy, event))) return;
-    if (desk.view.get().selected.size > 0) desk.select([]);
-    desk.view.set({ hovered: null });
-    desk.took("drawing");
+    const controller = this.#controller;
+    if (!controller.picking.press(pane.side, controller.view.get().tool === "point" ? "point" : "line", this.#positionAt(pane, xy, event))) return;
+    if (controller.view.get().selected.size > 0) controller.select([]);
+    controller.view.set({ hovered: null });
+    controller.handle("drawing");
   }
 
   #grab(pane, xy, event) {
-    const desk = this.#desk;
-    const { selected } = desk.view.get();
-    const hit = hitAt(desk.marks(pane.side), pane.viewport, xy, selected, desk.look.scale);
+    const controller = this.#controller;
+    const { selected } = controller.view.get();
+    const hit = hitAt(controller.marks(pane.side), pane.viewport, xy, selected, controller.look.scale);
     const adds = event.shiftKey || event.ctrlKey || event.metaKey;
     if (!hit) {
       if (event.shiftKey) {
@@ -107,59 +112,59 @@ export class Strokes {
         this.frame = { side: pane.side, from: uv, to: uv };
         return "stroke";
       }
-      desk.select([]);
+      controller.select([]);
       return "pan";
     }
     if (adds) {
       const ids = new Set(selected);
       if (!ids.delete(hit.id)) ids.add(hit.id);
-      desk.select(ids);
+      controller.select(ids);
       return "stroke";
     }
-    desk.select([hit.id], hit.index);
-    const ends = desk.edits.endsOf(desk.pick(hit.id), pane.side);
+    controller.select([hit.id], hit.index);
+    const ends = controller.pendingMoves.endsOf(controller.pick(hit.id), pane.side);
     this.dragged = { id: hit.id, side: pane.side, index: hit.index, ends, from: pane.pixelAt(xy), begun: xy, moved: false };
     return "stroke";
   }
 
   move(pane, xy, event) {
-    const desk = this.#desk;
-    desk.inverted = event.altKey;
+    const controller = this.#controller;
+    controller.inverted = event.altKey;
     if (!pane.extent) return;
     const uv = pane.pixelAt(xy);
     this.pointer = { side: pane.side, xy, uv, event };
-    desk.cursor = desk.nudged = null;
+    controller.cursor = controller.nudged = null;
     for (const listen of this.#listeners) listen(pane, uv);
-    if (this.#yes && far(this.#yes.xy, xy, CLICK_PX)) {
-      const { xy: began, event: press } = this.#yes;
-      this.#yes = null;
+    if (this.#accepting && far(this.#accepting.xy, xy, CLICK_PX)) {
+      const { xy: began, event: press } = this.#accepting;
+      this.#accepting = null;
       this.#draw(pane, began, press);
     }
     if (this.frame) this.frame.to = toPixel(pane.viewport, xy);
     else if (this.dragged) this.#drag(pane, xy, uv);
-    else if (desk.picking.drawing) desk.picking.move(pane.side, this.#place(pane, xy, event));
+    else if (controller.picking.drawing) controller.picking.move(pane.side, this.#positionAt(pane, xy, event));
     else this.#hover(pane, xy);
-    if (desk.snaps && this.#placing(event)) desk.snapping.look(pane.side, this.#lookedAt(pane, uv));
-    else desk.snapping.forget();
+    if (controller.snaps && this.#placing(event)) controller.snapping.request(pane.side, this.#snapPoint(pane, uv));
+    else controller.snapping.forget();
     pane.invalidate("live");
   }
 
-  /** Whether an end is being placed, or would be with the next press. */
+  /** @returns {boolean} whether an end is being placed, or would be with the next press */
   #placing(event) {
     return this.dragged ? this.dragged.moved && this.dragged.index !== null : this.#tool(event) !== "select" && !this.frame;
   }
 
-  /** Where the dragged end is, which need not be where it was taken hold of. */
-  #lookedAt(pane, uv) {
+  /** @returns {number[]} position of the dragged end, which need not be where it was grabbed */
+  #snapPoint(pane, uv) {
     if (!this.dragged) return uv;
-    const was = this.#desk.sides[pane.side].toPixel(this.dragged.ends[this.dragged.index]);
+    const was = this.#controller.sides[pane.side].toPixel(this.dragged.ends[this.dragged.index]);
     return was ? [was[0] + uv[0] - this.dragged.from[0], was[1] + uv[1] - this.dragged.from[1]] : uv;
   }
 
   #hover(pane, xy) {
-    const desk = this.#desk;
-    const hit = hitAt(desk.marks(pane.side), pane.viewport, xy, desk.view.get().selected, desk.look.scale);
-    if (desk.view.get().hovered !== (hit?.id ?? null)) desk.view.set({ hovered: hit?.id ?? null });
+    const controller = this.#controller;
+    const hit = hitAt(controller.marks(pane.side), pane.viewport, xy, controller.view.get().selected, controller.look.scale);
+    if (controller.view.get().hovered !== (hit?.id ?? null)) controller.view.set({ hovered: hit?.id ?? null });
     pane.body.classList.toggle("grabs", Boolean(hit) && this.#tool(this.pointer.event) === "select");
   }
 
@@ -168,12 +173,12 @@ export class Strokes {
     if (!dragged.moved && !far(dragged.begun, xy, DRAG_PX)) return;
     dragged.moved = true;
     const ends = this.#moved(pane, uv);
-    if (ends) this.#desk.edits.show(dragged.id, dragged.side, ends);
+    if (ends) this.#controller.pendingMoves.show(dragged.id, dragged.side, ends);
   }
 
   #moved(pane, uv) {
     const { dragged } = this;
-    const side = this.#desk.sides[pane.side];
+    const side = this.#controller.sides[pane.side];
     const by = [uv[0] - dragged.from[0], uv[1] - dragged.from[1]];
     const shift = (end, index) => {
       if (dragged.index !== null && dragged.index !== index) return end;
@@ -187,49 +192,49 @@ export class Strokes {
   }
 
   release(pane, xy, event) {
-    const desk = this.#desk;
-    desk.inverted = event.altKey;
+    const controller = this.#controller;
+    controller.inverted = event.altKey;
     const { dragged, frame } = this;
-    if (this.#yes) {
-      this.#yes = null;
-      desk.accept();
+    if (this.#accepting) {
+      this.#accepting = null;
+      controller.accept();
     } else if (frame) {
       this.frame = null;
-      desk.select(new Set([...desk.view.get().selected, ...within(desk.marks(pane.side), frame.from, frame.to)]));
+      controller.select(new Set([...controller.view.get().selected, ...within(controller.marks(pane.side), frame.from, frame.to)]));
     } else if (dragged) {
       const ends = dragged.moved && this.#moved(pane, pane.pixelAt(xy));
       this.dragged = null;
-      if (ends) desk.edits.commit(dragged.id, dragged.side, ends);
-    } else if (desk.picking.drawing) {
-      desk.took(desk.picking.release(pane.side, this.#place(pane, xy, event)));
+      if (ends) controller.pendingMoves.commit(dragged.id, dragged.side, ends);
+    } else if (controller.picking.drawing) {
+      controller.handle(controller.picking.release(pane.side, this.#positionAt(pane, xy, event)));
     }
     pane.invalidate("live");
   }
 
-  /** The stroke was none: a second finger came, or the system took the pointer away. */
+  /** Cancel the stroke: a second finger has come, or the system has taken the pointer. */
   cancel(pane) {
-    if (this.dragged) this.#desk.edits.drop(this.dragged.id, this.dragged.side);
-    this.dragged = this.frame = this.#yes = null;
-    if (this.#desk.picking.drawing) this.#desk.abandon();
+    if (this.dragged) this.#controller.pendingMoves.drop(this.dragged.id, this.dragged.side);
+    this.dragged = this.frame = this.#accepting = null;
+    if (this.#controller.picking.drawing) this.#controller.abandon();
     pane.invalidate("live");
   }
 
-  /** Esc during a drag puts the end back. @returns {boolean} whether one was under way */
+  /** Cancel a drag or a frame, on Esc. @returns {boolean} whether there was one */
   abandon() {
     if (!this.dragged && !this.frame) return false;
-    this.cancel(this.#desk.panes[(this.dragged ?? this.frame).side]);
+    this.cancel(this.#controller.panes[(this.dragged ?? this.frame).side]);
     return true;
   }
 
   leave(pane) {
     if (this.pointer?.side === pane.side) this.pointer = null;
-    this.#desk.snapping.forget();
-    this.#desk.view.set({ hovered: null, readout: null });
+    this.#controller.snapping.forget();
+    this.#controller.view.set({ hovered: null, readout: null });
     pane.invalidate("live");
   }
 
-  /** A double click fits unless something is begun. */
+  /** @returns {boolean} whether a double click fits the picture: nothing has been begun */
   mayFit() {
-    return this.#desk.picking.idle && !this.dragged;
+    return this.#controller.picking.idle && !this.dragged;
   }
 }

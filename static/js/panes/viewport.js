@@ -1,6 +1,6 @@
 /**
- * Where a picture lies in its pane. Pixel u stands at (u + .5) * zoom + x, CSS pixels from the pane's left border;
- * (0, 0) is the centre of the top-left pixel. Viewports are values: nothing here changes one.
+ * The viewport: position and zoom of a picture in its pane. Pixel u is shown at (u + .5) * zoom + x CSS pixels from the
+ * pane's left border; (0, 0) is the centre of the top-left pixel. Viewports are immutable.
  */
 
 /**
@@ -10,39 +10,39 @@
  */
 
 export const LARGEST_ZOOM = 64;
-/** From this zoom on, pixels are shown as what they are. */
+/** From this zoom on, pixels are shown without smoothing. */
 export const SMOOTH_BELOW = 2;
 const SMALLEST_OF_FIT = 0.25;
-const STAYS_IN_SIGHT_PX = 48;
-const LINES_PX = 16;
-const PAGES_PX = 400;
-const FASTEST_PX = 240;
+const LEAST_VISIBLE_PX = 48;
+const WHEEL_LINE_PX = 16;
+const WHEEL_PAGE_PX = 400;
+const FASTEST_WHEEL_PX = 240;
 const WHEEL_RATE = 0.0022;
 const PINCH_RATE = 0.012;
 
-/** @returns {Pair} where pixel uv stands in the pane */
+/** @returns {Pair} position of pixel uv in the pane */
 export const toScreen = (viewport, uv) => [
   (uv[0] + 0.5) * viewport.zoom + viewport.x,
   (uv[1] + 0.5) * viewport.zoom + viewport.y,
 ];
 
-/** @returns {Pair} the pixel at a place of the pane */
+/** @returns {Pair} the pixel at a position of the pane */
 export const toPixel = (viewport, xy) => [
   (xy[0] - viewport.x) / viewport.zoom - 0.5,
   (xy[1] - viewport.y) / viewport.zoom - 0.5,
 ];
 
-/** @returns {Viewport} the whole picture, as large as it goes, in the middle */
+/** @returns {Viewport} the whole picture, as large as possible, centred */
 export const fitted = (pane, picture) => {
   const zoom = Math.min(pane[0] / picture[0], pane[1] / picture[1], LARGEST_ZOOM);
   return { zoom, x: (pane[0] - picture[0] * zoom) / 2, y: (pane[1] - picture[1] * zoom) / 2 };
 };
 
-/** @returns {number} the nearest zoom that is allowed */
+/** @returns {number} the zoom, limited to the allowed range */
 export const allowed = (zoom, pane, picture) =>
   Math.min(LARGEST_ZOOM, Math.max(zoom, SMALLEST_OF_FIT * Math.min(1, fitted(pane, picture).zoom)));
 
-/** @returns {Viewport} with another zoom; what is at xy stays there */
+/** @returns {Viewport} with another zoom; the point at xy stays in place */
 export const zoomedAbout = (viewport, xy, zoom) => {
   const factor = zoom / viewport.zoom;
   return { zoom, x: xy[0] + (viewport.x - xy[0]) * factor, y: xy[1] + (viewport.y - xy[1]) * factor };
@@ -51,20 +51,20 @@ export const zoomedAbout = (viewport, xy, zoom) => {
 /** @returns {Viewport} moved by CSS pixels */
 export const moved = (viewport, by) => ({ zoom: viewport.zoom, x: viewport.x + by[0], y: viewport.y + by[1] });
 
-/** @returns {Viewport} with pixel uv in the middle of the pane */
+/** @returns {Viewport} with pixel uv in the centre of the pane */
 export const centredOn = (uv, zoom, pane) => ({
   zoom,
   x: pane[0] / 2 - (uv[0] + 0.5) * zoom,
   y: pane[1] / 2 - (uv[1] + 0.5) * zoom,
 });
 
-/** @returns {Pair} the pixel in the middle of the pane */
+/** @returns {Pair} the pixel in the centre of the pane */
 export const middle = (viewport, pane) => toPixel(viewport, [pane[0] / 2, pane[1] / 2]);
 
-/** @returns {Viewport} moved so far that some of the picture is in sight */
+/** @returns {Viewport} moved so that some of the picture stays visible */
 export const keptInSight = (viewport, pane, picture) => {
   const along = (at, room, length) => {
-    const least = Math.min(STAYS_IN_SIGHT_PX, length, room / 2);
+    const least = Math.min(LEAST_VISIBLE_PX, length, room / 2);
     return Math.min(Math.max(at, least - length), room - least);
   };
   return {
@@ -75,14 +75,14 @@ export const keptInSight = (viewport, pane, picture) => {
 };
 
 /**
- * How much one turn of the wheel zooms: one notch by about a quarter, trackpads smoothly, a pinch as the fingers go.
+ * Zoom factor of a wheel event: a notch zooms by about a quarter, trackpads smoothly, a pinch follows the fingers.
  * @param {{deltaY: number, deltaMode: number, ctrlKey: boolean}} wheel
  * @returns {number} factor
  */
 export const wheelFactor = ({ deltaY, deltaMode, ctrlKey }) => {
-  const px = deltaY * (deltaMode === 1 ? LINES_PX : deltaMode === 2 ? PAGES_PX : 1);
-  const bounded = Math.max(-FASTEST_PX, Math.min(FASTEST_PX, px));
-  // Browsers tell a pinch as a wheel with Ctrl in small steps; a real wheel with Ctrl has large ones.
+  const px = deltaY * (deltaMode === 1 ? WHEEL_LINE_PX : deltaMode === 2 ? WHEEL_PAGE_PX : 1);
+  const bounded = Math.max(-FASTEST_WHEEL_PX, Math.min(FASTEST_WHEEL_PX, px));
+  // browsers report a pinch as a wheel with Ctrl in small steps; a real wheel with Ctrl has large ones
   const rate = ctrlKey && Math.abs(bounded) < 50 ? PINCH_RATE : WHEEL_RATE;
   return Math.exp(-bounded * rate);
 };
@@ -93,11 +93,11 @@ const extent = (uvs, axis) => {
 };
 
 /**
- * Bring pixels into sight: nothing moves while they are well inside, and the zoom changes only where it must.
+ * Make pixels visible: nothing moves while they are well inside, and the zoom changes only if it must.
  * @param {Viewport} viewport
  * @param {Size} pane
  * @param {number[][]} uvs at least one
- * @param {number} least the zoom below which a single place is not seen well
+ * @param {number} least the zoom below which a single point is hard to see
  * @returns {Viewport}
  */
 export const revealing = (viewport, pane, uvs, least = 1) => {
@@ -114,12 +114,12 @@ export const revealing = (viewport, pane, uvs, least = 1) => {
   return centredOn([(left + right) / 2, (top + bottom) / 2], zoom, pane);
 };
 
-/** @returns {Viewport} on the way from one viewport to another: 0 <= t <= 1 */
+/** @returns {Viewport} interpolated between two viewports: 0 <= t <= 1 */
 export const between = (from, to, t, pane) => {
   if (t >= 1) return to;
   const zoom = Math.exp(Math.log(from.zoom) * (1 - t) + Math.log(to.zoom) * t);
   const [a, b] = [middle(from, pane), middle(to, pane)];
-  // Along the zoom, not along the time: otherwise the goal leaves the pane on the way in.
+  // along the zoom, not along the time: otherwise the target would leave the pane while zooming in
   const share = from.zoom === to.zoom ? t : (1 / zoom - 1 / from.zoom) / (1 / to.zoom - 1 / from.zoom);
   return centredOn([a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share], zoom, pane);
 };
@@ -130,7 +130,7 @@ export const inside = (uv, picture) => [
   Math.min(Math.max(uv[1], 0), picture[1] - 1),
 ];
 
-/** @returns {number} how many pixels uv lies outside the picture; 0 inside */
+/** @returns {number} distance of uv from the picture in pixels; 0 inside */
 export const outsideBy = (uv, picture) => Math.max(-0.5 - uv[0], -0.5 - uv[1], uv[0] - picture[0] + 0.5, uv[1] - picture[1] + 0.5, 0);
 
 /** @returns {string} such as `68 %` or `×12` */

@@ -1,28 +1,25 @@
-/** A match that is touched anywhere is lit everywhere: from the 3-D scene into the page, and from the page into it. */
+/** Hovering over a match highlights it everywhere: in the table, the plots, both pictures and the 3-D scene. */
 
 import { ask, connectionState } from "../net/connection.js";
 import { store } from "../net/store.js";
+import { throttled } from "../ui/throttle.js";
 import { view } from "./view.js";
 
-const APART_MS = 80;
+const INTERVAL_MS = 80;
 
-/** Link both ways from now on. */
+/** Link the page's hovering with that of the 3-D scene, both ways. */
 export const linkHovering = () => {
-  let told = null;
-  let timer = 0;
+  let known = null; // to the scene: what came from it is not sent back
   store.onEvent("hover", ({ photo, pick }) => {
     if (photo && photo !== store.shown()) return;
-    told = pick ?? null; // it comes from there: it is not told back
-    view.set({ hovered: told });
+    known = pick ?? null;
+    view.set({ hovered: known });
   });
-  const tell = () => {
-    timer = 0;
+  const send = throttled(async () => {
     const { hovered } = view.get();
-    if (hovered === told || connectionState() !== "connected") return;
-    told = hovered;
-    ask("hover_pick", { pick: hovered }).catch(() => {}); // a light that does not go on is no loss
-  };
-  view.on((_, changed) => {
-    if (changed.has("hovered")) timer ||= setTimeout(tell, APART_MS);
-  });
+    if (hovered === known || connectionState() !== "connected") return;
+    known = hovered;
+    await ask("hover_pick", { pick: hovered });
+  }, INTERVAL_MS);
+  view.on((_, changed) => changed.has("hovered") && send());
 };

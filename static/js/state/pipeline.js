@@ -1,50 +1,50 @@
-/** The thesis's chain, step by step: which job does it, which settings belong to it, how it stands. No DOM here. */
+/** The steps of the thesis: their jobs, settings and states; and the state of a job. No DOM here. */
 
 import { counted, duration, fixed } from "../ui/numbers.js";
 
 /**
- * `parts` are what the settings name as `step_of`; `stage` is the pose that the step leaves, `leaves` the origin of its
- * matches.
- * @typedef {{job: string, label: string, said: string, parts: string[], stage?: string, leaves?: string,
- *            in: "match" | "solve"}} ChainStep
+ * `parts` are the values of `step_of` in the settings; `stage` is the pose that the step produces, `origin` the origin
+ * of its matches.
+ * @typedef {{job: string, label: string, description: string, parts: string[], stage?: string, origin?: string, in:
+ *   "match" | "solve"}} PipelineStep
  */
 
-/** @type {ChainStep[]} */
-export const CHAIN = [
+/** @type {PipelineStep[]} */
+export const PIPELINE = [
   {
     job: "find_corners",
     label: "Find corners",
-    said: "Corners in both pictures (2.3.2)",
+    description: "Detects corners in both pictures (2.3.2)",
     parts: ["corners"],
     in: "match",
   },
   {
     job: "match",
     label: "Match corners",
-    said: "Correlation of gray and edges, unique by T1 (2.3.2)",
+    description: "Matches corners by correlation of gray values and edges, with uniqueness threshold T1 (2.3.2)",
     parts: ["match"],
-    leaves: "corner",
+    origin: "corner",
     in: "match",
   },
   {
     job: "cull",
-    label: "Cull by disparity",
-    said: "Takes away what moves unlike its neighbours (2.3.2, T2)",
+    label: "Filter",
+    description: "Removes matches whose disparity differs from their neighbours' (2.3.2, T2)",
     parts: ["cull"],
     in: "match",
   },
   {
     job: "linear",
     label: "Linear",
-    said: "A first pose without a start (2.4.1)",
+    description: "Computes a first pose without a starting pose (2.4.1)",
     parts: ["linear"],
     stage: "linear",
     in: "solve",
   },
   {
     job: "constrained",
-    label: "Second search",
-    said: "Matches again, near where the linear pose predicts them",
+    label: "Guided matching",
+    description: "Matches again near the positions that the linear pose predicts",
     parts: ["constrained"],
     stage: "constrained_linear",
     in: "solve",
@@ -52,23 +52,23 @@ export const CHAIN = [
   {
     job: "densify",
     label: "Densify lines",
-    said: "Lines between matches on planes",
+    description: "Adds lines between matches on planes",
     parts: ["densify", "lines"],
-    leaves: "between corners",
+    origin: "between corners",
     in: "match",
   },
   {
     job: "simplex",
     label: "Simplex",
-    said: "Downhill simplex over the six parameters (2.4.2)",
+    description: "Downhill simplex over the six parameters (2.4.2)",
     parts: ["simplex"],
     stage: "simplex",
     in: "solve",
   },
   {
     job: "reject_outliers",
-    label: "Reject outliers",
-    said: "Leaves out large depth errors and walks again",
+    label: "Remove outliers",
+    description: "Removes outliers and solves again",
     parts: ["reject", "reject_outliers"],
     stage: "simplex_outliers_removed",
     in: "solve",
@@ -76,7 +76,7 @@ export const CHAIN = [
   {
     job: "robust",
     label: "Robust",
-    said: "All matches weighed by their own noise",
+    description: "Robust estimate, each match weighted by its own noise",
     parts: ["robust"],
     stage: "robust",
     in: "solve",
@@ -84,20 +84,20 @@ export const CHAIN = [
   {
     job: "verify",
     label: "Verify",
-    said: "Judges the shown pose on the pictures themselves",
+    description: "Verifies the shown pose against the image",
     parts: ["verify"],
     in: "solve",
   },
 ];
 
-/** Settings that belong to no step, or to all. */
-export const OTHERS = { job: "", label: "Of all steps", said: "What holds for every step", parts: [], in: "solve" };
+/** The settings that belong to no single step. */
+export const GENERAL = { job: "", label: "General", description: "Settings of all steps", parts: [], in: "solve" };
 
-const KNOWN = new Set(CHAIN.flatMap(({ parts }) => parts));
+const KNOWN = new Set(PIPELINE.flatMap(({ parts }) => parts));
 
 /**
  * @param {Record<string, any> | null} settings slice `settings`
- * @param {ChainStep} step or OTHERS
+ * @param {PipelineStep} step or GENERAL
  * @returns {[string, any][]} names and entries
  */
 export const settingsOf = (settings, step) =>
@@ -106,41 +106,41 @@ export const settingsOf = (settings, step) =>
   );
 
 /**
- * How a step stands.
- * @param {ChainStep} step
- * @param {{job: any, last: any, stages: any[], corners: any, picks: any[]}} of `last` is the newest finished job of
- *   this kind
- * @returns {{state: "none" | "running" | "paused" | "done" | "failed" | "stopped", said: string}}
+ * State of a step.
+ * @param {PipelineStep} step
+ * @param {{job: any, last: any, stages: any[], corners: any, picks: any[]}} context `last` is the newest finished job
+ *   of this kind
+ * @returns {{state: "none" | "running" | "paused" | "done" | "failed" | "stopped", text: string}}
  */
 export const stepState = (step, { job, last, stages, corners, picks }) => {
   if (job?.kind === step.job && (job.state === "running" || job.state === "paused")) return {
     state: job.state,
-    said: job.said || job.state,
+    text: job.said || job.state,
   };
-  if (last?.state === "failed") return { state: "failed", said: last.said };
+  if (last?.state === "failed") return { state: "failed", text: last.said };
   const stage = step.stage && stages.find((each) => each.stage === step.stage);
-  if (stage) return { state: "done", said: stageInShort(stage) };
-  if (last?.state === "stopped") return { state: "stopped", said: last.said || "stopped" };
-  if (last) return { state: "done", said: last.said };
+  if (stage) return { state: "done", text: stageSummary(stage) };
+  if (last?.state === "stopped") return { state: "stopped", text: last.said || "stopped" };
+  if (last) return { state: "done", text: last.said };
   if (step.job === "find_corners" && corners) return {
     state: "done",
-    said: `${corners.scan?.length ?? 0} and ${corners.photo?.length ?? 0} corners`,
+    text: `${corners.scan?.length ?? 0} and ${corners.photo?.length ?? 0} corners`,
   };
-  const found = picks.filter(({ origin }) => origin === step.leaves).length;
-  if (found) return { state: "done", said: counted(found, "match", "matches") };
-  return { state: "none", said: "" };
+  const found = picks.filter(({ origin }) => origin === step.origin).length;
+  if (found) return { state: "done", text: counted(found, "match", "matches") };
+  return { state: "none", text: "" };
 };
 
-/** @returns {string} such as `128 of 134, 0.42 px, 1.2 s` */
-export const stageInShort = (stage) =>
+/** @returns {string} inliers, median residual and time of a stage, such as `128 of 134, 0.42 px, 1.2 s` */
+export const stageSummary = (stage) =>
   [
     stage.matches === undefined ? "" : `${stage.inliers} of ${stage.matches}`,
     Number.isFinite(stage.median_px) ? `${fixed(stage.median_px, 2)} px` : "",
     stage.seconds ? duration(stage.seconds) : "",
   ].filter(Boolean).join(", ");
 
-/** @returns {number | null} share of a job that is done, 0 to 1; null where nobody knows */
+/** @returns {number | null} share of a job that is done, 0 to 1; null if unknown */
 export const shareDone = (job) => (job && job.total > 0 ? Math.max(0, Math.min(1, job.done / job.total)) : null);
 
-/** @returns {boolean} whether a job is under way */
-export const runs = (job) => job?.state === "running" || job?.state === "paused";
+/** @returns {boolean} whether a job is running or paused */
+export const isRunning = (job) => job?.state === "running" || job?.state === "paused";

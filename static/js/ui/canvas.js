@@ -1,19 +1,20 @@
-/** A canvas as large as its place, in CSS pixels whatever the screen's density, drawn anew when anything changes. */
+/** A canvas that fills its box at the screen's resolution, and is redrawn when its size or the theme changes. */
 
-import { element, inNextFrame } from "./dom.js";
-import { view } from "../state/view.js";
+import { element } from "./dom.js";
+import { onTheme } from "./theme.js";
+import { inNextFrame } from "./throttle.js";
 
-/** @returns {(name: string) => string} the value of a custom property, as the theme has it now */
-export const inks = () => {
+/** @returns {(name: string) => string} reads a custom property, such as a colour of the current theme */
+const themeColours = () => {
   const style = getComputedStyle(document.documentElement);
   return (name) => style.getPropertyValue(name).trim();
 };
 
 /**
  * @param {Record<string, any>} properties of the canvas
- * @param {(context: CanvasRenderingContext2D, width: number, height: number, ink: (name: string) => string,
- *         em: number) => void} paint
- * @returns {{canvas: HTMLCanvasElement, draw: () => void}}
+ * @param {(context: CanvasRenderingContext2D, width: number, height: number, colour: (name: string) => string,
+ *         em: number) => void} paint draws in CSS pixels
+ * @returns {{canvas: HTMLCanvasElement, draw: () => void}} `draw` redraws in the next frame
  */
 export const makeCanvas = (properties, paint) => {
   const canvas = element("canvas", properties);
@@ -30,10 +31,9 @@ export const makeCanvas = (properties, paint) => {
     const em = Number.parseFloat(style.fontSize);
     context.font = `${em}px ${style.fontFamily}`;
     context.lineWidth = 1;
-    paint(context, width, height, inks(), em);
+    paint(context, width, height, themeColours(), em);
   });
   new ResizeObserver(draw).observe(canvas);
-  view.on((_, changed) => changed.has("theme") && draw());
-  matchMedia("(prefers-color-scheme: light)").addEventListener("change", draw);
+  onTheme(draw);
   return { canvas, draw };
 };

@@ -1,18 +1,37 @@
-/** Small controls of the panes: buttons, selects, sliders, and what folds out of a button. */
+/** Controls: buttons, selects, sliders, tick boxes, and sheets that open below a button. */
 
 import { element, newId } from "./dom.js";
+import { icon } from "./icons.js";
 
-/** @returns {HTMLButtonElement} */
-export const button = (label, title, act, ...children) => {
-  const made = element("button", { type: "button", class: "pane-button", title, "aria-label": label }, ...(children.length ? children : [label]));
-  made.addEventListener("click", act);
-  return made;
-};
+/**
+ * A button.
+ * @param {{label: string, text?: string, act?: (event: Event) => void, icon?: string, title?: string, kind?: string,
+ *          bare?: boolean, [attribute: string]: any}} options `text` is shown in place of `label`, which is then only
+ *   announced; a `bare` button shows its icon alone; `kind` adds CSS classes; the rest become attributes
+ * @returns {HTMLButtonElement}
+ */
+export const button = ({ label, text = label, act, icon: sign, title, kind = "", bare = false, ...rest }) =>
+  element(
+    "button",
+    {
+      type: "button",
+      class: `button ${kind} ${bare ? "bare" : ""}`.trim(),
+      title: title ?? (bare ? label : null),
+      "aria-label": bare || text !== label ? label : null,
+      on: act ? { click: act } : {},
+      ...rest,
+    },
+    sign ? icon(sign) : null,
+    bare ? null : element("span", {}, text),
+  );
 
-/** Show whether a button is pressed. */
-export const press = (made, pressed) => made.setAttribute("aria-pressed", String(pressed));
+/** Show whether a toggle button is pressed. */
+export const press = (toggle, pressed) => toggle.setAttribute("aria-pressed", String(pressed));
 
-/** Fill a select anew where its options have changed. @param {[string, string][]} options value and label */
+/**
+ * Set the value of a select, and its options if they have changed.
+ * @param {[string, string][]} options value and label
+ */
 export const fill = (select, options, value) => {
   const key = JSON.stringify(options);
   if (select.dataset.options !== key) {
@@ -22,31 +41,32 @@ export const fill = (select, options, value) => {
   if (select.value !== value) select.value = value;
 };
 
-/** @returns {HTMLSelectElement} */
+/** @returns {HTMLSelectElement} a select without options yet; see `fill` */
 export const choice = (label, changed) => {
-  const made = element("select", { class: "pane-select", "aria-label": label, title: label });
-  made.addEventListener("change", () => changed(made.value));
-  return made;
+  const select = element("select", { class: "pane-select", "aria-label": label, title: label });
+  select.addEventListener("change", () => changed(select.value));
+  return select;
 };
 
 /**
- * A slider with its name and its value.
- * @param {{label: string, least: number, most: number, step: number, text: (value: number) => string, changed: (value: number) => void}} of
+ * A slider with its label and its value.
+ * @param {{label: string, least: number, most: number, step: number, text: (value: number) => string, changed: (value:
+ *   number) => void}} options
  * @returns {{row: HTMLElement, show: (value: number) => void}}
  */
 export const slider = ({ label, least, most, step, text, changed }) => {
   const input = element("input", { type: "range", min: least, max: most, step, "aria-label": label });
-  const said = element("output", { class: "pane-value" });
+  const output = element("output", { class: "pane-value" });
   const show = (value) => {
     if (Number(input.value) !== value) input.value = value;
     input.setAttribute("aria-valuetext", text(value));
-    said.textContent = text(value);
+    output.textContent = text(value);
   };
   input.addEventListener("input", () => changed(Number(input.value)));
-  return { row: element("label", { class: "pane-row" }, element("span", {}, label), input, said), show };
+  return { row: element("label", { class: "pane-row" }, element("span", {}, label), input, output), show };
 };
 
-/** @returns {{row: HTMLElement, show: (value: boolean) => void}} a switch with its name */
+/** @returns {{row: HTMLElement, show: (value: boolean) => void}} a tick box with its label */
 export const tickBox = ({ label, changed }) => {
   const input = element("input", { type: "checkbox" });
   input.addEventListener("change", () => changed(input.checked));
@@ -57,15 +77,14 @@ export const tickBox = ({ label, changed }) => {
 };
 
 /**
- * A button out of which controls fold, over everything else and below the button.
+ * A button that opens a sheet of controls below itself.
  * @returns {{opener: HTMLButtonElement, sheet: HTMLElement}}
  */
 export const foldOut = (label, title, ...rows) => {
   const sheet = element("div", { class: "pane-sheet", popover: "auto", id: newId("pane-sheet"), role: "group", "aria-label": title }, ...rows);
-  const opener = button(label, title, () => {});
+  const opener = button({ label, title, kind: "pane-button pane-opener" });
   opener.popoverTargetElement = sheet;
   opener.setAttribute("aria-haspopup", "dialog");
-  opener.classList.add("pane-opener");
   sheet.addEventListener("beforetoggle", (event) => {
     if (event.newState !== "open") return;
     const box = opener.getBoundingClientRect();

@@ -1,6 +1,7 @@
-/** The browser's own modal dialog with a head, a body and a way out. */
+/** A modal dialog with a head, a body and a close button. */
 
-import { button, element, newId } from "./dom.js";
+import { button } from "./controls.js";
+import { element, newId } from "./dom.js";
 
 /**
  * @param {string} title
@@ -22,7 +23,7 @@ export const makeDialog = (title, { kind = "" } = {}, ...children) => {
     ),
     body,
   );
-  dialog.addEventListener("click", (event) => event.target === dialog && close()); // beside it
+  dialog.addEventListener("click", (event) => event.target === dialog && close()); // a click on the backdrop
   document.getElementById("floating").append(dialog);
   return { dialog, body, open: () => dialog.open || dialog.showModal(), close };
 };

@@ -1,24 +1,23 @@
-/** Making elements. Text of others only ever becomes text: nothing here parses HTML. */
-
-import { icon } from "./icons.js";
+/** Creation and update of elements. Nothing here parses HTML: foreign text can only become text. */
 
 /**
+ * Create an element.
  * @param {string} tag
- * @param {Record<string, any>} [properties] `class`, `role`, names with a dash and what is no property are attributes;
- *   `on` is {event: listener}; null and undefined are left out
+ * @param {Record<string, any>} [properties] `class`, names with a dash and names that are no properties become
+ *   attributes; `on` is {event: listener}; null and undefined are skipped
  * @param {...(Node | string | number | null | undefined | false)} children
  * @returns {any}
  */
 export const element = (tag, properties = {}, ...children) => {
-  const made = document.createElement(tag);
+  const node = document.createElement(tag);
   for (const [name, value] of Object.entries(properties)) {
     if (value === null || value === undefined) continue;
-    if (name === "on") for (const [event, listener] of Object.entries(value)) made.addEventListener(event, listener);
-    else if (name === "class" || name.includes("-") || !(name in made)) made.setAttribute(name, String(value));
-    else made[name] = value;
+    if (name === "on") for (const [event, listener] of Object.entries(value)) node.addEventListener(event, listener);
+    else if (name === "class" || name.includes("-") || !(name in node)) node.setAttribute(name, String(value));
+    else node[name] = value;
   }
-  made.append(...present(children));
-  return made;
+  node.append(...present(children));
+  return node;
 };
 
 const present = (children) => children.flat().filter(
@@ -26,64 +25,28 @@ const present = (children) => children.flat().filter(
 );
 
 /**
- * Replace what an element holds.
+ * Replace the children of an element.
  * @param {Element} parent
  * @param {...(Node | string | null | undefined | false)} children
  */
-export const put = (parent, ...children) => parent.replaceChildren(...present(children));
+export const setChildren = (parent, ...children) => parent.replaceChildren(...present(children));
 
-/**
- * A button.
- * @param {{label: string, act?: (event: Event) => void, icon?: string, title?: string, kind?: string, bare?: boolean,
- *          [attribute: string]: any}} of `bare`: only the icon is seen, the label is told
- * @returns {HTMLButtonElement}
- */
-export const button = ({ label, act, icon: sign, title, kind = "", bare = false, ...rest }) =>
-  element(
-    "button",
-    {
-      type: "button",
-      class: `button ${kind} ${bare ? "bare" : ""}`.trim(),
-      title: title ?? (bare ? label : null),
-      "aria-label": bare ? label : null,
-      on: act ? { click: act } : {},
-      ...rest,
-    },
-    sign ? icon(sign) : null,
-    bare ? null : element("span", {}, label),
-  );
-
-/** Set text only where it differs, so that a screen reader hears it once. */
-export const say = (target, text) => {
+/** Set the text only if it differs, so that a screen reader announces it once. */
+export const setText = (target, text) => {
   if (target.textContent !== text) target.textContent = text;
 };
 
-/** Set or take away an attribute. */
-export const attribute = (target, name, value) => {
+/** Set an attribute, or remove it if the value is null, undefined or false. */
+export const setAttribute = (target, name, value) => {
   if (value === null || value === undefined || value === false) target.removeAttribute(name);
   else if (target.getAttribute(name) !== String(value)) target.setAttribute(name, String(value));
 };
 
 let count = 0;
-/** @returns {string} an id that is nowhere else in the page */
-export const newId = (what) => `${what}-${++count}`;
+/** @returns {string} an id that is unique in the page */
+export const newId = (prefix) => `${prefix}-${++count}`;
 
-/**
- * Call `draw` once in the next frame, however often it is asked for.
- * @param {() => void} draw
- * @returns {() => void}
- */
-export const inNextFrame = (draw) => {
-  let asked = 0;
-  return () => {
-    asked ||= requestAnimationFrame(() => {
-      asked = 0;
-      draw();
-    });
-  };
-};
-
-/** @returns {boolean} whether the focus is where somebody types */
+/** @returns {boolean} whether a key press at the target is typed text */
 export const isTyping = (target) =>
   target instanceof Element &&
   target.closest(

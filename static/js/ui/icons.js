@@ -1,4 +1,4 @@
-/** The signs of the page, drawn by hand on a grid of 16; strokes, so that they follow the text's colour. */
+/** The icons of the page, on a grid of 16; they consist of strokes, so that they take the colour of the text. */
 
 const SHAPES = {
   undo: "M6 3 2.5 6.5 6 10M3 6.5h6.5a4 4 0 0 1 0 8H6",
@@ -32,6 +32,13 @@ const SHAPES = {
   running: "M8 2a6 6 0 1 1-5.2 3",
   dot: "M8 6.5a1.5 1.5 0 1 1 0 3a1.5 1.5 0 1 1 0-3",
   history: "M2.5 8a5.5 5.5 0 1 0 1.8-4.1M2.5 2.5v2.7h2.7M8 5v3.3l2.2 1.3",
+  line: "M3.5 12.5 12.5 3.5M2 12.5a1.5 1.5 0 1 0 3 0a1.5 1.5 0 1 0-3 0M11 3.5a1.5 1.5 0 1 0 3 0a1.5 1.5 0 1 0-3 0",
+  point: "M8 1.5v4M8 10.5v4M1.5 8h4M10.5 8h4M7.2 8a.8.8 0 1 0 1.6 0a.8.8 0 1 0-1.6 0",
+  select: "M4 2v10.5l2.8-2.6 1.9 4.1 1.8-.8-1.9-4h3.9z",
+  loupe: "M2 7a5 5 0 1 0 10 0a5 5 0 1 0-10 0M10.6 10.6 14 14M7 4.8v4.4M4.8 7h4.4",
+  snap: "M2.5 13.5v-11h11M5.5 8 8 5.5 10.5 8 8 10.5z",
+  corners: "M3.5 2v3M2 3.5h3M12 5v3M10.5 6.5h3M6 10.5v3M4.5 12h3",
+  link: "M6.5 9.5 9.5 6.5M7 4.5l1.8-1.8a2.7 2.7 0 0 1 3.8 3.8L10.9 8.3M9 11.5l-1.8 1.8a2.7 2.7 0 0 1-3.8-3.8L5.1 7.7",
   wand: "M2.5 13.5l7-7M11.5 2v3M10 3.5h3M13 8v2M12 9h2M6.5 2.5v2M5.5 3.5h2",
 };
 
@@ -39,7 +46,7 @@ const SVG = "http://www.w3.org/2000/svg";
 
 /**
  * @param {string} name
- * @returns {SVGElement} hidden from screen readers: what it means is said beside it
+ * @returns {SVGElement} hidden from screen readers, since the text beside it has the same meaning
  */
 export const icon = (name) => {
   const svg = document.createElementNS(SVG, "svg");

@@ -1,4 +1,4 @@
-/** Numbers as the page writes them. */
+/** Formatting of numbers, sizes, durations and sentences. */
 
 export const NONE = "–";
 const MINUS = "−";
@@ -6,7 +6,7 @@ const MINUS = "−";
 /**
  * @param {number | null | undefined} value
  * @param {number} decimals
- * @returns {string} with a true minus; a dash where there is no number
+ * @returns {string} with a typographic minus; a dash if there is no number
  */
 export const fixed = (value, decimals) => {
   if (value === null || value === undefined || !Number.isFinite(value)) return NONE;
@@ -14,14 +14,14 @@ export const fixed = (value, decimals) => {
   return Number(text) === 0 ? text.replace("-", "") : text.replace("-", MINUS);
 };
 
-/** @returns {string} with as many decimals as three figures need, at most four */
+/** @returns {string} with three significant figures, and at most four decimals */
 export const short = (value) => {
   if (value === null || value === undefined || !Number.isFinite(value)) return NONE;
   const size = Math.abs(value);
   return fixed(value, size >= 100 ? 0 : size >= 10 ? 1 : size >= 1 ? 2 : size >= 0.1 ? 3 : 4);
 };
 
-/** @returns {string} a text of the server with a true minus */
+/** @returns {string} a number formatted by the server, with a typographic minus */
 export const typeset = (text) => String(text ?? NONE).replace(/^-/, MINUS);
 
 /** @returns {string} such as `24.1 MB` */
@@ -45,10 +45,10 @@ export const counted = (count, one, many = `${one}s`) => `${count} ${count === 1
 const GREEK = { alpha: "α", beta: "β", gamma: "γ" };
 const UNITS = { deg: "°" };
 
-/** @returns {string} such as `α °`: a parameter's name and unit */
+/** @returns {string} name and unit of a parameter, such as `α °` */
 export const parameterName = ({ name, unit }) => `${GREEK[name] ?? name} ${UNITS[unit] ?? unit}`;
 
-/** @returns {string} texts as sentences, one after the other: with a capital and a full stop each */
+/** @returns {string} the texts as consecutive sentences, each with a capital letter and a full stop */
 export const sentences = (texts) =>
   texts
     .map((text) => String(text).trim().replaceAll("chi^2", "χ²"))
@@ -56,7 +56,7 @@ export const sentences = (texts) =>
     .map((text) => `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}`)
     .join(" ");
 
-/** @returns {number} the median, NaN of nothing */
+/** @returns {number} the median; NaN of an empty list */
 export const median = (values) => {
   if (values.length === 0) return Number.NaN;
   const sorted = [...values].sort((a, b) => a - b);

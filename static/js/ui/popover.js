@@ -1,10 +1,10 @@
-/** Panels that open below a button and close by themselves (the browser's own popover). */
+/** Panels that open below a button and close on a click elsewhere (native popovers). */
 
 import { element, newId } from "./dom.js";
 
 const MARGIN_PX = 8;
 
-/** Put a panel below what it belongs to: by its left edge in the left half of the window, else by its right one. */
+/** Place a panel below its button: aligned left in the left half of the window, else aligned right. */
 const place = (panel, opener) => {
   const box = opener.getBoundingClientRect();
   const room = document.documentElement.clientWidth;
@@ -15,11 +15,11 @@ const place = (panel, opener) => {
 };
 
 /**
- * Give a button a panel.
+ * Attach a panel to a button.
  * @param {HTMLButtonElement} opener
  * @param {string} label of the panel
  * @param {...Node} children
- * @returns {HTMLElement} the panel; `opened` is called on it at each `toggle` event
+ * @returns {HTMLElement} the panel
  */
 export const popoverOf = (opener, label, ...children) => {
   const panel = element(
@@ -29,7 +29,7 @@ export const popoverOf = (opener, label, ...children) => {
   );
   opener.popoverTargetElement = panel;
   opener.setAttribute("aria-haspopup", "dialog");
-  // before it is shown: `toggle` comes late on a busy page, and until then it would stand in the corner
+  // before it is shown: on a busy page `toggle` is late, and the panel would first appear in the corner
   panel.addEventListener("beforetoggle", (event) => event.newState === "open" && place(panel, opener));
   panel.addEventListener("toggle", (event) => opener.setAttribute("aria-expanded", String(event.newState === "open")));
   opener.setAttribute("aria-expanded", "false");

@@ -1,9 +1,10 @@
-/** Arrow keys within a row of tabs: one of them is in the order of Tab, the others by arrows. */
+/** Keyboard navigation of a tab list: Tab reaches the chosen tab, arrow keys the others. */
 
 /**
+ * Let the arrow keys, Home and End choose a tab.
  * @param {HTMLElement} list with role `tablist`; its tabs have role `tab`
  */
-export const walkByArrows = (list) => {
+export const navigateByArrows = (list) => {
   list.addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
     const tabs = [...list.querySelectorAll("[role=tab]")];
@@ -22,7 +23,7 @@ export const walkByArrows = (list) => {
 };
 
 /** Mark the chosen tab. */
-export const choose = (tabs, chosen) => {
+export const markChosen = (tabs, chosen) => {
   for (const tab of tabs) {
     tab.setAttribute("aria-selected", String(tab === chosen));
     tab.tabIndex = tab === chosen || (!chosen && tab === tabs[0]) ? 0 : -1;

@@ -1,45 +1,52 @@
-/** Dark, light, or as the system has it. */
+/** The colour theme: dark, light, or whatever the system prefers. */
 
-import { view } from "../state/view.js";
+/** @typedef {"system" | "dark" | "light"} Theme */
 
 const KEY = "ladarreg-theme";
-const ORDER = ["system", "dark", "light"];
-const preferred = matchMedia("(prefers-color-scheme: light)");
+/** @type {Theme[]} */
+const THEMES = ["system", "dark", "light"];
+const systemLight = matchMedia("(prefers-color-scheme: light)");
+
+const listeners = new Set();
+/** @type {Theme} */
+let chosen = "system";
 
 const apply = () => {
-  const { theme } = view.get();
-  const light = theme === "light" || (theme === "system" && preferred.matches);
+  const light = chosen === "light" || (chosen === "system" && systemLight.matches);
   document.documentElement.dataset.theme = light ? "light" : "dark";
+  for (const listen of listeners) listen();
 };
 
-/** @returns {"dark" | "light"} what is shown now */
-export const shownTheme = () => (document.documentElement.dataset.theme === "light" ? "light" : "dark");
+/** @returns {Theme} the theme that was chosen, not the one that results */
+export const chosenTheme = () => chosen;
 
-/** Take the next of system, dark and light, and keep it for the next visit. */
+/**
+ * Call `listen()` after each change of the theme, once its colours are in place.
+ * @param {() => void} listen
+ */
+export const onTheme = (listen) => {
+  listeners.add(listen);
+};
+
+/** Switch to the next of system, dark and light, and remember it. */
 export const nextTheme = () => {
-  const theme = ORDER[(ORDER.indexOf(view.get().theme) + 1) % ORDER.length];
+  chosen = THEMES[(THEMES.indexOf(chosen) + 1) % THEMES.length];
   try {
-    localStorage.setItem(KEY, theme);
+    localStorage.setItem(KEY, chosen);
   } catch {
-    // storage is off: it holds for this page
+    // storage is disabled: the choice lasts as long as this page
   }
-  view.set({ theme });
+  apply();
 };
 
-/** Follow the choice and the system from now on. */
+/** Apply the stored choice, and follow the system from now on. */
 export const followTheme = () => {
-  let theme = null;
   try {
-    theme = localStorage.getItem(KEY);
+    const stored = localStorage.getItem(KEY);
+    if (THEMES.includes(stored)) chosen = stored;
   } catch {
-    // storage is off
+    // storage is disabled
   }
-  // Before anybody redraws by it: canvases read the colours that this sets.
-  view.on((state, changed) => changed.has("theme") && apply());
-  preferred.addEventListener("change", () => {
-    apply();
-    view.set({ theme: "dark" === view.get().theme ? "dark" : view.get().theme });
-  });
-  view.set({ theme: ORDER.includes(theme) ? theme : "system" });
+  systemLight.addEventListener("change", apply);
   apply();
 };

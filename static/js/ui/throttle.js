@@ -1,46 +1,61 @@
-/** Questions to the workbench while the pointer moves: not too many, and always the last one. */
+/** Limits on how often something is done: once an interval, or once a frame. */
 
 /**
- * Return a function that asks at most once an interval, and never while an answer is out; of several wishes in between
- * the newest is asked.
- * @template Wish
- * @param {(wish: Wish) => Promise<any>} ask
+ * Return a function that calls `act` at most once an interval and never while an earlier call is unfinished. Of several
+ * requests in between, only the newest is carried out.
+ * @template Argument
+ * @param {(argument: Argument) => any} act may be asynchronous; its failure is ignored, since the next request follows
  * @param {number} interval_ms
- * @returns {((wish: Wish) => void) & {forget: () => void}}
+ * @returns {((argument?: Argument) => void) & {forget: () => void}} `forget` drops a request that has not begun
  */
-export const throttled = (ask, interval_ms) => {
+export const throttled = (act, interval_ms) => {
   let waiting = null;
   let timer = 0;
-  let out = false;
+  let busy = false;
   let last = -Infinity;
 
   const go = async () => {
     timer = 0;
-    if (!waiting || out) return;
-    const { wish } = waiting;
+    if (!waiting || busy) return;
+    const { argument } = waiting;
     waiting = null;
-    out = true;
+    busy = true;
     last = performance.now();
     try {
-      await ask(wish);
+      await act(argument);
     } catch {
-      // What is asked in passing is asked again with the next move.
+      // the next request replaces this one
     }
-    out = false;
+    busy = false;
     plan();
   };
 
   const plan = () => {
-    if (!waiting || timer || out) return;
+    if (!waiting || timer || busy) return;
     timer = setTimeout(go, Math.max(0, last + interval_ms - performance.now()));
   };
 
-  const wish = (what) => {
-    waiting = { wish: what };
+  const request = (argument) => {
+    waiting = { argument };
     plan();
   };
-  wish.forget = () => {
+  request.forget = () => {
     waiting = null;
   };
-  return wish;
+  return request;
+};
+
+/**
+ * Return a function that calls `draw` once in the next frame, however often it is called before.
+ * @param {() => void} draw
+ * @returns {() => void}
+ */
+export const inNextFrame = (draw) => {
+  let frame = 0;
+  return () => {
+    frame ||= requestAnimationFrame(() => {
+      frame = 0;
+      draw();
+    });
+  };
 };

@@ -1,4 +1,4 @@
-"""The command line: exit codes, one line for every mistake, nothing left half-made."""
+"""The command line: exit codes, one line for every mistake, no incomplete files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from PIL import Image
 
 from ladarreg_core.errors import Cancelled
 from ladarreg_core.simulate.sample import sample_folder
-from tests.processes import hear_ctrl_c
+from tests.processes import restore_ctrl_c
 
 REGISTER_OPTIONS = (
     "--method", "--matches", "--initial", "--camera", "--focal-px", "--focal-mm", "--sensor-mm", "--scan-index",
@@ -30,7 +30,7 @@ REGISTER_OPTIONS = (
 
 
 def complaint(capsys: pytest.CaptureFixture[str]) -> str:
-    """Return the one line on stderr, and insist that it is one."""
+    """Return the single line on stderr."""
     captured = capsys.readouterr()
     lines = [line for line in captured.err.splitlines() if not line.startswith(("read ", "photo ", "channels"))]
     assert len(lines) == 1, captured.err
@@ -57,14 +57,14 @@ def sample(*more: str) -> list[str]:
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (("--t1", ".1"), "--t1 means something to --method thesis only"),
+        (("--t1", ".1"), "--t1 can only be used with --method thesis"),
         (("--method", "thesis", "--t1", "3"), "from 0 to 2"),
         (("--method", "thesis", "--t2-px", "-4"), "positive number of pixels"),
         (("--method", "thesis", "--reject-depth-m", "nan"), "reject_depth_m"),
         (("--method", "thesis", "--samples-per-line", "1"), "whole number from 2 to 1000"),
     ],
 )
-def test_thresholds_without_meaning_are_refused(
+def test_unused_and_invalid_thresholds_are_refused(
     flags: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(sample("-o", str(tmp_path / "out"), *flags)) == ExitCode.BAD_INPUT
@@ -72,7 +72,7 @@ def test_thresholds_without_meaning_are_refused(
     assert not (tmp_path / "out").exists()
 
 
-def test_the_thresholds_reach_the_chain(tmp_path: Path) -> None:
+def test_thresholds_reach_the_chain_of_the_thesis(tmp_path: Path) -> None:
     out = tmp_path / "out"
     flags = ("--method", "thesis", "--t1", ".15", "--culling", "one-sided", "--first-pose", "robust", "--quiet")
     assert main(sample("-o", str(out), *flags)) in (ExitCode.ACCEPTED, ExitCode.NOT_ACCEPTED)
@@ -93,7 +93,7 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         assert command.Arguments.__doc__
 
 
-def test_help_imports_nothing_that_takes_time() -> None:
+def test_help_imports_no_slow_modules() -> None:
     code = (
         "import sys; from ladarreg.cli import main; main(['--help'])\n"
         "heavy = {'tyro', 'numpy', 'rich', 'logging', 'ladarreg_core.frames', 'viser'} & set(sys.modules)\n"
@@ -104,7 +104,7 @@ def test_help_imports_nothing_that_takes_time() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([name, "--help"]) == 0
     shown = capsys.readouterr().out
     assert f"ladarreg {name}" in shown
@@ -143,7 +143,7 @@ def test_a_mistyped_command_is_one_line(words: list[str], named: str, capsys: py
     assert named in complaint(capsys)
 
 
-def test_no_command_at_all_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == ExitCode.BAD_INPUT
     assert "register" in capsys.readouterr().out
 
@@ -197,7 +197,7 @@ BAD_SCANS: dict[str, Callable[[Path], Path]] = {
 
 
 @pytest.mark.parametrize("kind", BAD_SCANS)
-def test_a_bad_scan_is_one_line_and_leaves_nothing(
+def test_a_bad_scan_is_one_line_and_leaves_no_files(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data, out = tmp_path / "data", tmp_path / "results"
@@ -209,7 +209,7 @@ def test_a_bad_scan_is_one_line_and_leaves_nothing(
     assert main(words) == ExitCode.BAD_INPUT
     complaint(capsys)
     assert not list(out.iterdir())
-    assert time.perf_counter() - started < 20, "refusing took as long as working"
+    assert time.perf_counter() - started < 20, "refusing took too long"
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,9 @@ def test_a_bad_camera_is_one_line(
     assert not (tmp_path / "new").exists()
 
 
-def test_a_photo_without_focal_length_says_what_to_give(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_photo_without_focal_length_names_the_missing_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = [*sample()[:-2], "-o", str(tmp_path / "new")]
     assert main(words) == ExitCode.BAD_INPUT
     line = complaint(capsys)
@@ -267,7 +269,7 @@ def test_info_of_a_bad_file_is_one_line(kind: str, tmp_path: Path, capsys: pytes
     complaint(capsys)
 
 
-# --- faults and interruptions ----------------------------------------------------------------------------------------
+# --- errors and interruptions ----------------------------------------------------------------------------------------
 
 
 def fails_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,9 +279,7 @@ def fails_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.commands.info.run", run)
 
 
-def test_a_fault_of_the_program_is_one_line_too(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_internal_error_is_one_line_too(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     fails_with(ZeroDivisionError("a\nb"), monkeypatch)
     assert main(["info", "x"]) == ExitCode.FAILED
     assert "--debug" in complaint(capsys)
@@ -297,7 +297,7 @@ def test_a_fault_of_the_program_is_one_line_too(
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_every_end_has_its_code(
+def test_every_error_has_its_exit_code(
     error: BaseException, code: ExitCode, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fails_with(error, monkeypatch)
@@ -308,10 +308,10 @@ def test_every_end_has_its_code(
 @pytest.mark.parametrize("after", ["read photo", "verify"])
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "kill"])
 @pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
-def test_an_interruption_leaves_nothing(after: str, signum: int, tmp_path: Path, checkout: Path) -> None:
+def test_an_interruption_leaves_no_files(after: str, signum: int, tmp_path: Path, checkout: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", *sample("-o", str(tmp_path / "new"))],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=hear_ctrl_c,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=restore_ctrl_c,
     )  # fmt: skip
     assert process.stderr is not None
     for line in process.stderr:
@@ -324,7 +324,7 @@ def test_an_interruption_leaves_nothing(after: str, signum: int, tmp_path: Path,
     assert not list(tmp_path.iterdir())
 
 
-# --- the whole line --------------------------------------------------------------------------------------------------
+# --- complete runs ---------------------------------------------------------------------------------------------------
 
 
 def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -351,7 +351,7 @@ def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.
 
 
 def drawn(path: Path, *, count: int, seed: int, spread: float = 1.0) -> Path:
-    """Write matches of the sample as a careful person would draw them, within a part of the photo."""
+    """Write matches of the sample with the noise of careful manual drawing, within a part of the photo."""
     import ladarreg_core as lr
     from ladarreg_core.formats.pose_file import read_pose
 
@@ -370,17 +370,17 @@ def drawn(path: Path, *, count: int, seed: int, spread: float = 1.0) -> Path:
 
 
 @pytest.mark.parametrize(("count", "spread"), [(40, 1.0), (18, 0.45), (8, 1.0)])
-def test_drawn_matches_get_a_few_lines_of_advice(
+def test_manual_matches_get_a_few_lines_of_advice(
     count: int, spread: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     matches = drawn(tmp_path / "m.csv", count=count, seed=count, spread=spread)
     code = main(sample("--matches", str(matches), "-o", str(tmp_path / "out"), "--smooth"))
     lines = capsys.readouterr().out.splitlines()
     heads = [line[:9].strip() for line in lines]
-    block = [head for head in heads if head in ("Picture", "Poor", "Fair", "Check", "Next", "Smooth")]
+    block = [head for head in heads if head in ("Image", "Poor", "Fair", "Check", "Next", "Smooth")]
     assert len(block) <= 8
     assert heads.count("Next") == heads.count("Smooth") == 1
-    assert (code == ExitCode.ACCEPTED) == ("Picture" in block) == (count >= 12)
+    assert (code == ExitCode.ACCEPTED) == ("Image" in block) == (count >= 12)
     document = json.loads((tmp_path / "out" / "registration.json").read_text())
     worse = [finding for finding in document["findings"] if finding["level"] != "good"]
     if spread < 1:
@@ -391,7 +391,7 @@ def test_drawn_matches_get_a_few_lines_of_advice(
     assert all(match["influence"]["cook"] >= 0 for match in document["matches"])
 
 
-def test_a_gray_picture_is_not_registered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_uniform_gray_photo_is_not_accepted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     photo = tmp_path / "gray.png"
     Image.fromarray(np.full((512, 768, 3), 128, np.uint8)).save(photo)
     out = tmp_path / "results"
@@ -425,7 +425,7 @@ def test_simulate_writes_what_info_reads(tmp_path: Path, capsys: pytest.CaptureF
     assert "did not write" in complaint(capsys)
 
 
-def test_a_set_that_comes_later_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_set_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("embreex")
     from ladarreg_core.simulate import SETS
 
@@ -435,7 +435,7 @@ def test_a_set_that_comes_later_is_refused_in_one_line(tmp_path: Path, capsys: p
         assert not list(tmp_path.iterdir())
 
 
-def test_a_reader_that_leaves_is_no_error(checkout: Path) -> None:
+def test_a_closed_output_pipe_is_not_an_error(checkout: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=checkout
     )

@@ -31,7 +31,7 @@ def words(*more: str) -> list[str]:
 
 
 def answers(monkeypatch: pytest.MonkeyPatch, make: Callable[..., Comparison]) -> list[dict[str, Any]]:
-    """Put a function in the place of the real work; return what it is called with."""
+    """Replace the comparison by a function; return the arguments of its calls."""
     calls: list[dict[str, Any]] = []
 
     def compare(scan: Any, photo: Any, **given: Any) -> Comparison:
@@ -48,7 +48,7 @@ def by_hand(**options: Any) -> Callable[..., Comparison]:
     return lambda scan, photo: comparison_of(scan, photo, truth, **options)
 
 
-def test_the_table_is_told_and_the_files_are_written(
+def test_the_table_is_printed_and_the_files_are_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calls = answers(monkeypatch, by_hand(no_pose=("simplex",), cautions=("Little baseline.",)))
@@ -100,7 +100,7 @@ def test_the_default_decides_the_exit_code(
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_a_stop_leaves_nothing(
+def test_a_stop_leaves_no_files(
     error: BaseException,
     code: ExitCode,
     tmp_path: Path,
@@ -126,7 +126,7 @@ def test_a_stop_leaves_nothing(
         (["--method", "auto"], "--method"),
     ],
 )
-def test_a_mistake_is_one_line_and_leaves_nothing(
+def test_a_mistake_is_one_line_and_leaves_no_files(
     more: list[str],
     named: str,
     tmp_path: Path,
@@ -154,7 +154,7 @@ def test_an_existing_folder_is_refused_before_any_work(
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_a_table_is_aligned_for_the_eye() -> None:
+def test_table_columns_are_aligned() -> None:
     table = Table(heads=("A head of several words", "B"), rows=(("x, m", "1.25", "-"), ("verdict", "no pose", "no")))
     assert aligned(table).splitlines() == [
         "             A head of",

@@ -1,4 +1,4 @@
-"""`ladarreg demo`: one command, one address, the sample registered, and a clean end."""
+"""`ladarreg demo`: prints one address, registers the sample, and exits cleanly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import hear_ctrl_c
+from tests.processes import restore_ctrl_c
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send")]
 
@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reas
 def start(checkout: Path, project: Path, *more: str) -> tuple[subprocess.Popen[str], str]:
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", "demo", "--project", str(project), "--port", "0", "--no-browser", *more],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=hear_ctrl_c,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=restore_ctrl_c,
     )  # fmt: skip
     assert process.stdout is not None
     return process, process.stdout.readline()
@@ -38,7 +38,7 @@ def poses(project: Path) -> list[dict[str, object]]:
     return [pose for photo in photos for pose in photo["poses"]]
 
 
-def test_the_sample_is_registered_and_kept(checkout: Path, tmp_path: Path) -> None:
+def test_the_sample_is_registered_once(checkout: Path, tmp_path: Path) -> None:
     project = tmp_path / "demo"
     process, line = start(checkout, project)
     assert line.startswith("Open http://127.0.0.1:"), process.communicate()[1]
@@ -52,4 +52,4 @@ def test_the_sample_is_registered_and_kept(checkout: Path, tmp_path: Path) -> No
 
     process, _ = start(checkout, project)
     end(process)
-    assert poses(project) == [pose], "work that is there is left as it was"
+    assert poses(project) == [pose], "existing work stays as it was"

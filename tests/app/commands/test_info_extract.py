@@ -1,4 +1,4 @@
-"""`ladarreg info --extract`: the pictures inside an E57 file come out, once."""
+"""`ladarreg info --extract`: images of an E57 file are extracted, and never overwritten."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ladarreg.cli import main
 from ladarreg_core.formats.camera_file import read_camera
 
 
-def test_embedded_pictures_come_out_with_their_cameras(
+def test_embedded_images_are_extracted_with_their_cameras(
     real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = real_data / "e57_fixtures" / "PinholeImageWithDistortionParameters.e57"

@@ -1,4 +1,4 @@
-"""How the server ends: which signals it obeys, what is saved, and what a second request does."""
+"""Stop signals of the server: which are handled, what is saved, and the effect of a second one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
 
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP])
-def test_a_kill_and_a_hang_up_save_and_end(tmp_path: Path, sent: signal.Signals) -> None:
+def test_sigterm_and_sighup_save_and_exit(tmp_path: Path, sent: signal.Signals) -> None:
     with serving(tmp_path / "project") as server, server.there.socket() as page:
         assert ask(page, "rename", name="kept")["ok"]
         server.process.send_signal(sent)
@@ -31,7 +31,7 @@ def test_a_kill_and_a_hang_up_save_and_end(tmp_path: Path, sent: signal.Signals)
         assert name_of(tmp_path / "project") == "kept"
 
 
-def test_a_terminal_that_is_closed_ends_the_server(tmp_path: Path) -> None:
+def test_a_closed_terminal_ends_the_server(tmp_path: Path) -> None:
     import pty
 
     project = tmp_path / "project"
@@ -60,7 +60,7 @@ def test_a_terminal_that_is_closed_ends_the_server(tmp_path: Path) -> None:
     assert name_of(project) == "untitled"
 
 
-def test_what_nohup_ignores_is_ignored(tmp_path: Path) -> None:
+def test_signals_ignored_by_nohup_stay_ignored(tmp_path: Path) -> None:
     def as_nohup_does() -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
@@ -86,7 +86,7 @@ def test_what_nohup_ignores_is_ignored(tmp_path: Path) -> None:
         process.communicate()
 
 
-def test_who_insists_does_not_wait_for_pages_and_all_is_saved(tmp_path: Path) -> None:
+def test_a_second_signal_saves_and_exits_at_once(tmp_path: Path) -> None:
     project = tmp_path / "project"
     with serving(project) as server, server.there.socket() as page:
         assert ask(page, "rename", name="kept")["ok"]
@@ -94,7 +94,7 @@ def test_who_insists_does_not_wait_for_pages_and_all_is_saved(tmp_path: Path) ->
             assert soon(lambda: len(list((project / "inputs").iterdir())) == 1)
             server.process.send_signal(signal.SIGTERM)
             time.sleep(ONE_REQUEST_S + 0.2)
-            assert server.process.poll() is None, "it waits for the upload, two seconds at most"
+            assert server.process.poll() is None, "it waits for the upload, at most two seconds"
             server.process.send_signal(signal.SIGTERM)
             said = server.end()
         assert server.process.returncode == ExitCode.INTERRUPTED
@@ -104,7 +104,7 @@ def test_who_insists_does_not_wait_for_pages_and_all_is_saved(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("after_s", [0.2, 0.5, 0.8, 1.1])
-def test_signals_while_files_are_opened_end_it_as_well(tmp_path: Path, after_s: float) -> None:
+def test_signals_during_the_start_end_the_server(tmp_path: Path, after_s: float) -> None:
     inputs = sample_folder()
     process = start(tmp_path / "project", str(inputs / "scan.npz"), str(inputs / "photo.png"))
     try:
@@ -115,7 +115,7 @@ def test_signals_while_files_are_opened_end_it_as_well(tmp_path: Path, after_s: 
     finally:
         process.kill()
         process.communicate()
-    # Before Python runs any line of ours the system ends it.
+    # The system ends it before Python runs any of its lines.
     assert process.returncode in (ExitCode.ACCEPTED, ExitCode.INTERRUPTED, -signal.SIGTERM, -signal.SIGINT), said
     if process.returncode >= 0:
         assert "Traceback" not in said

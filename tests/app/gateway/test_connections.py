@@ -1,4 +1,4 @@
-"""Connections that keep the gateway waiting, and more of them than it serves: on real sockets."""
+"""Limits on waiting times and numbers of connections, on real sockets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from tests.app.gateway_driver import Running, hear, running, soon
 
-QUICK = ConnectionLimits(header_s=0.5, stall_s=0.5, strangers=8, members=4, views=2)
+QUICK = ConnectionLimits(header_s=0.5, stall_s=0.5, anonymous=8, authenticated=4, views=2)
 PROTOCOL = "viser-v1.1.1"
 
 
@@ -30,14 +30,14 @@ def run(tmp_path: Path) -> Iterator[Running]:
 
 
 @contextlib.contextmanager
-def line_to(run: Running, words: bytes = b"", *, receive_buffer: int | None = None) -> Iterator[socket.socket]:
-    """A connection on which so much has been said."""
+def line_to(run: Running, sent: bytes = b"", *, receive_buffer: int | None = None) -> Iterator[socket.socket]:
+    """Open a connection and send some bytes."""
     with socket.socket() as line:
         if receive_buffer is not None:
             line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
         line.settimeout(10)
         line.connect(("127.0.0.1", run.port))
-        line.sendall(words)
+        line.sendall(sent)
         yield line
 
 
@@ -47,13 +47,13 @@ def header(run: Running, method: str, path: str, *more: str, known: bool = True)
     return "\r\n".join([*lines, "", ""]).encode()
 
 
-def heard_until_closed(line: socket.socket) -> bytes:
-    """Return what comes until the other side closes; raises where it does not within 10 s."""
-    heard = b""
+def received_until_closed(line: socket.socket) -> bytes:
+    """Return all bytes until the other side closes; fails if it does not within 10 s."""
+    received = b""
     with contextlib.suppress(ConnectionError):
         while block := line.recv(1 << 16):
-            heard += block
-    return heard
+            received += block
+    return received
 
 
 def is_closed(line: socket.socket) -> bool:
@@ -70,30 +70,30 @@ def is_closed(line: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("words", [b"", b"GET / HTTP/1.1\r\nHost: x\r\nX-Slow: "])
-def test_who_says_nothing_or_no_whole_header_is_dropped(run: Running, words: bytes) -> None:
+def test_idle_connections_and_incomplete_headers_are_dropped(run: Running, words: bytes) -> None:
     begun = time.monotonic()
     with line_to(run, words) as line:
         while not is_closed(line):
-            assert time.monotonic() - begun < 5, "the header may be dribbled for ever"
+            assert time.monotonic() - begun < 5, "a header sent byte by byte would never time out"
             time.sleep(0.05)
             with contextlib.suppress(OSError):
                 line.send(words[-1:])
     assert time.monotonic() - begun > 0.4
 
 
-def test_after_an_answer_the_next_header_is_waited_for_as_long(run: Running) -> None:
+def test_the_header_timeout_applies_again_after_a_response(run: Running) -> None:
     with line_to(run, header(run, "HEAD", "/")) as line:
         assert line.recv(1 << 20).startswith(b"HTTP/1.1 200")
         time.sleep(0.3)
         line.sendall(header(run, "HEAD", "/"))
-        assert line.recv(1 << 20).startswith(b"HTTP/1.1 200"), "the connection is kept"
+        assert line.recv(1 << 20).startswith(b"HTTP/1.1 200"), "the connection is kept open"
         line.sendall(b"GET / HTTP/1.1\r\n")
         begun = time.monotonic()
-        assert heard_until_closed(line) == b""
+        assert received_until_closed(line) == b""
         assert 0.2 < time.monotonic() - begun < 5
 
 
-def test_a_strangers_form_must_come_in_that_time_too(run: Running) -> None:
+def test_an_anonymous_form_has_the_same_timeout(run: Running) -> None:
     with line_to(run, header(run, "POST", "/enter", "Content-Length: 4000", known=False)) as line:
         begun = time.monotonic()
         while not is_closed(line):
@@ -103,7 +103,7 @@ def test_a_strangers_form_must_come_in_that_time_too(run: Running) -> None:
                 line.send(b"x")
 
 
-def test_a_members_upload_may_take_its_time_but_not_stand_still(run: Running, tmp_path: Path) -> None:
+def test_an_authenticated_upload_may_be_slow_but_not_stall(run: Running, tmp_path: Path) -> None:
     words = header(run, "POST", "/upload?what=scan", "X-File-Name: a.pcd", "Content-Length: 8")
     with line_to(run, words) as line:
         for _ in range(8):
@@ -112,11 +112,11 @@ def test_a_members_upload_may_take_its_time_but_not_stand_still(run: Running, tm
         assert line.recv(1 << 16).startswith(b"HTTP/1.1 200")
     with line_to(run, words) as line:
         line.sendall(b"x")
-        assert heard_until_closed(line) == b""
+        assert received_until_closed(line) == b""
     assert soon(lambda: not list(tmp_path.glob("*.part")))
 
 
-def test_an_answer_that_nobody_takes_is_given_up(run: Running, tmp_path: Path) -> None:
+def test_a_response_that_is_not_read_is_dropped(run: Running, tmp_path: Path) -> None:
     (tmp_path / "p1.zip").write_bytes(bytes(24_000_000))
     server = run.gateway._server
     with line_to(run, header(run, "GET", "/export/p1.zip"), receive_buffer=4096) as line:
@@ -132,8 +132,8 @@ def test_an_answer_that_nobody_takes_is_given_up(run: Running, tmp_path: Path) -
 # --- too many --------------------------------------------------------------------------------------------------------
 
 
-def test_a_newcomer_gets_through_a_crowd_that_says_nothing(tmp_path: Path) -> None:
-    limits = ConnectionLimits(strangers=8)
+def test_a_new_client_is_served_despite_many_idle_connections(tmp_path: Path) -> None:
+    limits = ConnectionLimits(anonymous=8)
     with running(tmp_path, limits=limits) as run, contextlib.ExitStack() as crowd:
         idle = [crowd.enter_context(line_to(run)) for _ in range(60)]
         begun = time.monotonic()
@@ -142,23 +142,25 @@ def test_a_newcomer_gets_through_a_crowd_that_says_nothing(tmp_path: Path) -> No
         with run.socket() as page:
             assert "slices" in hear(page)
         assert time.monotonic() - begun < 2
-        assert soon(lambda: sum(map(is_closed, idle)) >= 60 - limits.strangers)
+        assert soon(lambda: sum(map(is_closed, idle)) >= 60 - limits.anonymous)
 
 
-def test_the_peer_that_has_the_most_makes_room() -> None:
-    connections = Connections(ConnectionLimits(strangers=5))
+def test_the_peer_with_the_most_connections_loses_its_oldest() -> None:
+    connections = Connections(ConnectionLimits(anonymous=5))
     alone = connections.add("192.0.2.7")
     greedy = [connections.add(f"2001:db8::{k}") for k in range(40)]
-    own = connections._strangers
+    own = connections._anonymous
     assert list(own.pop("192.0.2.7")) == [alone]
-    assert [list(lines) for lines in own.values()] == [greedy[-4:]], "its oldest went, its addresses are one peer"
+    assert [list(lines) for lines in own.values()] == [greedy[-4:]], (
+        "its oldest are gone; all its addresses are one peer"
+    )
 
 
-def test_members_have_a_limit_of_their_own_and_are_told(run: Running) -> None:
+def test_authenticated_connections_have_their_own_limit_with_a_message(run: Running) -> None:
     with contextlib.ExitStack() as pages:
         idle = pages.enter_context(line_to(run, header(run, "HEAD", "/")))
         assert idle.recv(1 << 20).startswith(b"HTTP/1.1 200")
-        for _ in range(QUICK.members):  # the last takes the place of the one that is idle
+        for _ in range(QUICK.authenticated):  # the last one replaces the idle connection
             hear(pages.enter_context(run.socket()))
         assert soon(lambda: is_closed(idle))
         status, _, said = run.ask("GET", "/")
@@ -166,11 +168,11 @@ def test_members_have_a_limit_of_their_own_and_are_told(run: Running) -> None:
         with pytest.raises(InvalidStatus) as caught, run.socket():
             pass
         assert caught.value.response.status_code == 503
-        assert run.ask("GET", "/", known=False)[0] == 401, "strangers are no members"
+        assert run.ask("GET", "/", known=False)[0] == 401, "anonymous connections do not count"
     assert soon(lambda: run.ask("GET", "/")[0] == 200)
 
 
-def test_a_page_too_many_is_told_why(run: Running) -> None:
+def test_a_page_beyond_the_limit_gets_a_reason(run: Running) -> None:
     run.bench.most = 1
     with run.socket() as first, run.socket() as second:
         hear(first)
@@ -180,7 +182,7 @@ def test_a_page_too_many_is_told_why(run: Running) -> None:
         assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (1013, "1 page is open, the most: close it.")
 
 
-def test_a_view_too_many_is_told_why(tmp_path: Path) -> None:
+def test_a_view_beyond_the_limit_gets_a_reason(tmp_path: Path) -> None:
     server, address = open_locked_server(label="test")
     try:
         with running(tmp_path, address, limits=ConnectionLimits(views=2)) as run:
@@ -199,25 +201,25 @@ def test_a_view_too_many_is_told_why(tmp_path: Path) -> None:
         close_server(server)
 
 
-def test_limits_leave_descriptors_to_files() -> None:
+def test_limits_leave_descriptors_for_files() -> None:
     asked = ConnectionLimits()
     assert asked.within(None) == asked
     for descriptors in (64, 256, 1024, 4096):
         found = asked.within(descriptors)
-        most = found.strangers + 2 * found.members + 2 * found.views
+        most = found.anonymous + 2 * found.authenticated + 2 * found.views
         assert descriptors - most >= min(128, descriptors // 4)
-        assert min(found.strangers, found.members, found.views) >= 8
+        assert min(found.anonymous, found.authenticated, found.views) >= 8
     assert asked.within(4096) == asked
 
 
 # --- the process -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="it has no such limit")
-def test_the_limit_of_descriptors_is_raised() -> None:
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
+def test_the_descriptor_limit_is_raised() -> None:
     code = (
         "import resource as r; h = r.getrlimit(r.RLIMIT_NOFILE)[1]; r.setrlimit(r.RLIMIT_NOFILE, (64, h));"
-        "from ladarreg.process_resources import raised_descriptor_limit as f;"
+        "from ladarreg.process_resources import raise_descriptor_limit as f;"
         "print(f(), r.getrlimit(r.RLIMIT_NOFILE)[0], h)"
     )
     found, soft, hard = map(int, subprocess.check_output([sys.executable, "-c", code], text=True).split())
@@ -225,13 +227,13 @@ def test_the_limit_of_descriptors_is_raised() -> None:
     assert soft == (4096 if hard < 0 else min(4096, hard))
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux") or not os.confstr("CS_GNU_LIBC_VERSION"), reason="of glibc")
-def test_memory_goes_back() -> None:
+@pytest.mark.skipif(not sys.platform.startswith("linux") or not os.confstr("CS_GNU_LIBC_VERSION"), reason="glibc only")
+def test_memory_is_returned_to_the_system() -> None:
     code = """
 import gc, time
-from ladarreg.process_resources import _resident, limit_arenas, return_memory_soon
+from ladarreg.process_resources import _resident_bytes, limit_arenas, return_memory_soon
 limit_arenas()
-before = _resident()
+before = _resident_bytes()
 class Circle: pass
 circles, between = [], []
 for k in range(2000):
@@ -241,11 +243,11 @@ for k in range(2000):
 gc.collect()
 del circles
 return_memory_soon()
-grown = _resident() - before
+grown = _resident_bytes() - before
 time.sleep(1.5)
-print(grown, _resident() - before)
+print(grown, _resident_bytes() - before)
 """
     words = subprocess.check_output([sys.executable, "-c", code], text=True).split()
     grown, left = (int(word) / 2**20 for word in words)
-    assert grown > 100, "garbage in circles is not found soon by itself"
+    assert grown > 100, "garbage in reference cycles is not collected at once"
     assert left < 30

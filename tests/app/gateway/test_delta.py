@@ -1,4 +1,4 @@
-"""What pages are told of slices: only what changed, the same text for all, and in the end the server's own state."""
+"""Slices as they are sent to clients: only the changes, encoded once for all, ending in the server's own state."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway import encoding as encoded
-from ladarreg.gateway.delta import change_between, changed
-from ladarreg.gateway.encoding import Encoded
-from ladarreg.gateway.outbox import Outbox
-from ladarreg.gateway.told import Told
-from ladarreg.session.cache import EachOnce
+from ladarreg.gateway import encoding
+from ladarreg.gateway.delta import apply_change, change_between
+from ladarreg.gateway.document_socket import ClientState, Outbox
+from ladarreg.gateway.encoding import SharedEncoder
+from ladarreg.session.cache import ListCache
 
 from tests.app.slice_edits import random_states
 
@@ -26,22 +25,22 @@ class Someone:
 
 
 class Reader:
-    """A page, in Python."""
+    """A client in Python."""
 
-    def __init__(self, name: str, shared: Encoded) -> None:
-        self.told = Told(Someone(name), shared)
+    def __init__(self, name: str, shared: SharedEncoder) -> None:
+        self.state = ClientState(Someone(name), shared)
         self.slices: dict[str, Any] = {}
         self.version = 0
 
     def read(self, slices: dict[str, Any]) -> str:
-        """Be told slices that are new; return the text."""
-        text = self.told.text({"slices": slices})
+        """Receive changed slices; return the text that was sent."""
+        text = self.state.encode({"slices": slices})
         message = json.loads(text)
         self.version += 1
         assert message["version"] == self.version
         self.slices |= message["slices"]
         for name, change in message.get("changes", {}).items():
-            self.slices[name] = changed(self.slices[name], change)
+            self.slices[name] = apply_change(self.slices[name], change)
         self.slices = {name: value for name, value in self.slices.items() if value is not None}
         return text
 
@@ -59,9 +58,9 @@ def many(count: int, **others: Any) -> list[dict[str, Any]]:
 
 
 @given(st.integers(0, 2**32), st.lists(st.booleans(), min_size=40, max_size=40))
-def test_whoever_follows_has_what_the_server_has(seed: int, looks: list[bool]) -> None:
-    """One page hears everything, another only now and then, by way of an outbox; a third comes in the middle."""
-    shared, outbox = Encoded(), Outbox(lambda: None)
+def test_every_client_ends_with_the_servers_state(seed: int, looks: list[bool]) -> None:
+    """One client receives everything, another only now and then through an outbox; a third connects in the middle."""
+    shared, outbox = SharedEncoder(), Outbox(lambda: None)
     quick, slow, late = Reader("a", shared), Reader("b", shared), Reader("c", shared)
     states = random_states(seed, len(looks))
     quick.read(states[0])
@@ -82,18 +81,18 @@ def test_whoever_follows_has_what_the_server_has(seed: int, looks: list[bool]) -
 
 
 @given(st.integers(0, 2**32))
-def test_a_change_makes_one_value_of_the_other_and_touches_neither(seed: int) -> None:
+def test_a_change_turns_one_value_into_the_other_and_modifies_neither(seed: int) -> None:
     for before, after in pairwise(random_states(seed, 30)):
         for name in after:
             was, kept = before.get(name), json.dumps(before.get(name))
             change = change_between(was, after[name])
             if change is not None:
-                assert changed(was, json.loads(json.dumps(change))) == after[name]
-                assert list(changed(was, change)) == list(after[name]) or isinstance(was, dict)
+                assert apply_change(was, json.loads(json.dumps(change))) == after[name]
+                assert list(apply_change(was, change)) == list(after[name]) or isinstance(was, dict)
             assert json.dumps(was) == kept
 
 
-def test_one_pick_of_many_is_told_alone() -> None:
+def test_a_change_of_one_pick_contains_only_that_pick() -> None:
     picks = many(500)
     moved = [*picks[:7], {**picks[7], "photo": [[9, 9]]}, *picks[8:]]
     assert change_between(picks, moved) == {"set": [moved[7]]}
@@ -127,22 +126,22 @@ def test_one_pick_of_many_is_told_alone() -> None:
         ({"count": 1}, {"count": 2}),
     ],
 )
-def test_what_is_new_for_the_most_part_is_told_whole(before: Any, after: Any) -> None:
+def test_a_mostly_new_value_is_sent_whole(before: Any, after: Any) -> None:
     assert change_between(before, after) is None
 
 
-def test_a_change_of_something_else_is_refused() -> None:
+def test_a_change_of_another_value_is_refused() -> None:
     with pytest.raises(KeyError):
-        changed(many(3), {"order": ["9"]})
+        apply_change(many(3), {"order": ["9"]})
     with pytest.raises(KeyError):
-        changed({}, {"in": {"by_pick": {}}})
+        apply_change({}, {"in": {"by_pick": {}}})
 
 
-def test_all_pages_are_sent_the_same_text_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_clients_share_one_encoding(monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
-    plain = encoded.encode_part
-    monkeypatch.setattr(encoded, "encode_part", lambda value: made.append(value) or plain(value))
-    shared = Encoded()
+    plain = encoding.encode_part
+    monkeypatch.setattr(encoding, "encode_part", lambda value: made.append(value) or plain(value))
+    shared = SharedEncoder()
     readers = [Reader(name, shared) for name in "abc"]
     picks = many(200)
     assert len({reader.read({"picks:p1": picks}) for reader in readers}) == 1
@@ -153,25 +152,25 @@ def test_all_pages_are_sent_the_same_text_made_once(monkeypatch: pytest.MonkeyPa
     assert [json.loads(text)["slices"]["people"]["you"] for text in texts] == list("abc")
 
 
-def test_things_that_stay_are_made_once() -> None:
+def test_unchanged_items_are_made_once() -> None:
     made: list[str] = []
-    each: EachOnce[str, str] = EachOnce(lambda thing: made.append(thing) or thing.upper())
+    each: ListCache[str, str] = ListCache(lambda thing: made.append(thing) or thing.upper())
     things = ["one", "two"]
-    assert each.of("a", things) is each.of("a", things)
-    assert each.of("a", ["zero", *things]) == ["ZERO", "ONE", "TWO"]
-    assert each.of("b", things) == ["ONE", "TWO"]
+    assert each.get("a", things) is each.get("a", things)
+    assert each.get("a", ["zero", *things]) == ["ZERO", "ONE", "TWO"]
+    assert each.get("b", things) == ["ONE", "TWO"]
     assert made == ["one", "two", "zero", "one", "two"]
 
 
 @given(st.lists(st.lists(st.integers(0, 6), unique=True), max_size=6))
-def test_whatever_becomes_of_a_list_only_new_things_are_made(lists: list[list[int]]) -> None:
+def test_only_new_items_of_a_list_are_made(lists: list[list[int]]) -> None:
     things = [object() for _ in range(7)]
     made: list[object] = []
-    each: EachOnce[object, tuple[object]] = EachOnce(lambda thing: made.append(thing) or (thing,))
+    each: ListCache[object, tuple[object]] = ListCache(lambda thing: made.append(thing) or (thing,))
     before: list[object] = []
     for chosen in lists:
         now = [things[k] for k in chosen]
         made.clear()
-        assert each.of("a", now) == [(thing,) for thing in now]
+        assert each.get("a", now) == [(thing,) for thing in now]
         assert not [thing for thing in made if thing in before]
         before = now

@@ -1,4 +1,4 @@
-"""What goes in and out as files: uploads, pictures, exports, the page's own."""
+"""Uploads, pictures, exports and the page's own files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from urllib.parse import quote
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.upload_name import safe_suffix, upload_name
+from ladarreg.gateway.uploads import safe_suffix, upload_name
 
 from ladarreg_core.errors import OptionError
 from tests.app.gateway_driver import PNG, Running, hear, running, soon
@@ -35,7 +35,7 @@ def send(
 
 
 def begin(run: Running, head: bytes) -> socket.socket:
-    """Begin an upload by hand."""
+    """Start an upload on a raw socket."""
     line = socket.create_connection(("127.0.0.1", run.port), timeout=10)
     line.sendall(
         b"POST /upload?what=scan HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nOrigin: %s\r\nCookie: %s\r\nX-File-Name: a.e57\r\n%s"
@@ -52,7 +52,7 @@ def left(run: Running) -> list[Path]:
 
 
 @pytest.mark.parametrize("size", [1, 65536, LIMIT])
-def test_a_file_arrives_as_it_was_sent(run: Running, size: int) -> None:
+def test_a_file_arrives_unchanged(run: Running, size: int) -> None:
     data = bytes(range(256)) * (size // 256) + b"x" * (size % 256)
     with run.socket() as page:
         hear(page)
@@ -64,7 +64,7 @@ def test_a_file_arrives_as_it_was_sent(run: Running, size: int) -> None:
     assert not left(run)
 
 
-def test_on_disk_a_file_has_a_name_of_ours(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_disk_a_file_has_a_random_name(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
 
     def look(path: Path, *_: object) -> str:
@@ -81,7 +81,7 @@ def test_on_disk_a_file_has_a_name_of_ours(run: Running, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("declared", [True, False])
-def test_what_is_too_large_is_refused_at_once(run: Running, declared: bool) -> None:
+def test_a_file_that_is_too_large_is_refused_early(run: Running, declared: bool) -> None:
     chunks = [b"x" * 65536] * 100
     before = len(run.bench.taken)
     head = {"Content-Length": str(65536 * 100)} if declared else {}
@@ -93,14 +93,14 @@ def test_what_is_too_large_is_refused_at_once(run: Running, declared: bool) -> N
     assert not left(run)
 
 
-def test_a_size_that_is_declared_is_refused_before_it_is_sent(run: Running) -> None:
+def test_a_declared_size_is_refused_before_the_body(run: Running) -> None:
     with begin(run, b"Content-Length: 999999999\r\nExpect: 100-continue\r\n\r\n") as line:
         assert b" 413 " in line.recv(100)
     assert not left(run)
 
 
 @pytest.mark.parametrize("chunked", [True, False])
-def test_an_upload_that_breaks_off_leaves_nothing(run: Running, chunked: bool) -> None:
+def test_an_interrupted_upload_leaves_nothing(run: Running, chunked: bool) -> None:
     before = len(run.bench.taken)
     body = b"10000\r\n" + b"x" * 65536 + b"\r\n" if chunked else b"x" * 65536
     head = b"Transfer-Encoding: chunked\r\n\r\n" if chunked else b"Content-Length: 200000\r\n\r\n"
@@ -109,10 +109,10 @@ def test_an_upload_that_breaks_off_leaves_nothing(run: Running, chunked: bool) -
         assert left(run)[0].suffix == ".part"
     assert soon(lambda: not left(run))
     assert len(run.bench.taken) == before
-    assert send(run, b"data")[0] == 200, "its place is free again"
+    assert send(run, b"data")[0] == 200, "its slot is free again"
 
 
-def test_a_browser_sends_two_files_at_a_time(run: Running) -> None:
+def test_a_browser_uploads_at_most_two_files_at_a_time(run: Running) -> None:
     head = b"Content-Length: 10\r\n\r\nabc"
     with begin(run, head) as first, begin(run, head):
         assert soon(lambda: len(left(run)) == 2)
@@ -123,14 +123,14 @@ def test_a_browser_sends_two_files_at_a_time(run: Running) -> None:
     assert soon(lambda: not left(run))
 
 
-def test_what_is_no_scan_is_refused_and_gone(run: Running) -> None:
+def test_a_file_that_is_not_a_scan_is_refused_and_removed(run: Running) -> None:
     said = "7.e57: this is no scan; choose another than 7.e57"
     assert send(run, b"bad data", "7.e57") == (400, b'{"ok":false,"error":"%s"}' % said.encode())
     assert send(run, b"")[0] == 400
     assert not left(run)
 
 
-def test_what_a_killed_program_left_is_cleared_away(tmp_path: Path) -> None:
+def test_partial_files_of_a_killed_program_are_removed(tmp_path: Path) -> None:
     (tmp_path / f"{'0a' * 16}.part").write_bytes(b"half")
     (tmp_path / "kept.e57").write_bytes(b"whole")
     (tmp_path / "mine.part").write_bytes(b"somebody else's")
@@ -138,15 +138,15 @@ def test_what_a_killed_program_left_is_cleared_away(tmp_path: Path) -> None:
         assert sorted(path.name for path in tmp_path.iterdir()) == ["kept.e57", "mine.part"]
 
 
-def test_a_browser_that_falls_silent_is_taken_for_gone(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg.gateway.uploads._SILENT_S", 0.3)
+def test_an_upload_without_progress_times_out(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ladarreg.gateway.uploads._IDLE_TIMEOUT_S", 0.3)
     with begin(run, b"Content-Length: 200000\r\n\r\nabc") as line:
         assert b" 408 " in line.recv(100)
         assert not left(run)
     assert send(run, b"data")[0] == 200
 
 
-def test_what_the_disk_refuses_is_no_fault_of_the_program(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_error_is_reported_as_such(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(path: Path, *_: object) -> str:
         path.unlink()  # a workbench removes what it does not take
         raise OSError(5, "Input/output error", str(path))
@@ -158,7 +158,7 @@ def test_what_the_disk_refuses_is_no_fault_of_the_program(run: Running, monkeypa
     assert not left(run)
 
 
-def test_a_full_disk_is_said_before(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported_before_writing(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr("ladarreg.gateway.uploads.shutil.disk_usage", lambda _: usage(10**12, 10**12, 1000))
     status, body = send(run, b"data")
@@ -175,7 +175,7 @@ def test_a_full_disk_is_said_before(run: Running, monkeypatch: pytest.MonkeyPatc
         ("what=scan", "a%5cb"), ("what=scan", ".."), ("what=scan", "a%0d%0aX: y"), ("what=scan", "a" * 256),
     ],
 )  # fmt: skip
-def test_an_upload_of_nothing_known_is_refused(run: Running, query: str, name: str) -> None:
+def test_an_upload_of_unknown_type_or_name_is_refused(run: Running, query: str, name: str) -> None:
     before = len(run.bench.taken)
     status, _, body = run.ask("POST", f"/upload?{query}", {"X-File-Name": name}, b"data")
     assert status == 400
@@ -190,7 +190,7 @@ def test_only_post_uploads(run: Running) -> None:
 
 
 @given(st.text(max_size=300))
-def test_a_name_that_is_taken_is_one_visible_line(name: str) -> None:
+def test_an_accepted_name_is_one_visible_line(name: str) -> None:
     try:
         taken = upload_name(quote(name, safe="", errors="surrogatepass"))
     except OptionError:
@@ -210,7 +210,7 @@ def test_an_ordinary_name_is_kept(name: str) -> None:
 # --- pictures, exports, the page -------------------------------------------------------------------------------------
 
 
-def test_a_picture_is_kept_by_the_browser_while_its_revision_stands(run: Running) -> None:
+def test_a_picture_is_cached_while_its_revision_is_current(run: Running) -> None:
     status, headers, body = run.ask("GET", "/picture/scan?rev=s1")
     assert (status, headers["content-type"], body) == (200, "image/png", PNG)
     assert headers["cache-control"].startswith("private, max-age=")
@@ -221,12 +221,12 @@ def test_a_picture_is_kept_by_the_browser_while_its_revision_stands(run: Running
     assert run.ask("HEAD", "/picture/scan?rev=s1")[2] == b""
 
 
-def test_a_picture_that_is_not_there_says_why(run: Running) -> None:
+def test_a_missing_picture_is_explained(run: Running) -> None:
     assert run.ask("GET", "/picture/none")[0::2] == (404, b"there is no picture 'none'; ask for another\n")
     assert run.ask("GET", "/picture/scan?show=nonsense")[0::2] == (400, b"it can show intensity; choose that\n")
 
 
-def test_an_export_is_downloaded_by_its_name(run: Running) -> None:
+def test_an_export_is_downloaded_under_its_name(run: Running) -> None:
     assert run.ask("GET", "/export/p1.zip")[0] == 404
     (run.bench.room / "p1.zip").write_bytes(b"PK data")
     status, headers, body = run.ask("GET", "/export/p1.zip")
@@ -236,7 +236,7 @@ def test_an_export_is_downloaded_by_its_name(run: Running) -> None:
 
 
 @pytest.mark.parametrize("path", ["/", "/tokens.css", "/static/tokens.css"])
-def test_the_pages_files_are_asked_for_anew_but_sent_once(run: Running, path: str) -> None:
+def test_the_pages_files_are_revalidated(run: Running, path: str) -> None:
     status, headers, body = run.ask("GET", path)
     assert status == 200
     assert body
@@ -244,7 +244,7 @@ def test_the_pages_files_are_asked_for_anew_but_sent_once(run: Running, path: st
     assert run.ask("GET", path, {"If-None-Match": headers["etag"]})[0] == 304
 
 
-def test_modules_are_javascript(run: Running, checkout: Path) -> None:
+def test_modules_are_served_as_javascript(run: Running, checkout: Path) -> None:
     scripts = sorted((checkout / "static").rglob("*.js"))
     assert scripts
     for path in scripts[:3]:

@@ -1,4 +1,4 @@
-"""Who is let in: the token, the cookie, the name and the page that ask."""
+"""Login and security checks: token, cookie, host name and origin."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from urllib.parse import urlencode
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.attempts import _PACE_S, Attempts
-from ladarreg.gateway.forwarded import asked_of
-from ladarreg.gateway.headers import PAGE_POLICY, VISER_POLICY
-from ladarreg.gateway.login import Door, checked_token, new_token
-from ladarreg.gateway.options import GatewayOptions, is_loopback
+from ladarreg.gateway.login import _PACE_S, AttemptLimiter, Credentials, checked_token, new_token
+from ladarreg.gateway.options import GatewayOptions
+from ladarreg.gateway.request_source import is_loopback, request_source
+from ladarreg.gateway.security import PAGE_POLICY, VISER_POLICY
 from websockets.exceptions import InvalidStatus
 
 from ladarreg_core.errors import OptionError
@@ -36,7 +35,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 def refused(run: Running, path: str, **headers: str) -> int:
-    """Return the status by which a websocket is refused."""
+    """Return the status that a websocket is refused with."""
     with pytest.raises(InvalidStatus) as caught, run.socket(path, headers):
         pass
     return caught.value.response.status_code
@@ -45,7 +44,7 @@ def refused(run: Running, path: str, **headers: str) -> int:
 # --- the token -------------------------------------------------------------------------------------------------------
 
 
-def test_the_token_becomes_a_cookie_and_leaves_the_address(run: Running) -> None:
+def test_the_token_is_replaced_by_a_cookie(run: Running) -> None:
     status, headers, body = run.ask("GET", f"/?token={TOKEN}", known=False)
     assert status == 200  # no redirect: browsers drop a strict cookie there after a foreign link
     assert b'http-equiv="refresh" content="0; url=./"' in body
@@ -57,7 +56,7 @@ def test_the_token_becomes_a_cookie_and_leaves_the_address(run: Running) -> None
     assert run.ask("GET", "/", {"Cookie": cookie})[0] == 200
 
 
-def test_a_wrong_token_is_refused_and_asked_for_again(tmp_path: Path) -> None:
+def test_a_wrong_token_gets_the_form(tmp_path: Path) -> None:
     with running(tmp_path) as run:
         for token in ("", f"{TOKEN}x", TOKEN[:-1], "%00"):
             status, headers, body = run.ask("GET", f"/?token={token}", known=False)
@@ -66,7 +65,7 @@ def test_a_wrong_token_is_refused_and_asked_for_again(tmp_path: Path) -> None:
             assert b"<form" in body
 
 
-def test_the_form_takes_the_token_too(run: Running) -> None:
+def test_the_form_accepts_the_token(run: Running) -> None:
     form = {"Content-Type": "application/x-www-form-urlencoded"}
     status, headers, _ = run.ask("POST", "/enter", form, urlencode({"token": f" {TOKEN} "}), known=False)
     assert status == 200
@@ -76,32 +75,30 @@ def test_the_form_takes_the_token_too(run: Running) -> None:
     assert run.ask("POST", "/enter", form, b"\xff\xfe&&&&===%%%", known=False)[0] == 401
 
 
-def test_many_wrong_tokens_slow_an_address_down_and_shut_nobody_out(
+def test_many_wrong_tokens_delay_an_address_but_lock_nobody_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ladarreg.gateway.entrance._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 0.4)
+    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 0.4)
     with running(tmp_path) as run:
         assert [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(11)] == [401] * 11
         begun = time.monotonic()
-        assert run.ask("GET", f"/?token={TOKEN}", known=False)[0] == 200, "the right one opens all the same"
+        assert run.ask("GET", f"/?token={TOKEN}", known=False)[0] == 200, "the correct one is still accepted"
         assert 0.1 < time.monotonic() - begun < 5
-        monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 100.0)
+        monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
         run.ask("GET", "/?token=wrong", known=False)
         status, headers, body = run.ask("GET", "/?token=wrong", known=False)
         assert (status, headers["retry-after"]) == (429, "30")
         assert b"<form" in body
         assert run.ask("POST", "/enter", {}, urlencode({"token": TOKEN}), known=False)[0] == 200, (
-            "it has turns of its own"
+            "the form is counted separately"
         )
-        assert run.ask("GET", "/")[0] == 200, "who is in stays in"
+        assert run.ask("GET", "/")[0] == 200, "a valid cookie stays valid"
 
 
-def test_a_token_that_nobody_can_guess_opens_whatever_was_tried(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("ladarreg.gateway.entrance._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 100.0)
+def test_an_unguessable_token_is_accepted_whatever_was_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
     monkeypatch.setattr("tests.app.gateway_driver.TOKEN", token := new_token())
     with running(tmp_path) as run:
         seen = [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(13)]
@@ -110,7 +107,7 @@ def test_a_token_that_nobody_can_guess_opens_whatever_was_tried(
 
 
 @pytest.mark.parametrize("shown_as", ["image", "script", "iframe", "empty"])
-def test_what_a_page_embeds_neither_shows_a_token_nor_counts_as_a_try(run: Running, shown_as: str) -> None:
+def test_embedded_requests_neither_log_in_nor_count_as_attempts(run: Running, shown_as: str) -> None:
     from_elsewhere = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": shown_as, "Origin": ""}
     for token in [*map(str, range(12)), TOKEN]:
         status, headers, _ = run.ask("GET", f"/?token={token}", from_elsewhere, known=False)
@@ -118,9 +115,9 @@ def test_what_a_page_embeds_neither_shows_a_token_nor_counts_as_a_try(run: Runni
         assert "set-cookie" not in headers
 
 
-def test_links_of_other_sites_use_up_no_turns_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg.gateway.entrance._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.attempts._PACE_S", 100.0)
+def test_links_of_other_sites_are_counted_separately(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
+    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
     with running(tmp_path) as run:
         for site in ("cross-site", "same-site"):
             for n in range(12):
@@ -133,18 +130,18 @@ def test_links_of_other_sites_use_up_no_turns_of_others(tmp_path: Path, monkeypa
 
 
 @given(times=st.lists(st.floats(0, 300), max_size=60), most=st.integers(1, 12))
-def test_an_address_never_has_more_tries_in_a_minute_than_it_may(times: list[float], most: int) -> None:
+def test_attempts_of_an_address_are_limited_per_minute(times: list[float], most: int) -> None:
     now = [0.0]
-    attempts = Attempts(most=most, window_s=60, clock=lambda: now[0])
+    attempts = AttemptLimiter(most=most, window_s=60, clock=lambda: now[0])
     tried: list[float] = []
     for moment in sorted(times):
         now[0] = moment
-        assert attempts.turn_s("10.0.0.2") == 0
-        turn_s = attempts.turn_s("10.0.0.1")
+        assert attempts.delay_s("10.0.0.2") == 0
+        turn_s = attempts.delay_s("10.0.0.1")
         assert turn_s is None or 0 <= turn_s <= 30
         if turn_s is not None:
             now[0] = moment + turn_s
-            attempts.wrong("10.0.0.1")
+            attempts.record_failure("10.0.0.1")
             now[0] = moment
             tried.append(moment + turn_s)
     for k, begun in enumerate(sorted(tried)):
@@ -152,46 +149,48 @@ def test_an_address_never_has_more_tries_in_a_minute_than_it_may(times: list[flo
         assert len(within) <= most + 60 / _PACE_S + 1
 
 
-def test_a_network_of_ipv6_addresses_is_one_visitor_and_memory_is_bounded() -> None:
-    attempts = Attempts(most=2)
-    attempts.wrong("2001:db8::1")
-    attempts.wrong("2001:db8::2%eth0")
-    assert attempts.turn_s("2001:db8::fffe") == 0
-    assert attempts.turn_s("2001:db8::ffff") == pytest.approx(_PACE_S, abs=0.5)
-    assert attempts.turn_s("2001:db8::ffff", "form") == 0
-    assert attempts.turn_s("2001:db8:0:1::1") == 0
+def test_a_network_of_ipv6_addresses_is_one_peer_and_memory_is_bounded() -> None:
+    attempts = AttemptLimiter(most=2)
+    attempts.record_failure("2001:db8::1")
+    attempts.record_failure("2001:db8::2%eth0")
+    assert attempts.delay_s("2001:db8::fffe") == 0
+    assert attempts.delay_s("2001:db8::ffff") == pytest.approx(_PACE_S, abs=0.5)
+    assert attempts.delay_s("2001:db8::ffff", "form") == 0
+    assert attempts.delay_s("2001:db8:0:1::1") == 0
     for n in range(5000):
-        attempts.wrong(f"10.{n >> 8}.{n & 255}.1")
-        assert attempts.turn_s(f"net{n}") == 0
-    assert len(attempts._wrong) <= 4096
+        attempts.record_failure(f"10.{n >> 8}.{n & 255}.1")
+        assert attempts.delay_s(f"net{n}") == 0
+    assert len(attempts._failures) <= 4096
 
 
 @given(st.text(st.characters(exclude_characters=";"), max_size=80), st.integers(1, 65535))
-def test_only_our_own_cookies_open(value: str, port: int) -> None:
-    door = Door(TOKEN, port=port)
-    good = door.new_cookie()
-    assert door.browser(f"a=b; {door.cookie_name}={good}") == good.partition(".")[0]
-    assert Door(TOKEN, port=port).browser(f"{door.cookie_name}={good}") is not None, "known after a new start"
-    assert Door(new_token(), port=port).browser(f"{door.cookie_name}={good}") is None
+def test_only_our_own_cookies_are_valid(value: str, port: int) -> None:
+    credentials = Credentials(TOKEN, port=port)
+    good = credentials.new_cookie()
+    assert credentials.browser_of(f"a=b; {credentials.cookie_name}={good}") == good.partition(".")[0]
+    assert Credentials(TOKEN, port=port).browser_of(f"{credentials.cookie_name}={good}") is not None, (
+        "known after a new start"
+    )
+    assert Credentials(new_token(), port=port).browser_of(f"{credentials.cookie_name}={good}") is None
     for cookies in (
         value,
-        f"{door.cookie_name}={value}",
-        f"{door.cookie_name}={good}{value}0",
-        f"x{door.cookie_name}={good}",
+        f"{credentials.cookie_name}={value}",
+        f"{credentials.cookie_name}={good}{value}0",
+        f"x{credentials.cookie_name}={good}",
     ):
-        assert door.browser(cookies) is None
+        assert credentials.browser_of(cookies) is None
     assert TOKEN not in good
 
 
 @given(st.text(string.ascii_letters + string.digits + "-_.~", min_size=12, max_size=60), st.text(max_size=80))
-def test_a_door_knows_its_token_and_no_other_word(token: str, word: str) -> None:
+def test_only_the_token_itself_is_accepted(token: str, word: str) -> None:
     assert checked_token(token) == token
-    assert Door(token, port=1).knows(token)
-    assert Door(token, port=1).knows(word) == (word == token)
+    assert Credentials(token, port=1).is_token(token)
+    assert Credentials(token, port=1).is_token(word) == (word == token)
 
 
 @pytest.mark.parametrize("token", ["", "elevenchars", "twelve chars", "zwölf-zeichen", "twelve\nchars"])
-def test_a_token_that_is_weak_or_does_not_fit_an_address_is_refused(token: str) -> None:
+def test_a_weak_or_unencodable_token_is_refused(token: str) -> None:
     with pytest.raises(OptionError, match="token"):
         checked_token(token)
 
@@ -201,7 +200,7 @@ def test_a_token_that_is_weak_or_does_not_fit_an_address_is_refused(token: str) 
 
 @pytest.mark.parametrize("cookie", ["", "ladarreg-{port}=", "ladarreg-{port}=a.b", "ladarreg-1={good}"])
 @pytest.mark.parametrize("path", PATHS)
-def test_without_a_cookie_there_is_nothing(run: Running, path: str, cookie: str) -> None:
+def test_without_a_cookie_nothing_is_served(run: Running, path: str, cookie: str) -> None:
     sent = {"Cookie": cookie.format(port=run.port, good=run.cookie.partition("=")[2])}
     for method in ("GET", "HEAD"):
         status, headers, body = run.ask(method, path, sent)
@@ -232,7 +231,7 @@ FOREIGN = (
 
 
 @pytest.mark.parametrize("origin", FOREIGN)
-def test_a_page_from_elsewhere_can_neither_send_nor_listen(run: Running, origin: str) -> None:
+def test_a_page_of_another_site_can_neither_send_nor_listen(run: Running, origin: str) -> None:
     origin = origin.format(port=run.port)
     assert refused(run, "/document", Origin=origin) == 403
     assert refused(run, "/viser", Origin=origin) == 403
@@ -249,18 +248,18 @@ def test_a_page_from_elsewhere_can_neither_send_nor_listen(run: Running, origin:
         ("a b", 400), ("a,b", 400), ("[::1", 400),
     ],
 )  # fmt: skip
-def test_on_loopback_only_our_own_names_are_answered(run: Running, host: str, status: int) -> None:
+def test_on_loopback_only_our_own_host_names_are_answered(run: Running, host: str, status: int) -> None:
     assert run.ask("GET", "/", {"Host": host.format(port=run.port)})[0] == status
 
 
-def test_other_names_can_be_allowed(tmp_path: Path) -> None:
+def test_other_host_names_can_be_allowed(tmp_path: Path) -> None:
     with running(tmp_path, allowed_hosts=("Scans.example",)) as run:
         assert run.ask("GET", "/", {"Host": "scans.EXAMPLE:1"})[0] == 200
         assert run.ask("GET", "/", {"Host": "other.example"})[0] == 403
         assert run.ask("GET", "/", {"Host": "localhost"})[0] == 200
 
 
-def test_what_a_proxy_says_is_believed_only_where_there_is_one(tmp_path: Path) -> None:
+def test_forwarded_headers_are_trusted_only_behind_a_proxy(tmp_path: Path) -> None:
     said = {
         "X-Forwarded-Host": "evil.example, scans.example",
         "X-Forwarded-Proto": "https",
@@ -282,17 +281,17 @@ def test_what_a_proxy_says_is_believed_only_where_there_is_one(tmp_path: Path) -
 
 @given(st.dictionaries(st.sampled_from(["host", "origin", "x-forwarded-host", "x-forwarded-for", "x-forwarded-proto",
     "x-forwarded-prefix"]), st.binary(max_size=40)), st.booleans())  # fmt: skip
-def test_no_header_is_too_strange(headers: dict[str, bytes], behind_proxy: bool) -> None:
+def test_malformed_headers_are_tolerated(headers: dict[str, bytes], behind_proxy: bool) -> None:
     scope = {"headers": [(k.encode(), v) for k, v in headers.items()], "scheme": "http", "client": None}
-    asked = asked_of(scope, behind_proxy=behind_proxy)
+    asked = request_source(scope, behind_proxy=behind_proxy)
     assert asked.prefix.startswith("/")
     assert asked.prefix.endswith("/")
     assert not set(asked.prefix + asked.host) & set(";, \r\n")
-    assert isinstance(asked.same, bool)
+    assert isinstance(asked.is_same_origin, bool)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "[::1]", "127.8.8.8"])
-def test_loopback_is_known(host: str) -> None:
+def test_loopback_is_recognised(host: str) -> None:
     assert is_loopback(host)
     assert GatewayOptions(host=host).on_loopback
 
@@ -307,7 +306,7 @@ def test_everything_else_is_not_loopback(host: str) -> None:
 
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("known", [True, False])
-def test_every_answer_carries_the_headers(run: Running, path: str, known: bool) -> None:
+def test_every_response_has_the_security_headers(run: Running, path: str, known: bool) -> None:
     _, headers, _ = run.ask("GET", path, known=known)
     policy = headers["content-security-policy"]
     if path.startswith("/viser"):

@@ -1,4 +1,4 @@
-"""The recipe of docs/remote.md, run: nginx in front, under a folder, with TLS left out."""
+"""The recipe of docs/remote.md: nginx in front, under a folder, without TLS."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ http {{
 
 @pytest.fixture(scope="module")
 def front(tmp_path_factory: pytest.TempPathFactory, checkout: Path) -> Iterator[tuple[Running, int]]:
-    """The gateway behind nginx, configured by what the documentation prints."""
+    """The gateway behind nginx, configured as documented."""
     assert NGINX is not None
     folder = tmp_path_factory.mktemp("nginx")
     location, upgrade = re.findall(r"```nginx\n(.*?)```", (checkout / "docs/remote.md").read_text("utf-8"), re.DOTALL)
@@ -92,7 +92,7 @@ def websocket(
     )
 
 
-def test_the_recipe_of_the_documentation_works(front: tuple[Running, int]) -> None:
+def test_the_documented_recipe_works(front: tuple[Running, int]) -> None:
     run, port = front
     assert ask(port, "GET", "/ladar/")[0] == 401
     status, headers, _ = ask(port, "GET", f"/ladar/?token={TOKEN}", **{"X-Forwarded-For": "6.6.6.6"})
@@ -123,7 +123,7 @@ def test_the_recipe_of_the_documentation_works(front: tuple[Running, int]) -> No
         assert isinstance(view.recv(timeout=10), bytes)
 
 
-def test_strangers_are_refused_behind_nginx_too(front: tuple[Running, int]) -> None:
+def test_foreign_requests_are_refused_behind_nginx(front: tuple[Running, int]) -> None:
     run, port = front
     assert ask(port, "POST", "/ladar/enter", f"token={TOKEN}", Origin="http://elsewhere.example")[0] == 403
     assert ask(port, "GET", "/ladar/", Host="elsewhere.example")[0] == 403

@@ -1,4 +1,4 @@
-"""The gateway as a program: its port, TLS, its end, and the words of `ladarreg serve`."""
+"""The gateway as a program: its port, TLS, shutdown, and the options of `ladarreg serve`."""
 
 from __future__ import annotations
 
@@ -17,19 +17,18 @@ import pytest
 from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 from ladarreg.gateway.options import GatewayOptions
-from ladarreg.gateway.server import Gateway
-from ladarreg.gateway.serving import warning
+from ladarreg.gateway.server import Gateway, exposure_warning
 from ladarreg.gateway.viser_backend import close_server, open_locked_server
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate import sample_folder
 from tests.app.gateway_driver import TOKEN, Running, closing_code, hear, running, soon
-from tests.processes import hear_ctrl_c
+from tests.processes import restore_ctrl_c
 
 
 @pytest.fixture(scope="session")
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A certificate of our own for 127.0.0.1, and its key."""
+    """A self-signed certificate for 127.0.0.1, and its key."""
     if shutil.which("openssl") is None:
         pytest.skip("no openssl to make a certificate with")
     folder = tmp_path_factory.mktemp("tls")
@@ -42,21 +41,21 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def started(folder: Path, *words: str) -> tuple[subprocess.Popen[str], str]:
-    """Start the program and return it with the address that it prints."""
+    """Start the program, and return its process and the printed address."""
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.app.gateway_process", str(folder), *words],
         cwd=Path(__file__).parents[3],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=hear_ctrl_c,
+        preexec_fn=restore_ctrl_c,
     )
     assert process.stdout is not None
     return process, process.stdout.readline().split()[1]
 
 
 def at(address: str) -> Running:
-    """Return how to talk to a gateway of another process."""
+    """Return the gateway of another process."""
 
     class There:
         port = urlsplit(address).port
@@ -83,7 +82,7 @@ def test_an_address_of_another_machine_is_refused(host: str) -> None:
         Gateway(lambda port: None, GatewayOptions(host=host, port=0))  # type: ignore[arg-type, return-value]
 
 
-def test_it_listens_where_it_is_told_only(tmp_path: Path) -> None:
+def test_it_listens_only_on_its_address(tmp_path: Path) -> None:
     with running(tmp_path) as run, socket.socket() as other:
         other.bind(("127.0.0.2", run.port))  # free: the gateway did not take every address
         assert run.gateway.address == f"http://127.0.0.1:{run.port}/"
@@ -96,9 +95,9 @@ def test_it_can_listen_on_ipv6(tmp_path: Path) -> None:
     gateway.close()
 
 
-def test_opening_it_to_others_is_warned_of() -> None:
-    assert "TLS" in warning(GatewayOptions(host="0.0.0.0"))
-    assert "token" in warning(GatewayOptions(host="0.0.0.0", certfile="x"))
+def test_listening_beyond_loopback_is_warned_of() -> None:
+    assert "TLS" in exposure_warning(GatewayOptions(host="0.0.0.0"))
+    assert "token" in exposure_warning(GatewayOptions(host="0.0.0.0", certfile="x"))
 
 
 # --- TLS -------------------------------------------------------------------------------------------------------------
@@ -149,7 +148,7 @@ def test_a_certificate_that_cannot_be_used_is_refused(tmp_path: Path, certificat
 # --- its end ---------------------------------------------------------------------------------------------------------
 
 
-def test_closing_tells_the_pages_and_frees_the_port(tmp_path: Path) -> None:
+def test_closing_notifies_the_clients_and_frees_the_port(tmp_path: Path) -> None:
     with running(tmp_path) as run:
         port, page = run.port, run.socket()
         hear(page)
@@ -166,7 +165,7 @@ def test_closing_tells_the_pages_and_frees_the_port(tmp_path: Path) -> None:
 
 
 def begin_upload(there: Running) -> socket.socket:
-    """Begin an upload that never comes to its end."""
+    """Start an upload that is never completed."""
     line = socket.create_connection(("127.0.0.1", there.port), timeout=10)
     head = (
         f"POST /upload?what=scan HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nCookie: {there.cookie}\r\n"
@@ -177,7 +176,7 @@ def begin_upload(there: Running) -> socket.socket:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ there")
 @pytest.mark.parametrize(("sent", "uploads"), [(signal.SIGINT, 1), (signal.SIGTERM, 0)])
-def test_ctrl_c_ends_it_quietly_whoever_is_connected(tmp_path: Path, sent: signal.Signals, uploads: int) -> None:
+def test_ctrl_c_ends_it_quietly_with_clients_connected(tmp_path: Path, sent: signal.Signals, uploads: int) -> None:
     process, address = started(tmp_path)
     try:
         there = at(address)
@@ -211,7 +210,7 @@ def test_the_command_serves_a_scan_and_a_photograph(tmp_path: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=hear_ctrl_c,
+        preexec_fn=restore_ctrl_c,
     )
     try:
         assert process.stdout is not None
@@ -245,7 +244,7 @@ def test_the_command_serves_a_scan_and_a_photograph(tmp_path: Path) -> None:
         ["--allow-host", "https://scans.example"], ["--allow-host", "scans.example:80"],
     ],
 )  # fmt: skip
-def test_wrong_words_are_one_line_before_anything_is_opened(
+def test_wrong_options_give_one_line_before_anything_is_opened(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["serve", "--no-browser", *words]) == ExitCode.BAD_INPUT

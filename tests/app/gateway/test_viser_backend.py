@@ -1,12 +1,12 @@
-"""viser, opened the only way we open it."""
+"""The locked viser server."""
 
 from __future__ import annotations
 
 import socket
 
+from ladarreg.gateway.pages import static_folder, static_text
 from ladarreg.gateway.viser_backend import HOST, close_server, open_locked_server
 from ladarreg.scene.colours import MATCH_COLOURS
-from ladarreg.static_files import static_folder, static_text
 
 
 def test_it_listens_on_loopback_only() -> None:
@@ -22,7 +22,7 @@ def test_it_listens_on_loopback_only() -> None:
         close_server(server)
 
 
-def test_nobody_can_ask_for_a_public_address() -> None:
+def test_a_public_address_is_refused() -> None:
     server, _ = open_locked_server(label="test")
     try:
         assert server.request_share_url() is None
@@ -31,7 +31,7 @@ def test_nobody_can_ask_for_a_public_address() -> None:
         close_server(server)
 
 
-def test_tokens_hold_the_colours_that_the_scene_uses() -> None:
+def test_the_style_tokens_contain_the_scenes_colours() -> None:
     tokens = static_text("tokens.css")
     for k, colour in enumerate(MATCH_COLOURS, start=1):
         assert f"--lr-match-{k}: #{bytes(colour).hex()};" in tokens

@@ -1,4 +1,4 @@
-"""The 3-D stage in a real viser server, without a browser."""
+"""The 3-D scene in a real viser server, without a browser."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 import viser
+from ladarreg.gateway.pages import static_text
 from ladarreg.gateway.viser_backend import close_server
-from ladarreg.scene import SimplexFrame, Stage3D
+from ladarreg.scene import Scene3D, SimplexFrame
 from ladarreg.scene.colours import ACCENT, BACKGROUND, MATCH_COLOURS, as_css
-from ladarreg.scene.draw_queue import Wishes
+from ladarreg.scene.draw_queue import DrawQueue
 from ladarreg.scene.legend import legend_html
 from ladarreg.scene.picks_layer import Picks
-from ladarreg.static_files import static_text
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
@@ -36,7 +36,7 @@ CAMERA = Camera.from_focal(60, 40, 70)
 
 
 def wall(*, x_m: float = 3.0) -> Scan:
-    """A wall with a board before it, that hides some of it from a camera aside."""
+    """A wall with a board in front, which hides part of it from a camera at the side."""
     depth = np.full((40, 60), x_m)
     depth[10:30, 20:35] = 0.6 * x_m
     return Scan(GEOMETRY, depth / GEOMETRY.rays[..., 0], np.random.default_rng(0).random((40, 60)))
@@ -65,35 +65,35 @@ def pose(*, accepted: bool = True) -> PoseResult:
     )
 
 
-class Session:
-    """Keeps what was asked and answers as the workbench's does: by telling the stage."""
+class Actions:
+    """Records the actions, and answers as the workbench does: by calling the scene."""
 
     def __init__(self) -> None:
-        self.asked: list[Any] = []
-        self.stage: Stage3D | None = None
+        self.calls: list[Any] = []
+        self.scene: Scene3D | None = None
 
     def set_model(self, **wanted: Any) -> None:
-        self.asked.append(wanted)
+        self.calls.append(wanted)
         if wanted.get("light"):
             raise OptionError("no light here")
-        assert self.stage is not None
-        self.stage.set_model(**wanted)
+        assert self.scene is not None
+        self.scene.set_model(**wanted)
 
     def job_control(self, action: str, value: float | None = None) -> None:
-        self.asked.append((action, value))
+        self.calls.append((action, value))
 
     def hover(self, pick_id: str | None) -> None:
-        self.asked.append(pick_id)
+        self.calls.append(pick_id)
 
 
 class Client:
-    """Who clicked."""
+    """The client that clicked."""
 
     def __init__(self) -> None:
-        self.told: list[str] = []
+        self.notifications: list[str] = []
 
     def add_notification(self, title: str, body: str, **_: object) -> None:
-        self.told.append(body)
+        self.notifications.append(body)
 
 
 @pytest.fixture(scope="module")
@@ -104,20 +104,20 @@ def server() -> Iterator[viser.ViserServer]:
 
 
 @pytest.fixture
-def session() -> Session:
-    return Session()
+def actions() -> Actions:
+    return Actions()
 
 
 @pytest.fixture
-def stage(server: viser.ViserServer, session: Session, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage3D]:
+def scene(server: viser.ViserServer, actions: Actions, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene3D]:
     monkeypatch.setattr("ladarreg.scene.model_layer.REPLACED_AFTER_S", 0.1)
-    monkeypatch.setattr("ladarreg.scene.model_layer.REPLACED_BY_COARSE_AFTER_S", 0.1)
-    monkeypatch.setattr("ladarreg.scene.scene.FINE_AGAIN_S", 0.1)
+    monkeypatch.setattr("ladarreg.scene.model_layer.REPLACED_BY_DRAFT_AFTER_S", 0.1)
+    monkeypatch.setattr("ladarreg.scene.scene.FINE_AFTER_SIMPLEX_S", 0.1)
     server.scene.reset()
     server.gui.reset()
-    session.stage = Stage3D(server, session)  # type: ignore[arg-type]
-    yield session.stage
-    session.stage.close()
+    actions.scene = Scene3D(server, actions)  # type: ignore[arg-type]
+    yield actions.scene
+    actions.scene.close()
 
 
 def nodes(server: viser.ViserServer) -> dict[str, viser.SceneNodeHandle]:
@@ -137,7 +137,7 @@ def glb(server: viser.ViserServer) -> bytes:
 def wait(what: Callable[[], bool], seconds: float = 20.0) -> None:
     end = time.monotonic() + seconds
     while not what():
-        assert time.monotonic() < end, "it did not come to pass"
+        assert time.monotonic() < end, "timed out"
         time.sleep(0.02)
 
 
@@ -153,250 +153,250 @@ def press(handle: Any, value: object, client: Client) -> None:
 
 
 def click(server: viser.ViserServer, place: list[float]) -> None:
-    """Do what viser does when somebody clicks in the scene, looking from one metre behind the scanner."""
+    """Do what viser does on a click in the scene, viewed from one metre behind the scanner."""
     direction = (place[0] + 1.0, place[1], place[2])
     for entry in server.scene._scene_pointer_cb[-1:]:
         entry.callback(viser.SceneClickEvent(None, 1, (-1.0, 0, 0), direction, (0.5, 0.5), None))  # type: ignore[arg-type]
 
 
-def test_what_stands_there_has_its_name(server: viser.ViserServer, stage: Stage3D) -> None:
-    assert stage.settle()
+def test_nodes_have_their_names(server: viser.ViserServer, scene: Scene3D) -> None:
+    assert scene.settle()
     assert not models(server)
-    stage.show_scan(SCAN)
-    assert stage.settle()
+    scene.show_scan(SCAN)
+    assert scene.settle()
     assert len(models(server)) == 1
     assert "/scanner" in nodes(server)
     assert not {"/camera", "/matches/points"} & set(nodes(server))
-    stage.show_registration(SCAN, PHOTO, pose(), name="photo")
-    assert stage.settle()
+    scene.show_registration(SCAN, PHOTO, pose(), name="photo")
+    assert scene.settle()
     assert {"/scanner", "/camera", "/matches/points", "/matches/scanner_rays", "/matches/camera_rays"} <= set(
         nodes(server)
     )
     assert isinstance(nodes(server)["/camera"], viser.CameraFrustumHandle)
     np.testing.assert_allclose(nodes(server)["/camera"].position, pose().camera_from_scanner.centre)
-    stage.show_scan(None)
-    assert stage.settle()
+    scene.show_scan(None)
+    assert scene.settle()
     assert not models(server)
     assert not {"/scanner", "/camera", "/matches/points"} & set(nodes(server))
 
 
-def test_nothing_is_coloured_before_it_is_accepted(server: viser.ViserServer, stage: Stage3D) -> None:
-    stage.show_scan(SCAN)
-    assert stage.settle()
+def test_nothing_is_coloured_without_an_accepted_pose(server: viser.ViserServer, scene: Scene3D) -> None:
+    scene.show_scan(SCAN)
+    assert scene.settle()
     gray, count = glb(server), len(models(server))
-    stage.show_registration(SCAN, PHOTO, pose(accepted=False), name="photo")
-    assert stage.settle()
+    scene.show_registration(SCAN, PHOTO, pose(accepted=False), name="photo")
+    assert scene.settle()
     assert glb(server) == gray
     assert len(models(server)) == count, "the same model is not sent again"
-    assert not isinstance(nodes(server)["/camera"], viser.CameraFrustumHandle), "it would carry the photograph"
+    assert not isinstance(nodes(server)["/camera"], viser.CameraFrustumHandle), "a frustum would show the photograph"
     label = nodes(server)["/camera_name"]
     assert isinstance(label, viser.LabelHandle)
     assert label.text == "photo: not accepted"
-    stage.show_registration(SCAN, PHOTO, pose())
-    assert stage.settle()
+    scene.show_registration(SCAN, PHOTO, pose())
+    assert scene.settle()
     assert glb(server) != gray
     assert "/camera_name" not in nodes(server)
 
 
-def test_the_model_is_exchanged_and_its_predecessor_goes(server: viser.ViserServer, stage: Stage3D) -> None:
-    stage.show_registration(SCAN, PHOTO, pose())
-    assert stage.settle()
+def test_the_model_is_replaced_and_its_predecessor_removed(server: viser.ViserServer, scene: Scene3D) -> None:
+    scene.show_registration(SCAN, PHOTO, pose())
+    assert scene.settle()
     seen = {glb(server)}
     for wanted in ({"z_buffer": False}, {"texture": "label"}, {"texture": "range"}, {"texture": "uncertainty"}):
-        stage.set_model(**wanted)  # type: ignore[arg-type]
-        assert stage.settle()
+        scene.set_model(**wanted)  # type: ignore[arg-type]
+        assert scene.settle()
         seen.add(glb(server))
         assert len(models(server)) == 1
     assert len(seen) == 5
     with pytest.raises(OptionError, match="one of colour"):
-        stage.set_model(texture="glitter")
+        scene.set_model(texture="glitter")
 
 
-def test_of_many_wishes_few_are_drawn_and_always_the_last(server: viser.ViserServer, stage: Stage3D) -> None:
-    stage.show_registration(SCAN, PHOTO, pose())
-    assert stage.settle()
-    first = stage._model._count
+def test_of_many_requests_few_are_drawn_and_always_the_last(server: viser.ViserServer, scene: Scene3D) -> None:
+    scene.show_registration(SCAN, PHOTO, pose())
+    assert scene.settle()
+    first = scene._model._count
     for k in range(100):
-        stage.set_model(texture=("range", "label")[k % 2])
-    stage.set_model(texture="intensity")
-    assert stage.settle()
-    assert stage._model._count - first < 30
-    assert stage._model.legend == model_texture(SCAN, "intensity").legend
+        scene.set_model(texture=("range", "label")[k % 2])
+    scene.set_model(texture="intensity")
+    assert scene.settle()
+    assert scene._model._count - first < 30
+    assert scene._model.legend == model_texture(SCAN, "intensity").legend
 
 
-def test_another_scan_takes_everything_of_the_last_one_away(server: viser.ViserServer, stage: Stage3D) -> None:
-    stage.show_registration(SCAN, PHOTO, pose())
-    stage.show_picks([[3, 0, 0]], [[1, 2, 3]], [True], ["p"])
-    assert stage.settle()
+def test_another_scan_removes_everything_of_the_last_one(server: viser.ViserServer, scene: Scene3D) -> None:
+    scene.show_registration(SCAN, PHOTO, pose())
+    scene.show_picks([[3, 0, 0]], [[1, 2, 3]], [True], ["p"])
+    assert scene.settle()
     where = np.array(server.initial_camera.position)
-    stage.show_scan(wall(x_m=9.0))
+    scene.show_scan(wall(x_m=9.0))
     wait(lambda: len(models(server)) == 1 and "/matches/points" not in nodes(server))
-    assert stage.settle()
+    assert scene.settle()
     assert "/camera" not in nodes(server)
     assert np.linalg.norm(server.initial_camera.position - where) > 0.5
 
 
-def test_a_scan_without_surface_is_shown_as_points(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_a_scan_without_surface_is_shown_as_points(server: viser.ViserServer, scene: Scene3D) -> None:
     ranges = np.full((40, 60), np.nan)
     ranges[::4, ::4] = 3.0
-    stage.show_scan(Scan(GEOMETRY, ranges, np.ones((40, 60))))
-    assert stage.settle()
+    scene.show_scan(Scan(GEOMETRY, ranges, np.ones((40, 60))))
+    assert scene.settle()
     cloud = nodes(server)[models(server)[0]]
     assert isinstance(cloud, viser.PointCloudHandle)
     assert len(cloud.points) == np.isfinite(ranges).sum()
 
 
-def test_switches_hide_and_show(server: viser.ViserServer, stage: Stage3D) -> None:
-    stage.show_registration(SCAN, PHOTO, pose())
-    stage.set_model(cameras=False, matches=False)
-    assert stage.settle()
+def test_switches_hide_and_show(server: viser.ViserServer, scene: Scene3D) -> None:
+    scene.show_registration(SCAN, PHOTO, pose())
+    scene.set_model(cameras=False, matches=False)
+    assert scene.settle()
     for name in ("/scanner", "/camera", "/matches/points", "/matches/scanner_rays"):
         assert not nodes(server)[name].visible, name
-    stage.set_model(cameras=True, matches=True)
-    assert stage.settle()
+    scene.set_model(cameras=True, matches=True)
+    assert scene.settle()
     for name in ("/scanner", "/camera", "/matches/points", "/matches/scanner_rays"):
         assert nodes(server)[name].visible, name
 
 
-def test_picks_have_their_colours_and_answer_clicks(
-    server: viser.ViserServer, stage: Stage3D, session: Session
+def test_picks_have_their_colours_and_are_clickable(
+    server: viser.ViserServer, scene: Scene3D, actions: Actions
 ) -> None:
-    stage.show_registration(SCAN, PHOTO, None)
+    scene.show_registration(SCAN, PHOTO, None)
     points = np.array([[3, 0, 0], [np.nan, 0, 0], [3, 0.5, 0], [3, -0.5, 0]])
     colours = np.array(MATCH_COLOURS[:4], np.uint8)
-    stage.show_picks(points, colours, [True, True, False, True], ["a", "b", "c", "d"])
-    assert stage.settle()
+    scene.show_picks(points, colours, [True, True, False, True], ["a", "b", "c", "d"])
+    assert scene.settle()
     cloud: Any = nodes(server)["/matches/points"]
     np.testing.assert_allclose(cloud.points, points[[0, 2, 3]], atol=0.1)
     np.testing.assert_array_equal(cloud.colors[[0, 2]], colours[[0, 3]])
-    assert cloud.colors[1].astype(int).sum() < colours[2].astype(int).sum(), "what is off is dimmed"
+    assert cloud.colors[1].astype(int).sum() < colours[2].astype(int).sum(), "matches that are off are dimmed"
     click(server, [3, -0.5, 0])
     click(server, [3, 0.2, 0.4])
-    assert session.asked == ["d"]
-    stage.highlight("d")
-    assert stage.settle()
+    assert actions.calls == ["d"]
+    scene.highlight("d")
+    assert scene.settle()
     marked: Any = nodes(server)["/highlight/point"]
     np.testing.assert_allclose(marked.points, points[[3]], atol=0.12)
     for nobody in ("b", "nobody", None):
-        stage.highlight(nobody)
-        assert stage.settle()
+        scene.highlight(nobody)
+        assert scene.settle()
         assert "/highlight/point" not in nodes(server)
 
 
-def test_a_highlight_outlives_a_change_of_the_picks(server: viser.ViserServer, stage: Stage3D) -> None:
-    stage.show_scan(SCAN)
-    stage.show_picks([[3, 0, 0]], [[9, 9, 9]], [True], ["a"])
-    stage.highlight("a")
-    stage.show_picks([[3, 0, 0], [3, 1, 0]], [[9, 9, 9]] * 2, [True, True], ["b", "a"])
-    assert stage.settle()
+def test_a_highlight_survives_a_change_of_the_picks(server: viser.ViserServer, scene: Scene3D) -> None:
+    scene.show_scan(SCAN)
+    scene.show_picks([[3, 0, 0]], [[9, 9, 9]], [True], ["a"])
+    scene.highlight("a")
+    scene.show_picks([[3, 0, 0], [3, 1, 0]], [[9, 9, 9]] * 2, [True, True], ["b", "a"])
+    assert scene.settle()
     marked: Any = nodes(server)["/highlight/point"]
     np.testing.assert_allclose(marked.points, [[3, 1, 0]], atol=0.12)
 
 
-def test_controls_ask_the_session_and_follow_it_without_a_loop(
-    server: viser.ViserServer, stage: Stage3D, session: Session
+def test_controls_call_actions_and_follow_the_state_without_a_loop(
+    server: viser.ViserServer, scene: Scene3D, actions: Actions
 ) -> None:
-    stage.show_registration(SCAN, PHOTO, pose())
-    assert stage.settle()
+    scene.show_registration(SCAN, PHOTO, pose())
+    assert scene.settle()
     client = Client()
     press(gui(server, "Texture"), "Label", client)
     press(gui(server, "Cameras"), False, client)
-    assert stage.settle()
-    assert session.asked == [{"texture": "label"}, {"cameras": False}]
-    stage.set_model(texture="range", cameras=True, z_buffer=False)
-    assert stage.settle()
+    assert scene.settle()
+    assert actions.calls == [{"texture": "label"}, {"cameras": False}]
+    scene.set_model(texture="range", cameras=True, z_buffer=False)
+    assert scene.settle()
     assert gui(server, "Texture").value == "Range"
     assert gui(server, "Cameras").value is True
-    assert gui(server, "Z-buffer").value is False
-    assert len(session.asked) == 2, "what the session says is not said back to it"
-    press(gui(server, "Light model"), True, client)
-    assert client.told == ["no light here"]
+    assert gui(server, "Hide occluded").value is False
+    assert len(actions.calls) == 2, "updates from the workbench are not sent back to it"
+    press(gui(server, "Coarse mesh"), True, client)
+    assert client.notifications == ["no light here"]
 
 
 def frames(count: int) -> list[SimplexFrame]:
     there = [ThesisParameters(0.3 + 0.5 * 0.97**k, 0.1, 0.1, 0.1 * 0.95**k, 0, 0).pose for k in range(count)]
-    return [SimplexFrame(k + 1, p, (p,) * 6, 10.0 * 0.9**k, "4 of 4 matches") for k, p in enumerate(there)]
+    return [SimplexFrame(k + 1, p, (p,) * 6, 10.0 * 0.9**k, "4 of 4 inliers") for k, p in enumerate(there)]
 
 
-def test_a_walk_is_throttled_and_its_last_step_kept(server: viser.ViserServer, stage: Stage3D) -> None:
-    stage.show_registration(SCAN, PHOTO, None)
-    assert stage.settle()
-    assert not stage._folder._folder.visible
-    stage.simplex_started()
-    assert stage.settle()
-    assert stage._folder._folder.visible
+def test_simplex_drawing_is_throttled_and_its_last_frame_kept(server: viser.ViserServer, scene: Scene3D) -> None:
+    scene.show_registration(SCAN, PHOTO, None)
+    assert scene.settle()
+    assert not scene._folder._folder.visible
+    scene.simplex_started()
+    assert scene.settle()
+    assert scene._folder._folder.visible
     drawn: list[int] = []
-    draw = stage._folder.draw
-    stage._folder.draw = lambda curves, frame, state: (drawn.append(frame.iteration), draw(curves, frame, state))  # type: ignore[assignment, func-returns-value]
+    draw = scene._folder.draw
+    scene._folder.draw = lambda curves, frame, state: (drawn.append(frame.iteration), draw(curves, frame, state))  # type: ignore[assignment, func-returns-value]
     walk = frames(400)
     begun = time.monotonic()
     for frame in walk:
-        stage.simplex_step(frame)
+        scene.simplex_step(frame)
         time.sleep(0.002)
-    assert stage.settle()
+    assert scene.settle()
     seconds = time.monotonic() - begun
     assert 2 <= len(drawn) <= seconds / 0.04 + 2
     assert drawn[-1] == 400
     assert drawn == sorted(drawn)
-    assert stage._folder._parameters.data[0][-1] == 400
+    assert scene._folder._parameters.data[0][-1] == 400
     np.testing.assert_allclose(nodes(server)["/simplex/best"].position, walk[-1].best.centre, atol=1e-5)
     lines: Any = nodes(server)["/simplex/vertices"]
     assert lines.points.shape == (48, 2, 3)
     assert "/simplex/start" in nodes(server)
-    stage.simplex_ended(walk[-1])
-    assert stage.settle()
-    assert stage._folder._parameters.data[0][-1] == 400, "the last step is not told twice"
+    scene.simplex_ended(walk[-1])
+    assert scene.settle()
+    assert scene._folder._parameters.data[0][-1] == 400, "the last frame is not added twice"
     assert {n for n in nodes(server) if n.startswith("/simplex/")} == {"/simplex/best"}
-    assert "done" in stage._folder._status.content
-    stage.show_registration(SCAN, PHOTO, pose())
-    assert stage.settle()
-    assert "/simplex/best" not in nodes(server), "the pose that is shown says it better"
+    assert "done" in scene._folder._status.content
+    scene.show_registration(SCAN, PHOTO, pose())
+    assert scene.settle()
+    assert "/simplex/best" not in nodes(server), "the pose that is shown replaces it"
 
 
-def test_a_walk_that_came_to_nothing_leaves_nothing(server: viser.ViserServer, stage: Stage3D) -> None:
-    stage.show_registration(SCAN, PHOTO, None)
-    stage.simplex_started()
-    stage.simplex_step(frames(1)[0])
-    stage.simplex_ended(None)
-    assert stage.settle()
+def test_a_simplex_without_result_leaves_nothing(server: viser.ViserServer, scene: Scene3D) -> None:
+    scene.show_registration(SCAN, PHOTO, None)
+    scene.simplex_started()
+    scene.simplex_step(frames(1)[0])
+    scene.simplex_ended(None)
+    assert scene.settle()
     assert not {n for n in nodes(server) if n.startswith("/simplex/")}
-    stage.simplex_paused(paused=True)
-    assert stage.settle()
-    assert not gui(server, "Walk").visible, "what has ended cannot be paused"
+    scene.simplex_paused(paused=True)
+    assert scene.settle()
+    assert not gui(server, "Simplex run").visible, "a finished simplex cannot be paused"
 
 
-def test_the_model_is_coarse_while_something_moves(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_the_model_is_a_draft_while_the_simplex_moves(server: viser.ViserServer, scene: Scene3D) -> None:
     geometry = AzimuthElevation(150, 200, 0.004, 0.004)
-    stage.show_registration(Scan(geometry, 3 / geometry.rays[..., 0], np.ones((150, 200))), PHOTO, None)
-    assert stage.settle()
+    scene.show_registration(Scan(geometry, 3 / geometry.rays[..., 0], np.ones((150, 200))), PHOTO, None)
+    assert scene.settle()
     fine = len(glb(server))
-    stage.simplex_started()
-    assert stage.settle()
+    scene.simplex_started()
+    assert scene.settle()
     assert len(glb(server)) < 0.6 * fine
-    stage.simplex_ended(None)
-    assert stage.settle()
+    scene.simplex_ended(None)
+    assert scene.settle()
     assert len(glb(server)) == fine
 
 
-def test_the_walks_controls_reach_the_job(server: viser.ViserServer, stage: Stage3D, session: Session) -> None:
-    stage.simplex_started()
-    assert stage.settle()
-    client, buttons = Client(), gui(server, "Walk")
+def test_the_simplex_controls_reach_the_job(server: viser.ViserServer, scene: Scene3D, actions: Actions) -> None:
+    scene.simplex_started()
+    assert scene.settle()
+    client, buttons = Client(), gui(server, "Simplex run")
     for name in ("Pause", "Step", "Keep best"):
         press(buttons, name, client)
-    stage.simplex_paused(paused=True)
-    assert stage.settle()
+    scene.simplex_paused(paused=True)
+    assert scene.settle()
     assert buttons.options == ("Resume", "Step", "Keep best")
     press(buttons, "Resume", client)
-    stage.simplex_paused(paused=False)
-    press(gui(server, "Steps a second"), 30, client)
-    press(gui(server, "Steps a second"), 200, client)
-    assert session.asked == [
+    scene.simplex_paused(paused=False)
+    press(gui(server, "Steps per second"), 30, client)
+    press(gui(server, "Steps per second"), 200, client)
+    assert actions.calls == [
         ("pause", None), ("step", None), ("stop", None), ("resume", None), ("speed", 30.0), ("speed", 0.0),
     ]  # fmt: skip
 
 
-def test_frames_are_those_of_the_descent() -> None:
+def test_frames_agree_with_the_descent() -> None:
     from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions, descend
 
     rng = np.random.default_rng(4)
@@ -412,15 +412,15 @@ def test_frames_are_those_of_the_descent() -> None:
         assert frame.best.angle_to(step.camera_from_scanner) < 1e-12
         assert frame.best.distance_to(step.camera_from_scanner) < 1e-12
         assert frame.cost == step.simplex.cost
-        assert f"of {len(step.inliers)} matches" in frame.said
+        assert f"of {len(step.inliers)} inliers" in frame.note
 
 
 def test_closing_leaves_no_thread(server: viser.ViserServer) -> None:
     before = set(threading.enumerate())
     server.gui.reset()
-    other = Stage3D(server, Session())  # type: ignore[arg-type]
+    other = Scene3D(server, Actions())  # type: ignore[arg-type]
     other.show_registration(SCAN, PHOTO, pose())
-    mine = [thread for thread in threading.enumerate() if thread.name == "stage3d" and thread not in before]
+    mine = [thread for thread in threading.enumerate() if thread.name == "scene" and thread not in before]
     assert len(mine) == 1
     other.close()
     assert not mine[0].is_alive()
@@ -428,29 +428,29 @@ def test_closing_leaves_no_thread(server: viser.ViserServer) -> None:
     other.close()
 
 
-def test_one_failed_drawing_does_not_end_the_others(caplog: pytest.LogCaptureFixture) -> None:
-    wishes, done = Wishes("test wishes"), threading.Event()
+def test_one_failed_drawing_does_not_end_the_thread(caplog: pytest.LogCaptureFixture) -> None:
+    queue, done = DrawQueue("test"), threading.Event()
 
     def fail() -> None:
         raise ValueError("no luck")
 
-    wishes.wish("a", fail)
-    wishes.wish("b", done.set)
-    assert wishes.settle(10)
-    wishes.close()
+    queue.request("a", fail)
+    queue.request("b", done.set)
+    assert queue.settle(10)
+    queue.close()
     assert done.is_set()
     assert "no luck" in caplog.text
 
 
-def test_wishes_wait_for_their_time_and_the_newest_wins() -> None:
-    wishes, drawn = Wishes("test wishes"), []
+def test_requests_wait_for_their_time_and_the_latest_wins() -> None:
+    queue, drawn = DrawQueue("test"), []
     begun = time.monotonic()
     for k in range(50):
-        wishes.wish("late", lambda k=k: drawn.append((k, time.monotonic() - begun)), after_s=0.15)  # type: ignore[misc]
-    wishes.wish("never", lambda: drawn.append((-1, 0.0)), after_s=0.05)
-    wishes.forget("never")
-    assert wishes.settle(10)
-    wishes.close()
+        queue.request("late", lambda k=k: drawn.append((k, time.monotonic() - begun)), after_s=0.15)  # type: ignore[misc]
+    queue.request("never", lambda: drawn.append((-1, 0.0)), after_s=0.05)
+    queue.cancel("never")
+    assert queue.settle(10)
+    queue.close()
     assert [k for k, _ in drawn] == [49]
     assert drawn[0][1] >= 0.15
 
@@ -464,18 +464,18 @@ class Tags(html.parser.HTMLParser):
         self.seen.append(tag)
 
 
-def test_words_cannot_inject_html(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_text_cannot_inject_html(server: viser.ViserServer, scene: Scene3D) -> None:
     attack = "<img src=x onerror=alert(1)>\"'&"
     tags = Tags()
     tags.feed(legend_html(Legend(attack, (((1, 2, 3), attack),), ((0, 0, 0),), attack, attack), attack))
     assert "img" not in tags.seen
-    stage.simplex_started()
-    stage.simplex_step(dataclasses.replace(frames(1)[0], said=attack))
-    assert stage.settle()
+    scene.simplex_started()
+    scene.simplex_step(dataclasses.replace(frames(1)[0], note=attack))
+    assert scene.settle()
     status = Tags()
-    status.feed(stage._folder._status.content)
+    status.feed(scene._folder._status.content)
     assert "img" not in status.seen
-    assert "&lt;img" in stage._folder._status.content
+    assert "&lt;img" in scene._folder._status.content
 
 
 def test_picks_of_a_line_share_their_id() -> None:
@@ -483,7 +483,7 @@ def test_picks_of_a_line_share_their_id() -> None:
     assert picks.ids == ("l", "l")
 
 
-def test_the_colours_are_the_tokens() -> None:
+def test_the_colours_are_the_style_tokens() -> None:
     tokens = static_text("tokens.css")
     for k, colour in enumerate(MATCH_COLOURS, start=1):
         assert f"--lr-match-{k}: {as_css(colour)};" in tokens
@@ -491,8 +491,8 @@ def test_the_colours_are_the_tokens() -> None:
     assert f"--lr-background: {as_css(BACKGROUND)};" in tokens
 
 
-def test_a_pose_far_away_is_no_obstacle(server: viser.ViserServer, stage: Stage3D) -> None:
+def test_a_distant_pose_is_drawn(server: viser.ViserServer, scene: Scene3D) -> None:
     far = dataclasses.replace(pose(), camera_from_scanner=Rigid(np.eye(3), [0.0, 0.0, 1e6]))
-    stage.show_registration(SCAN, PHOTO, far)
-    assert stage.settle()
+    scene.show_registration(SCAN, PHOTO, far)
+    assert scene.settle()
     assert "/camera" in nodes(server)

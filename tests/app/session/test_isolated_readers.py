@@ -1,4 +1,4 @@
-"""The workbench reads files in other processes: one whose reader crashes or hangs costs itself only."""
+"""Reader processes of the workbench: a file whose reader crashes or hangs affects nothing else."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from ladarreg_core import formats
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.isolated import ReaderLimits
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import Bench, open_bench, sample_bench
+from tests.app.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 from tests.formats import misbehaving
 
 LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    """A workbench in which the end of a file says how its reader behaves, in a real process."""
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[WorkbenchDriver]:
+    """A workbench whose readers, real processes, behave as the end of each file demands."""
     found = sample_bench(tmp_path / "project")
     monkeypatch.setattr(formats, "read_photo", misbehaving.read_photo)
     monkeypatch.setattr(formats, "read_scan", misbehaving.read_scan_or_misbehave)
@@ -33,31 +33,31 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     found.workbench.close()
 
 
-def arrived(bench: Bench, name: str, ending: bytes = b"") -> Path:
-    """A photograph that was uploaded under a name of its own."""
-    path = bench.workbench.upload_room() / name
+def arrived(bench: WorkbenchDriver, name: str, ending: bytes = b"") -> Path:
+    """Create an uploaded photograph."""
+    path = bench.workbench.upload_folder() / name
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes() + ending)
     return path
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a crash is described in other words there")
+@pytest.mark.skipif(sys.platform == "win32", reason="a crash is described differently there")
 @pytest.mark.parametrize("what", ["photo", "scan"])
-def test_a_file_whose_reader_crashes_is_refused(bench: Bench, what: str) -> None:
+def test_a_file_whose_reader_crashes_is_refused(bench: WorkbenchDriver, what: str) -> None:
     labels = [entry["label"] for entry in bench.slice("history")["entries"]]
     path = arrived(bench, "x1.png", b"crash")
     with pytest.raises(FormatError, match=r"x1\.png: its reader crashed \(Seg"):
-        bench.workbench.take_upload(path, "mine.png", what, None, bench.person)
+        bench.workbench.take_upload(path, "mine.png", what, None, bench.client)
     assert not path.exists()
     assert [entry["label"] for entry in bench.slice("history")["entries"]] == labels
-    assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.person) == "p2"
+    assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.client) == "p2"
 
 
-def test_while_a_reader_hangs_others_edit_and_open_files(bench: Bench) -> None:
+def test_edits_and_other_files_do_not_wait_for_a_reader_that_hangs(bench: WorkbenchDriver) -> None:
     refusals: list[str] = []
 
     def upload() -> None:
         try:
-            bench.workbench.take_upload(arrived(bench, "x1.png", b"hang"), "bad.png", "photo", None, bench.person)
+            bench.workbench.take_upload(arrived(bench, "x1.png", b"hang"), "bad.png", "photo", None, bench.client)
         except FormatError as error:
             refusals.append(str(error))
 
@@ -69,19 +69,19 @@ def test_while_a_reader_hangs_others_edit_and_open_files(bench: Bench) -> None:
         begun = time.perf_counter()
         bench.do("add_pick", photo="p1", **LINE)
         seconds.append(time.perf_counter() - begun)
-    assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.person) == "p2"
-    assert len(bench.workbench.slices(bench.person)["photos"]) == 2
-    assert thread.is_alive(), "the reader was to hang meanwhile"
+    assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.client) == "p2"
+    assert len(bench.workbench.slices(bench.client)["photos"]) == 2
+    assert thread.is_alive(), "the reader was supposed to hang"
     assert statistics.median(seconds) < 0.05
     READERS.close()
     thread.join(30)
     assert "x1.png: its reader was killed" in refusals[0]
-    assert not (bench.workbench.upload_room() / "x1.png").exists()
+    assert not (bench.workbench.upload_folder() / "x1.png").exists()
 
 
-def test_a_project_opens_without_the_photograph_whose_reader_crashes(bench: Bench) -> None:
+def test_a_project_opens_without_a_photograph_whose_reader_crashes(bench: WorkbenchDriver) -> None:
     path = arrived(bench, "x1.png")
-    photo = bench.workbench.take_upload(path, "good.png", "photo", None, bench.person)
+    photo = bench.workbench.take_upload(path, "good.png", "photo", None, bench.client)
     home = bench.workbench.session.folder.path
     bench.workbench.close()
     path.write_bytes(path.read_bytes() + b"crash")

@@ -1,4 +1,4 @@
-"""Files that were being written when a process was killed, and a project's folder that is moved away."""
+"""Partial files of killed processes, and project folders that were moved away."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def upload(server: Server, name: str = "photo.png") -> tuple[int, dict[str, obje
     return status, json.loads(body)
 
 
-def planted(folder: Path) -> set[Path]:
-    """Put down what killed processes leave, and what only looks like it; return the latter."""
+def plant_partial_files(folder: Path) -> set[Path]:
+    """Create partial files as killed processes leave them, and similar files to keep; return the latter."""
     for path in (
         ".project.json.0123abcd.part", "arrays/.f00.npz.0123abcd.part", "exports/.p1.0123abcd.part/model.glb",
         "exports/p1.zip.part", f"inputs/{'0a' * 16}.part",
@@ -46,9 +46,9 @@ def parts(folder: Path) -> set[Path]:
     return {path for path in folder.rglob("*") if path.name.endswith((".part", ".old"))}
 
 
-def test_a_start_clears_away_what_a_killed_program_left(tmp_path: Path) -> None:
+def test_partial_files_of_a_killed_process_are_removed_at_the_start(tmp_path: Path) -> None:
     project = tmp_path / "project"
-    kept = planted(project)
+    kept = plant_partial_files(project)
     with serving(project) as server:
         assert parts(project) == kept
         with begin_upload(server.there):
@@ -61,7 +61,7 @@ def test_a_start_clears_away_what_a_killed_program_left(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="an open folder cannot be moved there")
-def test_an_upload_into_a_folder_that_is_gone_is_refused_in_plain_words(tmp_path: Path) -> None:
+def test_an_upload_into_a_moved_project_folder_is_refused(tmp_path: Path) -> None:
     project, elsewhere = tmp_path / "project", tmp_path / "elsewhere"
     with serving(project) as server, server.there.socket() as page:
         hear(page)
@@ -72,7 +72,7 @@ def test_an_upload_into_a_folder_that_is_gone_is_refused_in_plain_words(tmp_path
         assert "moved, renamed or deleted" in str(said["error"])
         assert "still in memory" in str(said["error"])
         assert str(tmp_path) not in str(said["error"])
-        assert not project.exists(), "it is not begun anew beside the right one"
+        assert not project.exists(), "no second project is created"
         elsewhere.rename(project)
         assert upload(server)[0] == 200
         assert ask(page, "rename", name="kept")["ok"]
@@ -83,7 +83,7 @@ def test_an_upload_into_a_folder_that_is_gone_is_refused_in_plain_words(tmp_path
     assert len(json.loads((project / "project.json").read_bytes())["photos"]) == 2
 
 
-def test_a_deleted_folder_of_inputs_is_made_again(tmp_path: Path) -> None:
+def test_a_deleted_inputs_folder_is_created_again(tmp_path: Path) -> None:
     with serving(tmp_path / "project") as server:
         (tmp_path / "project" / "inputs").rmdir()
         assert upload(server)[0] == 200

@@ -1,4 +1,4 @@
-"""Ten pages at once, editing at random; `python -m benchmarks.workbench --minutes 60` does it for an hour."""
+"""Ten clients that edit at random; `python -m benchmarks.workbench --minutes 60` runs them for an hour."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.workbench import Page, many_people, served, with_camera_and_pick
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send")]
 
 
-def test_ten_people_see_one_document(tmp_path: Path) -> None:
+def test_ten_clients_see_the_same_document(tmp_path: Path) -> None:
     project = tmp_path / "project"
     with served(project) as (found, _):
         watching = Page(found)
@@ -22,7 +22,7 @@ def test_ten_people_see_one_document(tmp_path: Path) -> None:
         assert edits > 40
         watching.ask("list_served")
         coming = Page(found)
-        assert coming.slices["picks:p1"] == watching.slices["picks:p1"], "who watched all along and who comes now"
+        assert coming.slices["picks:p1"] == watching.slices["picks:p1"], "an old and a new client"
     kept = json.loads((project / "project.json").read_bytes())["photos"][0]["picks"]
     assert [pick["id"] for pick in kept] == [pick["id"] for pick in coming.slices["picks:p1"]]
     numbers = [pick["number"] for pick in kept]

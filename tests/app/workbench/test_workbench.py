@@ -1,4 +1,4 @@
-"""The workbench behind the page: edits, history, jobs, and what every page is told."""
+"""The workbench behind the page: edits, history, jobs, files, clients, and the published state."""
 
 from __future__ import annotations
 
@@ -23,45 +23,45 @@ from PIL import Image
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import Bench, open_bench, sample_bench
+from tests.app.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 
 LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
+def bench(tmp_path: Path) -> Iterator[WorkbenchDriver]:
     found = sample_bench(tmp_path / "project")
     yield found
     found.workbench.close()
 
 
 @pytest.fixture(scope="module")
-def registered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    """A workbench whose photograph has been registered automatically; tests undo what they do."""
+def registered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
+    """A workbench whose photograph was registered automatically; tests undo their edits."""
     found = sample_bench(tmp_path_factory.mktemp("registered") / "project")
     job = found.job("auto")
-    assert job.state == "done", job.said
+    assert job.state == "done", job.message
     yield found
     found.workbench.close()
 
 
-def kept_picks(bench: Bench) -> list[dict[str, Any]]:
-    """What project.json holds."""
+def saved_picks(bench: WorkbenchDriver) -> list[dict[str, Any]]:
+    """Return the picks in project.json."""
     kept = json.loads((bench.workbench.session.folder.path / "project.json").read_bytes())
     return [pick for photo in kept["photos"] for pick in photo["picks"]]
 
 
-def labels(bench: Bench) -> list[str]:
+def labels(bench: WorkbenchDriver) -> list[str]:
     return [entry["label"] for entry in bench.slice("history")["entries"]]
 
 
-def test_a_page_that_comes_is_told_everything(bench: Bench) -> None:
-    slices = bench.workbench.slices(bench.person)
+def test_a_new_client_receives_all_slices(bench: WorkbenchDriver) -> None:
+    slices = bench.workbench.slices(bench.client)
     assert {"project", "scan", "photos", "shown", "picks:p1", "history", "settings", "job", "people", "limits"} <= set(
         slices
     )
     json.dumps(slices, allow_nan=False)
-    assert slices["people"]["you"] == bench.person.name
+    assert slices["people"]["you"] == bench.client.name
     view = slices["scan"]["views"][0]
     assert view["width"] > 100
     assert slices["photos"][0]["camera"]["fx"] > 100
@@ -70,7 +70,7 @@ def test_a_page_that_comes_is_told_everything(bench: Bench) -> None:
         assert setting["kind"] in ("number", "choice", "switch")
 
 
-def test_edits_are_told_saved_named_and_undone(bench: Bench) -> None:
+def test_edits_are_published_saved_labelled_and_undone(bench: WorkbenchDriver) -> None:
     before = len(labels(bench))
     pick = bench.do("add_pick", photo="p1", **LINE)["pick"]
     (told,) = bench.slice("picks:p1")
@@ -79,20 +79,20 @@ def test_edits_are_told_saved_named_and_undone(bench: Bench) -> None:
     assert np.linalg.norm(told["scan"], axis=1) == pytest.approx(1)
     bench.do("set_pick", photo="p1", pick=pick, on=False)
     bench.do("set_pick", photo="p1", pick=pick, weight=2.5)
-    assert labels(bench)[before:] == ["Draw line 1", "Switch off match 1", "Weigh match 1"]
-    bench.eventually(lambda: [pick["weight"] for pick in kept_picks(bench)] == [2.5])
-    assert bench.slice("project")["undo"] == "Weigh match 1"
+    assert labels(bench)[before:] == ["Draw line 1", "Disable match 1", "Weight match 1"]
+    bench.eventually(lambda: [pick["weight"] for pick in saved_picks(bench)] == [2.5])
+    assert bench.slice("project")["undo"] == "Weight match 1"
     bench.do("undo")
     bench.do("undo")
     assert bench.slice("picks:p1")[0]["on"]
-    assert bench.slice("project")["redo"] == "Switch off match 1"
+    assert bench.slice("project")["redo"] == "Disable match 1"
     bench.do("redo")
     assert not bench.slice("picks:p1")[0]["on"]
     bench.do("go_to", n=bench.slice("history")["entries"][0]["n"])
     assert not bench.workbench.session.document.photos
 
 
-def test_moves_of_one_end_are_one_step(bench: Bench) -> None:
+def test_moves_of_one_end_are_merged_into_one_step(bench: WorkbenchDriver) -> None:
     pick = bench.do("add_pick", photo="p1", **LINE)["pick"]
     before = len(labels(bench))
     for k in range(5):
@@ -102,16 +102,16 @@ def test_moves_of_one_end_are_one_step(bench: Bench) -> None:
     assert bench.slice("picks:p1")[0]["photo"] == LINE["photo_uv"]
 
 
-def test_only_what_changed_is_told_again(bench: Bench) -> None:
-    bench.workbench.slices(bench.person)
-    bench.eventually(lambda: "judged:p1" in bench.workbench.slices(bench.person))
-    bench.told.clear()
+def test_only_changed_slices_are_published(bench: WorkbenchDriver) -> None:
+    bench.workbench.slices(bench.client)
+    bench.eventually(lambda: "judged:p1" in bench.workbench.slices(bench.client))
+    bench.received.clear()
     bench.do("add_pick", photo="p1", **LINE)
-    slices = [name for message in bench.told if "slices" in message for name in message["slices"]]
+    slices = [name for message in bench.received if "slices" in message for name in message["slices"]]
     assert "picks:p1" in slices
     assert "scan" not in slices
     assert "settings" not in slices
-    versions = [message["version"] for message in bench.told if "slices" in message]
+    versions = [message["version"] for message in bench.received if "slices" in message]
     assert versions == sorted(set(versions))
 
 
@@ -126,18 +126,18 @@ def test_only_what_changed_is_told_again(bench: Bench) -> None:
         ("add_pick", {"photo": "p1", "kind": "point", "scan": "abc", "photo_uv": [[1, 2]]}, "coordinate"),
         ("set_pick", {"photo": "p1", "pick": "77", "on": True}, "no longer exists"),
         ("set_pick", {"photo": "p1", "pick": "1", "weight": -1}, "positive"),
-        ("remove_picks", {"photo": "p1", "picks": []}, "none is chosen"),
+        ("remove_picks", {"photo": "p1", "picks": []}, "no matches are selected"),
         ("switch_picks", {"photo": "p1", "picks": ["1"], "on": "yes"}, "on or off"),
         ("reject", {"photo": "p1", "by": "depth", "above": 0.1}, "solve first"),
-        ("reject", {"photo": "p1", "by": "taste", "above": 0.1}, "'depth' or by 'px'"),
+        ("reject", {"photo": "p1", "by": "taste", "above": 0.1}, "'depth' or to 'px'"),
         ("set_camera", {"photo": "p1"}, "focal length"),
-        ("set_camera", {"photo": "p1", "focal_mm": 35}, "sensor's width"),
+        ("set_camera", {"photo": "p1", "focal_mm": 35}, "sensor width"),
         ("set_camera", {"photo": "p1", "focal_35mm": 26, "focal_px": 900}, "or pixels"),
         ("set_camera", {"photo": "p1", "focal_px": 5}, "most lenses have 384 to 7680 px"),
         ("set_camera", {"photo": "p1", "focal_mm": 35, "sensor_mm": 36000}, "check the figures"),
         ("set_settings", {"t1": 9}, "t1 is 9; it must be from 0 to 1"),
         ("set_settings", {"seed": 10**400}, "seed is too large"),
-        ("set_pick", {"photo": "p1", "pick": 1, "on": True}, "none is chosen"),
+        ("set_pick", {"photo": "p1", "pick": 1, "on": True}, "no match is selected"),
         ("set_camera", {"photo": "p1", "focal_px": 10**400}, "must be a positive number"),
         ("open_served", {"path": "a\0b", "what": "scan"}, "no folder is served"),
         ("export_folder", {"photo": "p1", "folder": "/tmp/a\0b"}, "control characters"),
@@ -151,13 +151,13 @@ def test_only_what_changed_is_told_again(bench: Bench) -> None:
         ("predict", {"photo": "p1", "side": "scan", "scan": [[1, 0, 0]]}, "no pose yet"),
         ("run", {"photo": "p1", "job": "dance"}, "no job"),
         ("run", {"photo": "p1", "job": "export"}, None),
-        ("job_control", {"action": "pause"}, "nothing is running"),
-        ("export_folder", {"photo": "p1", "folder": "here"}, "whole path"),
+        ("job_control", {"action": "pause"}, "no job is running"),
+        ("export_folder", {"photo": "p1", "folder": "here"}, "absolute path"),
         ("sample_line", {"scan": [[1, 0, 0]]}, "two ends"),
     ],
 )
-def test_what_cannot_be_done_is_said_in_a_sentence(
-    bench: Bench, do: str, fields: dict[str, Any], says: str | None
+def test_a_refused_command_returns_a_sentence_and_changes_nothing(
+    bench: WorkbenchDriver, do: str, fields: dict[str, Any], says: str | None
 ) -> None:
     before = bench.workbench.session.document
     if says is None:
@@ -165,23 +165,23 @@ def test_what_cannot_be_done_is_said_in_a_sentence(
         bench.workbench.runner.wait(60)
         job = bench.workbench.runner.job
         assert job is not None
-        assert (job.state, job.said) == ("failed", "There is no pose to export; solve first.")
+        assert (job.state, job.message) == ("failed", "There is no pose to export; solve first.")
     else:
         assert says.lower() in bench.refused(do, **fields).lower()
     assert bench.workbench.session.document is before
 
 
-def test_junk_never_is_a_fault_of_the_program(bench: Bench) -> None:
+def test_invalid_fields_are_never_an_internal_error(bench: WorkbenchDriver) -> None:
     for do in sorted(COMMANDS):
         for junk in ({}, {"photo": 7, "pick": [], "picks": 3, "scan": {}, "at": None, "n": "x"}, {"photo": "p1"}):
             reply = bench.ask(do, **junk)
-            assert "fault of the program" not in reply.get("error", ""), (do, junk)
+            assert "Internal error" not in reply.get("error", ""), (do, junk)
 
 
 # jobs
 
 
-def test_registering_gives_matches_a_pose_and_a_verdict(registered: Bench) -> None:
+def test_a_registration_yields_matches_a_pose_and_a_verdict(registered: WorkbenchDriver) -> None:
     picks = registered.slice("picks:p1")
     assert len(picks) > 30
     assert {pick["origin"] for pick in picks} == {"auto"}
@@ -198,7 +198,7 @@ def test_registering_gives_matches_a_pose_and_a_verdict(registered: Bench) -> No
     assert [step["name"] for step in job["steps"]][:1] == ["photo"]
 
 
-def test_a_pose_predicts_both_ways(registered: Bench) -> None:
+def test_a_pose_predicts_matches_in_both_directions(registered: WorkbenchDriver) -> None:
     pick = registered.slice("picks:p1")[3]
     there = registered.do("predict", photo="p1", side="scan", scan=pick["scan"])["photo_uv"][0]
     assert there == pytest.approx(pick["photo"][0], abs=4)
@@ -207,7 +207,7 @@ def test_a_pose_predicts_both_ways(registered: Bench) -> None:
     assert registered.do("where", photo="p1", scan=[-1, 0, 0])["photo_uv"] is None
 
 
-def test_rejecting_switches_off_above_and_on_below(registered: Bench) -> None:
+def test_a_threshold_disables_matches_above_and_enables_those_below(registered: WorkbenchDriver) -> None:
     registered.eventually(lambda: (registered.slice("judged:p1") or {}).get("by_pick"))
     judged = registered.slice("judged:p1")["by_pick"]
     px = sorted(said["px"] for said in judged.values())
@@ -220,10 +220,10 @@ def test_rejecting_switches_off_above_and_on_below(registered: Bench) -> None:
     registered.do("undo")
 
 
-def test_the_simplex_can_be_watched_paused_and_stopped(registered: Bench) -> None:
-    registered.told.clear()
+def test_the_simplex_can_be_watched_paused_and_stopped(registered: WorkbenchDriver) -> None:
+    registered.received.clear()
     registered.do("run", photo="p1", job="simplex")
-    events = lambda: [m for m in registered.told if m.get("event") == "simplex"]  # noqa: E731
+    events = lambda: [m for m in registered.received if m.get("event") == "simplex"]  # noqa: E731
     registered.eventually(lambda: len(events()) > 3)
     registered.do("job_control", action="pause")
     time.sleep(0.4)
@@ -239,27 +239,27 @@ def test_the_simplex_can_be_watched_paused_and_stopped(registered: Bench) -> Non
     job = registered.workbench.runner.job
     assert job is not None
     assert job.state == "stopped"
-    assert "best so far is kept" in job.said
+    assert "best pose so far is kept" in job.message
     last = events()[-1]
     assert last["last"]
     assert len(last["parameters"]) == 6
     costs = [event["cost"] for event in events()]
-    assert costs == sorted(costs, reverse=True), "the best vertex never gets worse within one descent"
+    assert costs == sorted(costs, reverse=True), "the cost of the best vertex never rises within one descent"
     assert registered.slice("photos")[0]["state"] in ("solved", "accepted", "refused")
     assert "simplex" in [stage.stage for stage in registered.workbench.session.document.photos[0].poses]
     registered.do("undo")
 
 
-def test_the_simplex_ends_where_the_estimator_does(registered: Bench) -> None:
+def test_the_simplex_job_equals_the_estimator(registered: WorkbenchDriver) -> None:
     from dataclasses import replace
 
     from ladarreg_core.pose.estimate import solve_pose
 
     job = registered.job("reject_outliers", speed=0)
-    assert job.state == "done", job.said
+    assert job.state == "done", job.message
     entry = registered.workbench.session.document.photos[0].stage("simplex_outliers_removed")
     assert entry is not None
-    inputs = registered.workbench.jobs._bench.inputs("p1")
+    inputs = registered.workbench.jobs._workspace.inputs("p1")
     options = replace(inputs.settings.pose_options, intrinsics="fixed", method="epipolar_simplex")
     alone = solve_pose(inputs.matches(), inputs.photo.camera, options)
     np.testing.assert_array_equal(alone.camera_from_scanner.matrix, np.array(entry.camera_from_scanner))
@@ -267,7 +267,7 @@ def test_the_simplex_ends_where_the_estimator_does(registered: Bench) -> None:
     registered.do("undo")
 
 
-def test_a_result_whose_inputs_have_changed_is_left_out(registered: Bench) -> None:
+def test_a_result_is_discarded_if_its_inputs_have_changed(registered: WorkbenchDriver) -> None:
     registered.do("run", photo="p1", job="simplex")
     pick = registered.do("add_pick", photo="p1", **LINE)["pick"]
     registered.do("job_control", action="speed", value=0)
@@ -275,25 +275,25 @@ def test_a_result_whose_inputs_have_changed_is_left_out(registered: Bench) -> No
     job = registered.workbench.runner.job
     assert job is not None
     assert job.state == "failed"
-    assert "changed while this ran" in job.said
+    assert "changed while this ran" in job.message
     registered.do("undo")
     assert pick not in [entry["id"] for entry in registered.slice("picks:p1")]
 
 
-def test_a_solver_says_why_its_matches_are_none(bench: Bench) -> None:
-    assert "draw some" in bench.job("robust").said
+def test_a_solver_explains_missing_matches(bench: WorkbenchDriver) -> None:
+    assert "draw some" in bench.job("robust").message
     pick = bench.do("add_pick", photo="p1", kind="point", scan=[[0, 0, 1]], photo_uv=[[3, 4]])["pick"]
     job = bench.job("linear")
-    assert (job.state, "no match lies where the scan has a range" in job.said.lower()) == ("failed", True)
+    assert (job.state, "no match lies where the scan has a range" in job.message.lower()) == ("failed", True)
     bench.do("switch_picks", photo="p1", picks=[pick], on=False)
-    assert bench.job("robust").said == "The only match is switched off; switch it on in the table of matches."
+    assert bench.job("robust").message == "The only match is disabled; enable it in the match table."
 
 
-def test_a_zip_holds_what_the_command_line_writes(registered: Bench) -> None:
-    registered.told.clear()
+def test_a_zip_holds_the_files_of_the_command_line(registered: WorkbenchDriver) -> None:
+    registered.received.clear()
     job = registered.job("export")
-    assert job.state == "done", job.said
-    (ready,) = [m for m in registered.told if m.get("event") == "export_ready"]
+    assert job.state == "done", job.message
+    (ready,) = [m for m in registered.received if m.get("event") == "export_ready"]
     assert ready["url"] == "export/p1.zip"
     path, name = registered.workbench.export_file("p1") or (Path(), "")
     assert name.endswith(".zip")
@@ -308,7 +308,7 @@ def test_a_zip_holds_what_the_command_line_writes(registered: Bench) -> None:
     assert {entry["name"] for entry in told["inputs"]} >= {"scan.npz"}
 
 
-def test_results_go_into_a_folder_and_never_over_one(registered: Bench, tmp_path: Path) -> None:
+def test_an_export_replaces_a_folder_of_results_only_by_force(registered: WorkbenchDriver, tmp_path: Path) -> None:
     folder = tmp_path / "results"
     registered.do("export_folder", photo="p1", folder=str(folder))
     registered.workbench.runner.wait(120)
@@ -321,7 +321,9 @@ def test_results_go_into_a_folder_and_never_over_one(registered: Bench, tmp_path
     assert [path.name for path in tmp_path.iterdir()] == ["results"]
 
 
-def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(registered: Bench, tmp_path: Path) -> None:
+def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(
+    registered: WorkbenchDriver, tmp_path: Path
+) -> None:
     project = registered.workbench.session.folder.path
     photographs = tmp_path / "photographs"
     photographs.mkdir()
@@ -355,7 +357,7 @@ def test_a_folder_of_photographs_and_the_project_itself_are_never_replaced(regis
         ("registered/p1", {"z_buffer": "0"}),
     ],
 )
-def test_pictures_can_be_asked_for(registered: Bench, path: str, query: dict[str, str]) -> None:
+def test_images_are_rendered_in_the_right_size(registered: WorkbenchDriver, path: str, query: dict[str, str]) -> None:
     found = registered.workbench.picture(path, query)
     image = Image.open(io.BytesIO(found.data))
     scan, photo = registered.slice("scan")["views"][0], registered.slice("photos")[0]
@@ -364,10 +366,10 @@ def test_pictures_can_be_asked_for(registered: Bench, path: str, query: dict[str
     assert registered.workbench.picture(path, query).etag == found.etag
 
 
-def test_the_first_picture_of_the_scan_is_drawn_once(registered: Bench) -> None:
+def test_the_first_image_of_the_scan_is_rendered_once(registered: WorkbenchDriver) -> None:
     asked = {"show": "intensity", "low": "1", "high": "99.5", "equalise": "0", "gamma": "0.6", "view": "0", "rev": "7"}
     first = registered.workbench.picture("scan", {})
-    assert registered.workbench.picture("scan", asked) is first, "the page says what is meant anyway"
+    assert registered.workbench.picture("scan", asked) is first, "explicit default values are the same request"
     assert registered.workbench.picture("scan", {**asked, "gamma": "1"}) is not first
 
 
@@ -375,7 +377,7 @@ def test_the_first_picture_of_the_scan_is_drawn_once(registered: Bench) -> None:
     ("path", "query"),
     [("scan", {"view": "9"}), ("scan", {"low": "x"}), ("photo/p7", {}), ("sound", {}), ("scan/..", {})],
 )
-def test_pictures_that_are_not_there_are_told(registered: Bench, path: str, query: dict[str, str]) -> None:
+def test_missing_images_are_errors(registered: WorkbenchDriver, path: str, query: dict[str, str]) -> None:
     with pytest.raises(LadarregError):
         registered.workbench.picture(path, query)
 
@@ -383,14 +385,14 @@ def test_pictures_that_are_not_there_are_told(registered: Bench, path: str, quer
 # files
 
 
-def test_files_are_looked_at_before_they_are_taken(bench: Bench, tmp_path: Path) -> None:
-    room = bench.workbench.upload_room()
+def test_invalid_uploads_are_refused_and_deleted(bench: WorkbenchDriver, tmp_path: Path) -> None:
+    room = bench.workbench.upload_folder()
     before = bench.workbench.session.document
 
     def upload(data: bytes, name: str, what: str) -> str:
         path = room / f"upload-{name}"
         path.write_bytes(data)
-        return bench.workbench.take_upload(path, name, what, "p1", bench.person)
+        return bench.workbench.take_upload(path, name, what, "p1", bench.client)
 
     whole = (sample_folder() / "scan.npz").read_bytes()
     picture = next(sample_folder().glob("photo.*")).read_bytes()
@@ -407,27 +409,27 @@ def test_files_are_looked_at_before_they_are_taken(bench: Bench, tmp_path: Path)
             upload(data, name, what)
         assert str(bench.workbench.session.folder.path) not in str(caught.value)
     assert bench.workbench.session.document is before
-    assert not [path for path in room.iterdir() if path.name.startswith("upload-")], "refused files are gone"
+    assert not [path for path in room.iterdir() if path.name.startswith("upload-")], "refused files are deleted"
 
     second = upload(picture, "second.png", "photo")
     assert second == "p2"
-    assert bench.workbench.shown is not None
-    assert bench.workbench.shown.id == "p2"
+    assert bench.workbench.selection.photo is not None
+    assert bench.workbench.selection.photo.id == "p2"
 
 
 def unviewable_scan(path: Path) -> Path:
-    """Write a sound scan of 24 x 36 cells whose rows lie within a hundredth of a degree."""
+    """Write a valid scan of 24 x 36 cells whose rows span a hundredth of a degree."""
     counts = np.random.default_rng(0).integers(100, 200, (24, 36)).astype(np.uint16)
     steps = {"d_azimuth_rad": 0.01, "d_elevation_rad": 1e-5}
     np.savez(path, intensity=np.ones((24, 36), np.float32), counts=counts, r0_m=0.5, dr_m=0.01, **steps)
     return path
 
 
-def test_a_scan_that_cannot_be_viewed_is_refused_and_stops_nobody(bench: Bench) -> None:
+def test_a_scan_without_views_is_refused_and_clients_can_still_join(bench: WorkbenchDriver) -> None:
     before = bench.workbench.session.document
-    path = unviewable_scan(bench.workbench.upload_room() / "sliver.npz")
+    path = unviewable_scan(bench.workbench.upload_folder() / "sliver.npz")
     with pytest.raises(LadarregError, match="no picture shows") as caught:
-        bench.workbench.take_upload(path, "sliver.npz", "scan", None, bench.person)
+        bench.workbench.take_upload(path, "sliver.npz", "scan", None, bench.client)
     assert "\n" not in str(caught.value)
     assert not path.exists()
     assert bench.workbench.session.document is before
@@ -435,15 +437,15 @@ def test_a_scan_that_cannot_be_viewed_is_refused_and_stops_nobody(bench: Bench) 
     assert bench.slice("scan")["views"]
 
 
-def test_a_project_whose_scan_cannot_be_viewed_opens_and_says_so(tmp_path: Path) -> None:
+def test_a_project_whose_scan_has_no_views_opens_with_a_message(tmp_path: Path) -> None:
     import msgspec
 
     bench = sample_bench(tmp_path / "p")
     truth = json.loads((sample_folder() / "truth.json").read_bytes())
     draw_matches(bench, np.array(truth["camera_from_scanner"]))
     job = bench.job("linear")
-    assert job.state == "done", job.said
-    path = unviewable_scan(bench.workbench.upload_room() / "sliver.npz")
+    assert job.state == "done", job.message
+    path = unviewable_scan(bench.workbench.upload_folder() / "sliver.npz")
     source = msgspec.structs.replace(bench.workbench.session.document.scan, path="inputs/sliver.npz", name="sliver")
     bench.workbench.session.commit("Open it", lambda d: msgspec.structs.replace(d, scan=source), author="older program")
     assert path.exists()
@@ -463,23 +465,23 @@ def test_a_project_whose_scan_cannot_be_viewed_opens_and_says_so(tmp_path: Path)
         matches = len(bench.slice("picks:p1"))
         bench.do("add_pick", photo="p1", **LINE)
         job = bench.job("export")
-        assert job.state == "done", job.said
+        assert job.state == "done", job.message
         zipped, _ = bench.workbench.export_file("p1") or (None, None)
         assert zipped is not None
         with zipfile.ZipFile(zipped) as file:
             assert len(json.loads(file.read("matches.json"))["matches"]) == matches + 1
         bench.do("undo")
         bench.do("undo")
-        assert bench.slice("scan")["views"], "the scan before it is back"
+        assert bench.slice("scan")["views"], "the previous scan is back"
         assert "cannot be shown" not in bench.slice("project")["opened"]
     finally:
         bench.workbench.close()
 
 
-def draw_matches(bench: Bench, pose: np.ndarray) -> None:
-    """Draw two dozen exact points."""
-    scan = bench.workbench.room.scan(bench.workbench.session.document)
-    camera = bench.workbench.room.photo(bench.workbench.session.document.photos[0]).camera
+def draw_matches(bench: WorkbenchDriver, pose: np.ndarray) -> None:
+    """Add two dozen exact points."""
+    scan = bench.workbench.loader.scan(bench.workbench.session.document)
+    camera = bench.workbench.loader.photo(bench.workbench.session.document.photos[0]).camera
     assert scan is not None
     points = scan.points[20::60, 20::60].reshape(-1, 3).astype(float)
     points = points[np.isfinite(points).all(axis=1)]
@@ -489,36 +491,36 @@ def draw_matches(bench: Bench, pose: np.ndarray) -> None:
         bench.do("add_pick", photo="p1", kind="point", scan=[points[k].tolist()], photo_uv=[uv[k].tolist()])
 
 
-def test_what_fails_after_a_commit_stops_neither_it_nor_the_others(bench: Bench) -> None:
+def test_a_failing_listener_affects_neither_commits_nor_other_listeners(bench: WorkbenchDriver) -> None:
     def fails(*_: object) -> None:
-        raise RuntimeError("a listener of nobody's")
+        raise RuntimeError("a faulty listener")
 
     bench.workbench.session._listeners.insert(0, fails)
-    bench.workbench.teller._listeners.insert(0, fails)
-    path = bench.workbench.upload_room() / "second.png"
+    bench.workbench.publisher._listeners.insert(0, fails)
+    path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
-    bench.told.clear()
-    assert bench.workbench.take_upload(path, "second.png", "photo", None, bench.person) == "p2"
+    bench.received.clear()
+    assert bench.workbench.take_upload(path, "second.png", "photo", None, bench.client) == "p2"
     assert path.exists()
-    assert any("photos" in message.get("slices", {}) for message in bench.told), "the others are told"
+    assert any("photos" in message.get("slices", {}) for message in bench.received), "other listeners are notified"
     bench.do("add_pick", photo="p2", **LINE)
     bench.workbench.leave(bench.workbench.join("somebody else"))
 
 
-def test_a_file_of_the_project_is_never_removed(bench: Bench) -> None:
-    path = bench.workbench.upload_room() / "second.png"
+def test_a_file_of_the_project_is_never_deleted(bench: WorkbenchDriver) -> None:
+    path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
-    bench.workbench.take_upload(path, "second.png", "photo", None, bench.person)
+    bench.workbench.take_upload(path, "second.png", "photo", None, bench.client)
     bench.do("undo")
     with pytest.raises(LadarregError):
-        bench.workbench.take_upload(path, "second.png", "scan", None, bench.person)
+        bench.workbench.take_upload(path, "second.png", "scan", None, bench.client)
     assert path.exists(), "the history refers to it"
     bench.do("redo")
     assert bench.slice("photos")[-1]["width"] > 0
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text here")
-def test_a_name_that_is_no_text_keeps_nobody_out(tmp_path: Path) -> None:
+def test_a_file_name_that_is_not_unicode_is_not_listed(tmp_path: Path) -> None:
     served = tmp_path / "served"
     served.mkdir()
     name = os.fsdecode(b"b\xfcro.npz")
@@ -526,7 +528,7 @@ def test_a_name_that_is_no_text_keeps_nobody_out(tmp_path: Path) -> None:
     bench = open_bench(tmp_path / "project", folder=served)
     try:
         assert bench.slice("served")["files"] == []
-        with pytest.raises(OptionError, match="no Unicode text"):
+        with pytest.raises(OptionError, match="not valid Unicode"):
             bench.workbench.files.open(served / name, name, "scan", None, "")
         assert bench.workbench.session.document.scan is None
         bench.do("rename", name="still works")
@@ -534,12 +536,12 @@ def test_a_name_that_is_no_text_keeps_nobody_out(tmp_path: Path) -> None:
         bench.workbench.close()
 
 
-def test_a_photo_without_focal_length_is_shown_and_asked_about(bench: Bench, tmp_path: Path) -> None:
+def test_a_photo_without_focal_length_is_shown_and_a_camera_requested(bench: WorkbenchDriver, tmp_path: Path) -> None:
     buffer = io.BytesIO()
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (90, 120, 3), np.uint8)).save(buffer, "PNG")
-    path = bench.workbench.upload_room() / "plain.png"
+    path = bench.workbench.upload_folder() / "plain.png"
     path.write_bytes(buffer.getvalue())
-    photo = bench.workbench.take_upload(path, "plain.png", "photo", None, bench.person)
+    photo = bench.workbench.take_upload(path, "plain.png", "photo", None, bench.client)
     told = bench.slice("photos")[-1]
     assert told["camera"] is None
     assert "focal length" in told["camera_error"]
@@ -552,7 +554,7 @@ def test_a_photo_without_focal_length_is_shown_and_asked_about(bench: Bench, tmp
     assert bench.slice("photos")[-1]["camera"]["fx"] == pytest.approx(26 * math.hypot(120, 90) / math.hypot(36, 24))
 
 
-def test_a_served_folder_gives_its_files_and_nothing_else(tmp_path: Path) -> None:
+def test_a_served_folder_offers_only_files_below_it(tmp_path: Path) -> None:
     served = tmp_path / "served"
     (served / "deep").mkdir(parents=True)
     for path in sample_folder().iterdir():
@@ -572,7 +574,7 @@ def test_a_served_folder_gives_its_files_and_nothing_else(tmp_path: Path) -> Non
         bench.workbench.close()
 
 
-def test_what_is_hidden_in_a_served_folder_is_neither_listed_nor_opened(tmp_path: Path) -> None:
+def test_hidden_files_of_a_served_folder_are_neither_listed_nor_opened(tmp_path: Path) -> None:
     served = tmp_path / "served"
     scan = (sample_folder() / "scan.npz").read_bytes()
     camera = (sample_folder() / "camera.json").read_bytes()
@@ -600,17 +602,17 @@ def test_what_is_hidden_in_a_served_folder_is_neither_listed_nor_opened(tmp_path
         ):  # fmt: skip
             for what in ("scan", "photo", "camera", "matches"):
                 said = bench.refused("open_served", path=path, what=what)
-                assert said == "There is no such file in the served folder; look again."
+                assert said == "There is no such file in the served folder; refresh the list."
     finally:
         bench.workbench.close()
 
 
-# people, crashes, starts
+# clients, crashes, starts
 
 
-def test_people_have_names_of_their_own(bench: Bench) -> None:
+def test_client_names_are_unique(bench: WorkbenchDriver) -> None:
     other = bench.workbench.join("elsewhere")
-    assert other.name != bench.person.name
+    assert other.name != bench.client.name
     bench.do("call_me", name="Ann")
     reply = bench.workbench.answer(other, {"id": 1, "do": "call_me", "name": "Ann"})
     assert reply["you"] != "Ann"
@@ -636,26 +638,26 @@ os.kill(os.getpid(), 9)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no kill -9 to send")
-def test_a_crash_loses_nothing_not_even_undo(tmp_path: Path, checkout: Path) -> None:
+def test_a_crash_loses_neither_edits_nor_undo(tmp_path: Path, checkout: Path) -> None:
     died = subprocess.run([sys.executable, "-c", _DIES, str(tmp_path / "p")], cwd=checkout, capture_output=True)
     assert died.returncode == -9, died.stderr.decode()
     bench = open_bench(tmp_path / "p")
     try:
-        assert len(bench.slice("picks:p1")) == len(kept_picks(bench)) == 2
-        assert bench.slice("project")["opened"].startswith("Opened scan again, as it was left at 2")
+        assert len(bench.slice("picks:p1")) == len(saved_picks(bench)) == 2
+        assert bench.slice("project")["opened"].startswith("Reopened scan, last edited at 2")
         names = [bench.slice("scan")["id"], bench.slice("photos")[0]["rev"]]
-        assert names == died.stdout.decode().split(), "a page keeps what it holds of a picture that is still the same"
+        assert names == died.stdout.decode().split(), "a page keeps its images"
         bench.do("redo")
         assert [pick["photo"] for pick in bench.slice("picks:p1")] == [[[100 + k, 50]] for k in range(3)]
     finally:
         bench.workbench.close()
 
 
-def test_opened_again_it_shows_the_photograph_that_was_worked_on(tmp_path: Path) -> None:
+def test_a_reopened_project_shows_the_photograph_edited_last(tmp_path: Path) -> None:
     bench = sample_bench(tmp_path / "p")
-    path = bench.workbench.upload_room() / "second.png"
+    path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
-    second = bench.workbench.take_upload(path, "second.png", "photo", None, bench.person)
+    second = bench.workbench.take_upload(path, "second.png", "photo", None, bench.client)
     worked_on = {}
     for photo in ("p1", second):
         bench.do("add_pick", photo=photo, **LINE)
@@ -667,7 +669,9 @@ def test_opened_again_it_shows_the_photograph_that_was_worked_on(tmp_path: Path)
     assert worked_on == {"p1": "p1", second: second}
 
 
-def test_a_disk_that_is_full_does_not_stop_the_work(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_edits_continue_on_a_full_disk_and_are_saved_later(
+    bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from ladarreg_core.errors import ExportError
     from ladarreg_core.export.atomic_write import AppendedFile
     from ladarreg_core.project.folder import ProjectFolder
@@ -676,7 +680,7 @@ def test_a_disk_that_is_full_does_not_stop_the_work(bench: Bench, monkeypatch: p
         raise ExportError("cannot write project.json: no space left on device")
 
     def notices() -> list[str]:
-        return [message["text"] for message in bench.told if message.get("event") == "notice"]
+        return [message["text"] for message in bench.received if message.get("event") == "notice"]
 
     monkeypatch.setattr("ladarreg.session.session.RETRY_S", 0.05)
     for count, (kind, writing) in enumerate(((AppendedFile, "append"), (ProjectFolder, "_replace")), start=1):
@@ -685,17 +689,17 @@ def test_a_disk_that_is_full_does_not_stop_the_work(bench: Bench, monkeypatch: p
             bench.do("add_pick", photo="p1", **LINE)
             bench.eventually(lambda: bench.slice("project")["unsaved"])
             assert bench.do("add_pick", photo="p1", **LINE)["saved"] is False
-            assert bench.do("set_model", light=count == 1)["saved"] is False, "every answer says so"
+            assert bench.do("set_model", light=count == 1)["saved"] is False, "every reply says so"
             assert ["no space" in text for text in notices()] == [True], "and a notice once"
         bench.eventually(lambda: not bench.slice("project")["unsaved"])
-        assert notices()[1:] == ["Everything is saved again."], "although nobody did anything"
-        bench.told.clear()
+        assert notices()[1:] == ["Everything is saved again."], "without another edit"
+        bench.received.clear()
         assert "saved" not in bench.do("add_pick", photo="p1", **LINE)
         bench.workbench.session.folder.settle()
-        assert len(kept_picks(bench)) == 3 * count, "what could not be saved is saved whole"
+        assert len(saved_picks(bench)) == 3 * count, "all edits are saved"
 
 
-def test_a_project_whose_matches_are_missing_shows_everything_else(tmp_path: Path) -> None:
+def test_a_project_with_missing_arrays_shows_everything_else(tmp_path: Path) -> None:
     bench = sample_bench(tmp_path / "p")
     bench.do("add_pick", photo="p1", **LINE)
     bench.job("auto")
@@ -712,26 +716,26 @@ def test_a_project_whose_matches_are_missing_shows_everything_else(tmp_path: Pat
         (stage,) = bench.slice("poses:p1")["stages"]
         assert "solve again" in stage["verdict"]
         judged = bench.eventually(lambda: bench.slice("judged:p1"))
-        assert list(judged["lines"]) == ["1"], "what the scan measures under a line does not need the answer"
+        assert list(judged["lines"]) == ["1"], "samples of a line need no pose"
         assert bench.job("auto").state == "done"
         assert bench.slice("poses:p1")["stages"][0]["accepted"] is True
     finally:
         bench.workbench.close()
 
 
-def test_what_is_given_at_the_start_is_checked(tmp_path: Path) -> None:
+def test_invalid_inputs_at_the_start_are_refused(tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="no such file"):
         open_workbench([tmp_path / "nothing.npz"], project=tmp_path / "p")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(OptionError, match="no project"):
+    with pytest.raises(OptionError, match="not a project"):
         open_workbench([tmp_path / "empty"])
     (tmp_path / "bad.npz").write_bytes(b"bad")
     with pytest.raises(LadarregError):
         open_workbench([tmp_path / "bad.npz"], project=tmp_path / "p")
-    open_workbench([], project=tmp_path / "p").close()  # the failed start let the folder go
+    open_workbench([], project=tmp_path / "p").close()  # the failed start has released the folder
 
 
-def test_the_same_scan_is_found_again_and_the_last_project_offered(
+def test_the_project_of_a_scan_and_the_last_project_are_reopened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LADARREG_HOME", str(tmp_path / "home"))
@@ -744,7 +748,7 @@ def test_the_same_scan_is_found_again_and_the_last_project_offered(
         again = open_workbench(inputs)
         assert again.session.folder.path == place
         assert again.session.document.name == "kept"
-        assert read_scan(scan).shape == again.room.scan(again.session.document).shape  # type: ignore[union-attr]
+        assert read_scan(scan).shape == again.loader.scan(again.session.document).shape  # type: ignore[union-attr]
         again.close()
 
 

@@ -12,7 +12,7 @@ from ladarreg_core.comparison import Column, Comparison
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
-from ladarreg_core.pose.describe import describe_pose
+from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.results import PoseResult, Stage, StageName
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture import texture_scan

@@ -1,4 +1,4 @@
-"""Orientation channels: what they must ignore and what they must see."""
+"""Orientation channels: invariances and responses."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ def scene(seed: int = 0) -> np.ndarray:
     return image
 
 
-def test_contrast_may_reverse() -> None:
+def test_channels_do_not_depend_on_the_sign_of_contrast() -> None:
     image = scene()
     np.testing.assert_allclose(raw_channels([image]), raw_channels([255 - image]), atol=1e-3)
 
 
-def test_brightness_and_gain_do_not_matter_once_normalised() -> None:
+def test_normalised_channels_are_invariant_to_brightness_and_gain() -> None:
     image = scene()
     first, second = (normalised_channels(raw_channels([picture])) for picture in (image, 0.3 * image + 40))
     np.testing.assert_allclose(first, second, atol=1e-4)
 
 
-def test_an_edge_answers_in_the_channel_across_it() -> None:
+def test_an_edge_responds_in_the_channel_across_it() -> None:
     v, u = np.mgrid[:64, :64].astype(np.float32)
     for k in range(8):
         angle = k * np.pi / 8
@@ -35,13 +35,13 @@ def test_an_edge_answers_in_the_channel_across_it() -> None:
         assert raw_channels([edge])[:, 32, 32].argmax() == k
 
 
-def test_planes_are_summed_and_not_their_gradients() -> None:
+def test_channels_of_planes_are_summed() -> None:
     image = scene()
-    # Opposite gradients cancel in a gray sum; the channels of the two must add up.
+    # Opposite gradients cancel in a gray sum; the channels of the two images must add up.
     np.testing.assert_allclose(raw_channels([image, 255 - image]), 2 * raw_channels([image]), rtol=1e-4, atol=1e-2)
 
 
-def test_norms_stay_below_one_and_a_flat_picture_is_silent() -> None:
+def test_norms_are_below_one_and_a_uniform_image_has_no_response() -> None:
     channels = normalised_channels(raw_channels([scene()]))
     assert np.linalg.norm(channels, axis=-1).max() < 1
     both = add_channels(channels, channels)

@@ -22,7 +22,7 @@ def squares(seed: int = 0) -> np.ndarray:
     return image
 
 
-def test_w_and_q_are_the_thesis_formulas() -> None:
+def test_w_and_q_equal_the_formulas_of_the_thesis() -> None:
     image = squares()
     w, q = corner_maps(image)
     kernel = np.array([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1.0]])
@@ -38,7 +38,7 @@ def test_w_and_q_are_the_thesis_formulas() -> None:
     np.testing.assert_allclose(q[middle][strong], (4 * det / np.maximum(trace, 1) ** 2)[strong], atol=2e-3)
 
 
-def test_the_corners_of_a_square_are_found_and_its_sides_are_not() -> None:
+def test_corners_of_a_square_are_found_but_not_its_sides() -> None:
     image = np.full((80, 100), 50.0)
     image[20:60, 30:70] = 200
     found = find_corners(image, CornerOptions(count=None, q_min=0.5, non_maximum_px=3))
@@ -48,7 +48,7 @@ def test_the_corners_of_a_square_are_found_and_its_sides_are_not() -> None:
         assert np.hypot(found.uv[:, 0] - u + 0.5, found.uv[:, 1] - v + 0.5).min() < 2.2
 
 
-def test_the_best_n_are_the_strongest_and_keep_their_distance() -> None:
+def test_the_n_strongest_corners_are_returned_at_a_minimum_distance() -> None:
     rng = np.random.default_rng(1)
     image = rng.uniform(0, 255, (120, 150))
     best = find_corners(image, CornerOptions(count=50, q_min=0.1, non_maximum_px=4))
@@ -56,8 +56,8 @@ def test_the_best_n_are_the_strongest_and_keep_their_distance() -> None:
     assert len(best) == 50
     assert (np.diff(best.w) <= 0).all()
     np.testing.assert_array_equal(best.uv, more.uv[:50])
-    apart = np.abs(more.uv[:, None] - more.uv).max(axis=-1) + 99 * np.eye(len(more))
-    assert apart.min() > 4
+    distance = np.abs(more.uv[:, None] - more.uv).max(axis=-1) + 99 * np.eye(len(more))
+    assert distance.min() > 4
 
 
 def test_sub_pixel_corners_follow_a_sub_pixel_shift() -> None:
@@ -72,11 +72,11 @@ def test_sub_pixel_corners_follow_a_sub_pixel_shift() -> None:
 
 
 @pytest.mark.parametrize("image", [np.zeros((40, 40)), np.full((40, 40), 255.0), np.full((12, 9), 3.0)])
-def test_a_flat_picture_has_no_corners(image: np.ndarray) -> None:
+def test_a_uniform_image_has_no_corners(image: np.ndarray) -> None:
     assert len(find_corners(image)) == 0
 
 
-def test_the_thresholds_say_what_is_a_corner() -> None:
+def test_corners_exceed_the_thresholds() -> None:
     image = np.random.default_rng(2).uniform(0, 255, (90, 110))
     w, _ = corner_maps(image)
     w_min, q_min = float(np.quantile(w, 0.9)), 0.8
@@ -90,7 +90,7 @@ def test_the_thresholds_say_what_is_a_corner() -> None:
 
 
 @pytest.mark.parametrize("maxima_of", ["every_pixel", "thresholded"])
-def test_relative_maxima_are_of_w_or_of_what_the_thresholds_leave(maxima_of: Any) -> None:
+def test_non_maximum_suppression_uses_all_or_thresholded_pixels(maxima_of: Any) -> None:
     image = squares(3) + np.random.default_rng(3).normal(0, 3, (120, 160))
     options = CornerOptions(count=None, q_min=0.5, non_maximum_px=2, border_px=8, maxima_of=maxima_of)
     w, q = corner_maps(image)
@@ -115,7 +115,7 @@ def test_the_thesis_order_only_adds_corners() -> None:
     assert plain < literal
 
 
-def test_corners_lie_only_where_they_may() -> None:
+def test_corners_lie_on_usable_pixels_only() -> None:
     image = np.random.default_rng(5).uniform(0, 255, (60, 80))
     usable = np.zeros(image.shape, bool)
     usable[20:40, 30:50] = True
@@ -124,7 +124,7 @@ def test_corners_lie_only_where_they_may() -> None:
     assert usable[v, u].all()
 
 
-def test_corners_turn_with_the_picture() -> None:
+def test_corners_rotate_with_the_image() -> None:
     image = np.kron(np.random.default_rng(6).uniform(0, 255, (20, 30)), np.ones((4, 4)))
     image = cv2.GaussianBlur(image + np.random.default_rng(7).normal(0, 2, image.shape), (0, 0), 1.0)
     upright = find_corners(image, CornerOptions(count=None, border_px=3))
@@ -142,13 +142,13 @@ BAD_OPTIONS: list[dict[str, Any]] = [
 
 
 @pytest.mark.parametrize("options", BAD_OPTIONS, ids=str)
-def test_options_without_meaning_are_refused(options: dict[str, Any]) -> None:
+def test_invalid_options_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(OptionError, match=next(iter(options))) as caught:
         CornerOptions(**options)
     assert "\n" not in str(caught.value)
 
 
-def test_pictures_that_are_none_are_refused() -> None:
+def test_invalid_images_are_refused() -> None:
     holed = squares()
     holed[5, 5] = np.nan
     for image in (np.zeros((4, 5, 3)), np.zeros((0, 7)), np.zeros(9), holed):

@@ -1,4 +1,4 @@
-"""The correlation product and the choice of unique matches."""
+"""Correlation of corners and selection of unique matches."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.features.correlation import (
     correlation_product,
     correlation_rows,
-    edge_picture,
+    edge_image,
     unique_matches,
     windows_at,
 )
@@ -28,7 +28,7 @@ def test_the_product_is_the_mean_of_two_correlation_coefficients() -> None:
     for i, (u, v) in enumerate(uv.astype(int)):
         for j, (x, y) in enumerate(uv.astype(int)):
             expected = 0.0
-            for a, b in ((first, second), (edge_picture(first), edge_picture(second))):
+            for a, b in ((first, second), (edge_image(first), edge_image(second))):
                 one, two = a[v - 7 : v + 8, u - 7 : u + 8], b[y - 7 : y + 8, x - 7 : x + 8]
                 expected += np.corrcoef(one.ravel(), two.ravel())[0, 1] / 2
             assert abs(product[i, j] - expected) < 1e-5
@@ -39,7 +39,7 @@ def test_flat_windows_correlate_with_nothing() -> None:
     assert not unit_rows(np.ones((2, 9), np.float32)).any()
 
 
-def test_only_clear_and_mutual_winners_are_kept() -> None:
+def test_only_unique_and_mutual_best_matches_are_kept() -> None:
     score = np.array([[0.9, 0.5, 0.1], [0.8, 0.79, 0.0], [0.95, 0.2, 0.1]])
     first, second, value = unique_matches(score, margin=0.1)
     assert (first.tolist(), second.tolist(), value.tolist()) == ([2], [0], [0.95])
@@ -51,13 +51,13 @@ def test_only_clear_and_mutual_winners_are_kept() -> None:
 
 @pytest.mark.parametrize("side", [3, 9, 21])
 @pytest.mark.parametrize("responses", [("gray",), ("edge",), ("gray", "edge")])
-def test_side_and_responses_are_free(side: int, responses: Any) -> None:
+def test_any_side_and_responses_can_be_chosen(side: int, responses: Any) -> None:
     rng = np.random.default_rng(1)
     first, second = rng.uniform(0, 255, (2, 50, 60)).astype(np.float32)
     uv, half = np.array([[25.0, 30.0]]), side // 2
     expected = []
     for response in responses:
-        a, b = (image if response == "gray" else edge_picture(image) for image in (first, second))
+        a, b = (image if response == "gray" else edge_image(image) for image in (first, second))
         one, two = (w[30 - half : 31 + half, 25 - half : 26 + half].ravel() for w in (a, b))
         expected.append(np.corrcoef(one, two)[0, 1])
     product = correlation_product(first, uv, second, uv, side_px=side, responses=responses)
@@ -65,8 +65,8 @@ def test_side_and_responses_are_free(side: int, responses: Any) -> None:
     assert correlation_rows(first, uv, side_px=side, responses=responses).shape == (1, len(responses) * side**2)
 
 
-def test_corners_that_look_the_same_are_never_told_apart() -> None:
-    """Ties go at T1 = 0, too, although equal windows' scores differ in their last digits."""
+def test_equal_corners_are_never_matched() -> None:
+    """Ties are removed at T1 = 0 as well, although scores of equal windows differ in their last digits."""
     rng = np.random.default_rng(2)
     tile = rng.uniform(0, 255, (40, 40)).astype(np.float32)
     photo = np.tile(tile, (2, 3))
@@ -81,7 +81,7 @@ def test_corners_that_look_the_same_are_never_told_apart() -> None:
 
 
 @given(st.integers(0, 10_000), st.floats(0, 0.5))
-def test_a_match_is_what_the_rule_says(seed: int, margin: float) -> None:
+def test_matches_follow_the_rule(seed: int, margin: float) -> None:
     score = np.random.default_rng(seed).uniform(-1, 1, (6, 5))
     first, second, value = unique_matches(score, margin=margin, mutual=False)
     expected = [i for i, row in enumerate(score) if np.subtract(*np.sort(row)[[-1, -2]]) > max(margin, 1e-6)]
@@ -90,22 +90,22 @@ def test_a_match_is_what_the_rule_says(seed: int, margin: float) -> None:
     np.testing.assert_array_equal(value, score[first].max(axis=1))
 
 
-def test_without_a_rival_the_floor_stands_in() -> None:
+def test_the_floor_replaces_a_missing_second_best() -> None:
     score = np.array([[0.5], [0.25], [-np.inf]])
-    assert unique_matches(score, margin=0.1, mutual=False, rival_floor=0.3)[0].tolist() == [0]
+    assert unique_matches(score, margin=0.1, mutual=False, c2_floor=0.3)[0].tolist() == [0]
     assert not len(unique_matches(score, margin=0.1, mutual=False)[0])
     among = np.array([[0.9, -np.inf, 0.2], [-np.inf, -np.inf, -np.inf]])
-    assert unique_matches(among, margin=0.3, rival_floor=0.5)[0].tolist() == [0]
-    assert not len(unique_matches(among, margin=0.3, rival_floor=0.65)[0])
+    assert unique_matches(among, margin=0.3, c2_floor=0.5)[0].tolist() == [0]
+    assert not len(unique_matches(among, margin=0.3, c2_floor=0.65)[0])
 
 
 @pytest.mark.parametrize("side", [0, 1, 2, 14, -15, 103, 15.0, True, "15"])
-def test_a_window_without_a_middle_is_refused(side: Any) -> None:
+def test_an_invalid_window_side_is_refused(side: Any) -> None:
     with pytest.raises(OptionError, match="odd number"):
         windows_at(np.zeros((30, 30), np.float32), np.array([[15.0, 15.0]]), side_px=side)
 
 
-def test_other_nonsense_is_refused() -> None:
+def test_other_invalid_arguments_are_refused() -> None:
     picture, uv = np.ones((30, 30), np.float32), np.array([[15.0, 15.0]])
     for responses in ((), ("depth",)):
         with pytest.raises(OptionError, match="gray, edge"):
@@ -118,7 +118,7 @@ def test_other_nonsense_is_refused() -> None:
             unique_matches(np.eye(3), margin=margin)
 
 
-def test_no_corners_make_an_empty_product() -> None:
+def test_no_corners_give_an_empty_product() -> None:
     picture, none = np.ones((30, 30), np.float32), np.zeros((0, 2))
     assert correlation_product(picture, none, picture, np.array([[15.0, 15.0]])).shape == (0, 1)
     assert correlation_product(picture, none, picture, none).shape == (0, 0)

@@ -24,8 +24,8 @@ from ladarreg_core.inspection.probing import probe
 from ladarreg_core.inspection.views import inspection_views, resolution_note
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.measure import matches_from_picks
-from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import solve_pose
+from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from ladarreg_core.simulate import SimulatedCase, simulate_case

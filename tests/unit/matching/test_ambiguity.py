@@ -1,4 +1,4 @@
-"""A photo that would be verified at more than one place: a pattern that repeats, and one that does not."""
+"""Photos that fit more than one pose: repeated patterns, repeated walls, and scenes that do not repeat."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
-from ladarreg_core.frames import look_along
+from ladarreg_core.frames import Rigid, look_along, rotation_about, rotation_from_rotvec
+from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence
 from ladarreg_core.registration import register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.remap import look_up
-from tests.scenes.painted_room import paintings
+from tests.scenes.painted_room import PaintedRoom, painted_room, paintings
+from tests.scenes.panorama import Panorama, panorama
 
 _WALL_M = 4.0
 _DOOR_M = 0.8
@@ -23,7 +25,7 @@ _PIXELS_A_METRE = 190.0
 
 @dataclass(frozen=True)
 class Wall:
-    """What a scanner and a camera see of a wall."""
+    """A wall as seen by a scanner and a camera."""
 
     scan: lr.Scan
     photo: lr.Photo
@@ -76,11 +78,11 @@ def test_a_wall_that_repeats_is_ambiguous(seed: int, period_m: float, doors: str
     made = wall(seed, period_m=period_m, doors=doors)
     result = register(made.scan, made.photo)
     assert not result.accepted
-    assert "look alike" in result.reasons[0], result.reasons
+    assert "ambiguous" in result.reasons[0], result.reasons
     assert [step.detail["found"] for step in result.steps if step.name == "second minimum"] == [True]
 
 
-def test_a_given_pose_tells_which_repetition_is_meant() -> None:
+def test_an_initial_pose_selects_the_repetition() -> None:
     made = wall(1, period_m=0.7)
     truth = made.camera_from_scanner
     result = register(made.scan, made.photo, initial=lr.Rigid(truth.rotation, truth.translation + 0.02))
@@ -94,3 +96,60 @@ def test_a_wall_that_does_not_repeat_has_no_second_minimum() -> None:
     assert [step.detail["found"] for step in result.steps if step.name == "second minimum"] == [False]
     assert result.accepted, result.reasons
     assert made.error_px(result.camera_from_scanner) < 1
+
+
+@pytest.fixture(scope="module")
+def repeating() -> Panorama:
+    return panorama((3, 3, 3))
+
+
+def test_a_photo_of_repeating_walls_is_not_accepted(repeating: Panorama) -> None:
+    result = lr.register(repeating.scan, repeating.photo)
+    assert not result.accepted
+    assert result.evidence == "none"
+    assert any("ambiguous" in reason for reason in result.reasons), result.reasons
+
+
+def test_an_initial_pose_selects_one_of_similar_walls(repeating: Panorama) -> None:
+    truth = repeating.camera_from_scanner
+    rough = Rigid(rotation_from_rotvec([0.01, 0.03, -0.01]) @ truth.rotation, truth.translation + 0.05)
+    result = lr.register(repeating.scan, repeating.photo, initial=rough)
+    assert result.accepted, result.reasons
+    assert repeating.error_px(result.camera_from_scanner) < 1
+
+
+def test_different_walls_are_distinguished() -> None:
+    made = panorama((3, 4, 5))
+    result = lr.register(made.scan, made.photo)
+    assert result.accepted, result.reasons
+    assert made.error_px(result.camera_from_scanner) < 1
+    views = [step.detail["view"] for step in result.steps if step.name == "channels"]
+    assert len(views) >= 3
+
+
+@pytest.fixture(scope="module")
+def room() -> PaintedRoom:
+    return painted_room(seed=2)
+
+
+def test_known_poses_distinguish_equal_and_different_poses(room: PaintedRoom) -> None:
+    places, pose = KnownPoses(room.scan, room.photo.camera), room.camera_from_scanner
+    assert not places
+    assert not places.covers_start(pose)
+    places.add(pose)
+    near = Rigid(rotation_from_rotvec([0.002, 0.003, 0.001]) @ pose.rotation, pose.translation)
+    off = Rigid(rotation_from_rotvec([0.0, 0.03, 0.0]) @ pose.rotation, pose.translation)
+    away = Rigid(rotation_from_rotvec([0.0, 0.2, 0.0]) @ pose.rotation, pose.translation)
+    behind = Rigid(rotation_about("y", np.pi) @ pose.rotation, pose.translation)
+    assert places.different_from(near) is None
+    assert places.covers_start(off)
+    assert places.different_from(off) is pose
+    for elsewhere in (away, behind):
+        assert not places.covers_start(elsewhere)
+        assert places.different_from(elsewhere) is pose
+
+
+def test_the_sentence_states_distance_and_angle() -> None:
+    first = Rigid.identity()
+    second = Rigid.from_centre(rotation_about("z", np.deg2rad(60)), [0.3, 0.4, 0.0])
+    assert "0.50 m and 60.0 deg" in ambiguity_sentence(first, second)

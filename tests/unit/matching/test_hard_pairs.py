@@ -1,4 +1,4 @@
-"""Pairs that once led matching astray, each at the seed where it was found."""
+"""Regression tests: pairs that were once registered wrongly, each with its seed."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import ladarreg_core as lr
 from ladarreg_core.simulate import simulate_case
 
 
-def test_bricks_of_another_room_are_not_this_room() -> None:
-    """Both rooms have a wall of the same bricks; nothing else agrees, and the next brick agrees nearly as well."""
+def test_a_room_with_the_same_bricks_is_refused() -> None:
+    """Both rooms have a wall of the same bricks; a shift by one brick agrees nearly as well, and nothing else does."""
     scan = simulate_case("office", seed=909).scan
     photo = simulate_case("people", set_name="hard", seed=910).photo
     result = lr.register(scan, photo)
@@ -18,14 +18,14 @@ def test_bricks_of_another_room_are_not_this_room() -> None:
     assert result.reasons
 
 
-def test_a_roll_is_found_where_displacements_hardly_agree() -> None:
+def test_roll_is_detected_although_displacements_differ() -> None:
     case = simulate_case("office", set_name="rotated", seed=900)
     result = lr.register(case.scan, case.photo)
     assert result.accepted
     assert np.degrees(result.camera_from_scanner.angle_to(case.camera_from_scanner)) < 0.2
 
 
-def test_a_lens_is_found_though_two_steps_do_not_doubt_the_stated_one() -> None:
+def test_k1_is_estimated_although_the_preview_confirms_the_stated_camera() -> None:
     case = simulate_case("boxes", seed=902, k1=-0.15, k1_error=0.15)
     result = lr.register(case.scan, case.photo)
     assert result.accepted

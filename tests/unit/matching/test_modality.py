@@ -1,4 +1,4 @@
-"""The ladder of modalities on the painted room: what a picture without colour is compared with, and its name."""
+"""Channel selection for gray and thermal images of the painted room."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ def room() -> PaintedRoom:
 
 @pytest.fixture(scope="module")
 def warm(room: PaintedRoom) -> lr.Registration:
-    """The painted room where each paint has another temperature."""
+    """The painted room as a thermal image, in which each paint has its own temperature."""
     kelvin = 292 + 0.02 * gray_of(room)
     return lr.register(room.scan, thermal_photo(kelvin, room.photo.camera))
 
 
-def test_a_thermal_picture_is_registered_and_called_coarse(room: PaintedRoom, warm: lr.Registration) -> None:
+def test_a_thermal_image_is_registered_and_labelled_coarse(room: PaintedRoom, warm: lr.Registration) -> None:
     assert warm.accepted, warm.reasons
     assert room.error_px(warm.camera_from_scanner) < 1
     assert warm.diagnostics["verification"]["label"] == "coarse"
     assert any(reason.startswith("Coarse:") for reason in warm.reasons)
 
 
-def test_the_channels_are_chosen_by_their_score_and_named(warm: lr.Registration) -> None:
+def test_channels_are_selected_by_score_and_reported(warm: lr.Registration) -> None:
     chosen = [step.detail for step in warm.steps if step.name == "modality"]
     assert len(chosen) == 1
     name = chosen[0]["channels"]
@@ -51,8 +51,8 @@ def test_the_channels_are_chosen_by_their_score_and_named(warm: lr.Registration)
     assert name != "geometry"
 
 
-def test_where_the_channels_disagree_the_pose_is_that_uncertain(warm: lr.Registration) -> None:
-    """The finished poses of the accepted sets lie within the covariance that the answer states."""
+def test_the_covariance_covers_the_disagreement_of_channels(warm: lr.Registration) -> None:
+    """The finished poses of the accepted channel sets lie within the stated covariance."""
     ends = {}
     for step in warm.steps:
         if step.name == "evidence" and step.pose is not None:
@@ -64,11 +64,11 @@ def test_where_the_channels_disagree_the_pose_is_that_uncertain(warm: lr.Registr
                 pose.centre - warm.camera_from_scanner.centre,
             ]
         )
-        if np.linalg.norm(d[3:]) < 0.05:  # an accepted one; a refused climb may end anywhere
+        if np.linalg.norm(d[3:]) < 0.05:  # only accepted poses; a refused candidate may lie anywhere
             assert d @ np.linalg.solve(warm.covariance, d) <= len(ends)
 
 
-def test_another_rooms_heat_is_refused(room: PaintedRoom) -> None:
+def test_a_thermal_image_of_another_room_is_refused(room: PaintedRoom) -> None:
     other = painted_room(seed=6)
     mirrored = gray_of(other)[::-1, ::-1]
     result = lr.register(room.scan, thermal_photo(292 + 0.02 * mirrored, other.photo.camera))
@@ -77,7 +77,7 @@ def test_another_rooms_heat_is_refused(room: PaintedRoom) -> None:
     assert result.reasons
 
 
-def test_a_gray_photo_needs_no_ladder_where_both_channels_fit(room: PaintedRoom) -> None:
+def test_a_gray_photo_verified_with_both_channels_needs_no_further_set(room: PaintedRoom) -> None:
     pixels = np.repeat(gray_of(room).astype(np.uint8)[..., None], 3, axis=-1)
     photo = lr.Photo(pixels, room.photo.camera)
     assert is_gray(photo)
@@ -89,14 +89,14 @@ def test_a_gray_photo_needs_no_ladder_where_both_channels_fit(room: PaintedRoom)
     assert room.error_px(result.camera_from_scanner) < 0.6
 
 
-def test_an_even_temperature_has_nothing_to_match(room: PaintedRoom) -> None:
+def test_a_uniform_temperature_is_refused(room: PaintedRoom) -> None:
     camera = room.photo.camera
     result = lr.register(room.scan, thermal_photo(np.full((camera.height, camera.width), 293.0), camera))
     assert not result.accepted
-    assert any("flat" in reason for reason in result.reasons)
+    assert any("uniform" in reason for reason in result.reasons)
 
 
-def test_the_gate_is_never_laxer_than_half_of_the_picture() -> None:
+def test_thermal_thresholds_require_at_least_half_of_the_regions() -> None:
     assert COARSE_GATE.fraction >= 0.5
     assert COARSE_GATE.many >= 35
     assert COARSE_GATE.fine_fraction >= 0.3

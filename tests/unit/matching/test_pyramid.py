@@ -1,4 +1,4 @@
-"""The pictures of a pair are made once, and are what they would be if they were made anew."""
+"""Levels of a pair are computed once and equal those computed anew."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.frames import Rigid, look_along
-from ladarreg_core.matching.pictures import Pictures
-from ladarreg_core.matching.pyramid import ChannelSet, scan_levels
+from ladarreg_core.matching.pyramid import ChannelSet, PairLevels, scan_levels
 from ladarreg_core.surface.perspective import perspective_view
 from tests.scenes.painted_room import PaintedRoom, painted_room
 
@@ -20,15 +19,15 @@ def room() -> PaintedRoom:
 
 
 @pytest.mark.parametrize("first", get_args(ChannelSet))
-def test_other_channels_of_a_view_are_those_of_the_view_made_anew(room: PaintedRoom, first: ChannelSet) -> None:
+def test_shared_channels_equal_those_computed_anew(room: PaintedRoom, first: ChannelSet) -> None:
     direction = Rigid(look_along(room.scan.mean_direction), np.zeros(3))
-    pictures = Pictures(room.scan, room.photo)
-    known = pictures.view(direction, first)
+    pair = PairLevels(room.scan, room.photo)
+    known = pair.view(direction, first)
     assert known.channels
     assert known.fine_channels is not None
     for other in get_args(ChannelSet):
-        shared = pictures.view(direction, other)
-        view = perspective_view(room.scan, pictures.working, view_from_scanner=direction)
+        shared = pair.view(direction, other)
+        view = perspective_view(room.scan, pair.working, view_from_scanner=direction)
         anew = scan_levels(room.scan, view, channel_set=other)
         for mine, theirs in zip(shared.channels, anew.channels, strict=True):
             np.testing.assert_array_equal(mine, theirs)
@@ -37,9 +36,9 @@ def test_other_channels_of_a_view_are_those_of_the_view_made_anew(room: PaintedR
 
 
 def test_another_direction_is_another_view(room: PaintedRoom) -> None:
-    pictures = Pictures(room.scan, room.photo)
+    pair = PairLevels(room.scan, room.photo)
     ahead = Rigid(look_along(room.scan.mean_direction), np.zeros(3))
     aside = Rigid(look_along(room.scan.mean_direction + np.array([0.0, 0.2, 0.0])), np.zeros(3))
-    assert not np.array_equal(pictures.view(ahead, "both").ranges, pictures.view(aside, "both").ranges)
-    assert pictures.view(ahead, "both") is pictures.view(Rigid(ahead.rotation.copy(), np.zeros(3)), "both")
-    assert pictures.photo is pictures.photo
+    assert not np.array_equal(pair.view(ahead, "both").ranges, pair.view(aside, "both").ranges)
+    assert pair.view(ahead, "both") is pair.view(Rigid(ahead.rotation.copy(), np.zeros(3)), "both")
+    assert pair.photo is pair.photo

@@ -1,4 +1,4 @@
-"""The points of a level: the strongest of every stratum, the same for the same seed."""
+"""Sampling of a level: the strongest pixels of every stratum, reproducible by seed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.scenes.painted_room import painted_room
     count=st.integers(1, 6000),
     levels=st.sampled_from([2, 5, 1000]),
 )
-def test_of_every_stratum_the_strongest_are_kept(
+def test_the_strongest_pixels_of_each_stratum_are_kept(
     seed: int, height: int, width: int, side: int, count: int, levels: int
 ) -> None:
     strength = (np.random.default_rng(seed).integers(0, levels, (height, width)) / levels).astype(np.float32)
@@ -61,5 +61,5 @@ def test_points_are_drawn_by_seed_and_sorted_by_block(levels: ScanLevels) -> Non
     np.testing.assert_array_equal(some.channels, channels[v, u])
 
 
-def test_nothing_to_draw_from_is_told(levels: ScanLevels) -> None:
+def test_a_view_without_edges_gives_none(levels: ScanLevels) -> None:
     assert edge_strength(levels, np.zeros_like(levels.channels[0]), level=0) is None

@@ -1,4 +1,4 @@
-"""A wrong focal length and a wrong lens are found with the pose; a right camera is left alone."""
+"""Self-calibration: a wrong focal length or k1 is estimated with the pose; a correct camera is kept."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.matching.camera_change import AS_STATED, CameraChange
 from ladarreg_core.matching.covariance import RegionEvidence
-from ladarreg_core.matching.ecc import _jacobian
+from ladarreg_core.matching.ecc import NO_CHANGE, CameraChange, _jacobian
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.self_calibration import Finished, finished, with_camera_free
+from ladarreg_core.matching.self_calibration import FinishedPose, estimate_camera, verify_finished
 from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import perspective_view
@@ -33,20 +32,20 @@ def room() -> PaintedRoom:
     return painted_room(seed=5, distortion=LENS)
 
 
-def finished_with(room: PaintedRoom, camera: Camera) -> tuple[Finished, Photo]:
-    """Return the room registered from the truth, with the camera as it is stated."""
+def finished_with(room: PaintedRoom, camera: Camera) -> tuple[FinishedPose, Photo]:
+    """Return the room registered from the true pose with the stated camera, and its photo."""
     photo = Photo(room.photo.pixels, camera)
     working = working_camera(room.scan, camera)
     levels = scan_levels(room.scan, perspective_view(room.scan, working))
     aligner = Aligner(levels, photo_levels(photo, working), gate=GateOptions(), seed=0)
-    candidate = aligner.approach(room.camera_from_scanner)
+    candidate = aligner.refine(room.camera_from_scanner)
     assert candidate is not None
-    return finished(aligner, camera, aligner.finish(candidate.camera_from_scanner)), photo
+    return verify_finished(aligner, camera, aligner.finish(candidate.camera_from_scanner)), photo
 
 
-def test_a_right_camera_is_left_alone(room: PaintedRoom) -> None:
+def test_a_correct_camera_is_kept(room: PaintedRoom) -> None:
     fixed, photo = finished_with(room, room.photo.camera)
-    assert with_camera_free(fixed, photo, fixed.camera_from_scanner, "auto") is fixed
+    assert estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto") is fixed
     assert not fixed.camera_sigmas
     assert fixed.regions is not None
     assert room.mahalanobis(fixed.camera_from_scanner, fixed.regions.covariance) < 4
@@ -54,11 +53,11 @@ def test_a_right_camera_is_left_alone(room: PaintedRoom) -> None:
 
 
 @pytest.mark.parametrize(("focal_factor", "lens"), [(1.05, LENS), (0.95, ())])
-def test_a_wrong_camera_is_found_with_the_pose(room: PaintedRoom, focal_factor: float, lens: tuple[float, ...]) -> None:
+def test_a_wrong_camera_is_estimated(room: PaintedRoom, focal_factor: float, lens: tuple[float, ...]) -> None:
     true = room.photo.camera
     stated = replace(true, fx=true.fx * focal_factor, fy=true.fy * focal_factor, distortion=lens)
     fixed, photo = finished_with(room, stated)
-    found = with_camera_free(fixed, photo, fixed.camera_from_scanner, "auto")
+    found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto")
     assert found.verification.accepted, found.verification.reasons
     assert abs(found.camera.fx / true.fx - 1) < 0.01
     assert abs(found.camera.distortion[0] - LENS[0]) < 0.03
@@ -72,23 +71,23 @@ def test_a_wrong_camera_is_found_with_the_pose(room: PaintedRoom, focal_factor: 
         (found.camera.distortion[0] - LENS[0]) / found.camera_sigmas["k1"],
     ]
     assert np.abs(z).max() < 4
-    assert len(found.in_words(stated)) == 2
+    assert len(found.summary(stated)) == 2
 
 
-def test_a_fixed_camera_stays_whatever_the_picture_says(room: PaintedRoom) -> None:
+def test_a_fixed_camera_is_never_changed(room: PaintedRoom) -> None:
     true = room.photo.camera
     fixed, photo = finished_with(room, replace(true, fx=true.fx * 1.05, fy=true.fy * 1.05))
-    assert with_camera_free(fixed, photo, fixed.camera_from_scanner, "fixed") is fixed
-    only_focal = with_camera_free(fixed, photo, fixed.camera_from_scanner, "focal")
+    assert estimate_camera(fixed, photo, fixed.camera_from_scanner, "fixed") is fixed
+    only_focal = estimate_camera(fixed, photo, fixed.camera_from_scanner, "focal")
     assert list(only_focal.camera_sigmas) == ["focal_px"]
     assert only_focal.camera.distortion == true.distortion
     assert abs(only_focal.camera.fx / true.fx - 1) < 0.01
 
 
-def test_a_focal_length_far_off_is_found_or_refused(room: PaintedRoom) -> None:
+def test_a_very_wrong_focal_length_is_estimated_or_refused(room: PaintedRoom) -> None:
     true = room.photo.camera
     fixed, photo = finished_with(room, replace(true, fx=true.fx * 1.2, fy=true.fy * 1.2))
-    found = with_camera_free(fixed, photo, fixed.camera_from_scanner, "auto")
+    found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto")
     assert not found.verification.accepted or abs(found.camera.fx / true.fx - 1) < 0.01
     assert found.verification.reasons
 
@@ -97,13 +96,13 @@ def test_a_focal_length_far_off_is_found_or_refused(room: PaintedRoom) -> None:
 @given(change=changes, terms=st.sampled_from([0, 4, 5, 8]))
 def test_a_changed_camera_keeps_its_model(change: CameraChange, terms: int) -> None:
     camera = Camera(640, 480, 700.0, 710.0, 320.0, 241.0, tuple(0.01 * (k + 1) for k in range(terms)))
-    changed = change.applied(camera)
+    changed = change.applied_to(camera)
     assert len(changed.distortion) in ((0, 4) if terms == 0 else (terms,))
     assert changed.distortion[1:] == (camera.distortion[1:] or (0.0,) * (len(changed.distortion) - 1))
     assert changed.fx / camera.fx == pytest.approx(np.exp(change.log_focal))
     assert changed.fy / changed.fx == pytest.approx(camera.fy / camera.fx)
     assert (changed.cx, changed.cy) == (camera.cx, camera.cy)
-    assert AS_STATED.applied(camera) == camera
+    assert NO_CHANGE.applied_to(camera) == camera
     there_and_back = change.after(np.array([-change.log_focal, -change.k1]))
     assert (there_and_back.log_focal, there_and_back.k1) == pytest.approx((0, 0))
 
@@ -118,49 +117,49 @@ def test_the_jacobian_is_the_derivative_of_the_projection(change: CameraChange, 
 
     def seen(sign: float) -> np.ndarray:
         moved = Rigid(rotation_from_rotvec(sign * step[:3]), sign * step[3:6]) @ points
-        return change.after(sign * step[6:]).applied(camera).project(moved)
+        return change.after(sign * step[6:]).applied_to(camera).project(moved)
 
-    Ju, Jv = _jacobian(points, change.applied(camera), 2)
+    Ju, Jv = _jacobian(points, change.applied_to(camera), 2)
     expected = (seen(1) - seen(-1)) / 2
     np.testing.assert_allclose(np.stack([Ju @ step, Jv @ step], axis=-1), expected, atol=1e-4 * np.abs(expected).max())
 
 
-def test_the_deviate_of_chance_is_normal() -> None:
+def test_the_normal_deviate_is_normal_under_the_null_hypothesis() -> None:
     rng = np.random.default_rng(3)
     regions, deviates = 20, []
     for _ in range(2000):
         shares = rng.normal(size=(regions, 2)) @ np.array([[1.0, 0.7], [0.0, 0.5]])
         covariance = np.eye(8)
         covariance[6:, 6:] = np.cov(shares.T) / regions
-        deviates.append(RegionEvidence(covariance, regions).deviate(shares.mean(axis=0)))
+        deviates.append(RegionEvidence(covariance, regions).normal_deviate(shares.mean(axis=0)))
     assert abs(np.mean(deviates)) < 0.1
     assert abs(np.std(deviates) - 1) < 0.1
     assert np.mean(np.array(deviates) > 3) < 0.005
 
 
 @given(seed=st.integers(0, 2**31), sigmas=st.floats(0.01, 100))
-def test_a_doubt_widens_what_is_told_until_it_is_covered(seed: int, sigmas: float) -> None:
+def test_the_enlarged_covariance_covers_the_shift(seed: int, sigmas: float) -> None:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(6, 6)) + 3 * np.eye(6)
     covariance, way = root @ root.T, rng.normal(size=6)
     moved = sigmas * root @ (way / np.linalg.norm(way))
-    wider = RegionEvidence(covariance, 20).in_doubt(moved).covariance
+    wider = RegionEvidence(covariance, 20).inflated_by(moved).covariance
     assert np.linalg.eigvalsh(wider - covariance).min() > 0
     assert moved @ np.linalg.solve(wider, moved) <= 1
-    # An error as long as the move, in any other direction, is no surprise either.
+    # An error of the same length in any other direction is covered as well.
     other = sigmas * root @ np.linalg.qr(np.column_stack([way, rng.normal(size=6)]))[0][:, 1]
     assert other @ np.linalg.solve(wider, other) <= 6
 
 
 @pytest.mark.parametrize("focal_factor", [1.015, 0.985])
-def test_two_steps_tell_of_a_camera_that_is_little_off(room: PaintedRoom, focal_factor: float) -> None:
+def test_a_slightly_wrong_camera_is_detected_by_the_preview(room: PaintedRoom, focal_factor: float) -> None:
     true = room.photo.camera
     fixed, photo = finished_with(room, replace(true, fx=true.fx * focal_factor, fy=true.fy * focal_factor))
-    found = with_camera_free(fixed, photo, fixed.camera_from_scanner, "auto")
+    found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto")
     assert found.free
     assert abs(found.camera.fx / true.fx - 1) < 0.005
 
 
-def test_an_unknown_choice_is_refused() -> None:
+def test_an_unknown_option_is_refused() -> None:
     with pytest.raises(OptionError, match="focal_k1"):
         AutoOptions(intrinsics="everything")  # type: ignore[arg-type]

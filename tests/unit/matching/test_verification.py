@@ -1,4 +1,4 @@
-"""The verdict: what a coarse scan must show, what a wrong pose shows by accident, and what is said of either."""
+"""Verification: thresholds for coarse scans, chance agreement of wrong poses, and reasons."""
 
 from __future__ import annotations
 
@@ -16,14 +16,12 @@ import ladarreg_core as lr
 from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.density import NEEDED_POINTS, density_in
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.verification import GateOptions, verify
-from ladarreg_core.matching.verify_finished import judged_by_precision, regions_of
+from ladarreg_core.matching.verification import GateOptions, check_precision, region_markers, verify
 from ladarreg_core.registration import register
-from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view
 from tests.scenes.painted_room import PaintedRoom, painted_room
+from tests.scenes.thinned_scan import thinned
 
 _RADIUS = 6
 _SIDE = 2 * _RADIUS + 1
@@ -32,21 +30,6 @@ _SIDE = 2 * _RADIUS + 1
 @pytest.fixture(scope="module")
 def room() -> PaintedRoom:
     return painted_room(seed=4)
-
-
-def thinned(scan: lr.Scan, step: int) -> lr.Scan:
-    """Keep every cell of every `step`-th row and column."""
-    ranges, intensity = scan.ranges[::step, ::step], scan.intensity[::step, ::step]
-    old = scan.geometry
-    assert isinstance(old, AzimuthElevation)
-    rows, columns = ranges.shape
-    offset = [(n - 1 - step * (m - 1)) / 2 for n, m in ((old.columns, columns), (old.rows, rows))]
-    steps = old.d_azimuth_rad, old.d_elevation_rad
-    geometry = AzimuthElevation(
-        rows, columns, step * steps[0], step * steps[1], offset[0] * steps[0], offset[1] * steps[1]
-    )
-    np.testing.assert_allclose(geometry.rays, scan.rays[::step, ::step], atol=1e-12)
-    return lr.Scan(geometry, ranges, intensity)
 
 
 def aligner_of(scan: lr.Scan, photo: lr.Photo) -> Aligner:
@@ -66,7 +49,7 @@ def maps_with_peaks(shifts: np.ndarray) -> Agreement:
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(5, 50), st.integers(0, 2**32 - 1))
-def test_agreement_is_ever_less_an_accident_the_more_blocks_agree(count: int, seed: int) -> None:
+def test_the_false_alarm_decreases_with_the_number_of_agreeing_blocks(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     far = rng.integers(2, _RADIUS + 1, (count, 2)) * rng.choice([-1, 1], (count, 2))
     order = rng.permutation(count)
@@ -78,13 +61,13 @@ def test_agreement_is_ever_less_an_accident_the_more_blocks_agree(count: int, se
     assert alarms[0] == pytest.approx(1)
     assert alarms[-1] == pytest.approx(0.25**count)
     assert all(0 <= after <= before * (1 + 1e-9) for before, after in pairwise(alarms))
-    # Never less than by the floor of a climb: p of the pair itself can only raise it.
+    # 0.25 is the lower limit of p; the estimate of the pair itself can only raise it.
     for agreeing, alarm in enumerate(alarms):
         tail = sum(comb(count, k) * 0.25**k * 0.75 ** (count - k) for k in range(agreeing, count + 1))
         assert alarm >= tail * (1 - 1e-9)
 
 
-def test_a_pattern_that_agrees_at_another_shift_as_well_counts_as_an_accident() -> None:
+def test_agreement_at_another_shift_raises_the_false_alarm() -> None:
     shifts = np.zeros((40, 2), np.int64)
     shifts[:18] = (5, 0)
     rival = maps_with_peaks(shifts).false_alarm(1.5)
@@ -92,7 +75,7 @@ def test_a_pattern_that_agrees_at_another_shift_as_well_counts_as_an_accident() 
     assert maps_with_peaks(shifts).false_alarm(1.5) < 1e-4 < 0.1 < rival
 
 
-def test_without_blocks_everything_may_be_an_accident() -> None:
+def test_without_blocks_the_false_alarm_is_one() -> None:
     assert maps_with_peaks(np.zeros((0, 2), np.int64)).false_alarm(1.5) == 1
 
 
@@ -105,7 +88,7 @@ def test_a_coarse_scan_is_accepted_by_few_regions(room: PaintedRoom) -> None:
     assert room.error_px(result.camera_from_scanner) < 1
 
 
-def test_climbed_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRoom) -> None:
+def test_refined_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
     mirror = lr.Photo(np.ascontiguousarray(room.photo.pixels[:, ::-1]), room.photo.camera)
     other = aligner_of(thinned(room.scan, 2), mirror)
@@ -115,20 +98,20 @@ def test_climbed_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRo
         for _ in range(4):
             turn = rotation_from_rotvec(rng.normal(0, scale, 3))
             start = lr.Rigid(turn @ truth.rotation, truth.translation + rng.normal(0, 2 * scale, 3))
-            candidate = pair.approach(start)
+            candidate = pair.refine(start)
             if candidate is None:
                 continue
             pose = pair.finish(candidate.camera_from_scanner)
-            verdict = pair.judge(pose)[0]
+            verdict = pair.verify(pose)[0]
             wrong = pair is other or room.error_px(pose) > 2
             judged += wrong
             assert not (wrong and verdict.accepted), (verdict, room.error_px(pose))
     assert judged >= 4
 
 
-def test_a_first_look_asks_for_half_the_digits(room: PaintedRoom) -> None:
+def test_the_preliminary_verdict_uses_the_square_root_of_the_bound(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
-    _, coarse, fine = aligner.judge(room.camera_from_scanner)
+    _, coarse, fine = aligner.verify(room.camera_from_scanner)
     alarm = coarse.false_alarm(3.0)
     just, short = (GateOptions(false_alarm=(factor * alarm) ** 2) for factor in (1.01, 0.99))
     assert verify(coarse, None, just).accepted
@@ -136,50 +119,30 @@ def test_a_first_look_asks_for_half_the_digits(room: PaintedRoom) -> None:
     assert verify(coarse, fine).by_few
 
 
-def test_few_regions_that_tell_the_pose_roughly_are_refused_in_words(room: PaintedRoom) -> None:
+def test_few_regions_with_an_uncertain_pose_are_refused(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
-    verdict = aligner.judge(room.camera_from_scanner)[0]
+    verdict = aligner.verify(room.camera_from_scanner)[0]
     assert verdict.accepted
-    points, camera, pose = aligner.judged_points.points, room.photo.camera, room.camera_from_scanner
+    points, camera, pose = aligner.verification_points.points, room.photo.camera, room.camera_from_scanner
     fine, rough = (np.diag([s**2] * 3 + [1e-12] * 3) for s in (0.2 / camera.fx, 3 / camera.fx))
-    assert judged_by_precision(verdict, points, camera, pose, fine) is verdict
-    refused = judged_by_precision(verdict, points, camera, pose, rough)
+    assert check_precision(verdict, points, camera, pose, fine) is verdict
+    refused = check_precision(verdict, points, camera, pose, rough)
     assert not refused.accepted
-    assert "photo pixels only" in refused.reasons[0]
+    assert "px of the photo only" in refused.reasons[0]
     many = replace(verdict, by_few=False)
-    assert judged_by_precision(many, points, camera, pose, rough) is many
+    assert check_precision(many, points, camera, pose, rough) is many
 
 
-def test_regions_lie_in_the_photo_and_agree_at_the_truth(room: PaintedRoom) -> None:
+def test_region_markers_lie_in_the_photo_and_agree_at_the_true_pose(room: PaintedRoom) -> None:
     aligner = aligner_of(room.scan, room.photo)
     camera = room.photo.camera
     shares = []
     for turn in (0.0, np.deg2rad(1.0)):
         off = lr.Rigid(rotation_from_rotvec([0, turn, 0]) @ room.camera_from_scanner.rotation, np.zeros(3))
         pose = lr.Rigid(off.rotation, off.rotation @ -room.camera_from_scanner.centre)
-        regions = regions_of(aligner.look(pose, 0), aligner.photo.cameras[0], camera)
+        regions = region_markers(aligner.agreement_at(pose, 0), aligner.photo.cameras[0], camera)
         assert 12 <= len(regions) <= 300
         assert json.loads(json.dumps(regions)) == [list(region) for region in regions]
         assert camera.contains(np.array([region[:2] for region in regions])).all()
         shares.append(np.mean([agrees for *_, agrees in regions]))
     assert shares[0] > 0.8 > 0.4 > shares[1]
-
-
-@pytest.mark.parametrize("start", ["none", "truth"])
-def test_a_sparse_scan_is_refused_for_that_reason(room: PaintedRoom, start: str) -> None:
-    sparse = thinned(room.scan, 6)
-    result = register(sparse, room.photo, initial=room.camera_from_scanner if start == "truth" else None)
-    assert not result.accepted
-    assert result.reasons[0].startswith("The scan is too sparse for this photo: 1 point per "), result.reasons
-
-
-@pytest.mark.parametrize("step", [1, 2, 5])
-def test_density_counts_the_returns_in_the_picture(room: PaintedRoom, step: int) -> None:
-    scan, camera = thinned(room.scan, step), room.photo.camera
-    behind = lr.Rigid(np.diag([-1.0, 1.0, -1.0]) @ room.camera_from_scanner.rotation, np.zeros(3))
-    density = density_in(scan, camera, [behind, room.camera_from_scanner])
-    assert density is not None
-    uv = camera.project(room.camera_from_scanner @ scan.points[scan.valid].astype(float))
-    assert density.points == int(camera.contains(uv).sum())
-    assert density.too_sparse == (density.points < NEEDED_POINTS)
-    assert density_in(scan, camera, [behind]) is None

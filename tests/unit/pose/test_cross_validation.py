@@ -9,7 +9,7 @@ from benchmarks.case import start_near
 from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.cross_validation import choose_intrinsics, deal, worse_when_held_out
+from ladarreg_core.pose.cross_validation import assign_folds, choose_intrinsics, worse_when_held_out
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.noise import estimate_noise
 
@@ -42,8 +42,8 @@ def rolled_back(case, start, **options):
 
 
 @given(st.lists(st.sampled_from("abcdefghijklm"), min_size=1, max_size=40), st.integers(0, 99))
-def test_the_matches_of_a_pick_stay_together_and_folds_are_alike(ids, seed):
-    group, fold = deal(ids, seed=seed)
+def test_folds_keep_picks_together_and_have_similar_sizes(ids, seed):
+    group, fold = assign_folds(ids, seed=seed)
     picks = sorted(set(ids))
     of_pick = {name: {int(f) for f, other in zip(fold, ids, strict=True) if other == name} for name in picks}
     assert all(len(folds) == 1 for folds in of_pick.values())
@@ -51,14 +51,14 @@ def test_the_matches_of_a_pick_stay_together_and_folds_are_alike(ids, seed):
     assert len(sizes) == min(5, len(picks))
     assert np.ptp(sizes) <= 1
     assert len(np.unique(group)) == len(picks)
-    assert (deal(ids, seed=seed)[1] == fold).all()
+    assert (assign_folds(ids, seed=seed)[1] == fold).all()
 
 
 @settings(max_examples=15)
 @given(
     seed=st.integers(0, 100_000), outliers=st.floats(0, 0.5), stated=st.booleans(), count=st.sampled_from([12, 60, 200])
 )
-def test_a_camera_that_is_right_stays(seed, outliers, stated, count):
+def test_a_correct_camera_is_kept(seed, outliers, stated, count):
     choice = chosen(room_case(seed, count=count, outliers=outliers), ROOM_CAMERA, stated=stated)
     assert choice.fit is None
     assert choice.intrinsics == "fixed"
@@ -74,13 +74,13 @@ def test_a_wrong_focal_length_is_found(seed, factor, stated):
     assert abs(fit.camera.focal_px - 974) < 4.5 * fit.sigmas["focal_px"]
     assert fit.pose.distance_to(case.pose) < 0.04  # as given and fixed: .1 to .5 m
     assert fit.sigma_px == pytest.approx(1.0, rel=0.2)
-    words = choice.in_words()
-    assert words[0].startswith(f"The focal length was estimated: 9{words[0].split(': 9')[1][:2]}")
-    assert words[0].endswith(f" px instead of {974 * factor:.1f} px.")
+    words = choice.describe()
+    assert words[0].startswith(f"The focal length was estimated as 9{words[0].split(' as 9')[1][:2]}")
+    assert words[0].endswith(f" px (given: {974 * factor:.1f} px).")
 
 
 @pytest.mark.parametrize("stated", [True, False])
-def test_a_lens_that_was_not_given_is_found(stated):
+def test_unstated_distortion_is_found(stated):
     positions = []
     for seed in (71, 72):
         case = room_case(seed, outliers=0.2, camera=replace(ROOM_CAMERA, distortion=(-0.1, 0.0, 0.0, 0.0)))
@@ -92,7 +92,7 @@ def test_a_lens_that_was_not_given_is_found(stated):
     assert np.median(positions) < 0.012
 
 
-def test_the_principal_point_is_estimated_only_when_asked_for():
+def test_the_principal_point_is_estimated_only_on_request():
     true = replace(ROOM_CAMERA, cx=ROOM_CAMERA.cx + 25, distortion=(-0.1, 0.0, 0.0, 0.0))
     case = room_case(3, camera=true)
     assert chosen(case, ROOM_CAMERA).intrinsics != "focal_k1_centre"
@@ -101,8 +101,8 @@ def test_the_principal_point_is_estimated_only_when_asked_for():
     assert abs(fit.camera.cx - true.cx) < 4 * fit.sigmas["cx"]
 
 
-def test_what_is_suggested_but_not_determined_is_said_and_not_used():
-    """A wall nearly from the front: a wrong focal length shows, but hardly which one is right."""
+def test_undetermined_intrinsics_are_reported_but_not_used():
+    """A wall seen nearly face on shows that the focal length is wrong, but barely determines it."""
     found = set()
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -116,14 +116,14 @@ def test_what_is_suggested_but_not_determined_is_said_and_not_used():
         choice = choose_intrinsics(matches, given, result.camera_from_scanner, result.inliers, **SIGMA)
         if choice.fit is not None:
             assert choice.fit.determined
-        found |= set(choice.in_words()) if choice.fit is None else set()
+        found |= set(choice.describe()) if choice.fit is None else set()
     assert found
     assert all("The matches suggest other intrinsics (focal length " in words for words in found)
     assert all("kept as given" in words for words in found)
 
 
-def test_copies_of_one_match_convince_nobody():
-    """Forty samples of each of five lines: what they share is no evidence, whatever their number."""
+def test_duplicated_matches_do_not_change_the_camera():
+    """Forty samples of each of five lines: their shared error is no evidence, however many samples there are."""
     case = room_case(29, count=5)
     rng = np.random.default_rng(0)
     uv = np.repeat(case.uv + rng.normal(size=(5, 2)) * 3, 40, axis=0)
@@ -135,8 +135,8 @@ def test_copies_of_one_match_convince_nobody():
 
 
 @pytest.mark.parametrize(("count", "outliers"), [(5, 0.0), (8, 0.3), (20, 0.8)])
-def test_few_or_bad_matches_do_not_spoil_a_good_start(count, outliers):
-    """The start is off by .3 px; the matches leave .9 px, or know nothing."""
+def test_few_or_bad_matches_do_not_degrade_a_good_initial_pose(count, outliers):
+    """The initial pose is off by .3 px; the matches leave .9 px, or determine nothing."""
     cases = [room_case(seed, count=count, outliers=outliers) for seed in range(500, 512)]
     back = [rolled_back(case, start_near(case, k, 0.02, 0.002)) for k, case in enumerate(cases)]
     assert np.mean(back) >= 0.7
@@ -148,11 +148,11 @@ def test_few_or_bad_matches_do_not_spoil_a_good_start(count, outliers):
     matches=st.sampled_from([(8, 0.0), (20, 0.2), (200, 0.3)]),
     far=st.sampled_from([(1.0, 0.1), (3.0, 0.3), (20.0, 1.0)]),
 )
-def test_good_matches_are_kept_whatever_the_start(seed, matches, far):
+def test_a_fit_to_good_matches_is_kept_for_any_initial_pose(seed, matches, far):
     case = room_case(seed, count=matches[0], outliers=matches[1])
     assert not rolled_back(case, start_near(case, seed, *far))
 
 
-def test_too_few_to_hold_any_out_speak_for_nothing():
+def test_the_initial_pose_is_kept_with_too_few_matches_to_hold_out():
     case = room_case(31, count=4)
     assert rolled_back(case, start_near(case, 1, 1.0, 0.1))

@@ -12,7 +12,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.intrinsics import PARAMETERS, Descent, estimate_intrinsics, foreseen_gains, intrinsic
+from ladarreg_core.pose.intrinsics import PARAMETERS, Descent, estimate_intrinsics, intrinsic, predicted_gains
 
 SIGMA = {"sigma_px": 1.0, "sigma_range_m": 0.015}
 LENSES = {
@@ -75,8 +75,8 @@ def test_every_intrinsic_is_found_exactly_without_noise(terms):
 @pytest.mark.parametrize(
     ("intrinsics", "k1", "shift"), [("focal", 0.0, 0.0), ("focal_k1", -0.1, 0.0), ("focal_k1_centre", -0.1, 12.0)]
 )
-def test_errors_are_those_that_the_covariance_foretells(intrinsics, k1, shift):
-    """The mean squared Mahalanobis distance of n fits is 1 +- sqrt(2 / (P n)), whatever the mismatches."""
+def test_errors_agree_with_the_covariance(intrinsics, k1, shift):
+    """The mean squared Mahalanobis distance of n fits is 1 +- sqrt(2 / (P n)), regardless of outliers."""
     true = with_k1(replace(ROOM_CAMERA, cx=ROOM_CAMERA.cx + shift), k1)
     distances = []
     for seed in range(900, 915):
@@ -88,12 +88,12 @@ def test_errors_are_those_that_the_covariance_foretells(intrinsics, k1, shift):
         assert abs(error[0]) < 4 * fit.sigmas["focal_px"]
         assert np.mean(fit.inliers == case.true) > 0.95
     spread = np.sqrt(2 / len(step) / len(distances))
-    assert 1 - 4 * spread < np.mean(distances) < 1 + 5 * spread  # a few near mismatches are taken in
+    assert 1 - 4 * spread < np.mean(distances) < 1 + 5 * spread  # a few outliers close to the gate are included
 
 
 @settings(max_examples=6)
 @given(seed=st.integers(0, 10_000), factor=st.floats(0.85, 1.18))
-def test_the_answer_does_not_depend_on_the_focal_length_given(seed, factor):
+def test_the_result_does_not_depend_on_the_given_focal_length(seed, factor):
     case = room_case(seed, count=80, outliers=0.2)
     fits = [fitted(case, scaled(ROOM_CAMERA, by), "focal") for by in (1.0, factor)]
     sigma = fits[0].sigmas["focal_px"]
@@ -112,8 +112,8 @@ def test_fixed_is_the_pose_alone():
     assert fit.chi2_per_dof == pytest.approx(result.chi2_per_dof, rel=1e-3)
 
 
-def test_the_noise_is_estimated_anew():
-    """With a wrong focal length the noise looks twice as large as it is."""
+def test_the_noise_is_estimated_again():
+    """A wrong focal length makes the noise appear twice as large."""
     case = room_case(13, outliers=0.2)
     given = scaled(ROOM_CAMERA, 1.03)
     result = solve_pose(case.matches, given, PoseOptions(intrinsics="fixed"))
@@ -133,7 +133,7 @@ def test_the_noise_is_estimated_anew():
     assert abs(fit.camera.focal_px - 974) < 3.5 * fit.sigmas["focal_px"]
 
 
-def test_a_wall_seen_from_the_front_does_not_determine_the_focal_length():
+def test_a_wall_seen_face_on_does_not_determine_the_focal_length():
     rng = np.random.default_rng(4)
     points = np.column_stack([np.full(60, 4.0), rng.uniform(-1, 1, 60), rng.uniform(-0.8, 0.8, 60)])
     pose = Rigid(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), np.array([0.3, 0.0, 0.0]))
@@ -149,8 +149,8 @@ def test_a_wall_seen_from_the_front_does_not_determine_the_focal_length():
 
 @settings(max_examples=10)
 @given(seed=st.integers(0, 10_000), count=st.integers(4, 9), intrinsics=st.sampled_from(list(PARAMETERS)))
-def test_nonsense_leads_to_no_senseless_camera(seed, count, intrinsics):
-    """Random pixels: nothing is to be found, and what comes out is still a camera whose lens sees its picture."""
+def test_random_pixels_give_a_plausible_camera(seed, count, intrinsics):
+    """Without a solution, the result is still a camera whose lens covers its image."""
     case = room_case(seed, count=count, outliers=1.0)
     fit = estimate_intrinsics(case.matches, ROOM_CAMERA, case.pose, intrinsics, **SIGMA)
     assert 97 <= fit.camera.focal_px <= 9740
@@ -162,17 +162,17 @@ def test_nonsense_leads_to_no_senseless_camera(seed, count, intrinsics):
 
 
 @pytest.mark.parametrize("seed", [17, 18, 19])
-def test_the_score_foresees_what_the_fit_brings(seed):
-    """Against the exact quantile of F for the drop of chi-squared between two fits, to what Paulson's formula errs."""
+def test_the_score_test_predicts_the_gain_of_the_fit(seed):
+    """Compared with the exact quantile of F for the decrease of chi-squared, within the error of Paulson's formula."""
     case = room_case(seed, count=120)
     everyone = np.ones(120, dtype=np.bool_)
     given = scaled(ROOM_CAMERA, 1.005)
     descents = [Descent.start(case.matches, given, case.pose, count, **SIGMA) for count in (0, 1)]
     for descent in descents:
         descent.least_squares(everyone)
-    fixed, free = (descent.seen.s[0].sum() for descent in descents)
+    fixed, free = (descent.residuals.s[0].sum() for descent in descents)
     exact = norm.isf(f.sf((fixed - free) / (free / (240 - 7)), 1, 240 - 7))
-    assert foreseen_gains(descents[0], everyone, (1, 2))[0] == pytest.approx(exact, rel=0.05)
+    assert predicted_gains(descents[0], everyone, (1, 2))[0] == pytest.approx(exact, rel=0.05)
     right = Descent.start(case.matches, descents[1].camera, descents[1].state.pose(), 0, **SIGMA)
     right.least_squares(everyone)
-    assert foreseen_gains(right, everyone, (1,))[0] < 0
+    assert predicted_gains(right, everyone, (1,))[0] < 0

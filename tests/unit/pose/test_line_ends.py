@@ -1,4 +1,4 @@
-"""Lines drawn the other way round, slid along their edge, or both: repaired where a pose says so, and only there."""
+"""Repair of lines drawn in the opposite direction, slid along their edge, or both; correct lines stay unchanged."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import Measurements, States, settle
+from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.line_ends import RepairedEnds, repair_ends
 
@@ -26,7 +26,7 @@ LENSES = {
 
 
 def drawn(seed: int, camera: Camera, *, slid: int = 0, swapped: int = 0, both: int = 0) -> tuple[Matches, Rigid]:
-    """Ten edges of all directions, out to the picture's border, with the pose; each badness has its own lines."""
+    """Ten edges in all directions, up to the image border, with the pose; each defect affects lines of its own."""
     rng = np.random.default_rng([seed, 31])
     centre = np.array([0.1, 0.6, -0.2])
     pose = Rigid.from_centre(rotation_from_rotvec(0.05 * rng.normal(size=3)) @ CAMERA_AXES_FROM_SCANNER, centre)
@@ -36,7 +36,7 @@ def drawn(seed: int, camera: Camera, *, slid: int = 0, swapped: int = 0, both: i
     sight = camera.unproject(ends_px)
     points = pose.inverse @ (sight / sight[..., 2:] * depth)
     ranges = np.linalg.norm(points, axis=-1)
-    # along the edge in space the image slides along the edge's true curve
+    # sliding along the edge in space follows its curve in the distorted image
     slides = np.array([[0.25], [-0.3]])[None] * (points[:, 1] - points[:, 0])[:, None]
     is_slid = (np.arange(10) < slid) | (np.arange(10) >= 10 - both)
     uv = camera.project(pose @ (points + np.where(is_slid[:, None, None], slides, 0)))
@@ -64,26 +64,26 @@ def drawn(seed: int, camera: Camera, *, slid: int = 0, swapped: int = 0, both: i
 def repaired(matches: Matches, pose: Rigid, camera: Camera) -> RepairedEnds:
     measured = Measurements.of(matches, camera, sigma_px=SIGMA_PX, sigma_range_m=SIGMA_M)
     state = States.of([pose], measured)
-    inliers = settle(measured, state)[1].s[0] <= GATE
+    inliers = adjust_ranges(measured, state)[1].s[0] <= GATE
     return repair_ends(matches, inliers, state, camera, gate=GATE, sigma_px=SIGMA_PX, sigma_range_m=SIGMA_M)
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_each_kind_of_drawing_is_told_from_the_others(lens: str) -> None:
-    told: dict[str, list[int]] = {"slid": [], "swapped": [], "others": []}
+def test_each_kind_of_defect_is_recognised(lens: str) -> None:
+    recognised: dict[str, list[int]] = {"slid": [], "swapped": [], "others": []}
     for seed in range(20):
         matches, pose = drawn(seed, LENSES[lens], slid=3, swapped=2, both=1)
         found = repaired(matches, pose, LENSES[lens])
-        told["slid"].append(len({"L0", "L1", "L2", "L9"} & set(found.slid)))
-        told["swapped"].append(len({"L3", "L4"} & set(found.swapped)))
-        told["others"].append(len((set(found.slid) | set(found.swapped)) - {"L0", "L1", "L2", "L3", "L4", "L9"}))
-    # the gate holds 99 % of single ends, and a slid end that lies beyond it across the line is a mismatch
-    assert np.mean(told["slid"]) > 4 * 0.94
-    assert np.mean(told["swapped"]) > 2 * 0.94
-    assert np.mean(told["others"]) < 4 * 0.06
+        recognised["slid"].append(len({"L0", "L1", "L2", "L9"} & set(found.slid)))
+        recognised["swapped"].append(len({"L3", "L4"} & set(found.swapped)))
+        recognised["others"].append(len((set(found.slid) | set(found.swapped)) - {"L0", "L1", "L2", "L3", "L4", "L9"}))
+    # the gate includes 99 % of single ends; a slid end beyond it across the line is an outlier
+    assert np.mean(recognised["slid"]) > 4 * 0.94
+    assert np.mean(recognised["swapped"]) > 2 * 0.94
+    assert np.mean(recognised["others"]) < 4 * 0.06
 
 
-def test_what_is_as_it_should_be_is_left_alone() -> None:
+def test_correct_lines_stay_unchanged() -> None:
     matches, pose = drawn(0, LENSES["ideal"])
     measured = Measurements.of(matches, LENSES["ideal"], sigma_px=SIGMA_PX, sigma_range_m=SIGMA_M)
     everything = np.ones(len(matches), np.bool_)
@@ -92,20 +92,20 @@ def test_what_is_as_it_should_be_is_left_alone() -> None:
         gate=GATE, sigma_px=SIGMA_PX, sigma_range_m=SIGMA_M,
     )  # fmt: skip
     assert found.matches is matches
-    assert found.in_words() == ()
+    assert found.describe() == ()
 
 
-def test_a_line_of_another_edge_stays_a_mismatch() -> None:
+def test_a_line_of_another_edge_stays_an_outlier() -> None:
     for seed in range(10):
         matches, pose = drawn(seed, LENSES["ideal"])
         uv = np.array(matches.uv)
-        uv[:2] += [[40.0, -35.0], [-30.0, 45.0]]  # turned about its middle and moved: no edge of this line
+        uv[:2] += [[40.0, -35.0], [-30.0, 45.0]]  # rotated and shifted: no longer along its edge
         uv[:2] += 40 * np.array([-matches.directions[0, 1], matches.directions[0, 0]])  # type: ignore[index]
         found = repaired(replace(matches, uv=uv), pose, LENSES["ideal"])
         assert "L0" not in found.slid + found.swapped
 
 
-def test_points_and_halves_of_lines_are_no_lines() -> None:
+def test_points_and_single_ends_are_not_repaired() -> None:
     matches, pose = drawn(1, LENSES["ideal"], slid=10)
     for keep in (matches.fractions == 0, matches.fractions == 1):
         half = matches.subset(keep)
@@ -115,13 +115,13 @@ def test_points_and_halves_of_lines_are_no_lines() -> None:
     assert len(repaired(matches.subset([]), pose, LENSES["ideal"]).matches) == 0
 
 
-def test_a_repair_says_what_was_done_and_nothing_is_moved_but_the_ends() -> None:
+def test_a_repair_is_reported_and_changes_only_the_ends() -> None:
     matches, pose = drawn(2, LENSES["ideal"], slid=2, swapped=1)
     found = repaired(matches, pose, LENSES["ideal"])
     assert set(found.slid) >= {"L0", "L1"}
     assert found.swapped == ("L2",)
-    assert found.in_words()[0].startswith("Line L2 was drawn the other way round in the photo")
-    assert "not drawn between the same points" in found.in_words()[1]
+    assert found.describe()[0].startswith("Line L2 was drawn in the opposite direction in the photo")
+    assert "not drawn between the same points" in found.describe()[1]
     changed = (found.matches.uv != matches.uv).any(axis=1)
     assert set(np.flatnonzero(changed)) == {4, 5}
     np.testing.assert_array_equal(found.matches.rays, matches.rays)
@@ -130,14 +130,14 @@ def test_a_repair_says_what_was_done_and_nothing_is_moved_but_the_ends() -> None
 
 
 @pytest.mark.parametrize(
-    ("lens", "badness"),
+    ("lens", "defects"),
     [("ideal", {}), ("ideal", {"swapped": 2}), ("barrel", {"slid": 3})],
-    ids=["as meant", "swapped", "slid under distortion"],
+    ids=["correct", "swapped", "slid under distortion"],
 )
-def test_a_pose_of_drawn_lines_is_as_certain_as_it_says(badness: dict[str, int], lens: str) -> None:
+def test_the_covariance_of_a_pose_from_lines_is_consistent(defects: dict[str, int], lens: str) -> None:
     squared = []
     for seed in range(60):
-        matches, pose = drawn(seed, LENSES[lens], **badness)
+        matches, pose = drawn(seed, LENSES[lens], **defects)
         result = solve_pose(matches, LENSES[lens], PoseOptions(sigma_px=SIGMA_PX, sigma_range_m=SIGMA_M))
         step = difference(pose, result.camera_from_scanner)
         squared.append(float(step @ np.linalg.solve(result.covariance, step)))
@@ -146,7 +146,7 @@ def test_a_pose_of_drawn_lines_is_as_certain_as_it_says(badness: dict[str, int],
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_parallel_lines_that_all_slid_are_not_believed(seed: int) -> None:
+def test_parallel_lines_that_all_slid_are_not_accepted(seed: int) -> None:
     camera = LENSES["ideal"]
     rng = np.random.default_rng(seed)
     pose = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, [0.0, 0.5, 0.0])

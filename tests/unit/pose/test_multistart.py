@@ -1,4 +1,4 @@
-"""The verdict from many starts: it must know where two poses explain the matches, and never praise the wrong one."""
+"""Test of a pose from many starting poses: it must detect ambiguity, and never confirm a wrong pose."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ladarreg_core.errors import DegenerateGeometryError, LadarregError, OptionE
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.ambiguity import mirrored
-from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import Basin, probe_basin
+from ladarreg_core.pose.result import describe_pose
 
 
 def solved(case, matches=None, **options):
@@ -39,33 +39,33 @@ def plane(seed, *, extent_m, distance_m, tilt_rad, count=40, sigma_px=1.0, sigma
 
 def same(a: Basin, b: Basin) -> bool:
     def key(x):
-        return [(p.score, p.starts, p.agree, *p.pose.matrix.ravel()) for p in x.places]
+        return [(p.score, p.starts, p.inliers, *p.pose.matrix.ravel()) for p in x.clusters]
 
     return a.verdict == b.verdict and a.levels == b.levels and key(a) == key(b)
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3, 0.5])
-def test_a_room_has_one_place_and_a_wide_basin(outliers):
+def test_a_room_has_one_pose_and_a_wide_basin(outliers):
     for seed in range(500, 506):
         case = room_case(seed, outliers=outliers)
         found = probe_basin(solved(case), seed=seed)
-        assert found.verdict == "unique", found.in_words()
+        assert found.verdict == "unique", found.describe()
         assert found.size is not None
         assert found.size.angle_rad >= np.deg2rad(20) - 1e-9
-        assert found.in_words().startswith("Starts up to ")
+        assert "ll starting poses up to " in found.describe()
         assert found.starts == sum(level.starts for level in found.levels) == 32
-        assert found.places[0].pose.distance_to(case.pose) < 0.02
+        assert found.clusters[0].pose.distance_to(case.pose) < 0.02
 
 
 def test_it_scales_with_the_scene():
-    """A model a hundred times smaller is seen alike: the levels' metres shrink with it and the shares stay."""
+    """At a hundredth of the scale the distances of the levels shrink likewise, and the shares stay."""
     case = room_case(1)
     small = Matches(case.rays, case.ranges / 100, case.uv)
     large, little = (
         probe_basin(solved(case, matches, sigma_range_m=sigma))
         for matches, sigma in ((case.matches, 0.015), (small, 0.00015))
     )
-    assert [level.home for level in large.levels] == [level.home for level in little.levels]
+    assert [level.returned for level in large.levels] == [level.returned for level in little.levels]
     for a, b in zip(large.levels, little.levels, strict=True):
         assert b.distance_m == pytest.approx(a.distance_m / 100, rel=1e-3)
 
@@ -80,8 +80,8 @@ def test_it_scales_with_the_scene():
     count=st.sampled_from([12, 40, 150]),
     stated=st.booleans(),
 )
-def test_a_plane_is_never_certain_at_the_wrong_place(seed, extent_m, distance_m, tilt_rad, sigma_px, count, stated):
-    """Nor is another place called better where the pose is right."""
+def test_a_wrong_pose_of_a_plane_is_never_unique(seed, extent_m, distance_m, tilt_rad, sigma_px, count, stated):
+    """Nor is a wrong pose called better than the right one."""
     matches, pose = plane(
         seed, extent_m=extent_m, distance_m=distance_m, tilt_rad=tilt_rad, sigma_px=sigma_px, count=count
     )
@@ -91,13 +91,13 @@ def test_a_plane_is_never_certain_at_the_wrong_place(seed, extent_m, distance_m,
     step = difference(pose, result.camera_from_scanner)
     sigmas = np.sqrt(step @ np.linalg.solve(result.covariance, step))
     if found.verdict == "unique":
-        # Where the noise is not stated its estimate may cost some sigmas; a mirrored pose is degrees away.
+        # with unstated noise its estimate may cost some sigmas; a mirrored pose is degrees away
         assert sigmas < 6 or pose.angle_to(result.camera_from_scanner) < 0.2
     if found.verdict == "failed" and found.other is not None:
         assert pose.angle_to(found.other) < pose.angle_to(result.camera_from_scanner)
 
 
-def test_a_plane_from_afar_is_ambiguous_and_names_the_mirrored_pose():
+def test_a_distant_plane_is_ambiguous_with_its_mirrored_pose():
     for seed in range(8):
         matches, pose = plane(seed, extent_m=0.25, distance_m=9.0, tilt_rad=0.5)
         result = solve_pose(matches, ROOM_CAMERA, PoseOptions(sigma_px=1.0, sigma_range_m=0.002))
@@ -107,12 +107,12 @@ def test_a_plane_from_afar_is_ambiguous_and_names_the_mirrored_pose():
         nearer = min((result.camera_from_scanner, found.other), key=pose.angle_to)
         assert nearer.angle_to(pose) < 0.35
         assert result.camera_from_scanner.angle_to(found.other) > 0.3
-        assert "off their plane" in found.in_words()
+        assert "off their common plane" in found.describe()
 
 
 @pytest.mark.parametrize("share", [0.5, 0.4])
 def test_repeated_structure_is_ambiguous(share):
-    """Half of the matches lead to the next window of a facade: two poses fit their halves exactly."""
+    """Half of the matches are shifted by one window of a facade: each half fits a pose of its own exactly."""
     for seed in range(5):
         case = room_case(seed, count=60)
         shifted = Rigid.from_centre(case.pose.rotation, case.pose.centre + np.array([0, 0.9, 0]))
@@ -129,7 +129,7 @@ def test_repeated_structure_is_ambiguous(share):
 
 @pytest.mark.parametrize(("degrees", "metres"), [(1.0, 0.05), (8.0, 0.4), (30.0, 1.5), (170.0, 4.0)])
 @pytest.mark.parametrize("outliers", [0.0, 0.4])
-def test_a_wrong_pose_fails_and_the_better_one_is_named(degrees, metres, outliers):
+def test_a_wrong_pose_fails_and_the_better_one_is_returned(degrees, metres, outliers):
     for seed in range(2):
         case = room_case(seed, count=80, outliers=outliers)
         result = solved(case)
@@ -145,7 +145,7 @@ def test_a_wrong_pose_fails_and_the_better_one_is_named(degrees, metres, outlier
             assert found.other is not None
             step = difference(case.pose, found.other)
             assert step @ case.bound() @ step < 36
-            assert found.in_words().startswith("A better pose lies ")
+            assert found.describe().startswith("A better pose lies ")
 
 
 def test_the_mirrored_pose_of_a_large_plane_fails():
@@ -159,13 +159,13 @@ def test_the_mirrored_pose_of_a_large_plane_fails():
         assert found.other.angle_to(pose) < 0.02
 
 
-def test_a_pose_that_knows_how_poor_it_is_is_not_called_wrong():
-    """The linear pose is far from the best by the best one's sigmas, and right by its own."""
+def test_an_uncertain_pose_within_its_covariance_does_not_fail():
+    """The linear pose is many sigmas of the best pose away from it, but within its own."""
     verdicts = Counter(probe_basin(solved(room_case(seed), method="linear")).verdict for seed in range(12))
     assert verdicts["unique"] >= 11
 
 
-def test_the_same_seed_gives_the_same_answer():
+def test_equal_seeds_give_equal_results():
     result = solved(room_case(3, outliers=0.5))
     assert same(probe_basin(result, seed=4), probe_basin(result, seed=4))
     assert not same(probe_basin(result, seed=4), probe_basin(result, seed=5))
@@ -187,7 +187,7 @@ def random_result(seed, matches, camera=ROOM_CAMERA):
     seed=st.integers(0, 10_000),
     count=st.integers(4, 50),
 )
-def test_what_no_pose_explains_is_answered_all_the_same(kind, seed, count):
+def test_degenerate_matches_get_a_verdict(kind, seed, count):
     rng = np.random.default_rng(seed)
     case = room_case(seed % 50, count=max(count, 4))
     rays, ranges, uv = case.rays.copy(), case.ranges.copy(), case.uv.copy()
@@ -216,10 +216,10 @@ def test_what_no_pose_explains_is_answered_all_the_same(kind, seed, count):
     matches = Matches(rays, ranges, uv)
     found = probe_basin(random_result(seed, matches, camera), seed=seed)
     assert found.verdict in ("unique", "ambiguous", "failed")
-    assert found.in_words().endswith(".")
-    assert all(np.isfinite(p.pose.matrix).all() and np.isfinite(p.score) for p in found.places)
+    assert found.describe().endswith(".")
+    assert all(np.isfinite(p.pose.matrix).all() and np.isfinite(p.score) for p in found.clusters)
     if kind in ("line", "copies", "one", "wrong", "behind"):
-        assert found.verdict != "unique", found.in_words()
+        assert found.verdict != "unique", found.describe()
     try:
         result = solve_pose(matches, camera, PoseOptions(sigma_px=1.0, sigma_range_m=0.015))
     except LadarregError:
@@ -228,7 +228,7 @@ def test_what_no_pose_explains_is_answered_all_the_same(kind, seed, count):
         assert probe_basin(result, seed=seed).verdict != "unique"
 
 
-def test_what_has_no_meaning_is_refused():
+def test_invalid_arguments_are_refused():
     result = solved(room_case(0, count=20))
     for bad in ({"starts": 7}, {"starts": True}, {"starts": 10**9}, {"seed": -1}, {"gate_chi2": float("nan")}):
         with pytest.raises(OptionError):

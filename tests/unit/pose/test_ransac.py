@@ -15,7 +15,7 @@ BACKENDS = ("poselib", "opencv")
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("count", [4, 5, 7, 200])
-def test_it_finds_the_pose_and_repeats_itself(backend, count):
+def test_it_finds_the_pose_and_is_repeatable(backend, count):
     for seed in range(5):
         case = room_case(seed, count=count, outliers=0.5 if count == 200 else 0.0, sigma_px=0.1, sigma_range_m=0.001)
         found, again = (
@@ -30,7 +30,7 @@ def test_it_finds_the_pose_and_repeats_itself(backend, count):
         assert found.score == pytest.approx(np.minimum(np.nan_to_num(error, nan=9e9) ** 2, 25).sum())
 
 
-def test_both_backends_refine_to_one_score():
+def test_both_backends_reach_the_same_score():
     for seed in range(8):
         case = room_case(seed, outliers=0.3)
         a, b = (ransac_pose(case.matches.points, case.uv, case.camera, threshold_px=5, backend=k) for k in BACKENDS)
@@ -40,7 +40,7 @@ def test_both_backends_refine_to_one_score():
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_far_coordinates_and_a_distorting_lens(backend):
+def test_large_coordinates_and_distortion(backend):
     lens = Camera(768, 512, 700.0, 700.0, 383.5, 255.5, (-0.25, 0.08, 0.0, 0.0))
     case = room_case(0, camera=lens, outliers=0.3)
     grid = np.array([4e5, 5.6e6, 300.0])
@@ -50,9 +50,9 @@ def test_far_coordinates_and_a_distorting_lens(backend):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_what_has_no_pose_gives_none_or_few(backend):
+def test_points_without_a_pose_give_none_or_few_inliers(backend):
     case = room_case(0, count=30)
-    behind = -case.matches.points  # seen along the same lines, from the other side
+    behind = -case.matches.points  # same lines of sight, opposite side
     assert ransac_pose(np.zeros((10, 3)), np.zeros((10, 2)), case.camera, threshold_px=5, backend=backend) is None
     assert ransac_pose(case.matches.points[:3], case.uv[:3], case.camera, threshold_px=5, backend=backend) is None
     assert ransac_pose(np.zeros((0, 3)), np.zeros((0, 2)), case.camera, threshold_px=5, backend=backend) is None
@@ -66,7 +66,7 @@ def test_what_has_no_pose_gives_none_or_few(backend):
     assert noise is None or noise.inliers.sum() < 12
 
 
-def test_bad_options_are_told():
+def test_invalid_options_are_refused():
     case = room_case(0, count=10)
     for bad in ({"threshold_px": 0.0}, {"threshold_px": np.nan}, {"iterations": 0}, {"seed": -1}, {"backend": "x"}):
         with pytest.raises(OptionError):

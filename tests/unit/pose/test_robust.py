@@ -1,4 +1,4 @@
-"""What the default estimator does beside the pose: the camera, the ends of lines, a better start."""
+"""The default estimator beyond the pose: intrinsics, line ends, and keeping a better initial pose."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STATED = {"sigma_px": 1.0, "sigma_range_m": 0.015}
 
 @pytest.mark.parametrize("stated", [STATED, {}])
 @pytest.mark.parametrize("error", [0.03, -0.05])
-def test_a_wrong_focal_length_is_found_and_a_right_one_left_alone(stated, error):
+def test_a_wrong_focal_length_is_found_and_a_correct_one_kept(stated, error):
     case = room_case(11, outliers=0.2)
     given = replace(case.camera, fx=case.camera.fx * (1 + error), fy=case.camera.fy * (1 + error))
     found = estimate_pose(case.rays, case.ranges, case.uv, given, **stated)
@@ -40,7 +40,7 @@ def test_a_wrong_focal_length_is_found_and_a_right_one_left_alone(stated, error)
     assert fixed.camera_from_scanner.distance_to(case.pose) > 0.05
 
 
-def test_estimated_intrinsics_take_their_degrees_of_freedom():
+def test_estimated_intrinsics_reduce_the_degrees_of_freedom():
     case = room_case(3)
     fixed = solve_pose(case.matches, case.camera, PoseOptions(**STATED))
     free = solve_pose(case.matches, case.camera, PoseOptions(**STATED, intrinsics="focal_k1"))
@@ -52,7 +52,7 @@ def test_estimated_intrinsics_take_their_degrees_of_freedom():
     assert free.sigma_position_m > fixed.sigma_position_m
 
 
-def test_a_better_start_is_kept_only_when_that_is_asked_for():
+def test_a_better_initial_pose_is_kept_only_on_request():
     case = room_case(5, count=6, sigma_px=4.0)
     good = Rigid.from_centre(rotation_from_rotvec([1e-4, 0, 0]) @ case.pose.rotation, case.pose.centre)
     stated = {"sigma_px": 4.0, "sigma_range_m": 0.015}
@@ -68,7 +68,7 @@ def test_a_better_start_is_kept_only_when_that_is_asked_for():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_slid_and_swapped_ends_cost_little(seed):
+def test_slid_and_swapped_ends_cost_little_accuracy(seed):
     errors = {}
     for name, kind in (("plain", {}), ("slid", {"slid": 3}), ("swapped", {"swapped": 3})):
         case = line_case(seed, lines=10, **kind)
@@ -81,11 +81,11 @@ def test_slid_and_swapped_ends_cost_little(seed):
         assert errors[name] < 5 * result.sigma_position_m
         if name == "swapped":
             assert result.inliers.mean() > 0.9
-            assert any("L1, L2, L3 were drawn the other way round" in reason for reason in result.reasons)
+            assert any("L1, L2, L3 were drawn in the opposite direction" in reason for reason in result.reasons)
         if name == "slid":
             assert result.inliers.mean() > 0.9
             assert result.matches.across.sum() >= 4
-            assert any("across the line only" in reason for reason in result.reasons)
+            assert any("only across the line" in reason for reason in result.reasons)
     assert max(errors.values()) < 0.08
 
 
@@ -113,7 +113,7 @@ def test_lines_and_points_are_solved_in_one_cost():
 
 @pytest.mark.parametrize("stated", [STATED, {}])
 @pytest.mark.parametrize("share", [0.5, 0.42])
-def test_two_poses_that_share_the_matches_are_not_told_apart(share, stated):
+def test_matches_shared_by_two_poses_are_not_accepted(share, stated):
     case = room_case(8, count=120)
     turn = rotation_from_rotvec([0, 0.12, 0])
     elsewhere = Rigid.from_centre(turn @ case.pose.rotation, case.pose.centre + np.array([0, 0.4, 0]))
@@ -128,7 +128,7 @@ def test_two_poses_that_share_the_matches_are_not_told_apart(share, stated):
 
 
 @pytest.mark.parametrize("bad", ["f", None, 3, "auto "])
-def test_intrinsics_without_meaning_are_refused(bad):
+def test_invalid_intrinsics_are_refused(bad):
     with pytest.raises(OptionError, match="intrinsics is"):
         PoseOptions(intrinsics=bad)
     with pytest.raises(OptionError, match="use of lines"):

@@ -508,7 +508,7 @@ def test_nothing_is_pickled() -> None:
 
 def test_a_photo_without_matches_keeps_its_result() -> None:
     empty = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
-    from ladarreg_core.pose.describe import describe_pose
+    from ladarreg_core.pose.result import describe_pose
 
     result = describe_pose(
         a_result().camera_from_scanner, empty, np.zeros(0, np.bool_), Camera.from_focal(9, 9, 9),

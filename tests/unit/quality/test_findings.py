@@ -12,8 +12,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import Measurements, States, information_matrix
-from ladarreg_core.pose.describe import describe_pose
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
+from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.quality.conditioning import placement
 from ladarreg_core.quality.findings import COST, LEVELS, findings
 from ladarreg_core.quality.lens_check import lens_hint

@@ -9,8 +9,7 @@ import pytest
 
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, range_from_counts
-from ladarreg_core.surface.range_quality import range_quality
-from ladarreg_core.surface.ranges import surface_range
+from ladarreg_core.surface.ranges import range_quality, surface_range
 
 STEP_RAD = np.deg2rad(0.11)
 GEOMETRY = AzimuthElevation(150, 240, STEP_RAD, STEP_RAD)

@@ -8,11 +8,12 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
+from ladarreg_core.palette import UNSEEN
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.render import render_scan_colors
-from ladarreg_core.surface.texture import BACKGROUND, Label, model_picture, pixel_sigma, texture_scan
+from ladarreg_core.surface.texture import Label, model_picture, pixel_sigma, texture_scan
 
 LENSES = [(), (0.12, -0.04, 0.002, -0.001), (-0.25, 0.08, 0.001, 0.0005, -0.01)]
 
@@ -48,7 +49,7 @@ def test_every_cell_gets_the_colour_at_its_own_projection(turn, centre, lens, fo
     border = ~camera.contains(uv, border=0.01) & camera.contains(uv, border=-0.01)
     np.testing.assert_array_equal((texture.labels == Label.OUT_OF_FRAME) | border, ~inside | border)
     assert (texture.labels[inside & ~border] == Label.SEEN).all()
-    assert (texture.image[texture.labels == Label.OUT_OF_FRAME] == BACKGROUND).all()
+    assert (texture.image[texture.labels == Label.OUT_OF_FRAME] == UNSEEN).all()
     seen = texture.labels == Label.SEEN
     expected = uv[seen] * (250.0 / camera.width, 250.0 / camera.height)
     error = np.abs(texture.image[seen][:, :2] - expected)
@@ -183,7 +184,7 @@ def test_a_photo_that_sees_nothing_colours_nothing():
     away = rotation_from_rotvec((0, np.pi, 0)) @ CAMERA_AXES_FROM_SCANNER
     texture = texture_scan(scan, smooth_photo(camera), Rigid.from_centre(away, (0, 0, 0)), covariance=np.eye(6))
     assert (texture.labels == Label.OUT_OF_FRAME).all()
-    assert (texture.image == BACKGROUND).all()
+    assert (texture.image == UNSEEN).all()
 
 
 def test_hostile_input_is_named():

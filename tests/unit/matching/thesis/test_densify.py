@@ -1,4 +1,4 @@
-"""Lines between matches: only on planar surfaces, at constant intervals, and where perspective puts their points."""
+"""Lines between matches: planar surfaces only, constant intervals, positions by perspective."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Room:
         return rays * shoot(np.zeros(3), rays)[0][:, None]
 
     def matches(self, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """Exact matches that the photo holds; whether it sees them does not matter here."""
+        """Return exact matches inside the photo; occlusion is ignored."""
         rng = np.random.default_rng(seed)
         uv = rng.uniform([2, 2], [CAMERA.width - 3, CAMERA.height - 3], (4 * count, 2))
         points = self.points(uv)
@@ -62,7 +62,7 @@ def room() -> Room:
     return a_room()
 
 
-def test_points_lie_where_the_camera_sees_what_the_laser_measured(room: Room) -> None:
+def test_points_lie_at_the_projections_of_the_measured_points(room: Room) -> None:
     matches = room.matches(150, seed=1)
     exact = room.lines(matches)
     assert len(exact.ends) > 100
@@ -80,7 +80,7 @@ def test_points_lie_where_the_camera_sees_what_the_laser_measured(room: Room) ->
     assert np.percentile(np.hypot(*(expected - equal.photo_uv).T), 95) > 0.25
 
 
-def test_lines_lie_on_planar_surfaces_and_leave_out_holes() -> None:
+def test_lines_lie_on_planar_surfaces_without_holes() -> None:
     holed = a_room((slice(140, 160), slice(180, 260)))
     matches = holed.matches(200, seed=2)
     lines = holed.lines(matches, longest_px=300.0, plane_sigma_m=0.02, plane_sigma_relative=0.0)
@@ -91,7 +91,7 @@ def test_lines_lie_on_planar_surfaces_and_leave_out_holes() -> None:
         uv = a + np.linspace(0, 1, 200)[:, None] * (b - a)
         pixel = np.rint(uv).astype(int)
         assert not hole[pixel[:, 1], pixel[:, 0]].any()
-        # Where each line of sight comes nearest to the straight line in space between the ends, in their plane.
+        # Intersect each line of sight with the straight line in space between the ends.
         A, B = holed.points(np.stack([a, b]))
         rays = holed.levels.view.rays_at(uv)
         across = np.cross(np.cross(A, B), B - A)
@@ -129,7 +129,7 @@ def test_the_order_of_the_matches_does_not_matter(room: Room, order: list[int]) 
     np.testing.assert_allclose(a[np.argsort(a[:, 0])], b[np.argsort(b[:, 0])], atol=1e-5)
 
 
-def test_there_are_never_more_lines_than_asked_for(room: Room) -> None:
+def test_the_number_and_length_of_lines_are_limited(room: Room) -> None:
     matches = room.matches(300, seed=4)
     lines = room.lines(matches, lines_per_match=3, longest_px=70.0, shortest_px=25.0)
     length = np.hypot(*(matches[0][lines.ends[:, 1]] - matches[0][lines.ends[:, 0]]).T)
@@ -141,15 +141,15 @@ def test_there_are_never_more_lines_than_asked_for(room: Room) -> None:
     np.testing.assert_array_equal(few.ends, lines.ends[:17])
 
 
-def test_a_line_is_not_drawn_twice(room: Room) -> None:
+def test_duplicate_lines_are_removed(room: Room) -> None:
     scan_uv, photo_uv = room.matches(30, seed=5)
     doubled = np.concatenate([scan_uv, scan_uv + 0.3]), np.concatenate([photo_uv, photo_uv + 0.3])
     lines = room.lines(doubled)
     ends = doubled[0][lines.ends]
     assert len(ends) > 20
     for both_ways in (ends, ends[:, ::-1]):
-        apart = np.abs(ends[:, None] - both_ways).max(axis=(2, 3))
-        assert (apart[np.triu_indices(len(ends), 1)] >= DensifyOptions().interval_px).all()
+        distance = np.abs(ends[:, None] - both_ways).max(axis=(2, 3))
+        assert (distance[np.triu_indices(len(ends), 1)] >= DensifyOptions().interval_px).all()
 
 
 @pytest.mark.parametrize(
@@ -165,20 +165,20 @@ def test_a_line_is_not_drawn_twice(room: Room) -> None:
         ([[50.0, 60.0], [90.0, 60.0]], [[40.0, 60.0], [400.0, 60.0]]),
     ],
 )
-def test_what_is_no_line_gives_no_points(room: Room, scan: Any, photo: Any) -> None:
+def test_degenerate_matches_give_no_points(room: Room, scan: Any, photo: Any) -> None:
     lines = room.lines((np.array(scan), np.array(photo)))
     assert len(lines) == len(lines.ends) == len(lines.weight) == 0
     assert lines.scan_uv.shape == lines.photo_uv.shape == (0, 2)
 
 
-def test_a_match_on_nothing_ends_no_line(room: Room) -> None:
+def test_matches_without_a_range_end_no_line(room: Room) -> None:
     matches = room.matches(40, seed=6)
     empty = replace(room.levels, ranges=np.full_like(room.levels.ranges, np.nan), edge=np.ones_like(room.levels.edge))
     assert len(room.lines(matches))
     assert not len(lines_between(empty, *matches, photo_camera=CAMERA))
 
 
-def test_a_pose_that_looks_away_leaves_equal_intervals(room: Room) -> None:
+def test_a_pose_facing_away_gives_equal_intervals(room: Room) -> None:
     matches = room.matches(40, seed=7)
     backwards = Rigid(np.diag([-1.0, 1.0, -1.0]) @ POSE.rotation, POSE.translation)
     np.testing.assert_array_equal(
@@ -186,7 +186,7 @@ def test_a_pose_that_looks_away_leaves_equal_intervals(room: Room) -> None:
     )
 
 
-def test_disagreeing_sides_are_refused_in_one_line(room: Room) -> None:
+def test_arrays_of_different_length_raise_a_one_line_error(room: Room) -> None:
     for scan, photo in ((np.zeros((3, 2)), np.zeros((2, 2))), (np.zeros(3), np.zeros(3)), (["a"], ["b"])):
         with pytest.raises(ShapeError) as caught:
             lines_between(room.levels, scan, photo, photo_camera=CAMERA)
@@ -210,7 +210,7 @@ def test_disagreeing_sides_are_refused_in_one_line(room: Room) -> None:
         {"kappa": "both"},
     ],
 )
-def test_options_without_meaning_are_refused(option: dict[str, Any]) -> None:
+def test_invalid_options_are_refused(option: dict[str, Any]) -> None:
     with pytest.raises(OptionError) as caught:
         DensifyOptions(**option)
     assert next(iter(option)) in str(caught.value)
@@ -223,15 +223,13 @@ def test_options_without_meaning_are_refused(option: dict[str, Any]) -> None:
     turn=st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3),
     t=st.floats(0.01, 0.99),
 )
-def test_kappa_is_exact_on_any_straight_line(
-    ends: list[float], depths: list[float], turn: list[float], t: float
-) -> None:
+def test_kappa_is_exact_on_straight_lines(ends: list[float], depths: list[float], turn: list[float], t: float) -> None:
     view = Rigid(CAMERA_AXES_FROM_SCANNER, np.zeros(3))
     a, b = (view.inverse @ np.array([x * z, y * z, z]) for (x, y), z in zip((ends[:2], ends[2:]), depths, strict=True))
     camera = Rigid(rotation_from_rotvec(turn), np.array([0.4, -0.1, 3.0])) @ view
 
     def fraction(transform: Rigid) -> tuple[float, float]:
-        """Where the point at t lies on the line's picture, and z_b / z_a."""
+        """Return the position of the point at t along the projected line, and z_b / z_a."""
         p, q, r = (transform @ point for point in (a, b, a + t * (b - a)))
         p_uv, q_uv, r_uv = (point[:2] / point[2] for point in (p, q, r))
         along = q_uv - p_uv

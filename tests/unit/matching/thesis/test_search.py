@@ -1,21 +1,25 @@
-"""The second search: predictions, windows around them, and the winners among few candidates."""
+"""Disparity filter and guided matching: predictions, search windows, and the best of few candidates."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from ladarreg_core.camera import Camera
+from ladarreg_core.errors import LadarregError, OptionError, ShapeError
 from ladarreg_core.features.correlation import unique_matches
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matching.thesis.search import (
-    alike_displacements,
     candidates_near,
+    consistent_displacements,
+    disparities,
     matches_near,
     predicted_pixels,
     recentred,
+    within_disparity,
 )
 
 CAMERA = Camera.from_focal(320, 240, 400.0)
@@ -24,13 +28,13 @@ PIXELS = st.floats(0, 300, allow_nan=False, width=32)
 
 
 def scene(seed: int, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
-    """Scan points in front of the camera, and where they are in the photo."""
+    """Return scan points in front of the camera and their pixels in the photo."""
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.uniform(2, 5, count), rng.uniform(-0.7, 0.3, count), rng.uniform(-0.4, 0.4, count)])
     return points, CAMERA.project(POSE @ points)
 
 
-def test_the_true_pose_predicts_every_point_and_nothing_else_is_predicted() -> None:
+def test_predictions_of_the_true_pose_are_exact() -> None:
     points, uv = scene(0)
     np.testing.assert_allclose(predicted_pixels(points, CAMERA, POSE), uv)
     outside = np.array([[-3.0, 0, 0], [3, 5, 0], [0.1, -0.3, 0.05], [np.nan, 0, 0], [np.inf, 0, 0]])
@@ -45,15 +49,15 @@ def test_the_true_pose_predicts_every_point_and_nothing_else_is_predicted() -> N
     hnp.arrays(np.float64, (9, 2), elements=PIXELS),
     st.floats(1, 400),
 )
-def test_candidates_are_those_in_the_square_window(expected: np.ndarray, photo: np.ndarray, half: float) -> None:
+def test_candidates_lie_in_the_square_window(expected: np.ndarray, photo: np.ndarray, half: float) -> None:
     near = candidates_near(expected, photo, search_px=half)
     np.testing.assert_array_equal(near, np.abs(expected[:, None] - photo).max(axis=-1) <= half)
     gone = np.where(np.arange(7)[:, None] == 3, np.nan, expected)
     assert not candidates_near(gone, photo, search_px=half)[3].any()
 
 
-def test_few_rivals_leave_many_more_matches() -> None:
-    """Look-alikes all over the picture: only the window tells which is meant."""
+def test_guided_matching_finds_many_more_matches() -> None:
+    """Similar corners all over the image are distinguished only by the search window."""
     _, uv = scene(1)
     rng = np.random.default_rng(1)
     score = 0.6 + 0.05 * rng.random((60, 60)) + 0.1 * np.eye(60)
@@ -67,7 +71,7 @@ def test_few_rivals_leave_many_more_matches() -> None:
 
 
 @given(st.integers(0, 10_000), st.floats(0, 0.3), st.floats(0, 0.9))
-def test_the_winners_are_what_a_plain_loop_finds(seed: int, margin: float, least: float) -> None:
+def test_matches_equal_those_of_a_plain_loop(seed: int, margin: float, least: float) -> None:
     rng = np.random.default_rng(seed)
     score, near = rng.uniform(-1, 1, (8, 6)), rng.random((8, 6)) < 0.4
     expected = []
@@ -83,7 +87,7 @@ def test_the_winners_are_what_a_plain_loop_finds(seed: int, margin: float, least
     assert set(zip(one.tolist(), other.tolist(), strict=True)) <= set(expected)
 
 
-def test_a_single_candidate_must_be_good_and_none_is_none() -> None:
+def test_a_single_candidate_must_exceed_the_least_score() -> None:
     near = np.array([[True], [True], [False]])
     first, _, _ = matches_near(np.array([[0.9], [0.32], [0.99]]), near, margin=0.05, least_score=0.3, mutual=False)
     assert first.tolist() == [0]
@@ -92,7 +96,7 @@ def test_a_single_candidate_must_be_good_and_none_is_none() -> None:
         assert not len(matches_near(np.ones(shape), empty, margin=0.1, least_score=0.3, mutual=True)[0])
 
 
-def test_a_large_window_brings_the_small_one_to_its_place() -> None:
+def test_matches_of_a_large_window_recentre_the_predictions() -> None:
     points, uv = scene(2, count=200)
     off = Rigid(rotation_from_rotvec(np.deg2rad([1.0, -2.0, 2.0])) @ POSE.rotation, POSE.translation)
     expected = predicted_pixels(points, CAMERA, off, border_px=100)
@@ -111,14 +115,70 @@ def test_a_large_window_brings_the_small_one_to_its_place() -> None:
 
 
 @given(hnp.arrays(np.float64, (2,), elements=st.floats(-40, 40)), st.integers(0, 1000))
-def test_a_pose_that_is_wrong_everywhere_alike_culls_nobody(common: np.ndarray, seed: int) -> None:
+def test_a_common_displacement_removes_no_match(common: np.ndarray, seed: int) -> None:
     rng = np.random.default_rng(seed)
     shift = common + rng.uniform(-2, 2, (40, 2))
     shift[:8] += np.array([1.0, -1.0]) * rng.uniform(15, 40, (8, 1))
-    kept = alike_displacements(shift, most_px=7)
+    kept = consistent_displacements(shift, most_px=7)
     assert not kept[:8].any()
     assert kept[8:].all()
 
 
-def test_no_displacements_are_no_matches() -> None:
-    assert alike_displacements(np.zeros((0, 2)), most_px=5).shape == (0,)
+def test_no_displacements_give_an_empty_mask() -> None:
+    assert consistent_displacements(np.zeros((0, 2)), most_px=5).shape == (0,)
+
+
+SIGNED_PIXELS = st.floats(-1000, 1000, allow_nan=False, width=32)
+DISPARITIES = hnp.arrays(np.float64, st.integers(1, 30), elements=st.floats(0, 500, allow_nan=False, width=32))
+
+
+def test_one_sided_filter_keeps_small_disparities() -> None:
+    d = np.array([30.0, 31, 29, 35, 33, 2, 80, 49, 52.5])  # median 33
+    assert np.flatnonzero(~within_disparity(d, t2_px=18)).tolist() == [5, 6, 8]
+    assert np.flatnonzero(~within_disparity(d, t2_px=18, side="one_sided")).tolist() == [6, 8]
+
+
+@given(hnp.arrays(np.float64, (12, 2), elements=SIGNED_PIXELS), hnp.arrays(np.float64, (12, 2), elements=SIGNED_PIXELS))
+def test_disparity_is_symmetric_and_rotation_invariant(scan: np.ndarray, photo: np.ndarray) -> None:
+    d = disparities(scan, photo)
+    np.testing.assert_allclose(d, np.linalg.norm(scan - photo, axis=1), atol=1e-9)
+    np.testing.assert_array_equal(d, disparities(photo, scan))
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
+    np.testing.assert_allclose(d, disparities(scan @ quarter.T, photo @ quarter.T), atol=1e-9)
+
+
+@given(DISPARITIES, st.floats(0.5, 100), st.floats(0, 300, width=32))
+def test_laws_of_the_disparity_filter(d: np.ndarray, t2: float, common: float) -> None:
+    both, literal = within_disparity(d, t2_px=t2), within_disparity(d, t2_px=t2, side="one_sided")
+    np.testing.assert_array_equal(both, np.abs(d - np.median(d)) <= t2)
+    assert (literal | ~both).all()  # the one-sided filter keeps whatever the two-sided one keeps
+    assert literal.sum() >= (len(d) + 1) // 2  # at least what is not above the median
+    mixed = np.concatenate([d, [np.nan, np.inf]])
+    np.testing.assert_array_equal(within_disparity(mixed, t2_px=t2), [*both, False, False])
+    far = np.abs(np.abs(d - np.median(d)) - t2) > 1e-6
+    np.testing.assert_array_equal(within_disparity(d + common, t2_px=t2)[far], both[far])
+
+
+def test_empty_input_gives_an_empty_mask() -> None:
+    assert within_disparity(np.zeros(0)).shape == (0,)
+    assert disparities(np.zeros((0, 2)), np.zeros((0, 2))).shape == (0,)
+    assert not within_disparity(np.array([np.nan, np.inf])).any()
+
+
+@pytest.mark.parametrize("t2", [0, -3, np.nan, np.inf, "20", None, True])
+def test_an_invalid_threshold_is_refused(t2: object) -> None:
+    with pytest.raises(OptionError, match="T2"):
+        within_disparity(np.arange(4.0), t2_px=t2)  # type: ignore[arg-type]
+
+
+def test_invalid_arrays_and_sides_raise_a_one_line_error() -> None:
+    for call in (
+        lambda: disparities(np.zeros((3, 2)), np.zeros((4, 2))),
+        lambda: disparities(np.zeros((3, 3)), np.zeros((3, 3))),
+        lambda: within_disparity(np.zeros((2, 2))),
+    ):
+        with pytest.raises(ShapeError) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+    with pytest.raises(LadarregError, match="one of two_sided, one_sided"):
+        within_disparity(np.arange(4.0), side="both")  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The thesis's linear method: exact without noise, refused where it is blind."""
+"""The thesis's linear method: exact without noise, refused for degenerate matches."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_its_translation_is_that_of_the_corrected_back_substitution():
     assert linear_pose(points, seen[:, :2] / seen[:, 2:]).translation == pytest.approx([-0.4, 0.2, 0.643], abs=1e-9)
 
 
-def test_it_says_how_uncertain_it_is():
+def test_its_covariance_is_consistent():
     distances, kept = [], 0
     for seed in range(30):
         case = room_case(seed, count=100)
@@ -49,7 +49,7 @@ def test_it_says_how_uncertain_it_is():
 def test_it_refuses_a_plane_and_too_few():
     rng = np.random.default_rng(1)
     points = np.column_stack([np.full(40, 4.0) + rng.normal(size=40) * 0.1, rng.uniform(-1.5, 1.5, (40, 2))])
-    with pytest.raises(DegenerateGeometryError, match="too near a plane"):
+    with pytest.raises(DegenerateGeometryError, match="too close to a plane"):
         linear_pose(points, rng.uniform(-0.4, 0.4, (40, 2)))
     case = room_case(0, count=6)
     with pytest.raises(DegenerateGeometryError, match="needs 7"):

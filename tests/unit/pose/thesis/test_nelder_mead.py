@@ -1,4 +1,4 @@
-"""The simplex, step by step beside SciPy's."""
+"""The simplex, compared with SciPy's step by step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
 
 
 def walked(cost, simplex, **options):
-    """Return all steps and why it stopped."""
+    """Return all steps and the reason for stopping."""
     steps, walk = [], nelder_mead(cost, simplex, **options)
     while True:
         try:
@@ -55,7 +55,7 @@ def assert_equal_to_scipy(cost, simplex, *, x_tolerance, cost_tolerance, most_it
     )
     ours = [step.cost for step in steps[1:]]
     assert ours == pytest.approx(best[: len(ours)], rel=1e-12, abs=0)
-    assert len(best) - len(ours) in (0, 1)  # SciPy tells of a move again that it had no evaluations left for
+    assert len(best) - len(ours) in (0, 1)  # SciPy reports a move twice if the evaluations ran out
     assert (steps[-1].evaluations, steps[-1].iteration) == (reference.nfev, reference.nit)
     assert steps[-1].best == pytest.approx(reference.x, rel=1e-12, abs=0)
     assert stopped == {0: "tolerance", 1: "evaluations", 2: "iterations"}[reference.status]
@@ -124,7 +124,7 @@ def test_every_step_down_2_21_is_scipy_s(seed):
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=15)
-def test_each_step_tells_the_truth_about_itself(seed):
+def test_each_step_is_consistent(seed):
     simplex = np.random.default_rng(seed).normal(size=(4, 3))
     steps, _ = walked(rosen, simplex, most_iterations=80)
     assert steps[0].move == "start"
@@ -148,7 +148,7 @@ def test_each_step_tells_the_truth_about_itself(seed):
 
 @given(bad=st.sampled_from([np.nan, np.inf]), wall=st.floats(-0.9, 0.4))
 @example(bad=np.nan, wall=0.0)
-def test_a_cost_that_is_no_number_is_the_highest(bad, wall):
+def test_a_nan_cost_counts_as_the_highest(bad, wall):
     def half(x):
         return bad if x[0] < wall else float(((x - [0.5, -0.3]) ** 2).sum())
 
@@ -160,7 +160,7 @@ def test_a_cost_that_is_no_number_is_the_highest(bad, wall):
     )
 
 
-def test_nothing_but_infinite_costs_ends():
+def test_it_ends_even_if_all_costs_are_infinite():
     steps, stopped = walked(lambda x: np.nan, np.eye(3)[:, :2], most_iterations=50)
     assert stopped == "iterations"
     assert steps[-1].cost == np.inf
@@ -180,12 +180,12 @@ def test_nothing_but_infinite_costs_ends():
         ([[0.0], [1.0]], {"most_evaluations": True}, OptionError, "most_evaluations"),
     ],
 )
-def test_nonsense_is_refused_before_the_first_step(simplex, options, error, words):
+def test_invalid_arguments_are_refused_before_the_first_step(simplex, options, error, words):
     with pytest.raises(error, match=words):
         nelder_mead(bowl, simplex, **options)
 
 
-def test_a_start_simplex_has_one_vertex_a_step():
+def test_a_start_simplex_has_one_vertex_per_step():
     simplex = start_simplex([1.0, 2.0], [0.5, -0.1])
     assert simplex.tolist() == [[1.0, 2.0], [1.5, 2.0], [1.0, 1.9]]
     for point, steps in (([1.0], [0.0]), ([1.0], [np.inf]), ([], []), ([1.0, 2.0], [1.0]), ([1e30], [1.0])):

@@ -1,4 +1,4 @@
-"""Laws of the stereo depths and of the two costs."""
+"""Properties of the stereo depths and the two costs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LENS = Camera(1000, 800, 500.0, 510.0, 490.0, 405.0, (-0.1, 0.03, 1e-3, -7e-4))
 
 
 def exact_case(seed: int, *, aside: np.ndarray | None = None, camera: Camera = WIDE) -> tuple[Matches, Rigid]:
-    """Noise-free matches from a camera with a baseline of a tenth to a half of the depth, mostly across."""
+    """Noise-free matches from a camera with a baseline of a tenth to a half of the depth, mostly lateral."""
     rng = np.random.default_rng(seed)
     depth = rng.uniform(2, 10, 12)
     points = depth[:, None] * np.column_stack([np.ones(12), rng.uniform(-0.5, 0.5, (12, 2))])
@@ -29,14 +29,14 @@ def exact_case(seed: int, *, aside: np.ndarray | None = None, camera: Camera = W
     centre = length * np.array([rng.uniform(-0.5, 0.5), np.cos(angle), np.sin(angle)])
     turn = rotation_from_rotvec(rng.normal(size=3) * 0.15) @ CAMERA_AXES_FROM_SCANNER
     pose = Rigid.from_centre(turn, centre)
-    if aside is not None:  # the whole scene, camera included, turned about the scanner
+    if aside is not None:  # rotate the whole scene, including the camera, about the scanner
         points, pose = points @ aside.T, pose @ Rigid(aside.T, np.zeros(3))
     ranges = np.linalg.norm(points, axis=1)
     return Matches(points / ranges[:, None], ranges, camera.project(pose @ points)), pose
 
 
 def well_away_from_poles(pairs: StereoPairs, x: np.ndarray) -> bool:
-    """Whether no disparity is so small that rounding alone shows in the depth."""
+    """Return whether all disparities are large enough that rounding does not affect the depths."""
     residual = epipolar_residuals(x, pairs)
     assert np.abs(residual).max() < 1e-12
     shift = np.array([[x[0]], [x[1]]])
@@ -48,7 +48,7 @@ def well_away_from_poles(pairs: StereoPairs, x: np.ndarray) -> bool:
 
 @given(seed=st.integers(0, 100_000), turn=st.one_of(st.none(), rotvecs()))
 @settings(max_examples=150)
-def test_without_noise_2_21_gives_the_laser_s_depth(seed, turn):
+def test_without_noise_2_21_gives_the_laser_depth(seed, turn):
     matches, pose = exact_case(seed, aside=None if turn is None else rotation_from_rotvec(turn))
     pairs = StereoPairs.of(matches, WIDE)
     assert pairs.usable.all()
@@ -60,7 +60,7 @@ def test_without_noise_2_21_gives_the_laser_s_depth(seed, turn):
     assert epipolar_cost(pairs)(x) < 1e-24
 
 
-def test_a_lens_is_undone():
+def test_distortion_is_removed():
     matches, pose = exact_case(3, camera=LENS)
     pairs = StereoPairs.of(matches, LENS)
     assert np.abs(epipolar_residuals(pairs.parameters(pose), pairs)).max() < 1e-9
@@ -75,7 +75,7 @@ def test_the_fast_costs_are_the_equations(seed, weighted):
     pairs = StereoPairs.of(Matches(case.rays, case.ranges, case.uv, weights=weights), case.camera)
     x = pairs.parameters(case.pose) + rng.normal(size=6) * ([0.1] * 3 + [0.02] * 3)
     stereo = (pairs.weights * (pairs.depth - pairs.depths(x)) ** 2).sum()
-    # Near a pole a depth is uncertain by rounding alone, whatever computes it.
+    # near a pole rounding errors dominate any computation of the depth
     assert stereo_cost(pairs)(x) == pytest.approx(stereo, rel=1e-12 * max(1, np.abs(pairs.depths(x)).max()))
     epipolar = (pairs.weights * epipolar_residuals(x, pairs) ** 2).sum()
     assert epipolar_cost(pairs)(x) == pytest.approx(epipolar, rel=1e-12)
@@ -83,7 +83,7 @@ def test_the_fast_costs_are_the_equations(seed, weighted):
 
 @given(seed=st.integers(0, 100_000))
 @settings(max_examples=20)
-def test_both_costs_say_the_same_of_a_small_error(seed):
+def test_both_residuals_are_equivalent_for_small_errors(seed):
     # d Z / d disparity = -Z / disparity: a depth error is an epipolar residual seen through the disparity.
     matches, pose = exact_case(seed)
     pairs = StereoPairs.of(matches, WIDE)
@@ -98,7 +98,7 @@ def test_both_costs_say_the_same_of_a_small_error(seed):
     assert pairs.depth - pairs.depths(shaken) == pytest.approx(predicted, rel=1e-2, abs=1e-9)
 
 
-def test_no_baseline_is_no_number_and_the_valley_beside_it_is_finite():
+def test_the_cost_is_nan_without_baseline_and_finite_next_to_it():
     case = room_case(1)
     pairs = StereoPairs.of(case.matches, case.camera)
     x = pairs.parameters(case.pose)
@@ -109,7 +109,7 @@ def test_no_baseline_is_no_number_and_the_valley_beside_it_is_finite():
     assert near == pytest.approx(valley, rel=1e-3)
 
 
-def test_a_disparity_of_zero_is_infinitely_far_and_warns_nobody():
+def test_zero_disparity_is_infinitely_far_without_a_warning():
     rays = np.array([[1.0, 0.0, 0.0], [1.0, 0.1, 0.0]]) / np.sqrt([[1.0], [1.01]])
     pairs = StereoPairs.of(Matches(rays, np.full(2, 3.0), np.full((2, 2), (490.0, 405.0))), WIDE)
     with np.errstate(all="raise"):
@@ -118,7 +118,7 @@ def test_a_disparity_of_zero_is_infinitely_far_and_warns_nobody():
     assert pairs.depth_errors(np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))[0] == np.inf
 
 
-def test_depth_is_along_the_scanner_s_x_where_that_looks_at_the_matches():
+def test_depth_is_along_the_scanner_s_x_if_the_matches_are_ahead():
     rng = np.random.default_rng(0)
     ahead = np.column_stack([np.ones(20), rng.uniform(-1, 1, (20, 2))])
     ahead /= np.linalg.norm(ahead, axis=1)[:, None]
@@ -134,7 +134,7 @@ def test_depth_is_along_the_scanner_s_x_where_that_looks_at_the_matches():
     assert (stereo_frame(np.zeros((0, 3))) == np.eye(3)).all()
 
 
-def test_what_no_depth_can_be_had_of_is_marked():
+def test_matches_without_a_depth_are_marked():
     rays = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0.6, 0.8, 0]])
     uv = np.array([[490.0, 405.0]] * 3 + [[np.nan, 3.0]])
     pairs = StereoPairs.of(Matches(rays, np.ones(4), uv), WIDE, frame_from_scanner=np.eye(3))
@@ -145,8 +145,8 @@ def test_what_no_depth_can_be_had_of_is_marked():
 
 @given(turn=rotvecs())
 @settings(max_examples=25)
-def test_the_diagnostics_do_not_depend_on_where_the_scanner_looks(turn):
-    # Three degrees of roll at most between the view's own upright and the scene's: only lengths are compared.
+def test_the_diagnostics_do_not_depend_on_the_scanner_s_orientation(turn):
+    # the roll may differ by up to three degrees, so that only lengths are compared
     case = room_case(7, baseline_m=1.0)
     R = rotation_from_rotvec(turn)
     aside = Matches(case.rays @ R.T, case.ranges, case.uv)

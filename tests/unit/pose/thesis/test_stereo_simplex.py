@@ -1,4 +1,4 @@
-"""The descent with its rejections: from poor starts, among mismatches, at no baseline, and as a pose that is judged."""
+"""The simplex with outlier rejection: poor starting poses, outliers, zero baseline, and the verdict on its result."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def solve(case: Case, method: str, *, initial: Rigid | None = None, **simplex):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("outliers", [0.0, 0.3])
-def test_it_finds_the_pose_and_knows_how_well(method, outliers):
+def test_it_finds_the_pose_with_a_consistent_covariance(method, outliers):
     distances, wrong_kept = [], 0
     for seed in range(100, 108):
         case = room_case(seed, count=120, outliers=outliers, baseline_m=0.7, direction=BESIDE)
@@ -61,7 +61,7 @@ def test_it_finds_the_pose_and_knows_how_well(method, outliers):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_poor_starts_lead_there_too(method):
+def test_it_converges_from_poor_starting_poses(method):
     for seed in range(200, 202):
         case = room_case(seed, count=100, direction=BESIDE)
         for start in (start_near(case, seed, 10, 0.5), start_near(case, seed, 30, 1.5), THESIS_START):
@@ -70,7 +70,7 @@ def test_poor_starts_lead_there_too(method):
             assert result.diagnostics["start"] in ("given", "linear", "aimed")
 
 
-def test_without_restarts_the_thesis_s_one_descent_collapses_and_says_so():
+def test_the_thesis_s_single_descent_may_collapse_and_reports_it():
     collapsed = 0
     for seed in range(300, 306):
         case = room_case(seed, count=60, baseline_m=0.3)
@@ -86,7 +86,7 @@ def test_without_restarts_the_thesis_s_one_descent_collapses_and_says_so():
     assert collapsed >= 3
 
 
-def test_at_the_scanner_s_own_place_only_the_epipolar_residual_answers():
+def test_without_baseline_only_the_epipolar_residual_works():
     for seed in range(400, 402):
         case = room_case(seed, count=150, baseline_m=0.0)
         epipolar = solve(case, "epipolar_simplex")
@@ -94,13 +94,13 @@ def test_at_the_scanner_s_own_place_only_the_epipolar_residual_answers():
         assert epipolar.camera_from_scanner.distance_to(case.pose) < 0.01
         assert epipolar.diagnostics["rejected_by"] == "pixel residual"
         asked = solve(case, "epipolar_simplex", reject_depth_m=0.1)
-        assert asked.diagnostics["rejected_by"] == "pixel residual"  # depths mean nothing there
+        assert asked.diagnostics["rejected_by"] == "pixel residual"  # depths are meaningless without baseline
         assert not solve(case, "stereo_simplex").accepted
     beside = solve(room_case(400, direction=BESIDE), "epipolar_simplex", reject_depth_m=1.0)
     assert beside.diagnostics["rejected_by"] == "depth error"
 
 
-def test_good_matches_end_near_the_default():
+def test_good_matches_give_nearly_the_default_s_pose():
     for seed in range(500, 504):
         case = room_case(seed, count=150, sigma_px=0.3, sigma_range_m=0.005, baseline_m=0.6, direction=BESIDE)
         best = default(case)[0]
@@ -108,12 +108,12 @@ def test_good_matches_end_near_the_default():
             assert picture_difference_px(case, solve(case, method).camera_from_scanner, best) < 0.15
 
 
-def test_every_step_can_be_drawn():
+def test_every_step_is_yielded():
     case = room_case(3, count=60, outliers=0.1, direction=BESIDE)
     options = SimplexOptions(reject_depth_m=0.3, step_m=0.2)
     steps, fit = watched(case, options, THESIS_START)
     assert all(isinstance(step.simplex, SimplexStep) for step in steps)
-    assert {step.residual for step in steps} == {"stereo", "epipolar"}  # in doubt from so far, it went elsewhere
+    assert {step.residual for step in steps} == {"stereo", "epipolar"}  # doubtful from this distance, hence a restart
     assert steps[0].round == steps[0].restart == 0
     assert steps[-1].restart == fit.restarts
     assert steps[0].inliers.all()
@@ -146,12 +146,12 @@ def test_rejection_is_by_the_thesis_s_depth_error():
     assert (fit.after.inliers == (error <= 0.5)).all()
     kept = pairs.subset(fit.after.inliers)
     assert fit.after.cost == pytest.approx(stereo_cost(kept)(pairs.parameters(fit.after.camera_from_scanner)))
-    assert f"{fit.after.inliers.sum()} of 208 matches kept by their depth error" in fit.in_words()
+    assert f"{fit.after.inliers.sum()} of 208 inliers by depth error" in fit.describe()
     one = fit_simplex(case.matches, case.camera, SimplexOptions(reject_rounds=0), initial=THESIS_START)
     assert one.after.camera_from_scanner.matrix == pytest.approx(fit.before.camera_from_scanner.matrix, abs=1e-9)
 
 
-def test_it_ends_where_the_cost_is_low_enough():
+def test_it_stops_at_the_stop_cost():
     case = room_case(5, count=60, direction=BESIDE)
     full, short = (
         fit_simplex(case.matches, case.camera, SimplexOptions(stop_cost=cost, reject_rounds=0), initial=case.pose)
@@ -162,7 +162,7 @@ def test_it_ends_where_the_cost_is_low_enough():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_scan_that_looks_aside_is_solved_as_well(method):
+def test_a_scan_to_the_side_is_solved_as_well(method):
     case = room_case(8, count=100, direction=BESIDE)
     for turn in ([0, 0, np.pi / 2], [0, 0, np.pi], [0, 1.3, 0.4]):
         R = rotation_from_rotvec(turn)
@@ -172,7 +172,7 @@ def test_a_scan_that_looks_aside_is_solved_as_well(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_wall_starts_from_an_aimed_camera_since_the_linear_method_refuses(method):
+def test_a_wall_starts_from_an_aimed_camera_instead_of_the_linear_pose(method):
     rng = np.random.default_rng(4)
     points = np.column_stack([np.full(80, 4.0), *rng.uniform(-1.2, 1.2, (2, 80))])
     for roll in (0.0, 2.0, np.pi):
@@ -190,7 +190,7 @@ def test_a_wall_starts_from_an_aimed_camera_since_the_linear_method_refuses(meth
 
 @given(scale=st.sampled_from([1e-2, 1e2]), method=st.sampled_from(METHODS))
 @settings(max_examples=4)
-def test_a_coin_and_a_valley_are_as_easy_as_a_room(scale, method):
+def test_it_works_at_any_scale(scale, method):
     case = room_case(11, count=60, direction=BESIDE)
     result = estimate_pose(
         case.rays, case.ranges * scale, case.uv, case.camera, method=method, sigma_px=1.0, sigma_range_m=0.015 * scale
@@ -212,7 +212,7 @@ def test_a_weight_multiplies_squared_residuals():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_its_story_is_json_and_always_the_same(method):
+def test_its_diagnostics_are_json_and_repeatable(method):
     case = room_case(13, count=60, outliers=0.1)
     a, b = solve(case, method), solve(case, method)
     assert json.loads(json.dumps(a.diagnostics)) == json.loads(json.dumps(b.diagnostics))
@@ -222,7 +222,7 @@ def test_its_story_is_json_and_always_the_same(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_noise_that_is_not_stated_is_read_off_the_kept_matches(method):
+def test_unstated_noise_is_estimated_from_the_inliers(method):
     case = room_case(14, sigma_px=0.4, sigma_range_m=0.004, baseline_m=1.0, direction=BESIDE)
     result = estimate_pose(case.rays, case.ranges, case.uv, case.camera, method=method)
     assert result.sigma_px == pytest.approx(0.4, rel=0.35)
@@ -231,7 +231,7 @@ def test_noise_that_is_not_stated_is_read_off_the_kept_matches(method):
 
 @given(seed=st.integers(0, 10_000), count=st.integers(4, 9), method=st.sampled_from(METHODS))
 @settings(max_examples=12)
-def test_nonsense_is_never_accepted(seed, count, method):
+def test_random_matches_are_never_accepted(seed, count, method):
     rng = np.random.default_rng(seed)
     rays = rng.normal(size=(count, 3))
     rays /= np.linalg.norm(rays, axis=1)[:, None]
@@ -247,7 +247,7 @@ def test_nonsense_is_never_accepted(seed, count, method):
     assert np.isfinite(result.camera_from_scanner.matrix).all()
 
 
-def test_bad_options_are_refused():
+def test_invalid_options_are_refused():
     for bad in (
         {"residual": "median"}, {"step_m": 0.0}, {"step_rad": -1.0}, {"tolerance": np.nan}, {"reject_depth_m": "far"},
         {"reject_sigma": None}, {"restarts": -1}, {"most_iterations": 0}, {"reject_rounds": 1.5}, {"stop_cost": True},

@@ -1,0 +1,96 @@
+"""Queries of a page: computations on the present document that change nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from ladarreg_core.errors import OptionError
+from ladarreg_core.project.edits import the_photo
+
+from ..session.loader import Loader
+from ..session.session import Session
+from .pose_state import judged_slice, sampled_line
+
+if TYPE_CHECKING:
+    from ladarreg_core.inspection.partners import Partners
+    from ladarreg_core.project.document import CameraGiven, PhotoEntry
+    from ladarreg_core.scan import Scan
+
+
+class Queries:
+    """Answers queries of a page.
+
+    Args:
+        session: the session.
+        loader: its loader.
+    """
+
+    def __init__(self, session: Session, loader: Loader) -> None:
+        self._session = session
+        self._loader = loader
+
+    def pick_errors(self, photo_id: str) -> dict[str, Any]:
+        """Return the errors of a photograph's picks under the shown pose, by pick, as in the slice `judged`."""
+        entry = the_photo(self._session.document, photo_id)
+        found: dict[str, Any] = judged_slice(self._loader, self._scan(), self._loader.photo(entry), entry)["by_pick"]
+        return found
+
+    def partners(self, entry: PhotoEntry) -> Partners:
+        """Return the prediction of picks from one image to the other under the shown pose.
+
+        Raises:
+            OptionError: if there is no pose.
+        """
+        scan = self._loader.scan(self._session.document)
+        if scan is None or entry.pose is None:
+            raise OptionError("there is no pose yet to predict with; solve first")
+        return self._loader.partners(scan, entry.pose)
+
+    def corner_near(self, side: object, view: int, photo: object, at: Sequence[float]) -> list[float] | None:
+        """Return the corner next to a pixel of the scan's view or of the photograph, (u, v); None if there is none."""
+        from ladarreg_core.inspection.corners import gray_of_photo, gray_of_view, nearest_corner
+
+        cached = self._loader.cached
+        if side == "scan":
+            views = self._loader.views(self._session.document)
+            if not 0 <= view < len(views):
+                return None
+            gray = cached("picture", ("gray", id(views[view])), lambda: gray_of_view(views[view].view))
+        else:
+            viewed = self._loader.viewable_photo(the_photo(self._session.document, photo))
+            gray = cached("picture", ("gray", id(viewed)), lambda: (viewed, gray_of_photo(viewed)))[1]
+        found = nearest_corner(gray, at)
+        return None if found is None else found.tolist()
+
+    def sample_line(self, ends: Any) -> dict[str, Any]:
+        """Return the sample points of a line on the scan, given by the rays of its ends."""
+        scan = self._loader.scan(self._session.document)
+        if scan is None or len(ends) != 2:
+            raise OptionError("a line on a scan has two ends")
+        return sampled_line(self._loader, scan, ends)
+
+    def probe(self, ray: Sequence[float]) -> dict[str, Any]:
+        """Return the scan's measurement along a ray."""
+        from ladarreg_core.inspection.probing import probe
+
+        found = probe(self._scan(), ray)
+        return {"range_m": found.range_m, "intensity": found.intensity, "cell": found.cell}
+
+    def check_camera(self, entry: PhotoEntry, camera: CameraGiven) -> None:
+        """Refuse a camera that does not fit its photograph.
+
+        Raises:
+            LadarregError: naming the reason.
+        """
+        trial = msgspec.structs.replace(entry, camera=camera)
+        self._loader.preload_photo(trial)
+        self._loader.photo(trial)
+
+    def _scan(self) -> Scan:
+        scan = self._loader.scan(self._session.document)
+        if scan is None:
+            raise OptionError("there is no scan; open one")
+        return scan

@@ -1,0 +1,75 @@
+"""The colours that carry a meaning, the same in the files, the 3-D scene and the page.
+
+The colours of the look and of the matches are those of the page's dark theme, `static/tokens.css`.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import ByteArray
+
+Colour = tuple[int, int, int]
+"""RGB, 0 to 255."""
+
+BACKGROUND: Colour = (15, 17, 21)
+PANEL: Colour = (22, 26, 33)
+LINE: Colour = (42, 49, 61)
+INK: Colour = (232, 236, 242)
+DIM: Colour = (143, 155, 173)
+ACCENT: Colour = (92, 200, 255)
+HIGHLIGHT: Colour = (255, 255, 255)
+
+OK: Colour = (76, 195, 138)
+"""Accepted; a good finding; an inlier."""
+OK_GROUND: Colour = (18, 36, 28)
+WARN: Colour = (242, 184, 75)
+"""Not accepted; a fair finding."""
+WARN_GROUND: Colour = (42, 34, 19)
+BAD: Colour = (242, 114, 111)
+"""No pose; a poor finding; an outlier."""
+BAD_GROUND: Colour = (43, 22, 23)
+
+MATCHES: tuple[Colour, ...] = (
+    (255, 211, 77),
+    (92, 200, 255),
+    (255, 143, 171),
+    (126, 226, 168),
+    (201, 167, 255),
+    (255, 166, 92),
+)
+"""By a match's number less one, repeating."""
+SCANNER: Colour = (255, 211, 77)
+REFUSED: Colour = DIM
+"""A pose that is not accepted."""
+
+VISIBILITY: tuple[Colour, ...] = (
+    (15, 17, 21),  # no return
+    (76, 195, 138),  # seen
+    (176, 74, 120),  # occluded
+    (82, 91, 106),  # out of frame
+    (242, 184, 75),  # grazing
+    (157, 140, 255),  # uncertain
+)
+"""By the code of a visibility class (`surface.texture.Label`); they differ in lightness, too."""
+UNSEEN: Colour = (48, 48, 48)
+"""Cells without colour in the registered image."""
+UNKNOWN: Colour = (62, 68, 79)
+"""Cells of a map for which the quantity shown is not known."""
+
+
+def ramp_colours(levels: NDArray[np.floating]) -> ByteArray:
+    """Return the colours (..., 3), uint8 RGB, of levels (...,) on the scale of all maps, clipped to 0 to 1.
+
+    The scale is viridis, dark blue to yellow: its lightness rises with the level, for the colour-blind too.
+    """
+    steps = np.rint(255 * np.clip(levels, 0, 1)).astype(np.uint8)
+    coloured = np.asarray(cv2.applyColorMap(steps.reshape(-1, 1), cv2.COLORMAP_VIRIDIS), dtype=np.uint8)
+    return coloured.reshape(*steps.shape, 3)[..., ::-1]
+
+
+def as_css(colour: Colour) -> str:
+    """Return `#rrggbb`."""
+    return f"#{bytes(colour).hex()}"

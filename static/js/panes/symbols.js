@@ -1,0 +1,205 @@
+/** Symbols drawn over a picture: strokes with a halo, stamped rings and crosses, match numbers, corners, crosshair. */
+
+import { colourOf } from "./colors.js";
+import { toScreen } from "./viewport.js";
+
+/** Stroke a path over a dark halo. */
+export const strokeHaloed = (context, path, look, { colour, width = 2, dash = [] }) => {
+  const { scale } = look;
+  context.setLineDash([]);
+  context.lineWidth = (width + 2.5) * scale;
+  context.strokeStyle = look.halo;
+  context.stroke(path);
+  context.setLineDash(dash.map((length) => length * scale));
+  context.lineWidth = width * scale;
+  context.strokeStyle = colour;
+  context.stroke(path);
+  context.setLineDash([]);
+};
+
+const SIDE_PX = 24;
+const TAU = 2 * Math.PI;
+const stamps = new Map(); // ring and cross, rasterised once: of 500 matches the rings alone would cost more than all else
+
+/**
+ * @typedef {{colour: string, halo: string, radius: number, width: number, dash?: number[], dot?: number, cross?:
+ *   number}} Stamp
+ */
+
+const drawStamp = (context, { colour, halo, radius, width, dash = [], dot = 0, cross = 0 }) => {
+  const middle = SIDE_PX / 2;
+  const path = new Path2D();
+  if (radius > 0) path.arc(middle, middle, radius, 0, TAU);
+  if (cross > 0) {
+    path.moveTo(middle - cross, middle - cross);
+    path.lineTo(middle + cross, middle + cross);
+    path.moveTo(middle - cross, middle + cross);
+    path.lineTo(middle + cross, middle - cross);
+  }
+  context.lineCap = "round";
+  context.lineWidth = width + 2.5;
+  context.strokeStyle = halo;
+  context.stroke(path);
+  context.setLineDash(dash);
+  context.lineWidth = width;
+  context.strokeStyle = colour;
+  context.stroke(path);
+  if (dot === 0) return;
+  context.beginPath();
+  context.arc(middle, middle, dot, 0, TAU);
+  context.fillStyle = colour;
+  context.fill();
+};
+
+/** Stamps have twice the screen's resolution, since they are placed between pixels. */
+const stampOf = (symbol, scale) => {
+  const ratio = 2 * scale * (window.devicePixelRatio || 1);
+  const key = `${ratio} ${Object.values(symbol).join(" ")}`;
+  if (!stamps.has(key)) {
+    const canvas = document.createElement("canvas");
+    canvas.width = canvas.height = Math.ceil(SIDE_PX * ratio);
+    const context = canvas.getContext("2d", { willReadFrequently: true });
+    context.scale(ratio, ratio);
+    drawStamp(context, symbol);
+    stamps.set(key, canvas);
+  }
+  return stamps.get(key);
+};
+
+/**
+ * Draw a stamp at each position.
+ * @param {CanvasRenderingContext2D} context in CSS pixels
+ * @param {{scale: number}} look
+ * @param {number[][]} positions
+ * @param {Stamp} symbol
+ */
+export const stamp = (context, look, positions, symbol) => {
+  if (positions.length === 0) return;
+  const canvas = stampOf(symbol, look.scale);
+  const side = SIDE_PX * look.scale;
+  context.imageSmoothingEnabled = true;
+  for (const [x, y] of positions) context.drawImage(canvas, x - side / 2, y - side / 2, side, side);
+};
+
+const LABEL = { width: 24, dx: 8, dy: -8 };
+const KEPT_FREE_PX = 7;
+
+/** Draw a number over its halo. */
+const drawLabel = (context, look, colour, text, [x, y]) => {
+  context.lineWidth = 3.5 * look.scale;
+  context.strokeStyle = look.halo;
+  context.strokeText(text, x, y);
+  context.fillStyle = colour;
+  context.fillText(text, x, y);
+};
+
+/** @returns {number[] | null} position of a match's number: above its first visible end, away from its line */
+const labelPosition = ({ ends, line }, scale) => {
+  const at = ends.find(Boolean) ?? line?.[0];
+  if (!at) return null;
+  const far = line && (Math.hypot(line[1][0] - at[0], line[1][1] - at[1]) > 1 ? line[1] : line[0]);
+  const rightwards = far && far[0] > at[0] && far[1] < at[1];
+  return [at[0] + (rightwards ? -LABEL.dx - 9 : LABEL.dx) * scale, at[1] + LABEL.dy * scale];
+};
+
+/** Draw numbers where there is room: not over each other, nor over the end of another match. */
+export const drawLabels = (context, shown, look) => {
+  const { scale } = look;
+  const cell = LABEL.width * scale;
+  const taken = new Map();
+  const cellsOf = ([left, top, right, bottom]) => {
+    const cells = [];
+    for (let x = Math.floor(left / cell); x <= Math.floor(right / cell); x++) {
+      for (let y = Math.floor(top / cell); y <= Math.floor(bottom / cell); y++) cells.push(`${x},${y}`);
+    }
+    return cells;
+  };
+  const take = (box, owner) => {
+    for (const name of cellsOf(box)) {
+      if (!taken.has(name)) taken.set(name, []);
+      taken.get(name).push([box, owner]);
+    }
+  };
+  const isFree = (box, owner) =>
+    cellsOf(box).every((name) =>
+      (taken.get(name) ?? []).every(
+        ([other, of]) => of === owner || other[0] >= box[2] || box[0] >= other[2] || other[1] >= box[3] || box[1] >= other[3],
+      ),
+    );
+  const reach = KEPT_FREE_PX * scale;
+  for (const { mark, ends } of shown) {
+    for (const [x, y] of ends.filter(Boolean)) take([x - reach, y - reach, x + reach, y + reach], mark.id);
+  }
+  context.font = look.font;
+  context.textBaseline = "alphabetic";
+  context.lineJoin = "round";
+  const linesFirst = [...shown].sort((a, b) => a.mark.kind.localeCompare(b.mark.kind));
+  for (const entry of linesFirst) {
+    const at = labelPosition(entry, scale);
+    if (!at) continue;
+    const text = String(entry.mark.number);
+    const box = [at[0], at[1] - 10 * scale, at[0] + 8 * scale * text.length, at[1]];
+    if (entry.mark.kind === "point" && !isFree(box, entry.mark.id)) continue;
+    take(box, entry.mark.id);
+    drawLabel(context, look, colourOf(look, entry.mark.number), text, at);
+  }
+};
+
+/** Draw the number of one match, whatever it covers. */
+export const drawNumber = (context, entry, look) => {
+  const at = labelPosition(entry, look.scale);
+  if (!at) return;
+  context.font = look.font;
+  context.lineJoin = "round";
+  drawLabel(context, look, colourOf(look, entry.mark.number), String(entry.mark.number), at);
+};
+
+/** Draw detected corners: small plus signs. */
+export const drawCorners = (context, viewport, size, corners, look) => {
+  const path = new Path2D();
+  const reach = 3 * look.scale;
+  for (const uv of corners) {
+    const [x, y] = toScreen(viewport, uv);
+    if (x < -reach || y < -reach || x > size[0] + reach || y > size[1] + reach) continue;
+    path.moveTo(x - reach, y);
+    path.lineTo(x + reach, y);
+    path.moveTo(x, y - reach);
+    path.lineTo(x, y + reach);
+  }
+  context.lineCap = "butt";
+  context.lineWidth = 3 * look.scale;
+  context.strokeStyle = "rgba(6, 8, 12, .6)";
+  context.stroke(path);
+  context.lineWidth = look.scale;
+  context.strokeStyle = look.dim;
+  context.stroke(path);
+};
+
+/** Draw a crosshair. */
+export const drawCrosshair = (context, [x, y], look, reach = 12) => {
+  const path = new Path2D();
+  for (const [dx, dy] of [[-1, 0], [1, 0], [0, -1], [0, 1]]) {
+    path.moveTo(x + dx * 3 * look.scale, y + dy * 3 * look.scale);
+    path.lineTo(x + dx * reach * look.scale, y + dy * reach * look.scale);
+  }
+  strokeHaloed(context, path, look, { colour: look.ink, width: 1.25 });
+};
+
+/** Draw the corner that an end would snap to: a small diamond. */
+export const drawSnap = (context, [x, y], look) => {
+  const path = new Path2D();
+  const reach = 6 * look.scale;
+  path.moveTo(x - reach, y);
+  path.lineTo(x, y - reach);
+  path.lineTo(x + reach, y);
+  path.lineTo(x, y + reach);
+  path.closePath();
+  strokeHaloed(context, path, look, { colour: look.warn, width: 1.5 });
+};
+
+/** Draw the frame of a selection. */
+export const drawFrame = (context, a, b, look) => {
+  const path = new Path2D();
+  path.rect(Math.min(a[0], b[0]), Math.min(a[1], b[1]), Math.abs(a[0] - b[0]), Math.abs(a[1] - b[1]));
+  strokeHaloed(context, path, look, { colour: look.ink, width: 1, dash: [4, 3] });
+};

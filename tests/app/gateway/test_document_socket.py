@@ -1,0 +1,260 @@
+"""The document's websocket: complete first, always up to date, and no client waits for a slow one."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ladarreg.gateway.document_socket import Outbox
+from ladarreg.gateway.encoding import InvalidMessageError, decode_object, encode
+from websockets.exceptions import ConnectionClosed
+
+from tests.app.gateway_driver import Running, hear, running, soon
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with running(tmp_path_factory.mktemp("room")) as found:
+        yield found
+
+
+def narrow_line(run: Running) -> socket.socket:
+    """Connect with a small receive buffer."""
+    line = socket.socket()
+    line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 15)
+    line.connect(("127.0.0.1", run.port))
+    return line
+
+
+def reply(page: Any) -> dict[str, Any]:
+    """Return the next reply, skipping changes."""
+    while "reply" not in (message := hear(page)):
+        pass
+    return message
+
+
+def test_a_client_receives_everything_first_and_then_the_changes(run: Running) -> None:
+    with run.socket() as first, run.socket() as second:
+        everything = hear(first)
+        told = everything["slices"]
+        assert {"number", "people", "scan"} <= set(told)
+        other = hear(second)["slices"]
+        assert told["people"]["you"] != other["people"]["you"] != "?"
+        number = run.bench.number + 1
+        first.send(json.dumps({"id": 7, "do": "set", "number": number}))
+        news, answer = hear(first), hear(first)
+        assert news["slices"]["number"] == number
+        assert (everything["version"], news["version"]) == (1, 2), "a client that missed a message would notice"
+        assert answer["reply"] == 7, "the reply follows the changes that it caused"
+        assert answer["nan"] is None, "JSON has no NaN"
+        same = hear(second)["slices"]
+        assert same["number"] == number
+        assert same["people"]["you"] == other["people"]["you"]
+        run.bench.tell({"event": "notice", "level": "warn", "text": "<b>"})
+        assert hear(first) == hear(second) == {"event": "notice", "level": "warn", "text": "<b>"}
+    assert soon(lambda: not run.bench.pages)
+    assert soon(lambda: not run.bench.listeners)
+
+
+HOSTILE = (
+    "", "{", '{"id": 1, "do"', "[1]", "null", "7", "NaN", '{"id": 1,}', "\x00", "[" * 5000, '{"a":' * 5000,
+    '{"id": 1e999}', b"\xff\xfe", b'{"id": 1, "do": "set", "number": 1}',
+)  # fmt: skip
+
+
+def test_malformed_messages_are_answered_and_the_connection_stays(run: Running) -> None:
+    with run.socket() as page:
+        hear(page)
+        for text in HOSTILE:
+            page.send(text)
+            answer = reply(page)
+            assert answer["ok"] is False
+            assert answer["reply"] is None
+        page.send('{"id": 8, "do": "look"}')
+        assert reply(page)["ok"] is True
+
+
+def test_an_internal_error_is_reported_without_details(run: Running) -> None:
+    with run.socket() as page:
+        hear(page)
+        page.send('{"id": 3, "do": "fail"}')
+        answer = reply(page)
+        assert (answer["reply"], answer["ok"]) == (3, False)
+        assert "secret" not in answer["error"]
+        assert "Traceback" not in answer["error"]
+        page.send('{"do": "look"}')
+        assert reply(page)["reply"] is None
+
+
+def test_a_message_that_is_too_long_closes_only_its_connection(run: Running) -> None:
+    with run.socket() as page, run.socket() as other:
+        hear(page)
+        hear(other)
+        page.send(json.dumps({"id": 1, "do": "look", "x": "a" * 900_000}))
+        assert reply(page)["ok"] is True
+        page.send(json.dumps({"id": 2, "do": "look", "x": "a" * 1_100_000}))
+        with pytest.raises(ConnectionClosed) as caught:
+            reply(page)
+        assert caught.value.rcvd is not None
+        assert caught.value.rcvd.code == 1009
+        other.send('{"id": 1, "do": "look"}')
+        assert reply(other)["ok"] is True
+
+
+def test_replies_keep_the_order_of_the_commands(run: Running) -> None:
+    with run.socket() as page:
+        hear(page)
+        for number in range(200):
+            page.send(json.dumps({"id": number, "do": "set", "number": number}))
+        assert [reply(page)["reply"] for _ in range(200)] == list(range(200))
+
+
+def test_ten_clients_see_one_state(run: Running) -> None:
+    pages = [run.socket() for _ in range(10)]
+    try:
+        for page in pages:
+            hear(page)
+        for n, page in enumerate(pages):
+            page.send(json.dumps({"id": n, "do": "set", "number": 1000 + n}))
+        for page in pages:
+            reply(page)
+        run.bench.tell({"slices": {"number": "last"}, "version": 0})
+        for page in pages:
+            while hear(page).get("slices", {}).get("number") != "last":
+                pass
+    finally:
+        for page in pages:
+            page.close()
+    assert soon(lambda: not run.bench.pages)
+
+
+def test_a_slow_client_delays_no_other_and_gets_the_latest_state(run: Running) -> None:
+    """Its socket buffers a few kilobytes, and thirty megabytes are published meanwhile."""
+    narrow = narrow_line(run)
+    with run.socket(sock=narrow, max_queue=1) as slow, run.socket() as quick:
+        hear(quick)
+        big = "x" * 100_000
+        for n in range(300):
+            run.bench.tell({"slices": {"big": [n, big]}, "version": n})
+            run.bench.tell({"event": "simplex", "iteration": n})
+            while hear(quick).get("slices", {}).get("big", [None])[0] != n:
+                pass
+        heard = []
+        while not heard or heard[-1].get("event") != "simplex" or heard[-1]["iteration"] != 299:
+            heard.append(hear(slow))
+        assert len(heard) < 300
+        assert [m["slices"]["big"][0] for m in heard if "big" in m.get("slices", {})][-1] == 299
+
+
+def test_a_client_that_reads_no_replies_is_not_read_further(run: Running) -> None:
+    line, before = narrow_line(run), run.bench.version
+    with run.socket(sock=line, max_queue=1) as page:
+        command = json.dumps({"id": "x" * 200_000, "do": "set", "number": 0})
+
+        def flood() -> None:
+            with contextlib.suppress(OSError, ConnectionClosed):
+                for _ in range(400):
+                    page.send(command)
+
+        flooding = threading.Thread(target=flood, daemon=True)
+        flooding.start()
+        flooding.join(timeout=2.0)
+        assert flooding.is_alive(), "80 MB of commands are waiting, unread"
+        assert 0 < run.bench.version - before < 200
+        line.shutdown(socket.SHUT_RDWR)
+        flooding.join(timeout=5.0)
+    assert soon(lambda: not run.bench.pages)
+
+
+SLICES = st.fixed_dictionaries(
+    {"slices": st.dictionaries(st.sampled_from("abc"), st.integers()), "version": st.integers()}
+)
+EVENTS = st.fixed_dictionaries({"event": st.sampled_from(["simplex", "notice", "hover"]), "value": st.integers()})
+MESSAGES = st.lists(st.one_of(SLICES, EVENTS, st.none()), max_size=60)
+
+
+@given(MESSAGES)
+def test_emptying_the_outbox_yields_the_latest_state(messages: list[dict[str, Any] | None]) -> None:
+    woken, told, truth = [], {}, {}
+    outbox = Outbox(lambda: woken.append(1))
+    notices, last = [], {}
+
+    def empty() -> None:
+        for message in outbox.take()[0]:
+            told.update(message.get("slices", {}))
+            if message.get("event") == "notice":
+                notices.append(message)
+            elif "event" in message:
+                last[message["event"]] = message
+
+    for message in messages:
+        if message is None:
+            empty()
+            assert told == truth
+            assert outbox.take() == ([], None)
+            continue
+        calls = len(woken)
+        waits = bool(outbox._slices or outbox._events or outbox._latest)
+        outbox.put(message)
+        truth.update(message.get("slices", {}))
+        assert waits or len(woken) == calls + 1
+    empty()
+    assert told == truth
+    assert notices == [m for m in messages if m and m.get("event") == "notice"]
+    for name in ("simplex", "hover"):
+        of_name = [m for m in messages if m and m.get("event") == name]
+        assert last.get(name) == (of_name[-1] if of_name else None)
+
+
+def test_the_outbox_keeps_only_the_last_events() -> None:
+    outbox = Outbox(lambda: None)
+    for n in range(10_000):
+        outbox.put({"event": "notice", "n": n})
+    assert [message["n"] for message in outbox.take()[0]] == list(range(9800, 10_000))
+
+
+NUMBERS = st.integers(-(2**53), 2**53) | st.floats(allow_nan=False, allow_infinity=False)
+JSON = st.recursive(
+    st.none() | st.booleans() | NUMBERS | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=8,
+)
+
+
+@given(st.dictionaries(st.text(), JSON))
+def test_encoding_and_decoding_agree(message: dict[str, Any]) -> None:
+    assert decode_object(encode(message)) == json.loads(encode(message)) == message
+
+
+@given(st.text() | JSON.filter(lambda value: not isinstance(value, dict)).map(json.dumps))
+def test_text_that_is_not_an_object_is_refused(text: str) -> None:
+    with pytest.raises(InvalidMessageError):
+        decode_object(text)
+
+
+def test_arrays_become_lists_and_non_finite_numbers_null() -> None:
+    class Array:
+        def tolist(self) -> list[float]:
+            return [1.0, math.nan]
+
+    assert encode({"a": Array(), "b": math.inf}) == '{"a":[1.0,null],"b":null}'
+    with pytest.raises(TypeError):
+        encode({"a": object()})
+
+
+def test_behind_a_proxy_the_address_is_the_browsers(tmp_path: Path) -> None:
+    with (
+        running(tmp_path, behind_proxy=True) as run,
+        run.socket(headers={"X-Forwarded-For": "9.9.9.9, 1.2.3.4"}) as page,
+    ):
+        hear(page)
+        assert [page.address for page in run.bench.pages] == ["1.2.3.4"]

@@ -1,0 +1,91 @@
+"""Caches bounded by number and by bytes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ladarreg.gateway.protocol import Picture
+from ladarreg.session.cache import BoundedCache, ListCache, array_bytes, rough_bytes
+from ladarreg.session.loader import Loader
+
+from ladarreg_core.camera import Camera
+from ladarreg_core.photo import Photo
+from ladarreg_core.project.folder import ProjectFolder
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.grids import AzimuthElevation
+
+
+def _photo(height: int, width: int) -> Photo:
+    return Photo(np.zeros((height, width, 3), np.uint8), Camera.from_focal(width, height, width))
+
+
+def test_the_least_recently_used_value_is_dropped_first() -> None:
+    cache: BoundedCache[bytes] = BoundedCache(3, 100, len)
+    for name in "abc":
+        cache.put(name, name.encode() * 30)
+    assert cache.get("a") == b"a" * 30
+    cache.put("d", b"d" * 30)
+    assert ["b" in cache, "a" in cache, len(cache), cache.bytes] == [False, True, 3, 90]
+    cache.put("e", b"e" * 60)  # replaces two
+    assert [name for name in "abcde" if name in cache] == ["d", "e"]
+    cache.put("f", b"f" * 1000)  # exceeds the limit alone, but is the newest
+    assert [name for name in "abcdef" if name in cache] == ["f"]
+
+
+def test_growing_values_are_measured_again() -> None:
+    cache: BoundedCache[bytearray] = BoundedCache(10, 100, len, values_grow=True)
+    first = bytearray(10)
+    cache.put("first", first)
+    first.extend(bytes(200))
+    cache.put("second", bytearray(10))
+    assert "first" not in cache
+
+
+def test_bytes_of_arrays_are_counted_once() -> None:
+    scan = Scan(AzimuthElevation(20, 30, 0.01, 0.01), np.full((20, 30), 2.0), np.ones((20, 30)))
+    before = array_bytes(scan)
+    assert before >= scan.ranges.nbytes + scan.intensity.nbytes
+    grown = scan.rays.nbytes + scan.points.nbytes
+    assert array_bytes(scan) == before + grown
+    values = np.zeros((100, 100))
+    assert array_bytes({"a": values, "b": [values, values[:50]], "of": scan}) == values.nbytes
+    assert array_bytes((scan, Picture(b"x" * 500, "image/png", "tag"))) == 500
+
+
+def test_a_rough_size_grows_with_a_slice() -> None:
+    pick = {"id": "p1", "scan": [[1.0, 2.0, 3.0]], "photo": [[5.0, 6.0]]}
+    one, many = rough_bytes({"picks": [pick]}), rough_bytes({"picks": [dict(pick) for _ in range(1000)]})
+    assert 300 * one < many < 2000 * one
+
+
+def test_large_photographs_stay_within_the_memory_limit(tmp_path: Path) -> None:
+    loader = Loader(ProjectFolder(tmp_path / "project"))
+    for k in range(8):
+        loader.cached("photo", k, lambda: _photo(6000, 8000))  # 144 MB each
+        shelf: Any = loader._cache["photo"]
+        assert shelf.bytes <= 600_000_000
+    assert len(shelf) == 4
+
+
+def test_a_new_scan_drops_values_derived_from_the_previous_one(tmp_path: Path) -> None:
+    loader = Loader(ProjectFolder(tmp_path / "project"))
+    loader.cached("scan", 1, lambda: "a scan")
+    loader.cached("measured", 1, lambda: "of the first scan")
+    loader.cached("photo", 1, lambda: "a photograph")
+    loader.cached("scan", 2, lambda: "another scan")
+    assert loader.cached("measured", 1, lambda: "of the second scan") == "of the second scan"
+    assert loader.cached("photo", 1, lambda: "read again") == "a photograph"
+
+
+def test_the_number_of_cached_lists_is_bounded() -> None:
+    made: list[int] = []
+    each: ListCache[int, int] = ListCache(lambda thing: made.append(thing) or thing)  # type: ignore[func-returns-value]
+    things = (1, 2, 3)
+    for photo in range(1000):
+        each.get(photo, things)
+    assert len(each._lists) <= 256
+    made.clear()
+    assert each.get(999, things) == [1, 2, 3]
+    assert made == []
