@@ -107,7 +107,7 @@ def texture_scan(
     if camera.size != photo.camera.size:
         raise ShapeError(
             f"the camera is for {camera.width} x {camera.height} pixels, the photo has {photo.camera.width} x "
-            f"{photo.camera.height}; give the camera of this picture size"
+            f"{photo.camera.height}; give the intrinsics for this image size"
         )
     colour = np.asarray(background)
     if colour.shape != (3,) or colour.dtype.kind not in "iu" or colour.min() < 0 or colour.max() > 255:

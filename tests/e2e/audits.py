@@ -1,4 +1,4 @@
-"""What holds for the whole page, whatever it shows: it can be read, and it can be used without a mouse."""
+"""Audits of the whole page: contrast, and use without a mouse."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _MOST_CONTROLS = 200
 
 
 def hard_to_read(page: Page) -> list[str]:
-    """Return what is seen now and cannot be told well from its ground, with its contrast and its selector."""
+    """Return what is visible now with too little contrast, with its contrast and its selector."""
     found = page.evaluate(_CONTRAST)
-    assert found["seen"] > 5, "there was hardly anything to look at"
+    assert found["seen"] > 5, "hardly anything was visible"
     return list(found["bad"])
 
 
 def lost_without_a_mouse(page: Page) -> tuple[set[str], list[str]]:
-    """Walk once through the page by Tab; return what does not show the focus, and what is never reached."""
+    """Step through the page by Tab; return what does not show the focus, and what is never reached."""
     unseen = set()
     for _ in range(_MOST_CONTROLS):
         page.keyboard.press("Tab")
@@ -45,5 +45,5 @@ def lost_without_a_mouse(page: Page) -> tuple[set[str], list[str]]:
         if not at["ring"]:
             unseen.add(at["name"])
         if at["picture"]:
-            page.keyboard.press("Escape")  # which lets Tab leave the pictures
+            page.keyboard.press("Escape")  # after which Tab leaves the pictures
     return unseen, page.evaluate(_MISSED)

@@ -1,4 +1,4 @@
-"""Which Chromium the browser tests use; `python -m tests.e2e.browser` tells, and fails where there is none."""
+"""The Chromium of the browser tests; `python -m tests.e2e.browser` prints it, and fails if there is none."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MAC = "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome"
 
 @cache
 def find_chromium() -> str | None:
-    """Return a Chromium that starts, or None: some distributions' `chromium` only says where to get it."""
+    """Return a Chromium that starts, or None: some distributions' `chromium` only prints how to install it."""
     for candidate in (os.environ.get("LADARREG_CHROMIUM"), *map(shutil.which, _NAMES), _MAC, _playwrights_own()):
         if candidate and Path(candidate).exists() and _starts(candidate):
             return candidate

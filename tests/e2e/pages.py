@@ -1,4 +1,4 @@
-"""A page in a real browser: its console must be clean, and where a test fails its screenshot is kept."""
+"""A page in a real browser: its console must be clean, and a failed test leaves a screenshot."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def page(browser: Browser, request: pytest.FixtureRequest, checkout: Path) -> Iterator[Page]:
-    """A fresh page; what its console calls an error fails the test."""
+    """A new page; an error in its console fails the test."""
     tab = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
     errors: list[str] = []
     tab.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
@@ -50,7 +50,7 @@ def page(browser: Browser, request: pytest.FixtureRequest, checkout: Path) -> It
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
-    """Note on the test that it failed, for the page that is torn down after it."""
+    """Record on the test that it failed, for the teardown of its page."""
     outcome = yield
     if outcome.get_result().failed:  # type: ignore[attr-defined]
         item.stash[FAILED] = True
@@ -64,12 +64,12 @@ def keep(page: Page, checkout: Path, name: str) -> None:
 
 
 def pixels(page: Page) -> np.ndarray:
-    """Return what the page shows, (h, w, 3) uint8 RGB."""
+    """Return a screenshot of the page, (h, w, 3) uint8 RGB."""
     return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
 
 
 def wait_for_pixels(page: Page, wanted: Callable[[np.ndarray], bool], *, what: str, seconds: float = 60) -> np.ndarray:
-    """Return the first picture that satisfies `wanted` and stands still: what is new fades in."""
+    """Return the first screenshot that satisfies `wanted` and no longer changes, since new things fade in."""
     end = time.monotonic() + seconds
     before = pixels(page)
     while time.monotonic() < end:

@@ -1,4 +1,4 @@
-"""What a page shows that comes when as many are open as the workbench serves."""
+"""The page that is opened when the workbench serves its maximum number of pages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill to send")]
 
 
-def test_the_page_beyond_the_limit_says_why_and_comes_up_when_another_goes(browser: Browser, tmp_path: Path) -> None:
+def test_a_page_beyond_the_limit_shows_the_reason_and_connects_when_another_closes(
+    browser: Browser, tmp_path: Path
+) -> None:
     with served(tmp_path / "project") as (found, _):
         others = Held("document", 64, found.host, found.port, found.cookie)
         views = Held("viser", 64, found.host, found.port, found.cookie)

@@ -80,16 +80,16 @@ def elsewhere(text: str) -> Iterator[str]:
         server.server_close()
 
 
-def is_in(page: Page, run: Running) -> None:
+def assert_logged_in(page: Page, run: Running) -> None:
     page.wait_for_url(f"{run.origin}/", wait_until="domcontentloaded")
     page.locator("#scan-pane").wait_for(state="attached")
 
 
-def test_an_address_with_the_token_is_left_nowhere(run: Running, context: BrowserContext) -> None:
+def test_an_address_with_the_token_leaks_nowhere(run: Running, context: BrowserContext) -> None:
     page = context.new_page()
     page.goto("about:blank")
     page.goto(f"{run.origin}/?token={TOKEN}", wait_until="commit")
-    is_in(page, run)
+    assert_logged_in(page, run)
     left = page.evaluate(LEFT)
     assert left["referrer"] == ""
     assert left["address"] == f"{run.origin}/"
@@ -98,32 +98,32 @@ def test_an_address_with_the_token_is_left_nowhere(run: Running, context: Browse
     assert page.url == "about:blank"
 
 
-def test_a_link_elsewhere_leads_in_and_passes_nothing_on(run: Running, context: BrowserContext) -> None:
+def test_a_link_on_another_site_logs_in_and_leaks_nothing(run: Running, context: BrowserContext) -> None:
     with elsewhere(f'<a href="{run.origin}/?token={TOKEN}">open</a>') as address:
         page = context.new_page()
         page.goto(address)
         page.get_by_text("open").click()
-        is_in(page, run)
+        assert_logged_in(page, run)
         assert TOKEN not in str(page.evaluate(LEFT))
         page.go_back()
         assert page.url == address
 
 
-def test_the_form_takes_the_token_and_leaves_no_wrong_one_either(run: Running, context: BrowserContext) -> None:
+def test_the_form_accepts_the_token_and_a_wrong_one_leaks_nowhere(run: Running, context: BrowserContext) -> None:
     page = context.new_page()
     page.goto(f"{run.origin}/?token={WRONG}")
     page.get_by_role("alert").wait_for()
     assert page.url == f"{run.origin}/"
     page.get_by_label("Token").fill(TOKEN)
     page.get_by_role("button", name="Enter").click()
-    is_in(page, run)
+    assert_logged_in(page, run)
     left = page.evaluate(LEFT)
     assert TOKEN not in str(left)
     assert WRONG not in str(left)
     assert left["referrer"] == ""
 
 
-def test_no_page_of_another_site_can_slow_the_way_in(run: Running, context: BrowserContext) -> None:
+def test_no_page_of_another_site_can_delay_the_login(run: Running, context: BrowserContext) -> None:
     with elsewhere(HOSTILE % (f"{run.origin}/", quote(WRONG))) as address:
         page = context.new_page()
         page.goto(address)
@@ -132,6 +132,6 @@ def test_no_page_of_another_site_can_slow_the_way_in(run: Running, context: Brow
             page.evaluate("address => { location.href = address }", f"{run.origin}/?token={WRONG}{k}")
             page.get_by_role("alert").wait_for()
             page.goto(address, wait_until="commit")
-        person = context.new_page()
-        person.goto(f"{run.origin}/?token={TOKEN}", wait_until="commit")
-        is_in(person, run)
+        client = context.new_page()
+        client.goto(f"{run.origin}/?token={TOKEN}", wait_until="commit")
+        assert_logged_in(client, run)

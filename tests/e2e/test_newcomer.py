@@ -1,4 +1,4 @@
-"""Somebody's first hour: an empty project, files that are none, a focal length, fingers, and a server that dies."""
+"""The first hour of a new user: empty project, bad files, focal length, touch, and a server that is killed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(nam
 
 @contextmanager
 def started(project: Path, port: int = 0) -> Iterator[Served]:
-    """A workbench on a project, new or not, with a small limit of uploads."""
+    """A workbench on a new or existing project, with a small upload limit."""
     surroundings = {**os.environ, "LADARREG_HOME": str(project.parent), "OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", "serve", "--project", str(project), "--port", str(port), "--no-browser",
@@ -66,12 +66,12 @@ def opened(context: BrowserContext, server: Served) -> Page:
 
 
 def drop(page: Page, selector: str, files: dict[str, bytes]) -> None:
-    """Drop files from outside."""
+    """Drop files onto an element."""
     page.evaluate(DROP, [selector, [(name, base64.b64encode(data).decode()) for name, data in files.items()]])
 
 
 def place(page: Page, side: str, share: tuple[float, float]) -> tuple[float, float]:
-    """Where a share of a pane stands in the window."""
+    """Return the window position of a share of a pane."""
     box = page.locator(f"#{side}-pane .pane-body").bounding_box()
     assert box is not None
     return box["x"] + share[0] * box["width"], box["y"] + share[1] * box["height"]
@@ -106,7 +106,7 @@ def pinch(page: Page, side: str) -> None:
 
 
 def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
-    """An empty project; wrong files; right ones; a focal length; touch; a server that dies with a line half drawn."""
+    """Empty project; bad files; good ones; focal length; touch; a server killed while a line is half drawn."""
     project = tmp_path / "project"
     photo, scan = next(sample_folder().glob("photo.*")).read_bytes(), (sample_folder() / "scan.npz").read_bytes()
     context = browser.new_context(viewport=SIZE, bypass_csp=True, has_touch=True)
@@ -115,14 +115,14 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         page = opened(context, server)
         page.on("pageerror", lambda error: faults.append(str(error)))
         files = page.get_by_role("dialog", name="Open files")
-        files.wait_for()  # who begins with nothing is asked
+        files.wait_for()  # it opens by itself in an empty project
         page.keyboard.press("Escape")
         page.get_by_text("Open a scan and a photograph first.", exact=True).wait_for()
 
         bad = {"invoice.png": b"%PDF-1.7", "notes.txt": b"hello", "big.png": bytes(3 << 20), HOSTILE: photo[:5000]}
         drop(page, "#scan-pane .pane-body", bad)
         row = files.locator(".file-row")
-        assert files.get_by_role("button", name="Open 4 files").is_disabled(), "one is not told yet"
+        assert files.get_by_role("button", name="Open 4 files").is_disabled(), "the type of one is unknown"
         row.nth(1).get_by_role("combobox").select_option("scan")
         files.get_by_role("button", name="Open 4 files").click()
         for number, said in enumerate(
@@ -133,7 +133,7 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         for _ in bad:
             row.first.get_by_role("button", name="Leave").click()
 
-        # together, on a pane, and one more while these are on their way
+        # two at once on a pane, and one more during their upload
         drop(page, "#photo-pane .pane-body", {"ä photo.png": photo, "scan.npz": scan})
         drop(page, "#photo-pane .pane-body", {HOSTILE: photo})
         files.wait_for(state="hidden")
@@ -142,7 +142,7 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         assert page.evaluate("window.hit") is None
 
         form = page.get_by_role("dialog", name="Camera of the photograph")
-        form.wait_for()  # it asks by itself
+        form.wait_for()  # it opens by itself
         film, mm, _, px = form.get_by_role("textbox").all()
         for field, text, said in (
             (film, "wide", "is no number"),
@@ -167,7 +167,7 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         before = zoom.inner_text()
         pinch(page, "scan")
         assert zoom.inner_text() != before
-        assert page.locator(".awaits-partner").count() == 0, "two fingers draw nothing"
+        assert page.locator(".awaits-partner").count() == 0, "two fingers do not draw"
         touch_line(page, "scan")
         page.get_by_role("button", name="Discard the drawing").tap()
         assert page.locator(".awaits-partner").count() == 0
@@ -181,7 +181,7 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         page.get_by_role("alert").filter(has_text="nothing was changed").wait_for()
     with started(project, server.port):
         page.get_by_role("button", name="connected", exact=True).wait_for()
-        page.locator(".row-line[data-pick]").wait_for()  # of the photograph that was worked on, not of the first
+        page.locator(".row-line[data-pick]").wait_for()  # of the photograph shown last, not of the first
         draw(page, "photo")  # its first side is still open
         page.locator(".row-line[data-pick]").nth(1).wait_for()
         context.close()

@@ -94,7 +94,7 @@ def photo_of_quarters() -> Photo:
 
 
 def at(points: np.ndarray) -> np.ndarray:
-    """Return where the page shows points (N, 3), when it looks from the camera."""
+    """Return the positions of points (N, 3) in the page, seen from the camera."""
     focal = min(SIZE[1] * 330 / 200, SIZE[0] * 330 / 300)
     seen = POSE @ points
     return np.rint(np.array(SIZE) / 2 + focal * seen[:, :2] / seen[:, 2:]).astype(int)
@@ -119,7 +119,7 @@ def test_the_model_has_the_photographs_colours_and_its_matches_can_be_touched(
     assert error(seen).max() <= 3, error(seen)
 
     u, v = at(picked)[0].tolist()
-    assert np.abs(seen[v, u].astype(int) - [255, 211, 77]).max() <= 15, "the mark, blended at its rim"
+    assert np.abs(seen[v, u].astype(int) - [255, 211, 77]).max() <= 15, "the mark, blended at its edge"
     page.mouse.move(u + 1, v)
     page.wait_for_timeout(300)
     page.mouse.click(u, v)

@@ -1,4 +1,4 @@
-"""What the viewer shows is the colour that the photograph has."""
+"""The viewer shows the colours of the photograph."""
 
 from __future__ import annotations
 

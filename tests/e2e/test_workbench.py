@@ -1,4 +1,4 @@
-"""The workbench as an operator meets it: a browser, a mouse, and the embedded sample. Screenshots lie in artifacts/."""
+"""The workbench in a browser, with a mouse and the embedded sample. Screenshots are in artifacts/."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill -9 to send")]
 WRONG = re.compile("damaged|truncated|cut short|incomplete|cannot be read|not an image|no picture", re.IGNORECASE)
 EXPECTED_ERRORS = {
-    "test_bad_files_are_told_where_the_operator_looks": "400 (Bad Request)",
-    "test_a_lost_connection_comes_back_with_the_present_state": "ERR_INTERNET_DISCONNECTED",  # a picture asked for
+    "test_a_bad_file_is_reported_in_the_dialog": "400 (Bad Request)",
+    "test_a_lost_connection_comes_back_with_the_present_state": "ERR_INTERNET_DISCONNECTED",  # loading a picture
 }
 SIZE = {"width": 1600, "height": 900}
 OPEN = "dialog[open], [popover]:popover-open"
 
 
 class Operator:
-    """A browser tab at the workbench, and a websocket that sees the same document."""
+    """A browser tab at the workbench, and a websocket with the same document."""
 
     def __init__(self, page: Page, server: Served, pictures: Path) -> None:
         self.page, self.server, self.pictures = page, server, pictures
@@ -45,33 +45,33 @@ class Operator:
         self._shots = 0
 
     def open(self) -> None:
-        """Open the page by the address that the server printed."""
+        """Open the page at the address that the server printed."""
         self.page.goto(f"{self.server.address}?token={self.server.token}")
         self.page.get_by_role("button", name="connected").wait_for()
 
-    def told(self, name: str) -> Any:
-        """Return a slice as the server tells it now."""
-        self.socket.ask("list_served")  # an answer means that all before it has come
+    def slice(self, name: str) -> Any:
+        """Return the current value of a slice."""
+        self.socket.ask("list_served")  # its answer follows all earlier messages
         return self.socket.slices.get(name)
 
     def wait(self, true: Callable[[], Any], what: str, seconds: float = 90) -> Any:
-        """Wait until something holds."""
+        """Wait until a condition is true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             found = true()
             if found:
                 return found
             self.page.wait_for_timeout(100)
-        pytest.fail(f"it never happened: {what}")
+        pytest.fail(f"it did not happen: {what}")
 
     def shot(self, name: str) -> None:
-        """Keep a picture of the page."""
+        """Save a screenshot of the page."""
         self.pictures.mkdir(parents=True, exist_ok=True)
         self._shots += 1
         self.page.screenshot(path=self.pictures / f"{self._shots:02d}-{name}.png")
 
     def button(self, name: str) -> Locator:
-        """Return the button of a name."""
+        """Return the button with a name."""
         return self.page.get_by_role("button", name=name)
 
     def step(self, name: str) -> None:
@@ -79,16 +79,16 @@ class Operator:
         self.page.get_by_role("tab", name=name).click()
 
     def place(self, side: str, uv: tuple[float, float]) -> tuple[float, float]:
-        """Return where a pixel stands in the window while the whole picture is shown."""
+        """Return the window position of a pixel while the whole picture is shown."""
         body = self.page.locator(f"#{side}-pane .pane-body")
         box = body.bounding_box()
         assert box is not None
         width, height = body.evaluate("(body) => [body.clientWidth, body.clientHeight]")  # whole CSS pixels
         if side == "scan":
-            view = self.told("scan")["views"][0]
+            view = self.slice("scan")["views"][0]
             size = (view["width"], view["height"])
         else:
-            photo = self.told("photos")[0]
+            photo = self.slice("photos")[0]
             size = (photo["width"], photo["height"])
         zoom = min(width / size[0], height / size[1])
         left, top = box["x"] + (width - size[0] * zoom) / 2, box["y"] + (height - size[1] * zoom) / 2
@@ -106,13 +106,13 @@ class Operator:
 
 
 def no_model(route: Route) -> None:
-    """Leave the 3-D page empty: drawn in software it takes all of a small machine, and is looked at on its own."""
+    """Leave the 3-D page empty: software rendering takes all of a small machine, and it has a test of its own."""
     route.fulfill(body="<!doctype html><title>left out</title>", content_type="text/html")
 
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """A running workbench on the sample, whose camera is known."""
+    """A running workbench on the sample, with its camera set."""
     with served(tmp_path_factory.mktemp("workbench") / "project") as (found, _):
         socket = Socket(found)
         camera = json.loads((sample_folder() / "camera.json").read_text())
@@ -123,8 +123,8 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 @pytest.fixture
 def operator(browser: Browser, server: Served, checkout: Path, request: pytest.FixtureRequest) -> Iterator[Operator]:
-    """An operator with a tab; what the page's console calls an error fails the test."""
-    # The driver itself evaluates text in frames, which the policy of the 3-D page rightly forbids.
+    """An operator with a tab; an error in the page's console fails the test."""
+    # The driver evaluates text in frames, which the policy of the 3-D page rightly forbids.
     context = browser.new_context(viewport=SIZE, bypass_csp=True, accept_downloads=True, color_scheme="dark")  # type: ignore[arg-type]
     page = context.new_page()
     if not request.node.get_closest_marker("with_model"):
@@ -172,16 +172,16 @@ def seen_by_both(server: Served) -> list[tuple[Any, Any, Any]]:
     return found
 
 
-def test_an_operator_goes_all_the_way(operator: Operator, browser: Browser, tmp_path: Path) -> None:
-    """Draw, undo, delete, match, solve and watch, reject, look, export; a second browser sees it all."""
+def test_the_whole_workflow(operator: Operator, browser: Browser, tmp_path: Path) -> None:
+    """Draw, undo, delete, register, run the simplex, disable outliers, inspect, export; with a second client."""
     page = operator.page
-    page.keyboard.press("n")  # no snapping: positions are checked to fractions of a pixel
+    page.keyboard.press("n")  # no snapping, since positions are checked to fractions of a pixel
     operator.shot("opened")
     for number, (in_scan, in_photo, rays) in enumerate(seen_by_both(operator.server), 1):
         operator.draw("scan", in_scan)
         operator.draw("photo", in_photo)
         picks = operator.wait(
-            lambda n=number: p if len(p := operator.told("picks:p1")) == n else None, f"line {number} in the document"
+            lambda n=number: p if len(p := operator.slice("picks:p1")) == n else None, f"line {number} in the document"
         )
         drawn = picks[-1]
         assert drawn["kind"] == "line"
@@ -190,17 +190,17 @@ def test_an_operator_goes_all_the_way(operator: Operator, browser: Browser, tmp_
     operator.shot("three-lines")
 
     page.keyboard.press("Control+z")
-    operator.wait(lambda: len(operator.told("picks:p1")) == 2, "undo")
+    operator.wait(lambda: len(operator.slice("picks:p1")) == 2, "undo")
     page.keyboard.press("Control+Shift+z")
-    operator.wait(lambda: len(operator.told("picks:p1")) == 3, "redo")
+    operator.wait(lambda: len(operator.slice("picks:p1")) == 3, "redo")
     page.locator(".row-line[data-pick]").nth(2).locator(".col-kind").click()
     page.keyboard.press("Delete")
-    operator.wait(lambda: len(operator.told("picks:p1")) == 2, "delete")
+    operator.wait(lambda: len(operator.slice("picks:p1")) == 2, "delete")
 
     operator.button("Register automatically").click()
-    operator.wait(lambda: operator.told("photos")[0]["state"] == "accepted", "registered", 240)
+    operator.wait(lambda: operator.slice("photos")[0]["state"] == "accepted", "registered", 240)
     page.get_by_text("Accepted", exact=False).first.wait_for()
-    assert len(operator.told("picks:p1")) > 30
+    assert len(operator.slice("picks:p1")) > 30
     operator.shot("registered")
 
     other = browser.new_context(viewport=SIZE, bypass_csp=True)  # type: ignore[arg-type]
@@ -209,28 +209,28 @@ def test_an_operator_goes_all_the_way(operator: Operator, browser: Browser, tmp_
     second.goto(f"{operator.server.address}?token={operator.server.token}")
     second.locator(".row-line[data-pick]").first.wait_for()
     first_row = page.locator(".row-line[data-pick]").first
-    first_row.get_by_role("checkbox").click()  # it turns when the document says so
+    first_row.get_by_role("checkbox").click()  # it changes with the document
     second.locator(".row-line[data-pick].disabled").first.wait_for()
     first_row.get_by_role("checkbox").click()
     other.close()
 
     operator.step("Solve")
     page.get_by_role("button", name="Run: Simplex", exact=True).click()
-    operator.wait(lambda: (operator.told("job") or {}).get("kind") == "simplex", "the simplex begins")
+    operator.wait(lambda: (operator.slice("job") or {}).get("kind") == "simplex", "the simplex begins")
     page.get_by_role("button", name="Pause").first.click()
-    operator.wait(lambda: operator.told("job")["state"] == "paused", "a pause")
-    paused_at = operator.told("job")["done"]
+    operator.wait(lambda: operator.slice("job")["state"] == "paused", "a pause")
+    paused_at = operator.slice("job")["done"]
     operator.shot("simplex-paused")
     page.get_by_role("button", name="Resume").first.click()
-    operator.wait(lambda: operator.told("job")["done"] > paused_at, "it goes on")
+    operator.wait(lambda: operator.slice("job")["done"] > paused_at, "it resumes")
     page.get_by_role("button", name="Keep best").first.click()
-    operator.wait(lambda: operator.told("job")["state"] == "stopped", "it stops")
+    operator.wait(lambda: operator.slice("job")["state"] == "stopped", "it stops")
     stages = operator.wait(
-        lambda: [s for s in operator.told("poses:p1")["stages"] if s["stage"] == "simplex"], "the best is kept"
+        lambda: [s for s in operator.slice("poses:p1")["stages"] if s["stage"] == "simplex"], "the best pose is kept"
     )
     assert len(stages[0]["parameters"]) == 6
 
-    operator.wait(lambda: operator.told("judged:p1")["stage"] == "simplex", "its residuals")
+    operator.wait(lambda: operator.slice("judged:p1")["stage"] == "simplex", "its residuals")
     operator.step("Judge")
     canvas = page.get_by_role("slider", name="Threshold of the depth errors")
     canvas.wait_for()
@@ -250,9 +250,9 @@ def test_an_operator_goes_all_the_way(operator: Operator, browser: Browser, tmp_
     page.get_by_role("button", name=re.compile(r"^(Disable|Re-enable) \d")).click()
 
     def rejected() -> bool:
-        judged = operator.told("judged:p1")["by_pick"]
+        judged = operator.slice("judged:p1")["by_pick"]
         errors = {name: said["depth_m"] for name, said in judged.items() if said["depth_m"] is not None}
-        picks = [pick for pick in operator.told("picks:p1") if pick["id"] in errors]
+        picks = [pick for pick in operator.slice("picks:p1") if pick["id"] in errors]
         near = 1e-3 * after  # the page shows three digits
         return bool(picks) and all(
             pick["on"] == (abs(errors[pick["id"]]) <= after)
@@ -266,7 +266,7 @@ def test_an_operator_goes_all_the_way(operator: Operator, browser: Browser, tmp_
     page.get_by_role("button", name="Automatic", exact=False).first.wait_for(timeout=5000)
     operator.socket.ask("use_stage", photo="p1", stage="auto")
     page.get_by_label("Texture of the model").select_option("range")
-    operator.wait(lambda: operator.told("model")["texture"] == "range", "another texture")
+    operator.wait(lambda: operator.slice("model")["texture"] == "range", "another texture")
     page.get_by_label("Texture of the model").select_option("colour")
     operator.shot("judged")
 
@@ -283,13 +283,13 @@ def test_an_operator_goes_all_the_way(operator: Operator, browser: Browser, tmp_
 
 
 @pytest.mark.with_model
-def test_the_model_stands_beside_the_pictures(operator: Operator) -> None:
-    """Coloured by the photograph once it is registered, and gray by another texture."""
+def test_the_model_has_the_colours_of_its_texture(operator: Operator) -> None:
+    """Coloured by the registered photograph; gray with the intensity texture."""
     page, pane = operator.page, operator.page.locator("#model-pane")
     operator.socket.ask("set_model", light=True, cameras=False, matches=False, texture="colour")
-    if operator.told("photos")[0]["state"] != "accepted":
+    if operator.slice("photos")[0]["state"] != "accepted":
         operator.socket.ask("run", photo="p1", job="auto")
-        operator.wait(lambda: operator.told("photos")[0]["state"] == "accepted", "registered", 240)
+        operator.wait(lambda: operator.slice("photos")[0]["state"] == "accepted", "registered", 240)
 
     def colourful() -> float:
         part = np.asarray(Image.open(io.BytesIO(pane.screenshot())).convert("RGB")).astype(int)[90:, :250]
@@ -298,7 +298,7 @@ def test_the_model_stands_beside_the_pictures(operator: Operator) -> None:
     operator.wait(lambda: colourful() > 0.05, "the photograph's colours on the model", 120)
     operator.shot("coloured")
     operator.socket.ask("set_model", texture="intensity")
-    operator.wait(lambda: colourful() < 0.02, "the laser's own gray", 60)
+    operator.wait(lambda: colourful() < 0.02, "the gray of the intensity", 60)
     operator.shot("gray")
     operator.socket.ask("set_model", texture="colour")
     assert page.frame_locator("iframe[title='3-D model']").locator("canvas").count() >= 1
@@ -306,7 +306,7 @@ def test_the_model_stands_beside_the_pictures(operator: Operator) -> None:
 
 def test_a_line_can_be_drawn_without_a_mouse(operator: Operator) -> None:
     page = operator.page
-    before = len(operator.told("picks:p1"))
+    before = len(operator.slice("picks:p1"))
     page.keyboard.press("n")
     for side in ("scan", "photo"):
         body = page.locator(f"#{side}-pane [role=application], #{side}-pane .pane-body[tabindex]").first
@@ -317,13 +317,13 @@ def test_a_line_can_be_drawn_without_a_mouse(operator: Operator) -> None:
             page.keyboard.press("Shift+ArrowRight")
         page.keyboard.press("Enter")
     picks = operator.wait(
-        lambda: p if len(p := operator.told("picks:p1")) == before + 1 else None, "a line drawn by keys"
+        lambda: p if len(p := operator.slice("picks:p1")) == before + 1 else None, "a line drawn by keys"
     )
     assert abs(picks[-1]["photo"][0][0] - picks[-1]["photo"][1][0]) == pytest.approx(40, abs=0.2)
 
 
 def test_the_policy_lets_the_page_work(browser: Browser, server: Served) -> None:
-    """Without the driver's way around it: no violation, and the workbench connects."""
+    """Without the driver's bypass: no violation, and the workbench connects."""
     page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
     violations: list[str] = []
     page.on("console", lambda m: violations.append(m.text) if "Content Security Policy" in m.text else None)
@@ -336,19 +336,19 @@ def test_the_policy_lets_the_page_work(browser: Browser, server: Served) -> None
     assert not violations
 
 
-def test_bad_files_are_told_where_the_operator_looks(operator: Operator, tmp_path: Path) -> None:
+def test_a_bad_file_is_reported_in_the_dialog(operator: Operator, tmp_path: Path) -> None:
     page = operator.page
     whole = next(sample_folder().glob("photo.*")).read_bytes()
     cut = tmp_path / "cut.png"
     cut.write_bytes(whole[: len(whole) // 3])
-    photos = len(operator.told("photos"))
+    photos = len(operator.slice("photos"))
     page.locator(".scan-chip").click()
     dialog = page.locator("dialog[open]")
     dialog.locator("input[type=file]").first.set_input_files(str(cut))
     dialog.get_by_text("cut.png", exact=False).first.wait_for()
-    operator.wait(lambda: WRONG.search(dialog.inner_text()), "what is wrong is said")
+    operator.wait(lambda: WRONG.search(dialog.inner_text()), "the error is shown")
     operator.shot("bad-file")
-    assert len(operator.told("photos")) == photos
+    assert len(operator.slice("photos")) == photos
     page.keyboard.press("Escape")
 
 
@@ -372,7 +372,7 @@ def test_it_fits_small_and_large_screens(operator: Operator, size: tuple[int, in
 
 @pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_everything_can_be_read(operator: Operator, scheme: str) -> None:
-    """Text on its ground 4.5:1 at least, icons and the edges that mean something 3:1; all steps, panels and dialogs."""
+    """Contrast of text at least 4.5:1, of icons and meaningful edges 3:1, in all steps, panels and dialogs."""
     page = operator.page
     page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
     page.evaluate(
@@ -396,7 +396,7 @@ def test_everything_can_be_read(operator: Operator, scheme: str) -> None:
 
 
 def test_everything_is_reached_by_keyboard(operator: Operator) -> None:
-    """Each control shows that it has the focus; Escape leaves what was opened and gives the focus back."""
+    """Each control shows its focus; Escape closes what was opened and returns the focus."""
     page = operator.page
     unseen, missed = lost_without_a_mouse(page)
     assert not unseen
@@ -441,11 +441,11 @@ def test_a_lost_connection_comes_back_with_the_present_state(operator: Operator)
     page.context.set_offline(False)
     reply = operator.socket.ask("add_pick", photo="p1", kind="point", scan=[[1, 0.01, 0]], photo_uv=[[333, 222]])
     assert reply["ok"]
-    number = next(pick["number"] for pick in operator.told("picks:p1") if pick["id"] == reply["pick"])
+    number = next(pick["number"] for pick in operator.slice("picks:p1") if pick["id"] == reply["pick"])
     page.get_by_role("button", name="connected").wait_for()
     operator.wait(
         lambda: page.evaluate("import('./js/net/store.js').then((m) => m.store.picksOf().map((p) => p.number))").count(
             number
         ),
-        "the page shows what was put down meanwhile",
+        "the page shows the pick added meanwhile",
     )

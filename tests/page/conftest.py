@@ -1,4 +1,4 @@
-"""The page's modules over HTTP, on a page of nothing but the two image panes."""
+"""The page's modules over HTTP, and a page with only the two image panes."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ VIEW_FROM_SCANNER = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]) @ rotation_f
 
 
 def picture(width: int, height: int) -> np.ndarray:
-    """A picture in which each pixel tells its place: (h, w, 3) uint8."""
+    """A picture whose colours encode the pixel position: (h, w, 3) uint8."""
     v, u = np.mgrid[:height, :width]
     return np.stack([u % 256, v % 256, (u // 256) * 16 + (u + v) % 2 * 128], axis=-1).astype(np.uint8)
 
 
 class Handler(SimpleHTTPRequestHandler):
-    """Serves static/, the bare page, and pictures that tell their pixels apart."""
+    """Serves static/, the bare page, and pictures with distinguishable pixels."""
 
     def do_GET(self) -> None:
         path = urlsplit(self.path).path
@@ -55,11 +55,11 @@ class Handler(SimpleHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
-        """Say nothing."""
+        """Do not log."""
 
 
 def lens() -> dict[str, Any]:
-    """The view as slice `scan` tells it."""
+    """The view as in slice `scan`."""
     c = VIEW_CAMERA
     rotation = [float(value) for value in VIEW_FROM_SCANNER.ravel()]
     return {"width": c.width, "height": c.height, "f": c.fx, "cx": c.cx, "cy": c.cy, "rotation": rotation, "label": ""}

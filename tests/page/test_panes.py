@@ -28,7 +28,7 @@ def panes(page: Page, modules: str) -> Page:
 
 @pytest.fixture(scope="module")
 def blank(browser: Browser, modules: str) -> Iterator[Page]:
-    """A page of the same origin with nothing on it, for modules without DOM."""
+    """An empty page of the same origin, for modules without DOM."""
     tab = browser.new_page()
     tab.goto(f"{modules}/blank.html")
     yield tab
@@ -36,12 +36,12 @@ def blank(browser: Browser, modules: str) -> Iterator[Page]:
 
 
 def run(page: Page, module: str, body: str, given: Any = None) -> Any:
-    """Return what `body` gives, with the module as m and the argument as a."""
+    """Return the result of `body`, with the module as m and the argument as a."""
     return page.evaluate(f"async (a) => {{ const m = await import('/js/{module}.js'); {body} }}", given)
 
 
 def place(page: Page, side: str, uv: Any) -> tuple[float, float]:
-    """Where a pixel stands in the window while the whole picture fits: the protocol's pixel convention."""
+    """Return the window position of a pixel while the whole picture is fitted, by the protocol's pixel convention."""
     box = page.locator(f"#{side}-pane .pane-body").bounding_box()
     assert box is not None
     size = np.array(VIEW if side == "scan" else PHOTO)
@@ -61,23 +61,23 @@ def drag(page: Page, side: str, a: Any, b: Any) -> None:
 
 
 def rays(uv: Any) -> np.ndarray:
-    """Rays of view pixels, as the core has them."""
+    """Return the rays of view pixels, computed by the core."""
     return np.asarray(VIEW_CAMERA.unproject(uv) @ VIEW_FROM_SCANNER)
 
 
 def pixels(given: Any) -> np.ndarray:
-    """View pixels of rays, as the core has them."""
+    """Return the view pixels of rays, computed by the core."""
     return np.asarray(VIEW_CAMERA.project(np.asarray(given) @ VIEW_FROM_SCANNER.T))
 
 
 def wait_for_picks(page: Page, count: int) -> list[dict[str, Any]]:
-    """Return the picks once there are so many."""
+    """Return the picks once there are `count`."""
     page.wait_for_function("(n) => store.picksOf().length === n", arg=count)
     return list(page.evaluate("store.picksOf()"))
 
 
 def asked(page: Page, what: str) -> list[dict[str, Any]]:
-    """Return the arguments of all questions of a kind."""
+    """Return the arguments of all commands of a kind."""
     return [args for name, args in page.evaluate("asked") if name == what]
 
 
@@ -85,7 +85,7 @@ SCAN_LINE = [[60.25, 40.5], [310.75, 200.0]]
 PHOTO_LINE = [[50.5, 30.25], [250.0, 150.75]]
 
 
-def test_places_and_pixels_are_inverse_and_zooming_keeps_the_place_under_the_cursor(blank: Page) -> None:
+def test_positions_and_pixels_are_inverse_and_zooming_keeps_the_point_under_the_cursor(blank: Page) -> None:
     rng = np.random.default_rng(11)
     cases = [
         {
@@ -107,7 +107,7 @@ def test_places_and_pixels_are_inverse_and_zooming_keeps_the_place_under_the_cur
         np.testing.assert_allclose(got["after"], got["before"], atol=1e-7)
 
 
-def test_whatever_happens_some_of_the_picture_stays_in_sight(blank: Page) -> None:
+def test_some_of_the_picture_always_stays_visible(blank: Page) -> None:
     rng = np.random.default_rng(12)
     drawn = rng.uniform([-3, -9e4, -9e4, 1, 1], [4, 9e4, 9e4, 8000, 8000], (200, 5)).tolist()
     cases = [[{"zoom": np.exp(zoom), "x": x, "y": y}, [500, 300], [int(w), int(h)]] for zoom, x, y, w, h in drawn]
@@ -118,7 +118,7 @@ def test_whatever_happens_some_of_the_picture_stays_in_sight(blank: Page) -> Non
             assert min(at + extent, room) - max(at, 0) >= min(48, extent, room / 2) - 1e-6
 
 
-def test_rays_are_those_of_the_core_and_nothing_behind_is_drawn(blank: Page) -> None:
+def test_rays_agree_with_the_core_and_nothing_behind_the_view_is_drawn(blank: Page) -> None:
     rng = np.random.default_rng(13)
     uv = rng.uniform(-200, 600, (100, 2))
     anywhere = rng.normal(size=(300, 3))
@@ -150,7 +150,7 @@ def test_a_line_that_ends_behind_the_view_is_drawn_along_the_same_line(blank: Pa
                 np.testing.assert_allclose(end, pixels(ray), rtol=1e-9, atol=1e-7)
 
 
-def test_the_loupe_never_lies_on_what_it_shows(blank: Page) -> None:
+def test_the_loupe_never_covers_what_it_shows(blank: Page) -> None:
     rng = np.random.default_rng(15)
     cases = [[rng.uniform(0, size).tolist(), size.tolist()] for size in rng.uniform(260, 1500, (200, 2))]
     places = run(blank, "panes/loupe", "return a.map((c) => m.loupePlace(...c))", cases)
@@ -160,7 +160,7 @@ def test_the_loupe_never_lies_on_what_it_shows(blank: Page) -> None:
         assert (np.array(at) < np.array(size) - 60).all()
 
 
-def test_a_throttled_question_is_asked_one_at_a_time_and_the_last_one_always(blank: Page) -> None:
+def test_throttled_calls_never_overlap_and_the_last_one_is_always_made(blank: Page) -> None:
     body = """
         const rest = (ms) => new Promise((done) => setTimeout(done, ms));
         const log = []; let out = 0, most = 0;
@@ -175,7 +175,7 @@ def test_a_throttled_question_is_asked_one_at_a_time_and_the_last_one_always(bla
     assert got["log"] == sorted(set(got["log"]))
 
 
-def test_each_pixel_of_the_picture_is_drawn_where_the_convention_puts_it(panes: Page) -> None:
+def test_each_pixel_of_the_picture_is_drawn_at_its_position(panes: Page) -> None:
     centre = place(panes, "photo", [120.25, 80.75])
     panes.mouse.move(*centre)
     for _ in range(14):
@@ -301,7 +301,7 @@ def test_a_line_can_be_drawn_without_a_mouse(panes: Page) -> None:
         np.testing.assert_allclose(drawn - (np.array(size) - 1) / 2, [[2, 30], [-48, 29.5]], atol=1e-6)
 
 
-def test_linked_panes_show_the_same_place_at_the_same_relative_zoom(panes: Page) -> None:
+def test_linked_panes_show_corresponding_points_at_the_same_relative_zoom(panes: Page) -> None:
     pose = {"shown": "linear", "stages": [{"stage": "linear", "parameters": []}]}
     panes.evaluate("(poses) => store.take({ slices: { 'poses:p1': poses } })", pose)
     panes.get_by_role("button", name="Linked").click()
@@ -325,7 +325,7 @@ def test_linked_panes_show_the_same_place_at_the_same_relative_zoom(panes: Page)
     np.testing.assert_allclose(np.array(shown[1]) - shown[0], [10, -5], atol=0.6)
 
 
-def test_without_anything_each_pane_says_what_to_do(panes: Page) -> None:
+def test_each_pane_says_what_to_do_while_it_is_empty(panes: Page) -> None:
     panes.evaluate("store.take({ slices: { scan: null, photos: [], shown: null, 'picks:p1': null } })")
     for side, what in (("scan", "No scan yet"), ("photo", "No photograph yet")):
         assert what in str(panes.locator(f"#{side}-pane .pane-middle").text_content())

@@ -1,4 +1,4 @@
-"""The page's copy of the document: it follows what the server tells, and says when it cannot."""
+"""The page's copy of the document: it follows the server, and reports when it cannot."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class Someone:
 
 @pytest.fixture
 def blank(page: Page, modules: str) -> Page:
-    """A page of the same origin with nothing on it."""
+    """An empty page of the same origin."""
     page.goto(f"{modules}/blank.html")
     return page
 
 
 def texts_of(states: list[dict[str, Any]]) -> list[str]:
-    """What a page is sent that is there from the first state on."""
+    """Return the messages to a page that is connected from the first state on."""
     state = ClientState(Someone(), SharedEncoder())
     found = [state.encode({"slices": states[0]})]
     for before, after in pairwise(states):
@@ -67,7 +67,7 @@ def test_the_copy_is_the_servers_state_after_every_message(blank: Page) -> None:
             assert sorted(heard) == sorted([*message["slices"], *message.get("changes", {})])
 
 
-def test_a_page_that_missed_a_message_takes_nothing_until_it_is_told_everything(blank: Page) -> None:
+def test_after_a_missed_message_nothing_is_applied_until_all_slices_arrive(blank: Page) -> None:
     states = random_states(1, 60)
     texts = texts_of(states)
     anew = texts_of([states[-1]])
@@ -77,7 +77,7 @@ def test_a_page_that_missed_a_message_takes_nothing_until_it_is_told_everything(
     assert seen[-1][1] == states[-1]
 
 
-def test_what_is_not_told_to_a_page_that_comes_again_is_gone(blank: Page) -> None:
+def test_slices_missing_from_the_first_message_are_removed(blank: Page) -> None:
     texts = ['{"slices": {"a": 1, "b": 2}, "version": 1}', '{"slices": {"b": 3}, "version": 1}']
     *_, (taken, seen, heard) = follow(blank, texts, "ab")
     assert (taken, seen, sorted(heard)) == (True, {"a": None, "b": 3}, ["a", "b"])
@@ -86,7 +86,7 @@ def test_what_is_not_told_to_a_page_that_comes_again_is_gone(blank: Page) -> Non
 @pytest.mark.parametrize(
     "change", ['{"order": ["9"]}', '{"order": []}', '{"in": {"c": {"set": {"d": 1}}}}'], ids=["other", "fewer", "inner"]
 )
-def test_a_change_of_something_else_is_not_taken(blank: Page, change: str) -> None:
+def test_a_change_that_does_not_fit_is_not_applied(blank: Page, change: str) -> None:
     whole = '{"slices": {"a": {"b": 1}, "list": [{"id": "1"}]}, "version": 1}'
     name = "list" if "order" in change else "a"
     strange = f'{{"slices": {{"z": 1}}, "changes": {{"{name}": {change}}}, "version": 2}}'

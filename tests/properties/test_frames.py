@@ -70,7 +70,7 @@ def test_a_printed_rotation_is_projected_to_a_near_true_one(a: Rigid, error: flo
 def test_what_is_no_rotation_is_refused(a: Rigid, error: float) -> None:
     with pytest.raises(DegenerateGeometryError, match="orthonormal"):
         Rigid(a.rotation * (1 + error), a.translation)
-    with pytest.raises(DegenerateGeometryError, match="mirror"):
+    with pytest.raises(DegenerateGeometryError, match="reflection"):
         Rigid(a.rotation @ np.diag([1, 1, -1]), a.translation)
 
 

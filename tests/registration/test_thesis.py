@@ -215,7 +215,7 @@ def test_the_error_states_why_drawn_matches_are_missing(room: PaintedRoom, metho
     with pytest.raises(lr.LadarregError, match="outside the photo"):
         lr.register(room.scan, room.photo, method=method, picks=away)
     same = [lr.Pick(p.id, "line", p.scan[[0, 0]], p.photo[[0, 0]]) for p in drawn_lines(room, 5)]
-    with pytest.raises(lr.LadarregError, match="no length"):
+    with pytest.raises(lr.LadarregError, match="length zero"):
         lr.register(room.scan, room.photo, method=method, picks=same)
 
 

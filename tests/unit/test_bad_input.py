@@ -67,7 +67,7 @@ def test_what_float32_cannot_hold_is_no_return_and_no_warning(value: float) -> N
 
 def test_rays_that_all_look_the_same_way_are_refused() -> None:
     table = np.tile([1.0, 0.2, 0.1], (9, 9, 1)) * np.linspace(1, 5, 9)[:, None]
-    with pytest.raises(ShapeError, match="look the same way"):
+    with pytest.raises(ShapeError, match="have the same ray"):
         TabulatedGrid(table)
 
 

@@ -215,7 +215,7 @@ def test_surface_ranges_are_exact_on_a_plane(room: PaintedRoom) -> None:
 def test_nonsense_is_refused(room: PaintedRoom) -> None:
     with pytest.raises(OptionError, match="auto, thesis, manual"):
         register(room.scan, room.photo, method="magic")
-    with pytest.raises(OptionError, match="no matches"):
+    with pytest.raises(OptionError, match="no picks"):
         register(room.scan, room.photo, method="manual")
     with pytest.raises(OptionError, match="seed"):
         RegisterOptions(seed=-1)
