@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Document, PhotoEntry
-from ladarreg_core.project.edits import edited_photo, the_photo
+from ladarreg_core.project.edits import edited_photo, require_photo
 
 from ..session.loader import Loader
 from ..session.session import Session
@@ -90,7 +90,7 @@ class Workspace:
             LadarregError: if the scan is missing, or the photograph has no camera.
         """
         document = self.session.document
-        entry = the_photo(document, photo_id)
+        entry = require_photo(document, photo_id)
         scan = self.loader.scan(document)
         if scan is None:
             raise OptionError("there is no scan; open one")
@@ -119,7 +119,7 @@ class Workspace:
         """
 
         def apply(document: Document) -> Document:
-            now = the_photo(document, inputs.entry.id)
+            now = require_photo(document, inputs.entry.id)
             was = inputs.entry
             same = document.scan == inputs.document.scan and now.source == was.source and now.camera == was.camera
             if not same or (of_picks and now.picks != was.picks):

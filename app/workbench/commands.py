@@ -352,7 +352,7 @@ COMMANDS: dict[str, Command] = {
 
 
 def _photo(context: Context, fields: Fields) -> PhotoEntry:
-    return edits.the_photo(context.session.document, fields.get("photo"))
+    return edits.require_photo(context.session.document, fields.get("photo"))
 
 
 def _edit_photo(

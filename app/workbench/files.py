@@ -147,7 +147,7 @@ class Files:
 
     def _target_photo(self, photo: str | None) -> PhotoEntry:
         if photo:
-            return edits.the_photo(self._session.document, photo)
+            return edits.require_photo(self._session.document, photo)
         shown = self._selection.photo
         if shown is None:
             raise OptionError("this file belongs to a photograph; open the photograph first")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.project.edits import the_photo
+from ladarreg_core.project.edits import require_photo
 
 from ..session.loader import Loader
 from ..session.session import Session
@@ -34,7 +34,7 @@ class Queries:
 
     def pick_errors(self, photo_id: str) -> dict[str, Any]:
         """Return the errors of a photograph's picks under the shown pose, by pick, as in the slice `judged`."""
-        entry = the_photo(self._session.document, photo_id)
+        entry = require_photo(self._session.document, photo_id)
         found: dict[str, Any] = judged_slice(self._loader, self._scan(), self._loader.photo(entry), entry)["by_pick"]
         return found
 
@@ -60,7 +60,7 @@ class Queries:
                 return None
             gray = cached("picture", ("gray", id(views[view])), lambda: gray_of_view(views[view].view))
         else:
-            viewed = self._loader.viewable_photo(the_photo(self._session.document, photo))
+            viewed = self._loader.viewable_photo(require_photo(self._session.document, photo))
             gray = cached("picture", ("gray", id(viewed)), lambda: (viewed, gray_of_photo(viewed)))[1]
         found = nearest_corner(gray, at)
         return None if found is None else found.tolist()

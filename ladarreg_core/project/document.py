@@ -16,7 +16,7 @@ from ladarreg_core.results import StageId
 
 VERSION = 1
 STAGES: tuple[StageId, ...] = get_args(StageId)
-"""In the order in which they are listed."""
+"""All stages in display order."""
 Numbers = tuple[float, ...]
 Rows = tuple[Numbers, ...]
 

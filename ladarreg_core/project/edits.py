@@ -54,11 +54,11 @@ def with_photo(document: Document, source: Source, camera: CameraGiven | None = 
 
 def without_photo(document: Document, photo_id: str) -> Document:
     """Return the document without a photograph."""
-    the_photo(document, photo_id)
+    require_photo(document, photo_id)
     return replace(document, photos=tuple(p for p in document.photos if p.id != photo_id))
 
 
-def the_photo(document: Document, photo_id: object) -> PhotoEntry:
+def require_photo(document: Document, photo_id: object) -> PhotoEntry:
     """Return a photograph by its id.
 
     Raises:
@@ -72,7 +72,7 @@ def the_photo(document: Document, photo_id: object) -> PhotoEntry:
 
 def edited_photo(document: Document, photo_id: str, edit: Callable[[PhotoEntry], PhotoEntry]) -> Document:
     """Return the document with one photograph edited."""
-    new = edit(the_photo(document, photo_id))
+    new = edit(require_photo(document, photo_id))
     return replace(document, photos=tuple(new if p.id == photo_id else p for p in document.photos))
 
 

@@ -16,7 +16,7 @@ from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.formats.registration_file import read_registration
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.results import registration_of
-from tests.app.workbench_driver import Bench, open_bench
+from tests.app.workbench_driver import WorkbenchDriver, open_bench
 
 SAVED = Path(__file__).parent / "saved_by_0_1"
 STEPS = [
@@ -38,25 +38,25 @@ STEPS = [
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
+def bench(tmp_path: Path) -> Iterator[WorkbenchDriver]:
     found = open_bench(shutil.copytree(SAVED / "project", tmp_path / "project"))
     yield found
     found.workbench.close()
 
 
-def document(bench: Bench) -> Document:
+def document(bench: WorkbenchDriver) -> Document:
     return bench.workbench.session.document
 
 
-def labels(bench: Bench) -> list[str]:
+def labels(bench: WorkbenchDriver) -> list[str]:
     return [entry["label"] for entry in bench.slice("history")["entries"]]
 
 
-def picks(bench: Bench) -> dict[int, dict[str, Any]]:
+def picks(bench: WorkbenchDriver) -> dict[int, dict[str, Any]]:
     return {pick["number"]: pick for pick in bench.slice("picks:p1")}
 
 
-def test_the_document_opens_as_it_was_saved(bench: Bench) -> None:
+def test_the_document_opens_as_it_was_saved(bench: WorkbenchDriver) -> None:
     project = bench.slice("project")
     assert project["name"] == "Desk by the window"
     assert project["amiss"] == ""
@@ -73,7 +73,7 @@ def test_the_document_opens_as_it_was_saved(bench: Bench) -> None:
     assert sum(pick["kind"] == "line" for pick in picks(bench).values()) == 3
 
 
-def test_its_answers_are_shown_with_their_verdicts(bench: Bench) -> None:
+def test_its_answers_are_shown_with_their_verdicts(bench: WorkbenchDriver) -> None:
     poses = bench.slice("poses:p1")
     assert poses["shown"] == "auto"
     verdicts = {stage["stage"]: (stage["accepted"], stage["evidence"]) for stage in poses["stages"]}
@@ -87,7 +87,7 @@ def test_its_answers_are_shown_with_their_verdicts(bench: Bench) -> None:
         assert result.reasons == entry.reasons
 
 
-def test_its_history_can_be_walked_to_both_ends(bench: Bench) -> None:
+def test_its_history_can_be_walked_to_both_ends(bench: WorkbenchDriver) -> None:
     assert labels(bench) == STEPS
     assert len(STEPS) == 28
     saved = document(bench)
@@ -125,7 +125,7 @@ def test_work_goes_on_and_is_saved(tmp_path: Path) -> None:
         again.workbench.close()
 
 
-def test_its_registration_is_an_initial_pose(bench: Bench) -> None:
+def test_its_registration_is_an_initial_pose(bench: WorkbenchDriver) -> None:
     pose = read_pose(SAVED / "registration.json")
     saved = next(entry for entry in document(bench).photos[0].poses if entry.stage == "auto")
     assert np.abs(pose.matrix - saved.camera_from_scanner).max() < 0.02

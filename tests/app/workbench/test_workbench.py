@@ -428,7 +428,7 @@ def unviewable_scan(path: Path) -> Path:
 def test_a_scan_without_views_is_refused_and_clients_can_still_join(bench: WorkbenchDriver) -> None:
     before = bench.workbench.session.document
     path = unviewable_scan(bench.workbench.upload_folder() / "sliver.npz")
-    with pytest.raises(LadarregError, match="no picture shows") as caught:
+    with pytest.raises(LadarregError, match="no single image resolves") as caught:
         bench.workbench.take_upload(path, "sliver.npz", "scan", None, bench.client)
     assert "\n" not in str(caught.value)
     assert not path.exists()
@@ -457,9 +457,9 @@ def test_a_project_whose_scan_has_no_views_opens_with_a_message(tmp_path: Path) 
         assert bench.workbench.session.document == before.document
         assert labels(bench) == [entry.label for entry in before.entries]
         assert "The scan cannot be shown: the scan's 24 rows span" in bench.slice("project")["opened"]
-        assert "which no picture shows" in bench.slice("scan")["error"]
+        assert "which no single image resolves" in bench.slice("scan")["error"]
         assert bench.slice("scan")["views"] == []
-        with pytest.raises(LadarregError, match="no picture"):
+        with pytest.raises(LadarregError, match="no single image resolves"):
             bench.workbench.picture("scan", {})
         bench.workbench.leave(bench.workbench.join("somebody else"))
         matches = len(bench.slice("picks:p1"))
