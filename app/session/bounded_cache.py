@@ -70,7 +70,7 @@ def array_bytes(thing: object) -> int:
 
     Scans, photographs and views inside it are not counted: they are kept elsewhere.
     """
-    from ladarreg_core.inspection.views import NamedView
+    from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.perspective import View

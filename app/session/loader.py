@@ -16,9 +16,8 @@ from .isolated_readers import READERS
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ladarreg_core.inspection.partners import Partners
-    from ladarreg_core.inspection.picks import Measured
-    from ladarreg_core.inspection.views import NamedView
+    from ladarreg_core.inspection.picks import Measured, PickPredictor
+    from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, PoseEntry, Source
@@ -193,13 +192,13 @@ class Workroom:
         held = self._kept["assessment"].get(id(pose))
         return None if held is None else held[0][1]
 
-    def partners(self, scan: Scan, pose: PoseEntry) -> Partners:
+    def partners(self, scan: Scan, pose: PoseEntry) -> PickPredictor:
         """Return where a pose puts picks in the other picture."""
-        from ladarreg_core.inspection.partners import Partners
+        from ladarreg_core.inspection.picks import PickPredictor
 
-        def make() -> tuple[Any, Partners]:
+        def make() -> tuple[Any, PickPredictor]:
             answer = self.answer(pose)
-            return pose, Partners(scan, answer.camera, answer.camera_from_scanner)
+            return pose, PickPredictor(scan, answer.camera, answer.camera_from_scanner)
 
         return self.kept("partners", (id(pose), id(scan)), make)[1]
 
@@ -211,7 +210,7 @@ class Workroom:
 
 
 def _views_of(scan: Scan) -> tuple[NamedView, ...]:
-    from ladarreg_core.inspection.views import inspection_views
+    from ladarreg_core.inspection.pictures import inspection_views
 
     try:
         return inspection_views(scan)

@@ -53,7 +53,7 @@ def entry_shown(entry: Entry) -> dict[str, Any]:
 
 def scan_slice(room: Workroom, document: Document) -> dict[str, Any] | None:
     """Return the scan and its views; with `error` where it cannot be read any more, or not be viewed."""
-    from ladarreg_core.inspection.views import resolution_note
+    from ladarreg_core.inspection.pictures import resolution_note
 
     source = document.scan
     if source is None:

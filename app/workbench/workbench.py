@@ -40,7 +40,7 @@ from .state import (
 )
 
 if TYPE_CHECKING:
-    from ladarreg_core.inspection.partners import Partners
+    from ladarreg_core.inspection.picks import PickPredictor
     from ladarreg_core.project.document import CameraGiven, PhotoEntry
     from ladarreg_core.project.history import History
     from ladarreg_core.results import PoseResult
@@ -179,7 +179,7 @@ class Workbench:
             raise OptionError("there is no scan; open one")
         return judged_slice(self.room, scan, self.room.photo(entry), entry)
 
-    def partners(self, entry: PhotoEntry) -> Partners:
+    def partners(self, entry: PhotoEntry) -> PickPredictor:
         """Return where the shown pose puts picks.
 
         Raises:
@@ -214,7 +214,7 @@ class Workbench:
 
     def probed(self, ray: Sequence[float]) -> dict[str, Any]:
         """Return what the scan measured along a ray."""
-        from ladarreg_core.inspection.probing import probe
+        from ladarreg_core.inspection.picks import probe
 
         scan = self.room.scan(self.session.document)
         if scan is None:

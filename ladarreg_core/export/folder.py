@@ -20,7 +20,7 @@ from ladarreg_core.export.uncertainty_png import write_uncertainty_png
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.quality.assessment import Assessment, assess
-from ladarreg_core.quality.smoothed_scan import SmoothedScan
+from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import scan_mesh

@@ -16,7 +16,7 @@ from ladarreg_core.export.json import (
     thesis_document,
 )
 from ladarreg_core.quality.assessment import Assessment
-from ladarreg_core.quality.smoothed_scan import SmoothedScan
+from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.results import Registration
 from ladarreg_core.surface.texture import Label
 

@@ -1,22 +1,83 @@
-"""The scan in perspective, as pictures that can be read before any pose exists."""
+"""Pictures of a scan for inspection: perspective views, renderings of them, and overlays of scan and photo."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.surface.perspective import View
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matching.views import viewing_directions
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.blend import intensity_picture
+from ladarreg_core.surface.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
+from ladarreg_core.surface.render import render_scan_colors
+from ladarreg_core.surface.texture import RegisteredTexture
 
 Show = Literal["intensity", "raw", "range", "normals", "edges", "color"]
+OverlayShow = Literal["intensity", "edges", "range"]
+_EDGE_COLOUR = (92, 200, 255)
+_STRONG = 150.0
+_WIDEST_PX = 2048
+_MOST_PIXELS = 8_000_000
+_ONE_VIEW_HALF_RAD = math.radians(50.0)
+_FIELD_RAD = math.radians(90.0)
+_WORTH_SAYING = 1.05
 _EMPTY = np.array((11, 12, 15), np.uint8)  # where nothing came back
 _BINS = 4096
 _MOST_GAMMA = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class NamedView:
+    """A view and what to call it."""
+
+    view: View
+    """The view."""
+    label: str
+    """Where it looks."""
+
+
+def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
+    """Return one view of all that a scan sees, or several beside each other where one would be too wide.
+
+    Each has about a pixel per cell, but no more than 8 Mpixel, 16 pixels for each cell of the scan, or 32,000 pixels a
+    side; where that asks for it the views are coarser. Source: thesis 2.2.2.
+
+    Raises:
+        DegenerateGeometryError: if the scan spreads so little one way that no such view shows its rows and columns.
+    """
+    rays = scan.sampled_directions
+    away = np.arccos(np.clip(rays @ scan.mean_direction, -1, 1))
+    if float(np.percentile(away, 99)) <= _ONE_VIEW_HALF_RAD:
+        return (NamedView(perspective_view(scan, most_pixels=_MOST_PIXELS), "the whole scan"),)
+    focal = native_focal_px(scan)
+    side = 2 * focal * math.tan(_FIELD_RAD / 2)
+    share = min(1.0, math.sqrt(min(_MOST_PIXELS, most_view_pixels(scan))) / side)
+    if share < 1:
+        check_viewable(scan, focal * share)
+    camera = Camera.from_focal(max(2, round(side * share)), max(2, round(side * share)), focal * share)
+    directions = sorted(viewing_directions(scan, camera), key=lambda d: -_azimuth(d.rotation[2]))
+    return tuple(
+        NamedView(perspective_view(scan, camera, view_from_scanner=d), _named(_azimuth(d.rotation[2])))
+        for d in directions
+    )
+
+
+def resolution_note(scan: Scan, views: Sequence[NamedView]) -> str | None:
+    """Return a sentence where views show fewer pixels than the scan has cells in its finer direction."""
+    cells = max((native_focal_px(scan) / named.view.camera.fx for named in views), default=1.0)
+    if cells < _WORTH_SAYING:
+        return None
+    return f"shown at one pixel for {cells:.2g} cells of its finer direction, which is as fine as a view is made"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,7 +181,56 @@ def edge_strength(view: View) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * np.clip(np.maximum(of_gray, of_depth), 0, 1)), dtype=np.uint8)
 
 
-def _magnitude(values: FloatArray) -> FloatArray:
+def scan_over_photo(scan: Scan, camera: Camera, camera_from_scanner: Rigid, show: str) -> NDArray[np.uint8]:
+    """Return the scan as the photo's camera sees it, (h, w, 4) uint8 RGBA; alpha 0 where it sees no surface.
+
+    Args:
+        scan: the scan.
+        camera: the photo's camera; pictures wider than 2048 px are made smaller.
+        camera_from_scanner: its pose.
+        show: `intensity`, `edges` of the intensity and of the surface, or `range`.
+
+    Raises:
+        OptionError: if there is no such overlay.
+    """
+    if show not in get_args(OverlayShow):
+        raise OptionError(f"the overlay is {show!r}; it must be one of {', '.join(get_args(OverlayShow))}")
+    if camera.width > _WIDEST_PX:
+        camera = camera.resized(_WIDEST_PX, max(1, round(camera.height * _WIDEST_PX / camera.width)))
+    picture = _range_picture(scan) if show == "range" else intensity_picture(scan)
+    colour, covered = render_scan_colors(scan, camera, camera_from_scanner, picture=picture, supersample=1)
+    if show != "edges":
+        return _with_alpha(colour, np.where(covered, 255, 0))
+    depth, _ = render_scan_colors(scan, camera, camera_from_scanner, picture=_range_picture(scan), supersample=1)
+    strength = np.maximum(_magnitude(colour[..., 0]), _magnitude(depth[..., 0]))
+    edge = np.zeros_like(colour)
+    edge[:] = _EDGE_COLOUR
+    inside = cv2.erode(covered.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return _with_alpha(edge, np.where(inside, np.clip(255 * strength / _STRONG, 0, 255), 0))
+
+
+def photo_over_scan(view: View, texture: RegisteredTexture) -> NDArray[np.uint8]:
+    """Return the photo as the scanner sees it, in a view, (h, w, 4) uint8 RGBA; alpha 0 where it has no colour."""
+    planes = [view.resample(texture.image[..., k].astype(np.float32)) for k in range(3)]
+    known = view.resample(texture.coloured.astype(np.float32))
+    colour = np.rint(np.stack(planes, axis=-1)).astype(np.uint8)
+    return _with_alpha(colour, np.where(view.inside, 255 * known, 0))
+
+
+def _azimuth(forward: np.ndarray) -> float:
+    return math.atan2(float(forward[1]), float(forward[0]))
+
+
+def _named(azimuth: float) -> str:
+    degrees = round(math.degrees(azimuth))
+    if degrees == 0:
+        return "ahead"
+    return f"{abs(degrees)} deg {'left' if degrees > 0 else 'right'}"
+
+
+def _magnitude(plane: NDArray[Any]) -> FloatArray:
+    """Return the length (h, w) of a plane's gradient, by Sobel's masks."""
+    values = plane.astype(np.float32)
     return np.hypot(cv2.Sobel(values, cv2.CV_32F, 1, 0), cv2.Sobel(values, cv2.CV_32F, 0, 1))
 
 
@@ -151,3 +261,14 @@ def _normal_colours(view: View) -> NDArray[np.uint8]:
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
     shown = normal * np.array([1, -1, -1], np.float32)  # y up and z towards us, as people draw axes
     return np.asarray(np.rint(127.5 * (shown + 1)), dtype=np.uint8)
+
+
+def _range_picture(scan: Scan) -> NDArray[np.uint8]:
+    inverse = np.where(scan.valid, 1 / np.where(scan.valid, scan.ranges, 1), 0)
+    low, high = np.percentile(inverse[scan.valid], (1, 99))
+    level = np.rint(255 * np.clip((inverse - low) / max(high - low, 1e-12), 0, 1)).astype(np.uint8)
+    return np.repeat(level[..., None], 3, axis=-1)
+
+
+def _with_alpha(colour: NDArray[np.uint8], alpha: NDArray[np.generic]) -> NDArray[np.uint8]:
+    return np.dstack([colour, np.rint(alpha).astype(np.uint8)])

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.rays import SampleGrid, in_strips
+from ladarreg_core.simulate.ray_cast import RayCaster, SampleGrid, in_strips
 from ladarreg_core.simulate.world import Viewpoint, World
 
 GEOMETRY = AzimuthElevation(rows=700, columns=1000, d_azimuth_rad=np.radians(0.055), d_elevation_rad=np.radians(0.055))

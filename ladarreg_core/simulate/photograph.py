@@ -13,8 +13,7 @@ from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.materials import GAMMA
-from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.rays import SampleGrid, differs_from_neighbours, in_strips
+from ladarreg_core.simulate.ray_cast import RayCaster, SampleGrid, differs_from_neighbours, in_strips
 from ladarreg_core.simulate.world import Surface, Viewpoint, World
 
 SUPERSAMPLES = np.array([[-0.25, -0.25], [-0.25, 0.25], [0.25, -0.25], [0.25, 0.25]])

@@ -12,8 +12,7 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.photograph import SUPERSAMPLES, cast_pixels
-from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.rays import in_strips
+from ladarreg_core.simulate.ray_cast import RayCaster, in_strips
 from ladarreg_core.simulate.world import Viewpoint, World
 
 THERMAL_CAMERA = Camera.from_focal(320, 240, 405.8)

@@ -151,7 +151,7 @@ def operator(browser: Browser, server: Served, checkout: Path, request: pytest.F
 def seen_by_both(server: Served) -> list[tuple[Any, Any, Any]]:
     """Return three lines that scan and photo share: view pixels, photo pixels, rays; from the sample's true pose."""
     import ladarreg_core as lr
-    from ladarreg_core.inspection.views import inspection_views
+    from ladarreg_core.inspection.pictures import inspection_views
 
     folder = sample_folder()
     scan = lr.read_scan(folder / "scan.npz")

@@ -11,7 +11,7 @@ from ladarreg_core.export import staging
 from ladarreg_core.export.folder import FILE_NAMES, export_registration, write_folder
 from ladarreg_core.export.json import write_document
 from ladarreg_core.export.registration_json import registration_document
-from ladarreg_core.quality.smoothed_scan import SmoothedScan
+from ladarreg_core.quality.smoothing import SmoothedScan
 from tests.unit.export.samples import sample_registration
 
 

@@ -16,12 +16,16 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.corners import nearest_corner
 from ladarreg_core.inspection.figures import figures, parameters, scanners_place
 from ladarreg_core.inspection.model_textures import texture_without_z_buffer
-from ladarreg_core.inspection.overlays import photo_over_scan, scan_over_photo
-from ladarreg_core.inspection.partners import Partners
-from ladarreg_core.inspection.picks import Measured, judge_picks, picks_in_space, sample_line
-from ladarreg_core.inspection.pictures import Stretch, compensated, scan_picture
-from ladarreg_core.inspection.probing import probe
-from ladarreg_core.inspection.views import inspection_views, resolution_note
+from ladarreg_core.inspection.picks import Measured, PickPredictor, judge_picks, picks_in_space, probe, sample_line
+from ladarreg_core.inspection.pictures import (
+    Stretch,
+    compensated,
+    inspection_views,
+    photo_over_scan,
+    resolution_note,
+    scan_over_photo,
+    scan_picture,
+)
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.describe import describe_pose
@@ -181,7 +185,7 @@ def test_without_the_z_buffer_hidden_cells_are_painted() -> None:
 
 def test_partners_lead_back_to_where_they_came_from() -> None:
     c = the_case()
-    partners = Partners(c.scan, c.true_camera, c.camera_from_scanner)
+    partners = PickPredictor(c.scan, c.true_camera, c.camera_from_scanner)
     rng = np.random.default_rng(1)
     uv = rng.uniform((5, 5), (c.true_camera.width - 6, c.true_camera.height - 6), (300, 2))
     rays = partners.on_scan(uv)
@@ -195,7 +199,7 @@ def test_partners_lead_back_to_where_they_came_from() -> None:
 
 def test_nothing_is_predicted_where_there_is_nothing() -> None:
     c = the_case()
-    partners = Partners(c.scan, c.true_camera, c.camera_from_scanner)
+    partners = PickPredictor(c.scan, c.true_camera, c.camera_from_scanner)
     assert np.isnan(partners.on_scan([[-50.0, 10.0], [np.nan, 3.0]])).all()
     assert np.isnan(partners.in_photo([[-1.0, 0, 0]])).all()
 

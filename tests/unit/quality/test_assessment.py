@@ -12,7 +12,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.quality.influence import influence
 from ladarreg_core.quality.next_match import advise
-from ladarreg_core.quality.smoothed_scan import smoothed_scan
+from ladarreg_core.quality.smoothing import smooth_with_report
 from ladarreg_core.results import PoseResult
 from ladarreg_core.surface.uncertainty import pixel_sigma
 from tests.unit.quality.test_next_match import clustered
@@ -103,15 +103,15 @@ def test_a_carried_pose_is_not_blamed_for_having_no_matches() -> None:
 def test_the_smoothed_scan_says_what_was_done() -> None:
     beside = ((5, 5), (50, 80), (10, 20), (20, 60), (40, 10), (55, 50))
     scan, result = stepped_scan(), matched((*SPIKES[:2], *beside))
-    done = smoothed_scan(scan, result)
+    done = smooth_with_report(scan, result)
     assert done.cells_replaced == 2
     assert np.count_nonzero(done.scan.ranges != scan.ranges) == 2
     assert done.sentence.startswith("2 range spikes under matches")
     clean = stepped_scan(spiked=False)
-    left = smoothed_scan(clean, result)
+    left = smooth_with_report(clean, result)
     assert (left.scan is clean, left.cells_replaced) == (True, 0)
     assert "no match lies on a range spike" in left.sentence
     pose = Rigid(result.camera_from_scanner.rotation, np.zeros(3))
     uv = result.camera.project(pose @ result.matches.points)
     same = replace(result, camera_from_scanner=pose, matches=Matches(result.matches.rays, result.matches.ranges, uv))
-    assert "nearly at the same place" in smoothed_scan(scan, same).sentence
+    assert "nearly at the same place" in smooth_with_report(scan, same).sentence

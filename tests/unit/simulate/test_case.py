@@ -22,7 +22,7 @@ from ladarreg_core.errors import Cancelled, DependencyError, ExportError, Option
 from ladarreg_core.formats.npz import read_npz
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
 from ladarreg_core.progress import Progress
-from ladarreg_core.simulate import SCENES, SETS, SimulatedCase, sample_maker, simulate_case, write_case
+from ladarreg_core.simulate import SCENES, SETS, SimulatedCase, sample, simulate_case, write_case
 from ladarreg_core.simulate.case import CAMERA, _pose
 from ladarreg_core.simulate.ladar import GEOMETRY, LadarImages
 from ladarreg_core.simulate.materials import InkWell
@@ -41,7 +41,7 @@ TOLD: dict[str, list[Progress]] = {}
 @cache
 def case_of(scene: str) -> SimulatedCase:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
-    seed = sample_maker.SEED if scene == sample_maker.SCENE else 0
+    seed = sample.SEED if scene == sample.SCENE else 0
     return simulate_case(scene, seed=seed, report=TOLD.setdefault(scene, []).append)
 
 
@@ -231,7 +231,7 @@ def test_the_embedded_sample_is_whole_and_small() -> None:
 
 
 def test_the_embedded_sample_is_what_its_command_makes() -> None:
-    folder, case = sample_folder(), case_of(sample_maker.SCENE)
+    folder, case = sample_folder(), case_of(sample.SCENE)
     truth = Rigid.from_matrix(json.loads((folder / "truth.json").read_text())["camera_from_scanner"])
     assert np.allclose(truth.matrix, case.camera_from_scanner.matrix, atol=1e-9)
     # Another processor may round a last bit the other way.
