@@ -82,7 +82,7 @@ def assessed(assessment: Assessment, result: Registration) -> list[str]:
     """Return what an operator should know or do beside the verdict, a few lines: all of it is in registration.json."""
     lines = []
     if result.accepted and assessment.uncertainty is not None:
-        lines.append(f"Picture  {assessment.uncertainty.in_words()}")
+        lines.append(f"Picture  {assessment.uncertainty.summary()}")
     shown = worth_telling(assessment, result)
     for finding in shown[:_MOST_FINDINGS]:
         lines.append(f"{finding.level.capitalize():<8} {one_line(f'{finding.sentence} {finding.what_to_do}')}")
@@ -92,7 +92,7 @@ def assessed(assessment: Assessment, result: Registration) -> list[str]:
         if assessment.match_to_check:
             lines.append(f"Check    {one_line(assessment.match_to_check)}")
         if assessment.advice and (result.accepted or 2 * int(result.inliers.sum()) >= len(result.matches)):
-            lines.append(f"Next     {one_line(assessment.advice[0].in_words())}")
+            lines.append(f"Next     {one_line(assessment.advice[0].summary())}")
     return lines
 
 
@@ -156,7 +156,7 @@ def aligned(table: Table) -> str:
 
 def self_test_report(found: SelfTest) -> str:
     """Return what to expect, what was tried, and what to do."""
-    lines = [found.in_words()]
+    lines = [found.summary()]
     right, wrong = found.of("right"), found.of("wrong")
     if right:
         missed = sum(not t.accepted for t in right)

@@ -95,7 +95,7 @@ class WholeJobs:
             context.tell(now=True)
             if context.stop_wanted:
                 break
-        return SelfTest(tuple(trials)).in_words()
+        return SelfTest(tuple(trials)).summary()
 
     def _with_its_matches(self, inputs: Inputs, stage: StageId, result: Registration, context: JobContext) -> str:
         """Commit an answer with the matches that speak for it; of one that is not accepted, the answer alone."""
@@ -137,4 +137,4 @@ def _self_test_shown(found: Any) -> dict[str, Any]:
         }
         for trial in found.trials
     ]
-    return {"sentence": found.in_words(), "advice": found.advice(), "rows": rows}
+    return {"sentence": found.summary(), "advice": found.advice(), "rows": rows}

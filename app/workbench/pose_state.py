@@ -131,11 +131,11 @@ def _to_say(assessment: Assessment | None) -> dict[str, Any]:
             {"what": f.name, "level": f.level, "sentence": f.sentence, "what_to_do": f.what_to_do}
             for f in assessment.findings or ()
         ],
-        "uncertainty": assessment.uncertainty.in_words() if assessment.uncertainty else "",
+        "uncertainty": assessment.uncertainty.summary() if assessment.uncertainty else "",
         "check": assessment.match_to_check,
         "check_pick": _match_to_check(assessment),
         "advice": [
-            {"uv": place.uv.tolist(), "ray": place.ray.tolist(), "sentence": place.in_words()}
+            {"uv": place.uv.tolist(), "ray": place.ray.tolist(), "sentence": place.summary()}
             for place in assessment.advice or ()
         ],
         "absent": dict(assessment.absent),
@@ -145,7 +145,7 @@ def _to_say(assessment: Assessment | None) -> dict[str, Any]:
 def _match_to_check(assessment: Assessment) -> str | None:
     if not assessment.match_to_check or assessment.influence is None:
         return None
-    return assessment.influence.pick_ids[assessment.influence.most]
+    return assessment.influence.pick_ids[assessment.influence.most_influential]
 
 
 def number(value: float) -> float | None:

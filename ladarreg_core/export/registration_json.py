@@ -138,7 +138,7 @@ def _assessed(assessment: Assessment | None) -> dict[str, Any]:
             "worst_uv": uncertainty.worst_uv,
         },
         "advice": [
-            {"sentence": place.in_words(), "cell": place.cell, "uv": place.uv, "gain": place.gain}
+            {"sentence": place.summary(), "cell": place.cell, "uv": place.uv, "gain": place.gain}
             for place in (a.advice or () if a is not None else ())
         ],
         "not_assessed": {} if a is None else a.absent,

@@ -11,7 +11,7 @@ from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.quality.influence import influence
-from ladarreg_core.quality.next_match import advise
+from ladarreg_core.quality.next_match import suggest_matches
 from ladarreg_core.quality.smoothing import smooth_with_report
 from ladarreg_core.results import PoseResult
 from ladarreg_core.surface.uncertainty import pixel_sigma
@@ -29,7 +29,7 @@ def test_all_of_it_is_what_its_parts_say(seed: int) -> None:
     assert found.influence is not None
     np.testing.assert_array_equal(found.influence.cook, influence(result).cook)
     assert found.advice is not None
-    assert [place.cell for place in found.advice] == [place.cell for place in advise(room.scan, result)]
+    assert [place.cell for place in found.advice] == [place.cell for place in suggest_matches(room.scan, result)]
 
     seen = found.uncertainty
     assert seen is not None
@@ -94,10 +94,10 @@ def test_a_carried_pose_is_not_blamed_for_having_no_matches() -> None:
         result, accepted=True, matches=Matches(np.zeros((0, 3)), none, np.zeros((0, 2))),
         inliers=none.astype(bool), residuals_px=np.zeros((0, 2)), residuals_m=none, stereo_depth_error_m=none,
     )  # fmt: skip
-    told = assess(room.scan, carried)
-    assert told.findings is None
-    assert "carried over" in told.absent["findings"]
-    assert told.uncertainty is not None
+    assessment = assess(room.scan, carried)
+    assert assessment.findings is None
+    assert "carried over" in assessment.absent["findings"]
+    assert assessment.uncertainty is not None
 
 
 def test_the_smoothed_scan_says_what_was_done() -> None:
@@ -114,4 +114,4 @@ def test_the_smoothed_scan_says_what_was_done() -> None:
     pose = Rigid(result.camera_from_scanner.rotation, np.zeros(3))
     uv = result.camera.project(pose @ result.matches.points)
     same = replace(result, camera_from_scanner=pose, matches=Matches(result.matches.rays, result.matches.ranges, uv))
-    assert "nearly at the same place" in smooth_with_report(scan, same).sentence
+    assert "nearly at the same position" in smooth_with_report(scan, same).sentence

@@ -11,7 +11,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.quality.influence import WORTH_A_CHECK, influence
+from ladarreg_core.quality.influence import INFLUENTIAL_COOK, influence
 
 LENS = Camera(768, 512, 974.0, 974.0, 383.5, 255.5, (0.12, -0.05, 0.001, -0.002))
 
@@ -34,7 +34,7 @@ def test_the_pose_moves_as_it_does_when_solved_again(seed, baseline_m, count):
     result = solved(matches, case)
     found = influence(result)
     order = np.argsort(found.cook)
-    assert order[-1] == found.most
+    assert order[-1] == found.most_influential
     for k in (order[-1], order[-2], order[count // 2]):
         again = solved(without(matches, matches.pick_ids[k]), case).camera_from_scanner
         step = difference(again, result.camera_from_scanner)
@@ -73,12 +73,12 @@ def test_a_wrong_match_far_from_the_others_is_the_one_to_check():
     uv[-1] += (14, -14)
     matches = Matches(case.rays[chosen], case.ranges[chosen], uv)
     found = influence(solved(matches, case))
-    assert found.most == 14
-    assert found.cook[14] > 10 * WORTH_A_CHECK
-    assert found.in_words().startswith("Match 15 moves the camera by ")
-    assert found.in_words().endswith("when left out: check it.")
+    assert found.most_influential == 14
+    assert found.cook[14] > 10 * INFLUENTIAL_COOK
+    assert found.summary().startswith("Removing match 15 shifts the camera by ")
+    assert found.summary().endswith(" px in the photo): check it.")
     good = influence(solved(case.matches, case))
-    assert good.in_words().startswith("No match matters much")
+    assert good.summary().startswith("No match is very influential")
 
 
 @settings(max_examples=15, deadline=None)
@@ -102,7 +102,7 @@ def test_a_match_without_which_nothing_holds_has_no_finite_influence():
     found = influence(replace(solved(matches, case), inliers=inliers))
     assert np.isinf(found.cook[[0, 3]]).all()
     assert np.isfinite(found.cook[[1, 2]]).all()
-    assert "alone holds the pose" in found.in_words()
+    assert "The pose depends on match" in found.summary()
 
 
 def test_a_pose_that_was_not_found_by_least_squares_is_brought_there_first():

@@ -17,7 +17,7 @@ from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.quality.stereo_limits import stereo_cautions
 
 BIG = Camera.from_focal(1400, 1400, 974.0)
-SAME_PLACE, AHEAD, ROLLED = "same place", "hardly beside", "rolled"
+SAME_PLACE, AHEAD, ROLLED = "same position", "hardly beside", "rolled"
 
 
 def said(case, **options) -> str:
