@@ -89,7 +89,7 @@ class SimplexJobs:
         return said + stopped
 
     def _start(self, inputs: Inputs, matches: Matches, rejecting: bool) -> Rigid | None:
-        from ladarreg_core.inspection.figures import scanners_place
+        from ladarreg_core.inspection.figures import pose_at_scanner
         from ladarreg_core.pose.estimate import solve_pose
 
         if rejecting:
@@ -99,7 +99,7 @@ class SimplexJobs:
         if wanted == "linear":
             return None  # which is the linear pose, or one aimed at the matches where that is refused
         if wanted == "scanner":
-            return scanners_place(inputs.scan)
+            return pose_at_scanner(inputs.scan)
         if wanted == "shown":
             if inputs.entry.pose is None:
                 raise OptionError("no pose is shown that the simplex could start from; choose another start")

@@ -45,7 +45,7 @@ class ModelChoice:
     def slice(self, result: PoseResult | None) -> dict[str, Any]:
         """Return it as the page is told, with what the shown pose leaves to choose from."""
         choices = [
-            {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.said}
+            {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.description}
             for choice in texture_choices(result)
         ]
         return {**asdict(self), "choices": choices}

@@ -110,7 +110,7 @@ class PicksLayer:
         shown = self._shown
         if shown is None or not self._visible:
             return
-        met = shown.marks.met_by(event.ray_origin, event.ray_direction, radius_m=_TOUCH * self._point_size)
+        met = shown.marks.nearest_to_ray(event.ray_origin, event.ray_direction, radius_m=_TOUCH * self._point_size)
         if met is not None:
             self._touched(shown.ids[met])
 

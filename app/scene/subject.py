@@ -15,7 +15,7 @@ from ladarreg_core.inspection.model_textures import (
     registered_texture,
     usable_texture,
 )
-from ladarreg_core.inspection.viewpoints import Standpoint, from_pose, overview, typical_range
+from ladarreg_core.inspection.viewpoints import Viewpoint, from_pose, overview, typical_range
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -147,17 +147,17 @@ class Subject:
             registered=self.registered if needs_it else None,
         )
 
-    def from_scanner(self) -> Standpoint:
+    def from_scanner(self) -> Viewpoint:
         """Return the scanner's own view."""
         return from_pose(self.scan, self.view.camera, self.view.view_from_scanner)
 
-    def from_camera(self) -> Standpoint | None:
+    def from_camera(self) -> Viewpoint | None:
         """Return the photograph's own view; None without an accepted pose."""
         if self.accepted is None:
             return None
         return from_pose(self.scan, self.accepted.camera, self.accepted.camera_from_scanner)
 
-    def overview(self) -> Standpoint:
+    def overview(self) -> Viewpoint:
         """Return a view from aside that holds all; a refused pose only if it lies nowhere absurd."""
         shown = self.result
         if shown is not None and not shown.accepted:

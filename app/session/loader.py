@@ -16,7 +16,7 @@ from .isolated_readers import READERS
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ladarreg_core.inspection.picks import Measured, PickPredictor
+    from ladarreg_core.inspection.picks import PickMeasurements, PickPredictor
     from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
@@ -202,11 +202,11 @@ class Workroom:
 
         return self.kept("partners", (id(pose), id(scan)), make)[1]
 
-    def measured(self, scan: Scan, photo: Photo) -> Measured:
+    def measured(self, scan: Scan, photo: Photo) -> PickMeasurements:
         """Return what the scan measures under picks of a photograph."""
-        from ladarreg_core.inspection.picks import Measured
+        from ladarreg_core.inspection.picks import PickMeasurements
 
-        return self.kept("measured", (id(scan), id(photo)), lambda: Measured(scan, photo))
+        return self.kept("measured", (id(scan), id(photo)), lambda: PickMeasurements(scan, photo))
 
 
 def _views_of(scan: Scan) -> tuple[NamedView, ...]:

@@ -30,7 +30,7 @@ _LEAST_TO_WARN = 4
 
 def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEntry) -> dict[str, Any]:
     """Return what the shown pose says of the picks, and what the scan measures under drawn lines."""
-    from ladarreg_core.inspection.picks import judge_picks
+    from ladarreg_core.inspection.picks import pick_residuals
 
     picks = room.picks(entry)
     lines = {pick.id: line_shown(room, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
@@ -53,7 +53,7 @@ def judged_slice(room: Workroom, scan: Scan, photo: Photo | None, entry: PhotoEn
         answer = room.answer(entry.pose)
     except LadarregError:  # its matches are missing, which its stage says in its verdict
         return found
-    for name, judged in judge_picks(measured, picks, answer).items():
+    for name, judged in pick_residuals(measured, picks, answer).items():
         found["by_pick"][name] = {
             "px": number(judged.px),
             "mm": number(judged.mm),

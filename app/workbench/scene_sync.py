@@ -105,7 +105,7 @@ class StageLink:
         stage, workbench = self._stage, self._workbench
         if stage is None:
             return
-        from ladarreg_core.inspection.picks import picks_in_space
+        from ladarreg_core.inspection.picks import pick_points
 
         from ..scene.colours import MATCH_COLOURS
 
@@ -129,7 +129,7 @@ class StageLink:
                 stage.show_registration(scan, photo, answer, name=entry.source.name)
         if scan is None or entry is None:
             return
-        points, ids, on = picks_in_space(scan, room.picks(entry))
+        points, ids, on = pick_points(scan, room.picks(entry))
         numbers = {pick.id: pick.number for pick in entry.picks}
         colours = [MATCH_COLOURS[(numbers[name] - 1) % len(MATCH_COLOURS)] for name in ids]
         stage.show_picks(points, colours, on, ids)

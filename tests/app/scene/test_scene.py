@@ -299,7 +299,7 @@ def test_controls_ask_the_session_and_follow_it_without_a_loop(
     stage.show_registration(SCAN, PHOTO, pose())
     assert stage.settle()
     client = Client()
-    press(gui(server, "Texture"), "Label", client)
+    press(gui(server, "Texture"), "Visibility class", client)
     press(gui(server, "Cameras"), False, client)
     assert stage.settle()
     assert session.asked == [{"texture": "label"}, {"cameras": False}]
