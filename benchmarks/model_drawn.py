@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tests.e2e.browser import FLAGS, find_chromium
 
 if TYPE_CHECKING:
-    from benchmarks.workbench import Page, Served
+    from tests.served_workbench import Page, Served
 
 _FINE_INDICES = 100_000
 _COLOURFUL = 5.0

@@ -8,14 +8,14 @@ from dataclasses import asdict
 
 import numpy as np
 
-from benchmarks.accuracy import Answers, ask, figures_of, length_in_sigmas, measure
-from benchmarks.case import Case, difference, first_third
-from benchmarks.peers import HAS_POSELIB, PEERS, Solver, default, opencv_peer, poselib_peer
-from benchmarks.pose_report import Bar, Section, number, percent, table
-from benchmarks.room import room_case
+from benchmarks.peers import HAS_POSELIB, PEERS, opencv_peer, poselib_peer
+from benchmarks.pose_report import Bar, Section, first_third, number, percent, table
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.thesis.epipolar import epipolar_cost
 from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
+from tests.scenes.accuracy import Answers, Solver, ask, default, figures_of, length_in_sigmas, measure
+from tests.scenes.pose_case import Case, difference
+from tests.scenes.room import room_case
 
 OUTLIERS = (0.0, 0.3, 0.5, 0.7)
 SAME_SIGMAS = 0.1

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.case import Case
 from benchmarks.pose_report import Bar, Section, number, percent, table
-from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.intrinsics import intrinsic
+from tests.scenes.pose_case import Case
+from tests.scenes.room import ROOM_CAMERA, room_case
 
 SETTINGS = ((0.0, True), (0.3, False))
 """Share of mismatches, and whether the noise is stated."""

@@ -7,16 +7,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from benchmarks.accuracy import SUCCESS_SIGMAS, length_in_sigmas
-from benchmarks.case import Case, difference, first_third, start_near
-from benchmarks.peers import Answer, default, opencv_from_a_start
-from benchmarks.pose_report import Bar, Section, percent, table
-from benchmarks.room import plane_case, repeated_case, room_case
+from benchmarks.peers import opencv_from_a_start
+from benchmarks.pose_report import Bar, Section, first_third, percent, table
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import probe_basin
 from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
+from tests.scenes.accuracy import SUCCESS_SIGMAS, Answer, default, length_in_sigmas
+from tests.scenes.pose_case import Case, difference, start_near
+from tests.scenes.room import plane_case, repeated_case, room_case
 
 STARTS = ((5.0, 0.25), (10.0, 0.5), (20.0, 1.0), (40.0, 2.0))
 """How far away: degrees and metres, any way."""

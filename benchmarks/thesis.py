@@ -13,20 +13,22 @@ import numpy as np
 
 from benchmarks import plots
 from benchmarks import thesis_printed as printed
-from benchmarks.apple import APPLE_TRUTH, THESIS_START, apple_case
-from benchmarks.table_3_1 import THRESHOLD_M
-from benchmarks.thesis_apple import (
+from benchmarks.table_3_1 import (
     PRINTED,
     READING_WORDS,
+    THESIS_METHODS,
+    THRESHOLD_M,
+    table_3_1,
+    table_3_1_picture,
+    table_3_1_text,
+)
+from benchmarks.thesis_apple import (
     SHOWN_READING,
     SHOWN_SEED,
     SMOOTHED_READING,
     simplex_options,
     single_run_text,
     six,
-    table_3_1,
-    table_3_1_picture,
-    table_3_1_text,
 )
 from benchmarks.thesis_descents import convergence, convergence_picture, depth_error_picture
 from benchmarks.thesis_scenes import printed_text, scene_run, scene_text, scenes_picture, scenes_text, simplex_of_scene
@@ -34,6 +36,7 @@ from benchmarks.thesis_smoothing import poles_text, smoothing, smoothing_picture
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.pose.thesis.stereo_simplex import fit_simplex
 from ladarreg_core.simulate import SCENES
+from tests.scenes.apple import APPLE_TRUTH, THESIS_START, apple_case
 
 
 def write_page(out: Path, seeds: int, scene_seeds: int) -> None:
@@ -59,7 +62,7 @@ def write_page(out: Path, seeds: int, scene_seeds: int) -> None:
         _APPLE.format(seeds=seeds, before=PRINTED[0], after=PRINTED[1], threshold=THRESHOLD_M)
         + "\n".join(f"- {words}" for words in READING_WORDS.values()),
     ]
-    figures = table_3_1(seeds)
+    figures = table_3_1(range(seeds), THESIS_METHODS)
     parts += [
         picture("table-3-1.png", table_3_1_picture(figures, seeds), "errors of every method on the apple"),
         table_3_1_text(figures).rstrip(),
@@ -150,7 +153,7 @@ Spikes within the threshold stay, as in the thesis: they are most of what is lef
 "estimates based on their stereo depth" and has two of them; the column by their mean is for the same vertices. On
 the apple both ways serve alike. With the camera ahead of the scanner one of the two disparities vanishes along lines
 through the epipole, and the mean with it; least squares in pixels weighs both by what they tell. In the room of
-`benchmarks/room.py` (1 px), every range too long by 40 %, what is left of those that were replaced:"""
+`tests/scenes/room.py` (1 px), every range too long by 40 %, what is left of those that were replaced:"""
 
 _SCENES_WORDS = """\
 The thesis's own scenes are not public; these are rooms of the same kind, simulated, and their truth is known. The

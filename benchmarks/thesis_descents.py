@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks import plots
-from benchmarks.case import Case
 from benchmarks.plots import ACCENT, BAD, WARN, Plot, columns, field_width
 from benchmarks.table_3_1 import THRESHOLD_M
 from benchmarks.thesis_apple import PARAMETERS, SHOWN_READING, SHOWN_SEED, six
@@ -17,6 +16,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.diagnostics import stereo_depth_error
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.pose.thesis.stereo_simplex import DescentStep, SimplexFit, SimplexOptions, descend
+from tests.scenes.pose_case import Case
 
 
 @dataclass(frozen=True)

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.apple import APPLE_READINGS, THESIS_START
-from benchmarks.case import Case, difference, picture_difference_px, start_near
-from benchmarks.peers import default, simplex_poses
 from benchmarks.pose_accuracy import BASELINES
 from benchmarks.pose_report import Section, number, percent, table
 from benchmarks.pose_starts import HOME_M
-from benchmarks.room import room_case
-from benchmarks.table_3_1 import THRESHOLD_M, median_and_p95, simplex_apple_figures
+from benchmarks.table_3_1 import THRESHOLD_M
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
+from tests.scenes.accuracy import default
+from tests.scenes.apple import APPLE_READINGS, THESIS_START, median_and_p95, simplex_apple_figures, simplex_poses
+from tests.scenes.pose_case import Case, difference, picture_difference_px, start_near
+from tests.scenes.room import room_case
 
 METHODS = ("linear", "stereo_simplex", "epipolar_simplex")
 _STARTS: dict[str, tuple[float, float] | None] = {

@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks import plots
-from benchmarks.apple import APPLE_READINGS, apple_case, apple_points
-from benchmarks.case import Case
 from benchmarks.plots import ACCENT, BAD, WARN, Plot, columns, field_width
-from benchmarks.room import room_case
 from benchmarks.table_3_1 import THRESHOLD_M
 from benchmarks.thesis_apple import SHOWN_SEED, SMOOTHED_READING, markdown, stated
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about
 from ladarreg_core.pose.estimate import solve_pose
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.quality.smoothing import SmoothOptions, smooth_ranges
+from tests.scenes.apple import APPLE_READINGS, apple_case, apple_points
+from tests.scenes.pose_case import Case
+from tests.scenes.room import room_case
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,13 @@ from ladarreg_core.errors import DependencyError
 from ladarreg_core.simulate.world import World
 
 NOTHING = -1
-"""The triangle index of a ray that meets nothing."""
+"""Triangle index of a ray that hits nothing."""
 
 _STRIP_ROWS = 32  # a strip's arrays stay in the processor's cache; twice as fast as whole images
 
 
 class RayCaster:
-    """Answers which triangle a ray meets first; only the index, since planes tell the rest exactly.
+    """Finds the triangle that a ray hits first; only its index, since the hit point follows exactly from its plane.
 
     Args:
         triangles: (T, 3, 3), scanner frame, m.
@@ -46,7 +46,7 @@ class RayCaster:
         self._mesh: Any = TriangleMesh(self._scene, np.ascontiguousarray(triangles, dtype=np.float32))
 
     def first_hit(self, origin: ArrayLike, directions: FloatArray) -> NDArray[np.int32]:
-        """Return the triangle (N,) that each ray from one `origin` (3,) along `directions` (N, 3) meets first."""
+        """Return the triangle (N,) that each ray from `origin` (3,) along `directions` (N, 3) hits first."""
         rays = np.ascontiguousarray(directions, dtype=np.float32)
         if not len(rays):
             return np.zeros(0, np.int32)
@@ -55,26 +55,26 @@ class RayCaster:
         return np.asarray(self._scene.run(starts, rays, query="INTERSECT"), dtype=np.int32)
 
     def sees(self, points: FloatArray, target: ArrayLike) -> NDArray[np.bool_]:
-        """Return which `points` (N, 3) have nothing between them and `target` (3,)."""
+        """Return which `points` (N, 3) have a free line of sight to `target` (3,)."""
         starts = np.ascontiguousarray(points, dtype=np.float32)
         if not len(starts):
             return np.zeros(0, np.bool_)
         towards = np.asarray(target, dtype=np.float32) - starts
-        # The direction spans the whole way, so the distance to the target is 1 in its units.
+        # The direction is not normalised, so the distance to the target is 1 in its units.
         reach = np.ones(len(starts), np.float32)
         return np.asarray(self._scene.run(starts, towards, reach, query="OCCLUDED") == NOTHING)
 
 
 @dataclass(frozen=True, eq=False)
 class SampleGrid:
-    """Which face every sample of every cell meets."""
+    """The face that each sample of each cell hits."""
 
     centre_faces: NDArray[np.int32]
-    """(H, W): along the cells' centres."""
+    """(H, W): faces along the cell centres."""
     centre_rays: NDArray[np.float32]
-    """(H, W, 3): the unit rays of the cells' centres."""
+    """(H, W, 3): unit rays of the cell centres."""
     mixed: BoolArray
-    """(H, W): the 3 x 3 neighbourhood meets more than one face, so every sample was cast."""
+    """(H, W): the 3 x 3 neighbourhood hits more than one face, so that every sample was cast."""
     _sample_faces: list[NDArray[np.int32]]
     _directions: list[NDArray[np.float32]]
 
@@ -90,11 +90,11 @@ class SampleGrid:
         """Cast the samples of a grid.
 
         Args:
-            world: what is there.
+            world: the world.
             caster: its ray caster.
-            origin: (3,), where all rays start, m.
+            origin: (3,), origin of all rays, m.
             shape: (H, W), cells.
-            rays_at: returns the unit rays (h, W, 3), scanner frame, of the cells of some rows, moved by a step (2,).
+            rays_at: returns the unit rays (h, W, 3), scanner frame, of the cells of some rows, offset by a step (2,).
             steps: (S, 2), the samples within a cell, in cells.
         """
 
@@ -120,7 +120,7 @@ class SampleGrid:
             moved = rays(step) if step.any() else centre
             here = centre_faces
             if step.any():
-                # A face is convex: where all neighbours meet it, so does every ray between them.
+                # Faces are convex: where all neighbours hit one, so does every ray between them.
                 here = centre_faces.copy()
                 here.reshape(-1)[where] = faces(moved.reshape(-1, 3)[where])
             sample_faces.append(here)
@@ -137,7 +137,7 @@ class SampleGrid:
 
 
 def differs_from_neighbours(values: NDArray[np.int32] | BoolArray) -> BoolArray:
-    """Return where (H, W) a value is not the same in the whole 3 x 3 neighbourhood."""
+    """Return the cells (H, W) whose 3 x 3 neighbourhood has more than one value."""
     across = np.zeros(values.shape, np.bool_)
     change = values[:, 1:] != values[:, :-1]
     across[:, 1:] |= change
@@ -146,7 +146,7 @@ def differs_from_neighbours(values: NDArray[np.int32] | BoolArray) -> BoolArray:
     change = values[1:] != values[:-1]
     down[1:] |= change
     down[:-1] |= change
-    # A neighbour across a corner differs from the cell, or from a cell that it shares with it.
+    # A diagonal neighbour differs from the cell, or from a common neighbour of both.
     out = across | down
     out[1:] |= across[:-1]
     out[:-1] |= across[1:]
@@ -156,7 +156,7 @@ def differs_from_neighbours(values: NDArray[np.int32] | BoolArray) -> BoolArray:
 def in_strips(
     rows: int, work: Callable[[slice], None], report: Callable[[float], None] | None = None, *, step: int = _STRIP_ROWS
 ) -> None:
-    """Call `work` for strips of `step` rows, on several threads; strips must not depend on each other."""
+    """Call `work` for strips of `step` rows on several threads; strips must be independent."""
     parts = [slice(top, min(top + step, rows)) for top in range(0, rows, step)]
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
         for done, _ in enumerate(pool.map(work, parts), 1):

@@ -14,9 +14,9 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from benchmarks.floods import Held, descriptors, edits_until, newcomers_until
-from benchmarks.workbench import Page, Served, with_camera_and_picks
 from ladarreg_core.simulate.sample import sample_folder
+from tests.abuse.held_connections import HeldConnections, descriptors, edits_until, newcomers_until
+from tests.served_workbench import Page, Served, with_camera_and_picks
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 DESCRIPTORS = 256
@@ -62,9 +62,9 @@ def page(found: Served) -> Page:
 
 
 @contextmanager
-def flooded(found: Served, kind: str, count: int) -> Iterator[Held]:
+def flooded(found: Served, kind: str, count: int) -> Iterator[HeldConnections]:
     """Hold connections open, and open again what the server closes."""
-    held = Held(kind, count, found.host, found.port, found.cookie)
+    held = HeldConnections(kind, count, found.host, found.port, found.cookie)
     over = threading.Event()
 
     def hold() -> None:
@@ -84,7 +84,7 @@ def flooded(found: Served, kind: str, count: int) -> Iterator[Held]:
             line.close()
 
 
-@pytest.mark.parametrize(("kind", "count"), [("idle", 400), ("loris", 300), ("cookie", 100), ("document", 100)])
+@pytest.mark.parametrize(("kind", "count"), [("idle", 400), ("slow", 300), ("cookie", 100), ("document", 100)])
 def test_a_flood_neither_shuts_newcomers_out_nor_stops_saving(
     found: Served, page: Page, project: Path, kind: str, count: int
 ) -> None:

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.workbench import Page as Socket
-from benchmarks.workbench import Served, served
 from ladarreg_core.simulate.sample import sample_folder
 from tests.e2e.audits import hard_to_read, lost_without_a_mouse
+from tests.served_workbench import Page as Socket
+from tests.served_workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, Route

@@ -93,9 +93,7 @@ def test_labels_have_exactly_their_colours_and_the_legend_names_those_present(
     assert len(set(LABEL_COLOURS.values())) == len(LABEL_COLOURS)
 
 
-def test_without_the_z_buffer_occluded_cells_have_the_colour_of_their_pixel(
-    room: PaintedRoom, result: PoseResult
-) -> None:
+def test_without_the_z_buffer_occluded_cells_take_the_photo(room: PaintedRoom, result: PoseResult) -> None:
     """With the z-buffer they have none: thesis Figure 2.23."""
     camera, pose = room.photo.camera, room.camera_from_scanner
     labels = texture_scan(room.scan, room.photo, pose).labels

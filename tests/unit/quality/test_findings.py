@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
@@ -17,6 +16,7 @@ from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.quality.conditioning import assess_conditioning
 from ladarreg_core.quality.findings import COST, LEVELS, findings
 from ladarreg_core.quality.lens_check import check_lens
+from tests.scenes.room import ROOM_CAMERA, room_case
 
 SEEDS = st.integers(0, 10_000)
 WIDE = Camera(768, 512, 420.0, 421.0, 380.0, 250.0, (-0.12, 0.03, 1e-3, -5e-4))

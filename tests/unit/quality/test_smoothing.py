@@ -9,8 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.apple import apple_case, apple_points
-from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, LadarregError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
@@ -20,6 +18,8 @@ from ladarreg_core.quality.smoothing import SmoothedRanges, SmoothOptions, smoot
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
+from tests.scenes.apple import apple_case, apple_points
+from tests.scenes.room import ROOM_CAMERA, room_case
 
 BENT = Camera(768, 512, 974.0, 940.0, 380.0, 260.0, (-0.25, 0.1, 1e-3, -7e-4))
 SEEDS = st.integers(0, 10_000)

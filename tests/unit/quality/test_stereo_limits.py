@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.room import room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.frames import Rigid, rotation_about
@@ -15,6 +14,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.thesis.picture_roll import picture_roll
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.quality.stereo_limits import stereo_cautions
+from tests.scenes.room import room_case
 
 BIG = Camera.from_focal(1400, 1400, 974.0)
 SAME_PLACE, AHEAD, ROLLED = "same position", "hardly beside", "rolled"

@@ -1,4 +1,4 @@
-"""The thermal and the gamma camera, before worlds whose radiation can be told by hand, and as files."""
+"""The thermal and the gamma camera, on worlds whose radiation is known analytically, and as files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The two instruments, before worlds whose picture can be told by hand."""
+"""The two instruments, on worlds whose image is known analytically."""
 
 from __future__ import annotations
 

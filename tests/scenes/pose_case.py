@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,8 +57,3 @@ def picture_difference_px(case: Case, a: Rigid, b: Rigid) -> float:
     return float(
         np.nanmedian(np.linalg.norm(case.camera.project(a @ points) - case.camera.project(b @ points), axis=1))
     )
-
-
-def first_third(seeds: Sequence[int]) -> Sequence[int]:
-    """The seeds that a slow method is asked: the same cases as everybody, fewer of them."""
-    return seeds[: max(2, len(seeds) // 3)]

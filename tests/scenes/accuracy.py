@@ -1,19 +1,42 @@
-"""How good a solver's poses are over many cases, against the Cramer-Rao bound."""
+"""Accuracy of pose solvers over many cases, relative to the Cramer-Rao bound; the default solver, and its best case."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.case import Case, difference
-from benchmarks.peers import Answer, Solver
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.pose.estimate import PoseOptions, solve_pose
+from tests.scenes.pose_case import Case, difference
+
+Answer = tuple[Rigid, np.ndarray | None]
+"""A pose, and its covariance (6, 6) where one is given."""
+Solver = Callable[[Case], "Answer | None"]
+
 
 SUCCESS_SIGMAS = 6.0
 """Mahalanobis distance to the truth, by the bound, that still counts as a success."""
 _RESAMPLED = 400
+
+
+def default(
+    case: Case, *, matches: Matches | None = None, initial: Rigid | None = None, **options: object
+) -> Answer | None:
+    chosen = PoseOptions(sigma_px=case.sigma_px, sigma_range_m=case.sigma_range_m, **options)  # type: ignore[arg-type]
+    try:
+        result = solve_pose(matches or case.matches, case.camera, chosen, initial=initial)
+    except LadarregError:
+        return None
+    return result.camera_from_scanner, result.covariance
+
+
+def known_inliers(case: Case) -> Answer | None:
+    return default(case, matches=case.matches.subset(case.true), gate_chi2=1e6)
 
 
 @dataclass(frozen=True)
