@@ -1,8 +1,5 @@
-"""Drawn lines in the room: what of them an estimator should use.
-
-Eight straight edges of some 400 px on walls and boxes, drawn in both pictures with 1 px of noise at every end (the
-scan's side counts in photo pixels too), on a scan of 15 mm noise.
-"""
+"""Uses of drawn lines compared: which of their samples an estimator should use, on the lines of
+`tests.scenes.room_lines`."""
 
 from __future__ import annotations
 
@@ -31,12 +28,12 @@ def _solved(case: LineCase, matches: Matches, initial: Rigid | None = None) -> P
 
 
 def by_ends(case: LineCase) -> PoseResult | None:
-    """The two ends with the ranges of the whole line: what `register` does."""
+    """Use the two ends with the ranges of the whole line, as `register` does."""
     return _solved(case, matches_from_picks(case.scan, case.picks, camera=case.camera)[0])
 
 
 def by_ends_as_points(case: LineCase) -> PoseResult | None:
-    """The two ends, each with the range of its own cell."""
+    """Use the two ends, each with the range of its own cell."""
     points = [
         Pick(f"{pick.id}{k}", "point", pick.scan[k : k + 1], pick.photo[k : k + 1])
         for pick in case.picks
@@ -46,12 +43,12 @@ def by_ends_as_points(case: LineCase) -> PoseResult | None:
 
 
 def by_equal_intervals(case: LineCase) -> PoseResult | None:
-    """Samples at constant intervals in both pictures: the thesis."""
+    """Use samples at constant intervals in both images, as in the thesis."""
     return _solved(case, matches_from_picks(case.scan, case.picks, camera=case.camera, lines="equal")[0])
 
 
 def by_kappa(case: LineCase) -> PoseResult | None:
-    """Samples placed in the photo by the pose, which is solved again."""
+    """Use samples placed in the photo by the pose, iterated."""
     result = by_equal_intervals(case)
     for _ in range(2):
         if result is None:
@@ -63,7 +60,8 @@ def by_kappa(case: LineCase) -> PoseResult | None:
 
 
 def by_distances(case: LineCase, *, ends: bool) -> PoseResult | None:
-    """Samples by their distance to the photo's line, weighing 1 / sqrt of their number, with or without the ends."""
+    """Use distances of samples to the line in the photo, weighted by 1 / sqrt of their number, with or without the
+    ends."""
     start = by_equal_intervals(case)
     if start is None:
         return None
@@ -95,7 +93,7 @@ USES = {
 
 @dataclass(frozen=True)
 class LineFigures:
-    """What a use of lines reached over many seeds."""
+    """Accuracy of a use of lines over many seeds."""
 
     position_mm: float
     """Median."""
@@ -106,7 +104,7 @@ class LineFigures:
 
 
 def line_figures(use: str, cases: list[LineCase]) -> LineFigures:
-    """Measure a use of lines."""
+    """Compute the figures of a use of lines."""
     position, distance, accepted = [], [], 0
     for case in cases:
         result = USES[use](case)
@@ -133,15 +131,15 @@ SETTINGS: dict[str, dict[str, float]] = {
     "baseline .5 m, two of them the other way round": {"baseline_m": 0.5, "swapped": 2},
 }
 MOST_MM = 10.0
-_HELD = 2  # of the settings
+_WITH_BARS = 2  # settings that have bars
 DEFAULT_USE = "ends, ranges of the line (default)"
 
 
 def lines_section(seeds: Sequence[int]) -> Section:
-    """The line table."""
+    """Compare the uses of lines."""
     tables, figures = [], {}
     for k, (name, setting) in enumerate(SETTINGS.items()):
-        those = seeds if k < _HELD else first_third(seeds)
+        those = seeds if k < _WITH_BARS else first_third(seeds)
         cases = [line_case(seed, **setting) for seed in those]  # type: ignore[arg-type]
         found = {use: line_figures(use, cases) for use in USES}
         figures[name] = {use: asdict(f) for use, f in found.items()}
@@ -157,12 +155,12 @@ def lines_section(seeds: Sequence[int]) -> Section:
         )
     bars = [
         Bar(f"eight lines, {name}: median mm", figures[name][DEFAULT_USE]["position_mm"], most=MOST_MM)
-        for name in list(SETTINGS)[:_HELD]
+        for name in list(SETTINGS)[:_WITH_BARS]
     ]
     return Section(
         "lines",
         "Eight drawn lines",
-        "What of drawn lines serves the estimator: all uses see the same lines, some 400 px long, 1 px of noise at "
+        "Which samples of drawn lines to use: all uses get the same lines, some 400 px long, with 1 px of noise at "
         "every end, on a scan of 15 mm noise. A slid line lies on the right edge, between other points; one drawn the "
         "other way round has its ends exchanged. Consistency is without the worst 2 %.",
         tuple(tables),

@@ -1,4 +1,4 @@
-"""How long after a pose the model wears the photograph's colours, in a real browser.
+"""Time from a pose to the coloured model, in a real browser.
 
 Every large draw call of the 3-D page is followed by a look at the middle of its canvas; gray pixels become coloured
 ones when the new model is on the screen. Looking costs some time itself, most where no graphics card draws.

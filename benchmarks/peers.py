@@ -1,4 +1,4 @@
-"""Who estimates a pose from matches, mismatches among them: the default in its variants, and the usual libraries."""
+"""Pose solvers for matches with outliers: variants of the default, and the usual libraries."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _opencv_known_inliers(case: Case, flags: int) -> Answer | None:
 
 
 def opencv_from_a_start(case: Case, start: Rigid) -> Answer | None:
-    """OpenCV's Levenberg-Marquardt on all matches."""
+    """Refine a start by OpenCV's Levenberg-Marquardt on all matches."""
     turn, shift = cv2.Rodrigues(start.rotation)[0], start.translation.reshape(3, 1).copy()
     try:
         found, turn, shift = cv2.solvePnP(
@@ -103,4 +103,4 @@ _ALL: dict[str, Solver] = {
 }
 HAS_POSELIB = importlib.util.find_spec("poselib") is not None
 PEERS: dict[str, Solver] = {name: peer for name, peer in _ALL.items() if HAS_POSELIB or peer is not poselib_peer}
-"""By name; poselib only where it is installed."""
+"""Solvers by name; poselib only where it is installed."""

@@ -11,7 +11,7 @@ import ladarreg_core as lr
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER
 from ladarreg_core.pose.ransac import ransac_pose
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.simulate import sample_folder
 from ladarreg_core.surface.texture import texture_scan
 
 CAMERA = lr.Camera.from_focal(768, 512, 974.0)

@@ -1,4 +1,4 @@
-"""The apple of Table 3.1 in one run, parameter by parameter, and what the pages on the thesis share."""
+"""The apple of Table 3.1 in one run, parameter by parameter, and helpers of the pages on the thesis."""
 
 from __future__ import annotations
 

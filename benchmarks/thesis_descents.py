@@ -1,4 +1,4 @@
-"""Figures 3.2 to 3.4 and 3.9: how the simplex descends, and the depth errors that it leaves."""
+"""Figures 3.2 to 3.4 and 3.9: convergence of the simplex, and the remaining depth errors."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from tests.scenes.pose_case import Case
 
 @dataclass(frozen=True)
 class Convergence:
-    """Every step of a descent."""
+    """All iterations of a descent."""
 
     parameters: np.ndarray
     """(K, 6) of the best vertex: Tx, Ty, Tz (m), alpha, beta, gamma (deg)."""
     cost: np.ndarray
     """(K,)"""
     rejections: np.ndarray
-    """The steps with which a round begins that has rejected anew."""
+    """First iterations of the rounds after a rejection."""
     last: DescentStep
 
     @property

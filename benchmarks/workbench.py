@@ -1,6 +1,6 @@
-"""The workbench as its users feel it, on the embedded sample: python -m benchmarks.workbench [--minutes M] [--json F].
+"""Responsiveness of the workbench on the embedded sample: python -m benchmarks.workbench [--minutes M] [--json F].
 
-Starts `ladarreg serve`, talks to it as pages do, and where a Chromium is found opens the page itself.
+Starts `ladarreg serve`, drives it as pages do, and opens the page in Chromium where one is found.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ ASKED = {
 
 
 def round_trips(page: Page, other: Page, times: int = 200) -> tuple[list[float], list[float]]:
-    """Return how long an edit takes to be answered and taken over, and until another page has it, too, ms."""
+    """Return the latencies of edits, ms: until the reply, and until another page has received it."""
     rng = random.Random(1)
     picks = [pick["id"] for pick in page.slices["picks:p1"]]
     answered, seen = [], []
@@ -78,19 +78,19 @@ def round_trips(page: Page, other: Page, times: int = 200) -> tuple[list[float],
 
 
 def in_browser(found: Served) -> dict[str, float]:
-    """Return what is measured in a real page."""
+    """Return the figures measured in a real page."""
     from tests.e2e.browser import FLAGS, find_chromium
 
     path = find_chromium()
     if path is None:
-        print("no Chromium: the page's own figures are left out")
+        print("no Chromium: the figures of the page are left out")
         return {}
     from playwright.sync_api import sync_playwright
 
     figures: dict[str, float] = {}
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=path, args=list(FLAGS))
-        # The driver evaluates text, which the page's policy forbids; and the model, drawn in software, is left out.
+        # The driver evaluates scripts, which the page's policy forbids; the model, rendered in software, is omitted.
         tab = chromium.new_context(bypass_csp=True, viewport={"width": 1600, "height": 900}).new_page()
         tab.route("**/viser/**", lambda route: route.fulfill(body="<!doctype html>", content_type="text/html"))
         tab.add_init_script(_WATCH_MOVES)
@@ -120,7 +120,7 @@ def in_browser(found: Served) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=1.0, help="of ten people's random edits")
+    parser.add_argument("--minutes", type=float, default=1.0, help="minutes of random edits by ten clients")
     parser.add_argument("--json", type=Path, help="write the figures here")
     arguments = parser.parse_args()
     figures: dict[str, float] = {}

@@ -37,7 +37,7 @@ def run(arguments: Arguments) -> ExitCode:
     from ..session.isolated_readers import READERS
 
     READERS.warm()  # it loads the readers while this process loads the rest
-    from ladarreg_core.simulate.sample import sample_folder
+    from ladarreg_core.simulate import sample_folder
 
     from ..gateway.login import new_token
     from ..gateway.options import GatewayOptions

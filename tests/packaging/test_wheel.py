@@ -65,7 +65,7 @@ def run(command: list[str], *, cwd: Path | None = None) -> str:
 @pytest.mark.slow
 def test_the_wheel_holds_its_page_and_its_sample(installed: Path, checkout: Path, tmp_path: Path) -> None:
     code = (
-        "from ladarreg.static_files import static_folder; from ladarreg_core.simulate.sample import sample_folder\n"
+        "from ladarreg.static_files import static_folder; from ladarreg_core.simulate import sample_folder\n"
         "print(static_folder()); print(sample_folder())"
     )
     static, sample = map(Path, run([str(installed / "python"), "-c", code], cwd=tmp_path).split("\n")[:2])
@@ -82,7 +82,7 @@ def test_the_installed_command_runs(installed: Path, tmp_path: Path) -> None:
 
     command = str(installed / "ladarreg")
     assert run([command, "--version"], cwd=tmp_path).split() == ["ladarreg", __version__]
-    code = "from ladarreg_core.simulate.sample import sample_folder; print(sample_folder())"
+    code = "from ladarreg_core.simulate import sample_folder; print(sample_folder())"
     sample = Path(run([str(installed / "python"), "-c", code], cwd=tmp_path).strip())
     assert "1000" in run([command, "info", str(sample / "scan.npz")], cwd=tmp_path)
 

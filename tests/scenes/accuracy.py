@@ -41,7 +41,7 @@ def known_inliers(case: Case) -> Answer | None:
 
 @dataclass(frozen=True)
 class Figures:
-    """What a solver reached over many seeds."""
+    """Accuracy of a solver over many seeds."""
 
     success: float
     """Share within `SUCCESS_SIGMAS` of the truth."""
@@ -54,16 +54,16 @@ class Figures:
     position_mm: float
     """Median over all cases."""
     milliseconds: float
-    """Median, of the processor's time."""
+    """Median processor time."""
 
 
 @dataclass(frozen=True)
 class Answers:
-    """What a solver said of some cases."""
+    """Poses that a solver found for some cases."""
 
     found: tuple[Answer | None, ...]
     milliseconds: np.ndarray
-    """(N,) the processor's time."""
+    """(N,) processor time."""
 
 
 def ask(solver: Solver, cases: Sequence[Case]) -> Answers:
@@ -77,12 +77,12 @@ def ask(solver: Solver, cases: Sequence[Case]) -> Answers:
 
 
 def measure(solver: Solver, cases: Sequence[Case]) -> Figures:
-    """Success, efficiency and consistency over the cases, and the time."""
+    """Measure success, efficiency, consistency and time of a solver over the cases."""
     return figures_of(ask(solver, cases), cases)
 
 
 def figures_of(answers: Answers, cases: Sequence[Case]) -> Figures:
-    """The figures of answers to cases."""
+    """Compute the figures of answers to cases."""
     squares, bounds, distances, position = [], [], [], []
     for case, found in zip(cases, answers.found, strict=True):
         if found is None:
@@ -108,7 +108,7 @@ def figures_of(answers: Answers, cases: Sequence[Case]) -> Figures:
 
 
 def _efficiency(squares: np.ndarray, bounds: np.ndarray) -> tuple[float, float]:
-    """Efficiency and its standard error from squared errors and bounds, (N, 6) each."""
+    """Return the efficiency and its standard error from squared errors and bounds, (N, 6) each."""
     count = len(squares)
     if count < 2:
         return np.nan, np.nan
@@ -118,5 +118,5 @@ def _efficiency(squares: np.ndarray, bounds: np.ndarray) -> tuple[float, float]:
 
 
 def length_in_sigmas(step: np.ndarray, covariance: np.ndarray) -> float:
-    """The length of a step (6,) by a covariance (6, 6)."""
+    """Return the Mahalanobis length of a step (6,) by a covariance (6, 6)."""
     return float(np.sqrt(step @ np.linalg.solve(covariance, step)))

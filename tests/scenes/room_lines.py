@@ -26,7 +26,7 @@ _TRIALS, _LOOKED_AT, _PATIENCE = 400, 10, 40
 
 @dataclass(frozen=True)
 class LineCase:
-    """Drawn lines with their truth."""
+    """Drawn lines with their true pose."""
 
     scan: Scan
     picks: tuple[Pick, ...]
@@ -51,7 +51,7 @@ def line_case(
     slid: int = 0,
     swapped: int = 0,
 ) -> LineCase:
-    """Lines drawn in the room; some slid along themselves in the photo, some drawn the other way round."""
+    """Return lines drawn in the room; in the photo, some are shifted along themselves, some have their ends swapped."""
     rng = np.random.default_rng([seed, lines, 77])
     camera = ROOM_CAMERA
     way = rng.normal(size=3) * [0.3, 1.0, 0.3]
@@ -77,18 +77,18 @@ def line_case(
 def _straight_edges(
     rng: np.random.Generator, pose: Rigid, camera: Camera, lines: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of rays whose surface between them is straight and in the photo all along, with their pixels."""
+    """Return pairs of rays whose connecting surface is straight and entirely in the photo, with their pixels."""
     found: list[tuple[np.ndarray, np.ndarray]] = []
     s = np.linspace(0, 1, 17)[:, None]
     tries = 0
     while len(found) < lines:
-        # boxes and walls in turn, so that edges are near and far; the others where a camera hardly sees these
+        # boxes and walls alternately, so that edges are near and far; otherwise where the camera hardly sees either
         on_box = (len(found) + tries // _PATIENCE) % 2 == 1
         tries += 1
         low, high = ROOM_BOXES[rng.integers(len(ROOM_BOXES))] if on_box else ROOM_WALLS
         ends = rng.uniform(low, high, (_TRIALS, 2, 3))
         axis = int(rng.integers(3))
-        ends[..., axis] = low[axis] if (on_box or axis == 2) else high[axis]  # the side that is seen
+        ends[..., axis] = low[axis] if (on_box or axis == 2) else high[axis]  # the visible side
         uv = camera.project(pose @ ends)
         length = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1)
         fits = camera.contains(uv).all(axis=1) & (length >= _LENGTH_PX[0]) & (length <= _LENGTH_PX[1])

@@ -14,7 +14,7 @@ import pytest
 from ladarreg.exit_codes import ExitCode
 from ladarreg.stop_signals import ONE_REQUEST_S
 
-from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.simulate import sample_folder
 from tests.app.gateway_driver import soon
 from tests.app.serve_process import ask, begin_upload, name_of, serving, start
 

@@ -22,7 +22,7 @@ from ladarreg.gateway.serving import warning
 from ladarreg.gateway.viser_backend import close_server, open_locked_server
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.simulate import sample_folder
 from tests.app.gateway_driver import TOKEN, Running, closing_code, hear, running, soon
 from tests.processes import hear_ctrl_c
 

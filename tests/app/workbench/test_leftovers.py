@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.simulate import sample_folder
 from tests.app.gateway_driver import hear, soon
 from tests.app.serve_process import Server, ask, begin_upload, name_of, serving
 

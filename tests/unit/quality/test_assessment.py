@@ -1,4 +1,4 @@
-"""What there is to say of a registration: all of it, or the reason why not."""
+"""Assessment of a registration: every part is computed, or missing with a reason."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.unit.quality.test_smoothing import SPIKES, matched, stepped_scan
 
 
 @pytest.mark.parametrize("seed", [2, 3])  # with a lens and without
-def test_all_of_it_is_what_its_parts_say(seed: int) -> None:
+def test_the_assessment_agrees_with_its_parts(seed: int) -> None:
     room, _, _, result, _ = clustered(seed, count=14)
     found = assess(room.scan, result)
     assert found.absent == {}
@@ -49,7 +49,7 @@ def test_all_of_it_is_what_its_parts_say(seed: int) -> None:
     np.testing.assert_allclose(seen.worst_uv, at, atol=1e-2)
 
 
-def test_a_range_spike_is_not_the_worst_place() -> None:
+def test_a_range_spike_is_not_the_worst_cell() -> None:
     room, _, _, result, _ = clustered(2, count=14)
     clean = assess(room.scan, result).uncertainty
     ranges = np.array(room.scan.ranges)
@@ -61,7 +61,7 @@ def test_a_range_spike_is_not_the_worst_place() -> None:
     assert spiked.worst_px == pytest.approx(clean.worst_px, rel=1e-6)
 
 
-def test_what_cannot_be_told_is_absent_with_its_reason() -> None:
+def test_a_part_that_cannot_be_computed_has_a_reason() -> None:
     room, _, matches, good, _ = clustered(2, count=14)
     away = Rigid(rotation_from_rotvec([0, np.pi, 0]) @ good.camera_from_scanner.rotation, np.zeros(3))
     none = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
@@ -87,7 +87,7 @@ def test_what_cannot_be_told_is_absent_with_its_reason() -> None:
         assert isinstance(found.match_to_check, str)
 
 
-def test_a_carried_pose_is_not_blamed_for_having_no_matches() -> None:
+def test_a_carried_pose_has_no_findings_for_lack_of_matches() -> None:
     room, *_, result, _ = clustered(0)
     none = np.zeros(0)
     carried = replace(
@@ -100,7 +100,7 @@ def test_a_carried_pose_is_not_blamed_for_having_no_matches() -> None:
     assert assessment.uncertainty is not None
 
 
-def test_the_smoothed_scan_says_what_was_done() -> None:
+def test_smoothing_reports_the_replaced_cells() -> None:
     beside = ((5, 5), (50, 80), (10, 20), (20, 60), (40, 10), (55, 50))
     scan, result = stepped_scan(), matched((*SPIKES[:2], *beside))
     done = smooth_with_report(scan, result)

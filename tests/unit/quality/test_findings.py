@@ -1,4 +1,4 @@
-"""What is said of a pose: each level costs what it says, and nothing is said of a good one."""
+"""Findings: each level has its stated cost, and a good pose has none."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def at_truth(case, *, keep=None, pose=None, camera=None, covariance=None):
 
 @given(seed=SEEDS, count=st.integers(48, 200), baseline=st.floats(0, 1), stated=st.booleans())
 @settings(max_examples=15)
-def test_of_a_good_pose_nothing_poor_is_said(seed, count, baseline, stated):
+def test_a_good_pose_has_no_poor_finding(seed, count, baseline, stated):
     case = room_case(seed, count=count, baseline_m=baseline)
     found = findings(solved(case) if stated else solved(case, seed=1))
     names = [finding.name for finding in found]
@@ -81,7 +81,7 @@ def sigma_position(matches, case):
     camera=st.sampled_from([ROOM_CAMERA, WIDE]),
 )
 @settings(max_examples=15)
-def test_the_cost_is_that_against_as_many_matches_all_over_the_photo(seed, count, share, place, camera):
+def test_the_cost_is_relative_to_as_many_matches_all_over_the_photo(seed, count, share, place, camera):
     case = room_case(seed, count=100, camera=camera)
     size = np.array(camera.size) * np.sqrt(share)
     middle = size / 2 + (np.array(camera.size) - size) * place
@@ -100,7 +100,7 @@ def test_the_cost_is_that_against_as_many_matches_all_over_the_photo(seed, count
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_is_badly_placed_is_named_with_what_to_do(seed):
+def test_a_poor_layout_is_named_with_advice(seed):
     case = room_case(seed, count=900)
     points = case.rays * case.ranges[:, None]
     corner = part(case, np.flatnonzero((case.uv < (300, 200)).all(axis=1))[:60])
@@ -141,7 +141,7 @@ def replace_ids(case, ids):
     return Named()
 
 
-def test_a_bundle_of_narrow_rays_holds_the_roll_worst():
+def test_a_narrow_bundle_of_rays_determines_roll_worst():
     rng = np.random.default_rng(0)
     uv = np.array([383.5, 255.5]) + rng.uniform(-25, 25, (200, 2))
     rays = room_case(0).camera.unproject(uv)
@@ -158,7 +158,7 @@ def test_a_bundle_of_narrow_rays_holds_the_roll_worst():
 
 @given(seed=SEEDS, count=st.integers(14, 200), off=st.sampled_from([0.0, 0.03, -0.03]), stated=st.booleans())
 @settings(max_examples=24)
-def test_a_wrong_focal_length_is_told_and_a_right_one_is_not_blamed(seed, count, off, stated):
+def test_a_wrong_focal_length_is_found_and_a_correct_one_is_not(seed, count, off, stated):
     count = count if off == 0 else max(count, 80)
     case = room_case(seed, count=count, camera=Camera.from_focal(768, 512, 974.0))
     result = solved(case, camera=Camera.from_focal(768, 512, 974.0 / (1 + off)), **({} if stated else {"seed": 1}))
@@ -170,12 +170,12 @@ def test_a_wrong_focal_length_is_told_and_a_right_one_is_not_blamed(seed, count,
     assert lens.level == "poor"
     assert check.kind == "focal"
     assert np.sign(check.change) == np.sign(off)
-    if not stated:  # where the noise is stated the gate cuts off the very residuals that tell
+    if not stated:  # with stated noise, rejection removes the residuals that show the error
         assert check.change == pytest.approx(off, abs=4 * check.sigma)
     assert "camera file" in lens.what_to_do
 
 
-def test_a_bent_lens_taken_for_an_ideal_one_is_told():
+def test_unmodelled_distortion_is_found():
     bent = Camera(768, 512, 974.0, 974.0, 383.5, 255.5, (-0.12, 0.0, 0.0, 0.0))
     for seed in range(4):
         lens = findings_by_name(solved(room_case(seed, camera=bent), camera=ROOM_CAMERA, seed=1))["lens"]
@@ -183,7 +183,7 @@ def test_a_bent_lens_taken_for_an_ideal_one_is_told():
         assert findings_by_name(solved(room_case(seed, camera=bent), seed=1))["lens"].level == "good"
 
 
-def test_without_parallax_only_stereo_is_blamed():
+def test_lack_of_parallax_affects_stereo_methods_only():
     case = room_case(5, count=60, baseline_m=0.0)
     for method in ("robust", "linear"):
         disparity = findings_by_name(solved(case, method=method))["disparity"]
@@ -200,7 +200,7 @@ def test_without_parallax_only_stereo_is_blamed():
 
 @given(seed=SEEDS, pixels=st.floats(3, 40), way=st.sampled_from([1.0, -1.0]))
 @settings(max_examples=12)
-def test_a_common_shift_is_told_with_its_direction(seed, pixels, way):
+def test_a_common_shift_is_found_with_its_direction(seed, pixels, way):
     case = room_case(seed, count=80)
     turned = rotation_from_rotvec([0, way * pixels / ROOM_CAMERA.focal_px, 0]) @ case.pose.rotation
     found = findings_by_name(at_truth(case, pose=Rigid.from_centre(turned, case.pose.centre)))["bias"]
@@ -210,7 +210,7 @@ def test_a_common_shift_is_told_with_its_direction(seed, pixels, way):
     assert findings_by_name(at_truth(case))["bias"].level == "good"
 
 
-def test_those_that_disagree_are_named():
+def test_outliers_are_named():
     case = room_case(8, count=60, outliers=0.3)
     found = findings_by_name(solved(case))["inliers"]
     assert found.level == "fair"
@@ -218,7 +218,7 @@ def test_those_that_disagree_are_named():
     assert f"and {len(found.values['disagreeing']) - 5} more" in found.sentence
 
 
-def test_whatever_a_registration_is_it_has_findings_in_plain_words():
+def test_every_registration_has_findings_in_plain_words():
     case = room_case(3, count=30)
     behind = Rigid.from_centre(rotation_from_rotvec([0, np.pi, 0]) @ case.pose.rotation, case.pose.centre)
     nothing = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))

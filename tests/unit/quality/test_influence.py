@@ -27,7 +27,7 @@ def without(matches, name):
 
 @pytest.mark.parametrize("count", [12, 40])
 @pytest.mark.parametrize(("seed", "baseline_m"), [(41, 0.0), (42, 0.5), (43, 1.5)])
-def test_the_pose_moves_as_it_does_when_solved_again(seed, baseline_m, count):
+def test_the_predicted_shift_agrees_with_solving_again(seed, baseline_m, count):
     case = room_case(seed, count=count, baseline_m=baseline_m, camera=LENS if seed == 43 else room_case(0).camera)
     weights = np.random.default_rng(seed).uniform(0.3, 3, count)
     matches = replace(case.matches, weights=weights)
@@ -49,7 +49,7 @@ def test_the_pose_moves_as_it_does_when_solved_again(seed, baseline_m, count):
         assert found.pixels[k] == pytest.approx(shift, rel=0.1, abs=0.01)
 
 
-def test_the_samples_of_a_line_are_left_out_together():
+def test_the_samples_of_a_line_are_removed_together():
     case = room_case(7, count=30)
     ids = tuple("a line" if k % 3 == 0 else f"point {k}" for k in range(30))
     matches = replace(case.matches, pick_ids=ids)
@@ -63,8 +63,8 @@ def test_the_samples_of_a_line_are_left_out_together():
     assert alone.cook[0] != pytest.approx(found.cook[0], rel=0.1)
 
 
-def test_a_wrong_match_far_from_the_others_is_the_one_to_check():
-    """Inliers crowd in one part of the photo; one match elsewhere, 20 px off, turns the whole pose."""
+def test_a_wrong_match_far_from_the_others_is_most_influential():
+    """Inliers cluster in one part of the photo; one match elsewhere, 20 px off, rotates the whole pose."""
     case = room_case(11, count=300)
     near = np.argsort(np.linalg.norm(case.uv - (200, 150), axis=1))[:14]
     far = int(np.argmax(np.linalg.norm(case.uv - (200, 150), axis=1)))
@@ -83,7 +83,7 @@ def test_a_wrong_match_far_from_the_others_is_the_one_to_check():
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10_000), count=st.integers(16, 60))
-def test_what_disagrees_counts_for_nothing(seed, count):
+def test_outliers_have_no_influence(seed, count):
     case = room_case(seed, count=count, outliers=0.25)
     result = solved(case.matches, case, gate_chi2=9.21)
     found = influence(result)
@@ -93,8 +93,8 @@ def test_what_disagrees_counts_for_nothing(seed, count):
     assert (influence(result).cook == found.cook).all()
 
 
-def test_a_match_without_which_nothing_holds_has_no_finite_influence():
-    """Three points hold a pose, two do not; a copy of a point may go, since the other stays."""
+def test_an_indispensable_match_has_infinite_influence():
+    """Three points determine a pose, two do not; a copy of a point is dispensable."""
     case = room_case(3, count=20)
     matches = case.matches.subset([0, 1, 1, 2, *range(4, 20)])
     matches = replace(matches, pick_ids=tuple(map(str, range(20))))
@@ -105,7 +105,7 @@ def test_a_match_without_which_nothing_holds_has_no_finite_influence():
     assert "The pose depends on match" in found.summary()
 
 
-def test_a_pose_that_was_not_found_by_least_squares_is_brought_there_first():
+def test_a_pose_of_another_method_is_first_refined_by_least_squares():
     case = room_case(19, count=80)
     linear = solve_pose(case.matches, case.camera, PoseOptions(method="linear", sigma_px=1.0, sigma_range_m=0.015))
     robust = influence(solved(case.matches.subset(linear.inliers), case))

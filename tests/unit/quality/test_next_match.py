@@ -29,7 +29,7 @@ class Room:
     camera: Camera
     camera_from_scanner: Rigid
     rays: np.ndarray
-    """(N, 3) that can be picked."""
+    """(N, 3) points that can be picked."""
     uv: np.ndarray
     """(N, 2) their pixels."""
 
@@ -66,7 +66,7 @@ def joined(a, b):
 
 
 def clustered(seed, *, count=8):
-    """Eight matches in a quarter of what can be picked, and their pose."""
+    """Eight matches in a quarter of the pickable points, and their pose."""
     room = shared_room(seed % 2)
     rays, uv = room.rays, room.uv
     rng = np.random.default_rng([seed, 77])
@@ -76,7 +76,7 @@ def clustered(seed, *, count=8):
     return room, rays, matches, solve_pose(matches, camera, OPTIONS, initial=room.camera_from_scanner), rng
 
 
-def test_following_the_advice_helps_more_than_a_match_anywhere():
+def test_a_suggested_match_helps_more_than_a_random_one():
     before, advised, anywhere = [], [], []
     for seed in range(30):
         room, rays, matches, result, rng = clustered(seed)
@@ -97,7 +97,7 @@ def log_det(room, matches, pose):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_gain_is_that_of_the_estimators_own_information_and_no_place_has_more(seed):
+def test_the_gain_is_that_of_the_estimators_information_and_the_largest(seed):
     room, rays, matches, result, rng = clustered(seed)
     places = suggest_matches(room.scan, result, count=3)
     assert len(places) == 3
@@ -122,7 +122,7 @@ def test_the_gain_is_that_of_the_estimators_own_information_and_no_place_has_mor
     assert max(others) - log_det(room, matches, pose) <= places[0].gain * 1.05
 
 
-def test_places_lie_apart_on_surfaces_that_the_photo_sees():
+def test_suggestions_lie_apart_on_surfaces_that_the_photo_sees():
     room, _, _, result, _ = clustered(3)
     camera, scan = result.camera, room.scan
     places = suggest_matches(scan, result, count=6, apart=0.2)
@@ -145,7 +145,7 @@ def test_places_lie_apart_on_surfaces_that_the_photo_sees():
     assert "halve the uncertainty there" in words
 
 
-def test_only_what_can_be_picked_is_named():
+def test_only_pickable_cells_are_suggested():
     room, _, _, result, _ = clustered(4)
     mask = np.zeros(room.scan.shape, dtype=np.bool_)
     assert suggest_matches(room.scan, result, pickable=mask) == ()
@@ -157,7 +157,7 @@ def test_only_what_can_be_picked_is_named():
     assert all(mask[place.cell] for place in found)
 
 
-def test_a_photo_that_looks_elsewhere_gets_no_advice():
+def test_a_photo_of_something_else_gets_no_suggestion():
     room, _, _, result, _ = clustered(4)
     away = Rigid(rotation_from_rotvec((0, np.pi, 0)) @ result.camera_from_scanner.rotation, np.zeros(3))
     assert suggest_matches(room.scan, replace(result, camera_from_scanner=away)) == ()

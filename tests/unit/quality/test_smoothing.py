@@ -1,4 +1,4 @@
-"""Range smoothing by stereo: spikes go, everything else stays, and what cannot be known is left alone."""
+"""Range smoothing by stereo: spikes are replaced, and all other ranges stay."""
 
 from __future__ import annotations
 
@@ -90,8 +90,8 @@ def test_without_spikes_nothing_changes(seed: int, baseline: float) -> None:
 
 @given(seed=SEEDS, spikes=st.lists(st.floats(-1.5, 6.0), min_size=30, max_size=30), chosen=SEEDS)
 @settings(max_examples=25)
-def test_each_point_is_replaced_by_itself_alone(seed: int, spikes: list[float], chosen: int) -> None:
-    """No neighbour has a say, whatever its depth: this is what keeps edges."""
+def test_each_point_is_replaced_independently(seed: int, spikes: list[float], chosen: int) -> None:
+    """Neighbours have no effect, whatever their depth, which preserves edges."""
     case = room_case(seed, count=30, baseline_m=1.0)
     case = replace(case, ranges=case.ranges + np.array(spikes))
     order = np.random.default_rng(chosen).permutation(30)[: chosen % 30 + 1]
@@ -148,7 +148,7 @@ def test_a_match_off_its_epipolar_line_changes_no_range(seed: int, pixels: float
     assert not smoothed.replaced.any()
 
 
-def test_what_lies_behind_the_camera_is_left_as_it_is() -> None:
+def test_points_behind_the_camera_are_unchanged() -> None:
     case = room_case(3, count=20)
     behind = Rigid.from_centre(rotation_from_rotvec([0, np.pi, 0]) @ case.pose.rotation, case.pose.centre)
     smoothed = smooth_ranges(case.matches, case.camera, behind, threshold_m=0.1)
@@ -200,7 +200,7 @@ def matched(
     )
 
 
-def test_spikes_of_a_scan_under_matches_go_and_its_edge_stays() -> None:
+def test_spikes_of_a_scan_under_matches_are_replaced_and_its_edge_stays() -> None:
     scan, truth = stepped_scan(), stepped_scan(spiked=False)
     beside_the_edge = ((10, 44), (10, 45), (11, 44), (11, 45))
     smoothed = smooth_scan(scan, matched((*SPIKES[:2], *beside_the_edge, (5, 5), (50, 80))))
@@ -212,7 +212,7 @@ def test_spikes_of_a_scan_under_matches_go_and_its_edge_stays() -> None:
     assert smoothed.shape == scan.shape
 
 
-def test_a_scan_is_not_smoothed_by_what_makes_another_spike() -> None:
+def test_a_scan_is_not_smoothed_by_another_spike() -> None:
     scan = stepped_scan()
     along, across = matched(SPIKES, shown=0.7), matched(SPIKES, off_px=(0.0, 30.0))
     for wrong in (along, across, matched(((5, 5), (50, 80)))):
