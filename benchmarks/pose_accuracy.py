@@ -80,7 +80,7 @@ def mismatches_section(seeds: Sequence[int]) -> Section:
         "Among mismatches (room, n = 200, baseline .5 m)",
         "Success: within 6 sigmas of the truth, by the Cramer-Rao bound of the true matches. Efficiency: the bound's "
         "variance over the empirical one, mean of the six parameters, over the successes, with its standard error. "
-        "Consistency: RMS Mahalanobis distance / sqrt 6 by the covariance that is reported. The peers know the pixels' "
+        "Consistency: RMS Mahalanobis distance / sqrt 6 by the reported covariance. The peers know the pixels' "
         "noise (their threshold is 6 sigma) and not the ranges'; where it says so, they are told the true inliers.",
         tuple(tables),
         tuple(bars),
