@@ -103,10 +103,6 @@ class SimplexFolder:
         self._buttons.options = (RESUME if state == "paused" else PAUSE, STEP, KEEP)
         self._buttons.visible = self._speed.visible = state in ("running", "paused")
 
-    def hide(self) -> None:
-        """Hide the folder."""
-        self._folder.visible = False
-
     def _tell(self, state: str, frame: SimplexFrame | None) -> None:
         step = "" if frame is None else f" · step {frame.iteration}"
         told = "" if frame is None else " · ".join(filter(None, (f"cost {frame.cost:.2e}", frame.said)))

@@ -96,23 +96,6 @@ def read_image(path: Path, *, budget: ReadBudget | None = None) -> ImageData:
                 raise FormatError(f"the picture is damaged or cut off ({reason}); copy or export it again") from error
 
 
-def image_size(path: Path) -> tuple[int, int, str]:
-    """Return (width, height, format) from a picture's header.
-
-    Raises:
-        FormatError: if it is no picture.
-    """
-    from PIL import Image
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            with Image.open(path, formats=_PIL_FORMATS) as image:
-                return image.width, image.height, image.format or "picture"
-        except Exception as error:
-            raise FormatError(f"the picture's header cannot be read ({one_line(error, 100)})") from error
-
-
 def _judge(image: Image, path: Path, budget: ReadBudget) -> None:
     """Refuse a picture, by its header, that would take too much memory or time."""
     width, height = image.size

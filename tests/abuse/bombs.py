@@ -334,8 +334,3 @@ def costs_of(jobs: Sequence[tuple[str, Path]], *, most_bytes: int = 12 << 30, mo
     costs = [Cost(*json.loads(line)) for line in done.stdout.splitlines()]
     assert len(costs) == len(jobs), done.stderr
     return costs
-
-
-def cost_of(reader: str, path: Path) -> Cost:
-    """Read one file in a process of its own, and return what it cost."""
-    return costs_of([(reader, path)])[0]
