@@ -12,11 +12,9 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.quality.influence import influence
 from ladarreg_core.quality.next_match import suggest_matches
-from ladarreg_core.quality.smoothing import smooth_with_report
 from ladarreg_core.results import PoseResult
 from ladarreg_core.surface.uncertainty import pixel_sigma
 from tests.unit.quality.test_next_match import clustered
-from tests.unit.quality.test_smoothing import SPIKES, matched, stepped_scan
 
 
 @pytest.mark.parametrize("seed", [2, 3])  # with a lens and without
@@ -98,20 +96,3 @@ def test_a_carried_pose_has_no_findings_for_lack_of_matches() -> None:
     assert assessment.findings is None
     assert "carried over" in assessment.absent["findings"]
     assert assessment.uncertainty is not None
-
-
-def test_smoothing_reports_the_replaced_cells() -> None:
-    beside = ((5, 5), (50, 80), (10, 20), (20, 60), (40, 10), (55, 50))
-    scan, result = stepped_scan(), matched((*SPIKES[:2], *beside))
-    done = smooth_with_report(scan, result)
-    assert done.cells_replaced == 2
-    assert np.count_nonzero(done.scan.ranges != scan.ranges) == 2
-    assert done.sentence.startswith("2 range spikes under matches")
-    clean = stepped_scan(spiked=False)
-    left = smooth_with_report(clean, result)
-    assert (left.scan is clean, left.cells_replaced) == (True, 0)
-    assert "no match lies on a range spike" in left.sentence
-    pose = Rigid(result.camera_from_scanner.rotation, np.zeros(3))
-    uv = result.camera.project(pose @ result.matches.points)
-    same = replace(result, camera_from_scanner=pose, matches=Matches(result.matches.rays, result.matches.ranges, uv))
-    assert "nearly at the same position" in smooth_with_report(scan, same).sentence

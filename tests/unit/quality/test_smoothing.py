@@ -14,7 +14,13 @@ from ladarreg_core.errors import CameraError, LadarregError, OptionError, ShapeE
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.quality.smoothing import SmoothedRanges, SmoothOptions, smooth_ranges, smooth_scan
+from ladarreg_core.quality.smoothing import (
+    SmoothedRanges,
+    SmoothOptions,
+    smooth_ranges,
+    smooth_scan,
+    smooth_with_report,
+)
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
@@ -221,6 +227,23 @@ def test_a_scan_is_not_smoothed_by_another_spike() -> None:
 
 
 # --- what no input may do --------------------------------------------------------------------------------------------
+
+
+def test_smoothing_reports_the_replaced_cells() -> None:
+    beside = ((5, 5), (50, 80), (10, 20), (20, 60), (40, 10), (55, 50))
+    scan, result = stepped_scan(), matched((*SPIKES[:2], *beside))
+    done = smooth_with_report(scan, result)
+    assert done.cells_replaced == 2
+    assert np.count_nonzero(done.scan.ranges != scan.ranges) == 2
+    assert done.sentence.startswith("2 range spikes under matches")
+    clean = stepped_scan(spiked=False)
+    left = smooth_with_report(clean, result)
+    assert (left.scan is clean, left.cells_replaced) == (True, 0)
+    assert "no match lies on a range spike" in left.sentence
+    pose = Rigid(result.camera_from_scanner.rotation, np.zeros(3))
+    uv = result.camera.project(pose @ result.matches.points)
+    same = replace(result, camera_from_scanner=pose, matches=Matches(result.matches.rays, result.matches.ranges, uv))
+    assert "nearly at the same position" in smooth_with_report(scan, same).sentence
 
 
 def test_hostile_arguments_are_refused_in_one_line() -> None:
