@@ -84,7 +84,7 @@ def assessment_lines(assessment: Assessment, result: Registration) -> list[str]:
     """Return the main findings and suggestions, a few lines; registration.json has all of them."""
     lines = []
     if result.accepted and assessment.uncertainty is not None:
-        lines.append(f"Image    {assessment.uncertainty.in_words()}")
+        lines.append(f"Image    {assessment.uncertainty.summary()}")
     shown = notable_findings(assessment, result)
     for finding in shown[:_MOST_FINDINGS]:
         lines.append(f"{finding.level.capitalize():<8} {one_line(f'{finding.sentence} {finding.what_to_do}')}")
@@ -94,7 +94,7 @@ def assessment_lines(assessment: Assessment, result: Registration) -> list[str]:
         if assessment.match_to_check:
             lines.append(f"Check    {one_line(assessment.match_to_check)}")
         if assessment.advice and (result.accepted or 2 * int(result.inliers.sum()) >= len(result.matches)):
-            lines.append(f"Next     {one_line(assessment.advice[0].in_words())}")
+            lines.append(f"Next     {one_line(assessment.advice[0].summary())}")
     return lines
 
 
@@ -158,7 +158,7 @@ def aligned(table: Table) -> str:
 
 def self_test_report(found: SelfTest) -> str:
     """Return the expectation, the trials and the advice of a self-test."""
-    lines = [found.in_words()]
+    lines = [found.summary()]
     right, wrong = found.of("right"), found.of("wrong")
     if right:
         missed = sum(not t.accepted for t in right)

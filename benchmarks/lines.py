@@ -1,113 +1,22 @@
-"""Drawn lines in the room: what of them an estimator should use.
-
-Eight straight edges of some 400 px on walls and boxes, drawn in both pictures with 1 px of noise at every end (the
-scan's side counts in photo pixels too), on a scan of 15 mm noise.
-"""
+"""Uses of drawn lines compared: which of their samples an estimator should use, on the lines of
+`tests.scenes.room_lines`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 
 import numpy as np
 
-from benchmarks.case import difference, first_third
-from benchmarks.pose_report import Bar, Section, number, percent, table
-from benchmarks.room import ROOM_BOXES, ROOM_CAMERA, ROOM_WALLS, room_ranges
-from ladarreg_core.camera import Camera
+from benchmarks.pose_report import Bar, Section, first_third, number, percent, table
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
+from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.results import PoseResult
-from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.grids import AzimuthElevation
-
-_STEP_RAD = np.deg2rad(0.11)
-_GEOMETRY = AzimuthElevation(350, 500, _STEP_RAD, _STEP_RAD)
-_LENGTH_PX = (300.0, 500.0)
-_TRIALS, _LOOKED_AT, _PATIENCE = 400, 10, 40
-
-
-@dataclass(frozen=True)
-class LineCase:
-    """Drawn lines with their truth."""
-
-    scan: Scan
-    picks: tuple[Pick, ...]
-    camera: Camera
-    pose: Rigid
-    sigma_px: float
-    sigma_range_m: float
-
-
-@cache
-def _true_ranges() -> np.ndarray:
-    return room_ranges(_GEOMETRY.rays.reshape(-1, 3)).reshape(_GEOMETRY.shape)
-
-
-def line_case(
-    seed: int,
-    *,
-    lines: int = 8,
-    baseline_m: float = 0.5,
-    sigma_px: float = 1.0,
-    sigma_range_m: float = 0.015,
-    slid: int = 0,
-    swapped: int = 0,
-) -> LineCase:
-    """Lines drawn in the room; some slid along themselves in the photo, some drawn the other way round."""
-    rng = np.random.default_rng([seed, lines, 77])
-    camera = ROOM_CAMERA
-    way = rng.normal(size=3) * [0.3, 1.0, 0.3]
-    centre = way / np.linalg.norm(way) * baseline_m
-    pan = np.arctan2(centre[1], 4.0 - centre[0])
-    turn = rotation_from_rotvec(rng.normal(size=3) * np.deg2rad(3)) @ rotation_from_rotvec([0, -pan, 0])
-    pose = Rigid.from_centre(turn @ CAMERA_AXES_FROM_SCANNER, centre)
-    scan = Scan(_GEOMETRY, _true_ranges() + rng.normal(size=_GEOMETRY.shape) * sigma_range_m, np.ones(_GEOMETRY.shape))
-    picks: list[Pick] = []
-    edges = _straight_edges(rng, pose, camera, lines)
-    for rays, uv in edges:
-        k = len(picks)
-        if k < slid:  # drawn along the same edge, between other points
-            along = (uv[1] - uv[0]) * rng.uniform(0.05, 0.2, (2, 1)) * [[1.0], [-1.0]]
-            uv = uv + along
-        uv = uv + rng.normal(size=(2, 2)) * sigma_px
-        if slid <= k < slid + swapped:
-            uv = uv[::-1]
-        picks.append(Pick(f"L{k + 1}", "line", rays, uv))
-    return LineCase(scan, tuple(picks), camera, pose, sigma_px, sigma_range_m)
-
-
-def _straight_edges(
-    rng: np.random.Generator, pose: Rigid, camera: Camera, lines: int
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of rays whose surface between them is straight and in the photo all along, with their pixels."""
-    found: list[tuple[np.ndarray, np.ndarray]] = []
-    s = np.linspace(0, 1, 17)[:, None]
-    tries = 0
-    while len(found) < lines:
-        # boxes and walls in turn, so that edges are near and far; the others where a camera hardly sees these
-        on_box = (len(found) + tries // _PATIENCE) % 2 == 1
-        tries += 1
-        low, high = ROOM_BOXES[rng.integers(len(ROOM_BOXES))] if on_box else ROOM_WALLS
-        ends = rng.uniform(low, high, (_TRIALS, 2, 3))
-        axis = int(rng.integers(3))
-        ends[..., axis] = low[axis] if (on_box or axis == 2) else high[axis]  # the side that is seen
-        uv = camera.project(pose @ ends)
-        length = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1)
-        fits = camera.contains(uv).all(axis=1) & (length >= _LENGTH_PX[0]) & (length <= _LENGTH_PX[1])
-        for k in np.flatnonzero(fits)[:_LOOKED_AT].tolist():
-            points = ends[k, 0] + s * (ends[k, 1] - ends[k, 0])
-            ranges = np.linalg.norm(points, axis=1)
-            rays = points / ranges[:, None]
-            if np.abs(room_ranges(rays) - ranges).max() < 1e-6:
-                found.append((rays[[0, -1]], uv[k]))
-                tries = 0
-                break
-    return found
+from tests.scenes.pose_case import difference
+from tests.scenes.room_lines import LineCase, line_case
 
 
 def _solved(case: LineCase, matches: Matches, initial: Rigid | None = None) -> PoseResult | None:
@@ -119,12 +28,12 @@ def _solved(case: LineCase, matches: Matches, initial: Rigid | None = None) -> P
 
 
 def by_ends(case: LineCase) -> PoseResult | None:
-    """The two ends with the ranges of the whole line: what `register` does."""
+    """Use the two ends with the ranges of the whole line, as `register` does."""
     return _solved(case, matches_from_picks(case.scan, case.picks, camera=case.camera)[0])
 
 
 def by_ends_as_points(case: LineCase) -> PoseResult | None:
-    """The two ends, each with the range of its own cell."""
+    """Use the two ends, each with the range of its own cell."""
     points = [
         Pick(f"{pick.id}{k}", "point", pick.scan[k : k + 1], pick.photo[k : k + 1])
         for pick in case.picks
@@ -134,12 +43,12 @@ def by_ends_as_points(case: LineCase) -> PoseResult | None:
 
 
 def by_equal_intervals(case: LineCase) -> PoseResult | None:
-    """Samples at constant intervals in both pictures: the thesis."""
+    """Use samples at constant intervals in both images, as in the thesis."""
     return _solved(case, matches_from_picks(case.scan, case.picks, camera=case.camera, lines="equal")[0])
 
 
 def by_kappa(case: LineCase) -> PoseResult | None:
-    """Samples placed in the photo by the pose, which is solved again."""
+    """Use samples placed in the photo by the pose, iterated."""
     result = by_equal_intervals(case)
     for _ in range(2):
         if result is None:
@@ -151,7 +60,8 @@ def by_kappa(case: LineCase) -> PoseResult | None:
 
 
 def by_distances(case: LineCase, *, ends: bool) -> PoseResult | None:
-    """Samples by their distance to the photo's line, weighing 1 / sqrt of their number, with or without the ends."""
+    """Use distances of samples to the line in the photo, weighted by 1 / sqrt of their number, with or without the
+    ends."""
     start = by_equal_intervals(case)
     if start is None:
         return None
@@ -183,7 +93,7 @@ USES = {
 
 @dataclass(frozen=True)
 class LineFigures:
-    """What a use of lines reached over many seeds."""
+    """Accuracy of a use of lines over many seeds."""
 
     position_mm: float
     """Median."""
@@ -194,7 +104,7 @@ class LineFigures:
 
 
 def line_figures(use: str, cases: list[LineCase]) -> LineFigures:
-    """Measure a use of lines."""
+    """Compute the figures of a use of lines."""
     position, distance, accepted = [], [], 0
     for case in cases:
         result = USES[use](case)
@@ -221,15 +131,15 @@ SETTINGS: dict[str, dict[str, float]] = {
     "baseline .5 m, two of them the other way round": {"baseline_m": 0.5, "swapped": 2},
 }
 MOST_MM = 10.0
-_HELD = 2  # of the settings
+_WITH_BARS = 2  # settings that have bars
 DEFAULT_USE = "ends, ranges of the line (default)"
 
 
 def lines_section(seeds: Sequence[int]) -> Section:
-    """The line table."""
+    """Compare the uses of lines."""
     tables, figures = [], {}
     for k, (name, setting) in enumerate(SETTINGS.items()):
-        those = seeds if k < _HELD else first_third(seeds)
+        those = seeds if k < _WITH_BARS else first_third(seeds)
         cases = [line_case(seed, **setting) for seed in those]  # type: ignore[arg-type]
         found = {use: line_figures(use, cases) for use in USES}
         figures[name] = {use: asdict(f) for use, f in found.items()}
@@ -245,12 +155,12 @@ def lines_section(seeds: Sequence[int]) -> Section:
         )
     bars = [
         Bar(f"eight lines, {name}: median mm", figures[name][DEFAULT_USE]["position_mm"], most=MOST_MM)
-        for name in list(SETTINGS)[:_HELD]
+        for name in list(SETTINGS)[:_WITH_BARS]
     ]
     return Section(
         "lines",
         "Eight drawn lines",
-        "What of drawn lines serves the estimator: all uses see the same lines, some 400 px long, 1 px of noise at "
+        "Which samples of drawn lines to use: all uses get the same lines, some 400 px long, with 1 px of noise at "
         "every end, on a scan of 15 mm noise. A slid line lies on the right edge, between other points; one drawn the "
         "other way round has its ends exchanged. Consistency is without the worst 2 %.",
         tuple(tables),

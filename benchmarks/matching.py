@@ -25,10 +25,10 @@ from ladarreg_core.simulate import simulate_case
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sets", default=",".join(SETS), help=f"by commas, of {', '.join(SETS)}")
-    parser.add_argument("--seeds", type=int, help="cases per scene and set; without it, what the bars are for")
+    parser.add_argument("--sets", default=",".join(SETS), help=f"comma-separated, of {', '.join(SETS)}")
+    parser.add_argument("--seeds", type=int, help="cases per scene and set; default: as many as the bars require")
     parser.add_argument("--seed-offset", type=int, default=0)
-    parser.add_argument("--add", type=Path, action="append", default=[], help="rows of an earlier --json, added")
+    parser.add_argument("--add", type=Path, action="append", default=[], help="add the rows of an earlier --json")
     parser.add_argument("--json", type=Path, help="write every row here")
     parser.add_argument("--page", type=Path, help="write the tables into this page, between their markers")
     arguments = parser.parse_args()
@@ -48,7 +48,7 @@ def main() -> None:
                     f"{row.error_px:.2f} px, {row.seconds:.2f} s",
                     flush=True,
                 )
-            if arguments.json:  # a run that is stopped keeps what it has found
+            if arguments.json:  # an interrupted run keeps its results
                 arguments.json.write_text(json.dumps([asdict(row) for row in rows], indent=1), encoding="utf-8")
     for section in sections(rows):
         print(f"\n{as_text(section)}", flush=True)

@@ -31,23 +31,23 @@ THESIS = {
         pose=PoseOptions(simplex=SimplexOptions(restarts=0)),
     ),
 }
-"""The chain with what was added to it, and without."""
+"""Forms of the thesis's chain: with the additions, and without."""
 _NID_POINTS = 20_000
 _LEAST_MATCHES = 6
 
 
 def by_sift(case: SimulatedCase) -> lr.Rigid | None:
-    """Match SIFT features of the perspective intensity image and the photo, and solve by RANSAC: the usual way."""
+    """Match SIFT features of the perspective intensity image and the photo, and solve by RANSAC: the usual method."""
     return _by_sift(case, of_gradients=False)
 
 
 def by_sift_on_gradients(case: SimulatedCase) -> lr.Rigid | None:
-    """The same on the gradients' magnitude of both, which does not mind that contrast may be reversed."""
+    """Match SIFT features of both gradient magnitudes, which do not depend on the sign of contrast."""
     return _by_sift(case, of_gradients=True)
 
 
 def by_nid(case: SimulatedCase) -> lr.Rigid:
-    """Descend in the normalised information distance of intensity and gray level, from the scanner's own place."""
+    """Descend in the normalised information distance of intensity and gray level, from the position of the scanner."""
     valid = case.scan.valid
     points, values = case.scan.points[valid], case.scan.intensity[valid] * case.scan.ranges[valid] ** 2
     every = max(1, len(points) // _NID_POINTS)

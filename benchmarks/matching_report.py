@@ -1,4 +1,4 @@
-"""What the rows of automatic matching say, as sections with the bars that they are held to."""
+"""Report on the rows of automatic matching: sections with their bars."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from benchmarks.pose_report import NOTHING, Bar, Section, as_markdown, number, t
 from benchmarks.register import METHODS, Row
 
 RIGHT_PX = 2.0
-"""What is further off and accepted is wrong."""
+"""Error beyond which an accepted pose counts as wrong."""
 _BEGIN, _END = "<!-- matching: begin -->", "<!-- matching: end -->"
 _NO_RIGHT_ANSWER = ("wrong", "near", "blank", "thermal wrong")
 
 
 def sections(rows: Sequence[Row]) -> list[Section]:
-    """Return what can be said of some rows."""
+    """Return the sections for these rows."""
     asks = (_peers_section, _intrinsics_section, _thermal_section, _refusals_section, _real_section, _times_section)
     return [section for ask in asks if (section := ask(rows)) is not None]
 
 
 def seeds_of(section: Section, rows: Sequence[Row]) -> list[int]:
-    """Return the seeds that a section rests on."""
+    """Return the seeds of a section."""
     return sorted({row.seed for row in rows if row.set_name in section.figures["sets"]})
 
 
 def write_page(path: Path, rows: Sequence[Row]) -> None:
-    """Put the sections between the two markers of a page, in place of what stands there; all else stays."""
+    """Replace the sections between the two markers of a page; everything else stays."""
     before, begin, rest = path.read_text(encoding="utf-8").partition(_BEGIN)
     _, end, after = rest.partition(_END)
     if not (begin and end):

@@ -1,4 +1,4 @@
-"""The sets of cases that automatic matching is asked: what each is made of, and what came of it, row by row."""
+"""Sets of cases for automatic matching: each yields its cases and their results, row by row."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _NOWHERE = {"error_px": np.inf, "error_deg": np.nan, "error_mm": np.nan}
 
 
 def with_peers(name: str, seeds: range) -> Iterator[Row]:
-    """A set of the simulator, by every method; the slow peers get a third of it."""
+    """A set of the simulator by every method; the slow peers get a third of it."""
     number = 0
     for seed in seeds:
         for scene in SCENES:
@@ -40,7 +40,7 @@ def with_peers(name: str, seeds: range) -> Iterator[Row]:
 
 
 def intrinsics_rows(seeds: range) -> Iterator[Row]:
-    """Cameras that are stated wrongly."""
+    """Photos with wrongly stated cameras."""
     for scene in SCENES:
         for seed in seeds:
             case = simulate_case(scene, seed=seed, **_LENSES[seed % len(_LENSES)])  # type: ignore[arg-type]
@@ -48,19 +48,19 @@ def intrinsics_rows(seeds: range) -> Iterator[Row]:
 
 
 def thermal_rows(seeds: range) -> Iterator[Row]:
-    """Thermal pictures; px are those of the small thermal picture."""
+    """Thermal photos; errors in their own pixels."""
     for scene in SCENES:
         for seed in seeds:
             yield by_default(simulate_case(scene, set_name="thermal", seed=seed), "thermal", scene, seed)
 
 
 def wrong_rows(seeds: range) -> Iterator[Row]:
-    """Photographs of another room: another scene, and its inks and lights besides."""
+    """Photos of another room, with other inks and lights."""
     yield from _other_rooms("wrong", "standard", "hard", seeds)
 
 
 def thermal_wrong_rows(seeds: range) -> Iterator[Row]:
-    """Thermal pictures of another room."""
+    """Thermal photos of another room."""
     yield from _other_rooms("thermal wrong", "thermal", "thermal", seeds)
 
 
@@ -75,7 +75,7 @@ def _other_rooms(name: str, scanned: str, photographed: str, seeds: range) -> It
 
 
 def blank_rows(seeds: range) -> Iterator[Row]:
-    """Pictures that show nothing: one gray level, noise, soft clouds."""
+    """Photos without content: one gray level, noise, soft clouds."""
     for seed in seeds:
         rng = np.random.default_rng([seed, 5])
         for scene in SCENES:
@@ -98,7 +98,7 @@ def _refused(name: str, what: str, seed: int, scan: lr.Scan, photo: lr.Photo) ->
 
 
 def near_rows(seeds: range) -> Iterator[Row]:
-    """Starts in the wrong place that nothing else may help."""
+    """Wrong initial poses without any other candidate."""
     options = RegisterOptions(auto=AutoOptions(reach="near_start"))
     for scene in SCENES:
         for seed in seeds:
@@ -114,7 +114,7 @@ def near_rows(seeds: range) -> Iterator[Row]:
 
 
 def real_rows(seeds: range) -> Iterator[Row]:
-    """Real captures beside the checkout, or where LADARREG_DATA says, against the truth that is known of them."""
+    """Real captures beside the checkout, or in LADARREG_DATA, against their known poses."""
     data = Path(os.environ.get("LADARREG_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
     captures = (
         ("kinect", "scan.json", "color_1.jpg"),
@@ -155,6 +155,6 @@ SETS: dict[str, tuple[Callable[[range], Iterator[Row]], int]] = {
     "thermal wrong": (thermal_wrong_rows, 8),
     "real": (real_rows, 1),
 }
-"""By name: the cases, and how many seeds of each of the four scenes are asked."""
+"""Sets by name, with the number of seeds for each of the four scenes."""
 WITH_PEERS = ("standard", "hard", "wide", "rotated", "identical")
-"""Those that other methods are asked, too."""
+"""Sets on which other methods are run too."""

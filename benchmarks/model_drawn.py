@@ -1,4 +1,4 @@
-"""How long after a pose the model wears the photograph's colours, in a real browser.
+"""Time from a pose to the coloured model, in a real browser.
 
 Every large draw call of the 3-D page is followed by a look at the middle of its canvas; gray pixels become coloured
 ones when the new model is on the screen. Looking costs some time itself, most where no graphics card draws.
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tests.e2e.browser import FLAGS, find_chromium
 
 if TYPE_CHECKING:
-    from benchmarks.workbench import Page, Served
+    from tests.served_workbench import Page, Served
 
 _FINE_INDICES = 100_000
 _COLOURFUL = 5.0

@@ -1,39 +1,21 @@
-"""Who estimates a pose from matches, mismatches among them: the default in its variants, and the usual libraries."""
+"""Pose solvers for matches with outliers: variants of the default, and the usual libraries."""
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
 
 import cv2
 import numpy as np
 
-from benchmarks.apple import THESIS_START
-from benchmarks.case import Case
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.ransac import ransac_pose
-from ladarreg_core.pose.thesis.stereo_simplex import Residual, SimplexOptions, fit_simplex
-
-Answer = tuple[Rigid, np.ndarray | None]
-"""A pose, and its covariance (6, 6) where one is given."""
-Solver = Callable[[Case], "Answer | None"]
+from tests.scenes.accuracy import Answer, Solver, default, known_inliers
+from tests.scenes.pose_case import Case
 
 MOST_ITERATIONS = 5000
 THRESHOLD_SIGMA = 6.0
-
-
-def default(
-    case: Case, *, matches: Matches | None = None, initial: Rigid | None = None, **options: object
-) -> Answer | None:
-    chosen = PoseOptions(sigma_px=case.sigma_px, sigma_range_m=case.sigma_range_m, **options)  # type: ignore[arg-type]
-    try:
-        result = solve_pose(matches or case.matches, case.camera, chosen, initial=initial)
-    except LadarregError:
-        return None
-    return result.camera_from_scanner, result.covariance
 
 
 def default_unstated(case: Case) -> Answer | None:
@@ -46,10 +28,6 @@ def default_unstated(case: Case) -> Answer | None:
 
 def default_without_poselib(case: Case) -> Answer | None:
     return default(case, ransac_backend="opencv")
-
-
-def known_inliers(case: Case) -> Answer | None:
-    return default(case, matches=case.matches.subset(case.true), gate_chi2=1e6)
 
 
 def linear(case: Case) -> Answer | None:
@@ -100,7 +78,7 @@ def _opencv_known_inliers(case: Case, flags: int) -> Answer | None:
 
 
 def opencv_from_a_start(case: Case, start: Rigid) -> Answer | None:
-    """OpenCV's Levenberg-Marquardt on all matches."""
+    """Refine a start by OpenCV's Levenberg-Marquardt on all matches."""
     turn, shift = cv2.Rodrigues(start.rotation)[0], start.translation.reshape(3, 1).copy()
     try:
         found, turn, shift = cv2.solvePnP(
@@ -125,18 +103,4 @@ _ALL: dict[str, Solver] = {
 }
 HAS_POSELIB = importlib.util.find_spec("poselib") is not None
 PEERS: dict[str, Solver] = {name: peer for name, peer in _ALL.items() if HAS_POSELIB or peer is not poselib_peer}
-"""By name; poselib only where it is installed."""
-
-
-def simplex_poses(
-    case: Case,
-    residual: Residual,
-    *,
-    start: Rigid | None = THESIS_START,
-    threshold_m: float | None = None,
-    restarts: int = 2,
-) -> tuple[Rigid, Rigid]:
-    """The simplex's poses before and after rejection; threshold None: from the data."""
-    options = SimplexOptions(residual=residual, reject_depth_m=threshold_m, restarts=restarts)
-    fit = fit_simplex(case.matches, case.camera, options, initial=start, sigma_px=case.sigma_px)
-    return fit.before.camera_from_scanner, fit.after.camera_from_scanner
+"""Solvers by name; poselib only where it is installed."""

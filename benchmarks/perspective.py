@@ -1,4 +1,4 @@
-"""How long the perspective view takes, beside OpenCV's bare lookup with ready-made maps.
+"""Time of the perspective view, compared with OpenCV's remap with precomputed maps.
 
 Run it as `python -m benchmarks.perspective`.
 """
@@ -21,7 +21,7 @@ BUDGET = 3.0
 
 
 def median_ms(work: Callable[[], object]) -> float:
-    """Return the median wall time of some work, ms."""
+    """Return the median wall-clock time of a function, ms."""
     seconds = []
     for _ in range(ROUNDS):
         started = time.perf_counter()

@@ -35,7 +35,7 @@ PINK: Colour = (0xFF, 0x8F, 0xAB)
 VIOLET: Colour = (0xC9, 0xA7, 0xFF)
 FAINT: Colour = (0x4A, 0x55, 0x66)
 WIDTH = 1600
-"""Of a whole picture, px."""
+"""Width of a whole picture, px."""
 GAP, MARGIN = 18, 26
 _TITLE, _TEXT, _TICK = 23, 19, 17
 _SHIFT = 4  # binary digits of a pixel's fraction
@@ -52,7 +52,7 @@ def nice_ticks(low: float, high: float, *, count: int = 5) -> list[float]:
 
 
 def decades(low: float, high: float) -> list[float]:
-    """Return the powers of ten within a range, and what lies a factor of 2 and 5 above them where they are few."""
+    """Return the powers of ten within a range, and 2 and 5 times these where there are few."""
     factors = (1, 2, 5) if np.log10(high / low) < 2.2 else (1,)
     values = [
         f * 10.0**k for k in range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1) for f in factors
@@ -76,7 +76,7 @@ class Plot:
 
     width: int
     height: int
-    """Of the plot's field, px; its labels are added."""
+    """Size of the plotting area, px, without labels."""
     x: Range
     y: Range
     title: str
@@ -129,7 +129,7 @@ class Plot:
         self.named(name, colour)
 
     def stems(self, x: np.ndarray, y: np.ndarray, colour: Colour, *, name: str = "", base: float = 0.0) -> None:
-        """Draw a line from the base to each value, with a dot; what lies beyond the field is an arrow at its edge."""
+        """Draw a line from the base to each value, with a dot; values beyond the field become an arrow at its edge."""
         low, high = self.y
         for a, b in zip(self.at(x, np.clip(y, low, high)), self.at(x, np.full(len(x), base)), strict=True):
             self.lines(np.stack([a, b]), tuple(int(0.55 * c + 0.45 * p) for c, p in zip(colour, PANEL, strict=True)), 1)
@@ -209,14 +209,14 @@ class Plot:
 
 
 def _put(canvas: np.ndarray, words: np.ndarray, x: float, y: float) -> None:
-    """Set a text into the canvas, moved inside where it would stand out."""
+    """Draw a text, moved inside the canvas where it would extend beyond it."""
     left = round(min(max(x, 0), canvas.shape[1] - words.shape[1]))
     top = round(min(max(y, 0), canvas.shape[0] - words.shape[0]))
     canvas[top : top + words.shape[0], left : left + words.shape[1]] = words
 
 
 def save(path: Path, picture: np.ndarray) -> None:
-    """Write a picture as PNG of at most 256 colours, which is a third of the size and looks the same."""
+    """Write a picture as PNG of at most 256 colours, at a third of the size without visible loss."""
     from PIL import Image
 
     reduced = Image.fromarray(picture).quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
@@ -238,7 +238,7 @@ def columns(blocks: Sequence[np.ndarray], *, width: int = WIDTH - 2 * MARGIN) ->
 
 
 def field_width(count: int, *, left: int = _LEFT) -> int:
-    """Return how wide a plot's field may be where `count` panels stand side by side."""
+    """Return the width of a plotting area for `count` panels side by side."""
     return (WIDTH - 2 * MARGIN - GAP * (count - 1)) // count - 36 - left - RIGHT
 
 
@@ -324,7 +324,9 @@ def wireframe(
         *zip(index[:-1].ravel(), index[1:].ravel(), strict=True),
         *zip(index.ravel(), np.roll(index, -1, axis=1).ravel(), strict=True),
     ]
-    edges.sort(key=lambda edge: max(errors[edge[0]], errors[edge[1]]))  # the worst are never hidden
+    edges.sort(
+        key=lambda edge: max(errors[edge[0]], errors[edge[1]])
+    )  # the largest errors are drawn last, so never hidden
     for a, b in edges:
         plot.lines(points[[a, b]], error_colour(max(errors[a], errors[b]) / scale), 2)
     for k in np.argsort(errors, kind="stable"):

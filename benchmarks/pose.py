@@ -37,7 +37,7 @@ SECTIONS: dict[str, Callable[[Sequence[int]], Section]] = {
 def run(
     sections: Sequence[Callable[[Sequence[int]], Section]], seeds: Sequence[int]
 ) -> Iterator[tuple[Section, float]]:
-    """Answer the questions one after the other, each with its seconds."""
+    """Run the sections one after another, each timed."""
     for ask in sections:
         begin = time.perf_counter()
         yield ask(seeds), time.perf_counter() - begin
@@ -46,9 +46,9 @@ def run(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=60)
-    parser.add_argument("--first-seed", type=int, default=0, help="where they begin")
-    parser.add_argument("--only", help=f"some of the sections, by commas: {', '.join(SECTIONS)}")
-    parser.add_argument("--thesis", action="store_true", help="the thesis's nonlinear estimation alone")
+    parser.add_argument("--first-seed", type=int, default=0, help="first seed")
+    parser.add_argument("--only", help=f"some of the sections, comma-separated: {', '.join(SECTIONS)}")
+    parser.add_argument("--thesis", action="store_true", help="only the thesis's nonlinear estimation")
     parser.add_argument("--json", type=Path, help="write every figure here")
     parser.add_argument("--page", type=Path, help="write the tables into this page, between their markers")
     arguments = parser.parse_args()
@@ -66,7 +66,7 @@ def main() -> None:
         ):
             print(f"{as_text(section)}  ({seconds:.0f} s)\n", flush=True)
             answered.append(section)
-            # A run that is stopped keeps what it has found.
+            # An interrupted run keeps its results.
             if arguments.json:
                 write_json(arguments.json, answered, seeds=seeds)
             if arguments.page:

@@ -1,4 +1,4 @@
-"""The room: accuracy among mismatches, times, and placement."""
+"""The room: accuracy with outliers, times, and baselines."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import asdict
 
 import numpy as np
 
-from benchmarks.accuracy import Answers, ask, figures_of, length_in_sigmas, measure
-from benchmarks.case import Case, difference, first_third
-from benchmarks.peers import HAS_POSELIB, PEERS, Solver, default, opencv_peer, poselib_peer
-from benchmarks.pose_report import Bar, Section, number, percent, table
-from benchmarks.room import room_case
+from benchmarks.peers import HAS_POSELIB, PEERS, opencv_peer, poselib_peer
+from benchmarks.pose_report import Bar, Section, first_third, number, percent, table
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.thesis.epipolar import epipolar_cost
 from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
+from tests.scenes.accuracy import Answers, Solver, ask, default, figures_of, length_in_sigmas, measure
+from tests.scenes.pose_case import Case, difference
+from tests.scenes.room import room_case
 
 OUTLIERS = (0.0, 0.3, 0.5, 0.7)
 SAME_SIGMAS = 0.1
@@ -33,7 +33,7 @@ BASELINES: dict[str, tuple[float, tuple[float, float, float] | None]] = {
 
 
 def mismatches_section(seeds: Sequence[int]) -> Section:
-    """Every peer on the very same cases."""
+    """Compare every peer on the same cases."""
     tables, bars, figures, apart = [], [], {}, {}
     for outliers in OUTLIERS:
         cases = [room_case(seed, outliers=outliers) for seed in seeds]
@@ -80,7 +80,7 @@ def mismatches_section(seeds: Sequence[int]) -> Section:
         "Among mismatches (room, n = 200, baseline .5 m)",
         "Success: within 6 sigmas of the truth, by the Cramer-Rao bound of the true matches. Efficiency: the bound's "
         "variance over the empirical one, mean of the six parameters, over the successes, with its standard error. "
-        "Consistency: RMS Mahalanobis distance / sqrt 6 by the covariance that is reported. The peers know the pixels' "
+        "Consistency: RMS Mahalanobis distance / sqrt 6 by the reported covariance. The peers know the pixels' "
         "noise (their threshold is 6 sigma) and not the ranges'; where it says so, they are told the true inliers.",
         tuple(tables),
         tuple(bars),
@@ -89,7 +89,7 @@ def mismatches_section(seeds: Sequence[int]) -> Section:
 
 
 def backends_apart(ours: Answers, others: Answers) -> np.ndarray:
-    """How many sigmas lie between two answers to each case (N,); infinite where only one found a pose."""
+    """Return the distance in sigmas between two poses of each case (N,); infinite where only one was found."""
     found = []
     for a, b in zip(ours.found, others.found, strict=True):
         if a is None or b is None or a[1] is None:
@@ -100,7 +100,7 @@ def backends_apart(ours: Answers, others: Answers) -> np.ndarray:
 
 
 def times_section(seeds: Sequence[int]) -> Section:
-    """How long every peer takes."""
+    """Measure the time of every peer."""
     rows, figures = [], {}
     cases = {n: [room_case(seed, count=n, outliers=TIMED_OUTLIERS) for seed in seeds[:TIMED_CASES]] for n in COUNTS}
     for name, solver in PEERS.items():
@@ -132,7 +132,7 @@ def times_section(seeds: Sequence[int]) -> Section:
 
 
 def milliseconds(solver: Solver, cases: Sequence[Case]) -> np.ndarray:
-    """How long each case (N,) takes the processor, the quickest of some rounds: what others do meanwhile only slows."""
+    """Return the processor time of each case (N,), the least of some rounds, since other load only slows it down."""
     solver(cases[0])
     found = []
     for case in cases:
@@ -148,7 +148,7 @@ def milliseconds(solver: Solver, cases: Sequence[Case]) -> np.ndarray:
 def evaluations_per_second(
     cost: Callable[[StereoPairs], Callable[[np.ndarray], float]], *, rounds: int = 15, count: int = 2000
 ) -> float:
-    """The best of some rounds on 200 matches of the room."""
+    """Return the best time of some rounds on 200 matches of the room."""
     case = room_case(0)
     pairs = StereoPairs.of(case.matches, case.camera)
     evaluate, x = cost(pairs), pairs.parameters(case.pose)
@@ -169,7 +169,7 @@ def _simplex(method: str) -> Solver:
 
 
 def placement_section(seeds: Sequence[int]) -> Section:
-    """From identical placement to half a metre."""
+    """Compare baselines from zero to half a metre."""
     slow: dict[str, Solver] = {
         "stereo-simplex": _simplex("stereo_simplex"),
         "epipolar-simplex": _simplex("epipolar_simplex"),

@@ -1,4 +1,4 @@
-"""A camera that is not the one given: its focal length and its lens estimated with the pose, or left alone."""
+"""Wrongly stated cameras: focal length and lens estimated with the pose, or kept."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.case import Case
 from benchmarks.pose_report import Bar, Section, number, percent, table
-from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.intrinsics import intrinsic
+from tests.scenes.pose_case import Case
+from tests.scenes.room import ROOM_CAMERA, room_case
 
 SETTINGS = ((0.0, True), (0.3, False))
-"""Share of mismatches, and whether the noise is stated."""
+"""Share of outliers, and whether the noise is stated."""
 WRONG_FOCAL = replace(ROOM_CAMERA, fx=1.03 * ROOM_CAMERA.fx, fy=1.03 * ROOM_CAMERA.fy)
 LENS = replace(ROOM_CAMERA, distortion=(-0.1, 0.0, 0.0, 0.0))
 PAIRS: dict[str, tuple[Camera, Camera, str | None]] = {
@@ -24,27 +24,27 @@ PAIRS: dict[str, tuple[Camera, Camera, str | None]] = {
     "k1 = -.1 given as 0": (LENS, ROOM_CAMERA, "k1"),
     "the right camera": (ROOM_CAMERA, ROOM_CAMERA, None),
 }
-"""The camera that took the picture, the one that is given, and what is wrong with that."""
+"""True camera, stated camera, and the wrong parameter."""
 OWN_SIGMAS = 3.0
 LEAST_WITHIN, MOST_FALSE = 98.0, 1.0
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One case, with the camera as given and with what was estimated."""
+    """One case with the stated camera, and with the estimated one."""
 
     fixed_mm: float
-    """Error of the camera's position with the camera as given."""
+    """Error of the camera position with the stated camera."""
     chosen_mm: float
-    """With the camera that the matches led to."""
+    """Error of the camera position with the estimated camera."""
     adopted: bool
     """Whether any intrinsic was changed."""
     off_sigmas: float
-    """|error| of the wrong intrinsic in its own standard deviations; infinite where it was left alone."""
+    """|error| of the wrong intrinsic in its own standard deviations; infinite where it was kept."""
 
 
 def outcome(case: Case, given: Camera, wrong: str | None, *, stated: bool) -> Outcome:
-    """Solve a case with the camera given, and let the matches choose."""
+    """Solve a case with the stated camera, and with automatic intrinsics."""
     noise = {"sigma_px": case.sigma_px, "sigma_range_m": case.sigma_range_m} if stated else {}
     try:
         fixed, chosen = (
@@ -65,7 +65,7 @@ def outcome(case: Case, given: Camera, wrong: str | None, *, stated: bool) -> Ou
 
 
 def intrinsics_section(seeds: Sequence[int]) -> Section:
-    """The share adopted, and what it brings."""
+    """Report the share of estimated cameras, and the gain."""
     tables, figures, bars = [], {}, []
     heads = ("fixed: median mm", "estimated: median mm", f"within {OWN_SIGMAS:g} own sigmas", "adopted")
     for name, (true, given, wrong) in PAIRS.items():

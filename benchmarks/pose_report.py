@@ -1,4 +1,4 @@
-"""A benchmark's figures as text, as Markdown and as JSON, beside the bars that they are held to."""
+"""Reports of benchmarks as text, Markdown and JSON: figures with the bars that they have to meet."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ _SECTION, _CLOSED = "<!-- section: ", " -->"
 
 @dataclass(frozen=True)
 class Bar:
-    """A figure beside what the code is held to."""
+    """A figure with its required limits."""
 
     name: str
     value: float
     least: float | None = None
     most: float | None = None
     error: float | None = None
-    """Standard error of the value, where it matters beside the bar."""
+    """Standard error of the value, where it is comparable to the margin."""
     digits: int = 2
 
     @property
     def met(self) -> bool:
-        """A figure that is not known meets nothing."""
+        """Whether the limits are met; an unknown figure meets none."""
         return bool(
             not math.isnan(self.value)
             and (self.least is None or self.value >= self.least)
@@ -59,39 +59,39 @@ class Bar:
 
 @dataclass(frozen=True)
 class Section:
-    """A question and its answer."""
+    """A section of a report."""
 
     key: str
-    """Of the JSON."""
+    """Key in the JSON."""
     title: str
     note: str
     """How to read the tables."""
     tables: tuple[tuple[str, Table], ...]
-    """Each with its caption, which may be empty."""
+    """Tables with their captions, which may be empty."""
     bars: tuple[Bar, ...] = ()
     figures: Mapping[str, Any] = field(default_factory=dict)
     """The numbers behind the tables."""
 
 
 def number(value: float, digits: int = 2) -> str:
-    """A number as a cell: nothing where it is not known."""
+    """Format a number as a cell; a dash where unknown."""
     if math.isnan(value):
         return NOTHING
     return f"{value:,.{digits}f}" if math.isfinite(value) else "no pose"
 
 
 def percent(share: float, digits: int = 1) -> str:
-    """A share as a cell."""
+    """Format a share as a cell."""
     return NOTHING if math.isnan(share) else f"{100 * share:.{digits}f} %"
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """A table of cells; each row begins with its name."""
+    """Build a table of cells; each row begins with its name."""
     return Table(heads=tuple(heads), rows=tuple(tuple(row) for row in rows))
 
 
 def as_text(section: Section) -> str:
-    """A section for a terminal."""
+    """Format a section for a terminal."""
     lines = [section.title, fill(section.note, _PAGE_WIDTH, initial_indent="  ", subsequent_indent="  ")]
     for caption, of_cells in section.tables:
         lines += [f"  {caption}"] if caption else []
@@ -114,7 +114,7 @@ def _bar_rows(section: Section) -> list[tuple[str, str, str, str]]:
 
 
 def as_markdown(section: Section, *, seeds: Sequence[int]) -> str:
-    """A section for a page."""
+    """Format a section for a page."""
     parts = [f"### {section.title}\n", f"{fill(section.note, _PAGE_WIDTH)}\n"]
     for caption, of_cells in section.tables:
         parts += [f"{caption}\n"] if caption else []
@@ -127,7 +127,7 @@ def as_markdown(section: Section, *, seeds: Sequence[int]) -> str:
 
 
 def as_json(sections: Sequence[Section], *, seeds: Sequence[int]) -> dict[str, Any]:
-    """Every figure, with the seeds and what ran; what is not known is null."""
+    """Return every figure with the seeds and the software; unknown ones are null."""
     return {
         "seeds": list(seeds),
         "versions": versions(),
@@ -137,7 +137,7 @@ def as_json(sections: Sequence[Section], *, seeds: Sequence[int]) -> dict[str, A
 
 
 def versions() -> dict[str, str]:
-    """Of Python and of the libraries that matter; absent ones are left out."""
+    """Return the versions of Python and of the relevant libraries that are installed."""
     found = {"python": python_version()}
     for name in LIBRARIES:
         try:
@@ -166,7 +166,7 @@ def write_json(path: Path, sections: Sequence[Section], *, seeds: Sequence[int])
 
 
 def write_page(path: Path, sections: Sequence[Section], *, seeds: Sequence[int]) -> None:
-    """Put sections between the two markers of a page, in place of what it says of them; all else stays.
+    """Replace sections between the two markers of a page; everything else stays.
 
     A page without markers gets them at its end.
     """
@@ -183,3 +183,8 @@ def write_page(path: Path, sections: Sequence[Section], *, seeds: Sequence[int])
         of_key[section.key] = as_markdown(section, seeds=seeds).strip("\n")
     blocks = [f"{_SECTION}{key}{_CLOSED}\n{words}\n" for key, words in of_key.items()]
     path.write_text("\n".join([f"{before}{_BEGIN}", *blocks, f"{_END}{after}"]), encoding="utf-8")
+
+
+def first_third(seeds: Sequence[int]) -> Sequence[int]:
+    """Return the seeds for a slow method: a third of the cases of the others."""
+    return seeds[: max(2, len(seeds) // 3)]

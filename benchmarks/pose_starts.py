@@ -1,4 +1,4 @@
-"""From how far away a start leads home, and whether the verdict on a pose is right."""
+"""Convergence by distance of the start, and correctness of the verdict on a pose."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from benchmarks.accuracy import SUCCESS_SIGMAS, length_in_sigmas
-from benchmarks.case import Case, difference, first_third, start_near
-from benchmarks.peers import Answer, default, opencv_from_a_start
-from benchmarks.pose_report import Bar, Section, percent, table
-from benchmarks.room import plane_case, repeated_case, room_case
+from benchmarks.peers import opencv_from_a_start
+from benchmarks.pose_report import Bar, Section, first_third, percent, table
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import probe_basin
 from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
+from tests.scenes.accuracy import SUCCESS_SIGMAS, Answer, default, length_in_sigmas
+from tests.scenes.pose_case import Case, difference, start_near
+from tests.scenes.room import plane_case, repeated_case, room_case
 
 STARTS = ((5.0, 0.25), (10.0, 0.5), (20.0, 1.0), (40.0, 2.0))
-"""How far away: degrees and metres, any way."""
+"""Distances of starts: degrees and metres, in random directions."""
 HOME_M = 0.05
 
 FromStart = Callable[[Case, Rigid], "Answer | None"]
@@ -37,7 +37,7 @@ def _simplex(method: str, restarts: int) -> FromStart:
 
 
 def basins_section(seeds: Sequence[int]) -> Section:
-    """The share that comes home from so far away, without RANSAC."""
+    """Measure the share that converges from these distances, without RANSAC."""
     fewer = first_third(seeds)
     solvers: dict[str, tuple[FromStart, Sequence[int]]] = {
         "default": (_default, seeds),
@@ -107,7 +107,7 @@ VERDICT_CASES: dict[str, Callable[[int], Case]] = {
 
 
 def verdicts_section(seeds: Sequence[int]) -> Section:
-    """What `probe_basin` says of the default's poses, and how often it praises a wrong one."""
+    """What `probe_basin` says of the default's poses, and how often it confirms a wrong one."""
     heads = ("unique", "ambiguous", "failed", "no pose", "pose wrong", "'unique' and wrong", "accepted and wrong")
     tables, figures = [], {}
     for stated in (True, False):

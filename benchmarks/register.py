@@ -1,4 +1,4 @@
-"""One registration measured: how far it is from the truth, what it tells of itself, and its time step by step.
+"""Measurement of one registration: its true error, its stated uncertainty, and the time of each step.
 
 The times are the processor's, all threads together: what one core would need.
 """
@@ -26,11 +26,11 @@ class Row:
     method: str
     set_name: str
     what: str
-    """The scene, or what was put together."""
+    """The scene, or the names of a combined case."""
     seed: int
     accepted: bool
     error_px: float
-    """Median displacement of the visible cells by pose and camera together; infinite where there is no right pose."""
+    """Median displacement of the visible cells by pose and camera together; infinite where there is no true pose."""
     error_deg: float
     error_mm: float
     seconds: float
@@ -38,9 +38,9 @@ class Row:
     """RMS error of the pose in its own standard deviations."""
     focal_percent: float = float("nan")
     k1: float = float("nan")
-    """Error of the camera that was estimated."""
+    """Error of the estimated camera."""
     steps: dict[str, float] = field(default_factory=dict)
-    """Seconds of the clock by step."""
+    """Wall-clock seconds by step."""
 
 
 def errors(case: SimulatedCase, pose: lr.Rigid, camera: Camera | None = None) -> tuple[float, float, float]:
@@ -63,7 +63,7 @@ def errors(case: SimulatedCase, pose: lr.Rigid, camera: Camera | None = None) ->
 def timed(
     scan: lr.Scan, photo: lr.Photo, *, initial: lr.Rigid | None = None, options: RegisterOptions | None = None
 ) -> tuple[lr.Registration, float, dict[str, float]]:
-    """Register, and return the processor's seconds and the clock's by step, too."""
+    """Register; also return processor seconds, and wall-clock seconds by step."""
     begin = time.process_time()
     result = lr.register(scan, photo, initial=initial, options=options)
     seconds = time.process_time() - begin
@@ -101,15 +101,15 @@ QUICK_PEERS: dict[str, Callable[[SimulatedCase], lr.Rigid | None]] = {
     "SIFT + RANSAC": by_sift,
     "SIFT on gradients": by_sift_on_gradients,
 }
-"""Asked of every case."""
+"""Peers run on every case."""
 SLOW_PEERS: dict[str, Callable[[SimulatedCase], lr.Rigid | None]] = {"NID alone": by_nid}
-"""Asked of some, as are both forms of the thesis's chain."""
+"""Peers run on some cases, like both forms of the thesis's chain."""
 METHODS = ("auto", *THESIS, *SLOW_PEERS, *QUICK_PEERS)
-"""All, in the order of the tables."""
+"""All methods, in the order of the tables."""
 
 
 def by_peers(case: SimulatedCase, set_name: str, scene: str, seed: int, *, slow_too: bool) -> Iterator[Row]:
-    """Register by the other methods; one without a verdict of its own accepts whatever it finds."""
+    """Register by the other methods; those without a verdict accept every pose."""
     for name, options in THESIS.items() if slow_too else ():
         begin = time.process_time()
         result = lr.register(case.scan, case.photo, method="thesis", options=RegisterOptions(thesis=options))

@@ -1,4 +1,4 @@
-"""How long a z-buffered texture takes, beside what it cannot be faster than and what is simpler but leaks.
+"""Time of a z-buffered texture, compared with its lower bound and with a simpler method that leaks.
 
 Run it as `python -m benchmarks.texture`.
 """
@@ -31,7 +31,7 @@ POSE = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0.1, -0.4, 0.1))
 
 
 def room(noise_m: float = 0.003) -> Scan:
-    """A wall, a floor and a box before them: a million cells, nearly all with a return."""
+    """A wall, a floor and a box in front of them: a million cells, nearly all with a return."""
     geometry = AzimuthElevation(SIDE, SIDE, STEP_RAD, STEP_RAD)
     rays = geometry.rays
     ranges = 4.0 / rays[..., 0]
@@ -52,7 +52,7 @@ def photo_of(width: int, height: int, focal_px: float) -> Photo:
 
 
 def point_buffer_texture(scan: Scan, photo: Photo, pose: Rigid) -> np.ndarray[Any, Any]:
-    """The naive way: every point hides what lies behind it in its own pixel, and nothing else."""
+    """Texture by a point z-buffer: each point occludes only what lies behind it in its own pixel."""
     points = pose @ scan.points.reshape(-1, 3)
     uv = photo.camera.project(points)
     inside = photo.camera.contains(uv)

@@ -13,20 +13,22 @@ import numpy as np
 
 from benchmarks import plots
 from benchmarks import thesis_printed as printed
-from benchmarks.apple import APPLE_TRUTH, THESIS_START, apple_case
-from benchmarks.table_3_1 import THRESHOLD_M
-from benchmarks.thesis_apple import (
+from benchmarks.table_3_1 import (
     PRINTED,
     READING_WORDS,
+    THESIS_METHODS,
+    THRESHOLD_M,
+    table_3_1,
+    table_3_1_picture,
+    table_3_1_text,
+)
+from benchmarks.thesis_apple import (
     SHOWN_READING,
     SHOWN_SEED,
     SMOOTHED_READING,
     simplex_options,
     single_run_text,
     six,
-    table_3_1,
-    table_3_1_picture,
-    table_3_1_text,
 )
 from benchmarks.thesis_descents import convergence, convergence_picture, depth_error_picture
 from benchmarks.thesis_scenes import printed_text, scene_run, scene_text, scenes_picture, scenes_text, simplex_of_scene
@@ -34,6 +36,7 @@ from benchmarks.thesis_smoothing import poles_text, smoothing, smoothing_picture
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.pose.thesis.stereo_simplex import fit_simplex
 from ladarreg_core.simulate import SCENES
+from tests.scenes.apple import APPLE_TRUTH, THESIS_START, apple_case
 
 
 def write_page(out: Path, seeds: int, scene_seeds: int) -> None:
@@ -59,7 +62,7 @@ def write_page(out: Path, seeds: int, scene_seeds: int) -> None:
         _APPLE.format(seeds=seeds, before=PRINTED[0], after=PRINTED[1], threshold=THRESHOLD_M)
         + "\n".join(f"- {words}" for words in READING_WORDS.values()),
     ]
-    figures = table_3_1(seeds)
+    figures = table_3_1(range(seeds), THESIS_METHODS)
     parts += [
         picture("table-3-1.png", table_3_1_picture(figures, seeds), "errors of every method on the apple"),
         table_3_1_text(figures).rstrip(),
@@ -118,9 +121,10 @@ def write_page(out: Path, seeds: int, scene_seeds: int) -> None:
 _HEAD = """\
 # The thesis's results, and ours
 
-M. D. Elstrom, *A Stereo-Based Technique for the Registration of Color and LADAR Images* (1998), chapter 3, done
-again and set beside what replaced it. `python -m benchmarks.thesis --seeds {seeds} --scene-seeds {scene_seeds}`
-writes this page and its pictures, always the same. What each equation is and where it stands:
+M. D. Elstrom, *A Stereo-Based Technique for the Registration of Color and LADAR Images* (1998), chapter 3, repeated
+and compared with the methods that replaced it.
+`python -m benchmarks.thesis --seeds {seeds} --scene-seeds {scene_seeds}`
+writes this page and its pictures, always the same. Equations and their places in the code:
 [thesis.md](thesis.md)."""
 
 _APPLE = """\
@@ -133,34 +137,35 @@ one" contradicts "ranges from two to eight", hence three readings:
 """
 
 _APPLE_READ = """\
-Before rejection, the default is its own least squares without the gate; linear rejects nothing, so that its second
-figure stands on the points that the default keeps. `true inliers known` is the default told which vertices have no
-spike: the mark to reach. The epipolar residual has the laser's depth in its denominator, so that a spike towards the
-scanner outweighs all else; and without any spike it still errs by a fifth here, where the baseline is as long as the
-depth and ranges are the noisier side. It is meant for rooms and short baselines; here Eq 2.21 is the better."""
+Before rejection, the default is its least squares without outlier rejection; linear rejects nothing, so that its
+second figure uses the inliers of the default. `true inliers known` is the default with the vertices without spikes
+given: the best possible result. The epipolar residual has the laser's depth in its denominator, so that a spike
+towards the scanner dominates; and even without spikes it errs by a fifth here, where the baseline is as long as the
+depth and the ranges are noisier than the pixels. It is meant for rooms and short baselines; here Eq 2.21 is better."""
 
 _SMOOTHING = """\
-A match shows a range of its own: where the ray's point projects nearest to the pixel. Where the laser's range lies
-far from that, it was a spike, and gives way (`ladarreg_core.quality.smoothing`). It stays where the disparity does not
-determine a range, where the pixels' noise explains the difference, and where the match lies off its epipolar line.
-Each vertex is replaced by itself alone, so that edges stay. Pose: the default's."""
+A match determines a range by stereo: that at which the point on the ray projects nearest to the pixel. A laser range
+far from it is a spike, and is replaced (`ladarreg_core.quality.smoothing`). It is kept where the disparity does not
+determine a range, where the pixel noise explains the difference, and where the match lies off its epipolar line.
+Each vertex is replaced independently, so that edges are preserved. The pose is that of the default."""
 
 _SMOOTHING_READ = """\
-Spikes within the threshold stay, as in the thesis: they are most of what is left in A and B. The thesis says
+Spikes within the threshold stay, as in the thesis: they dominate the remaining errors in A and B. The thesis says
 "estimates based on their stereo depth" and has two of them; the column by their mean is for the same vertices. On
-the apple both ways serve alike. With the camera ahead of the scanner one of the two disparities vanishes along lines
-through the epipole, and the mean with it; least squares in pixels weighs both by what they tell. In the room of
-`benchmarks/room.py` (1 px), every range too long by 40 %, what is left of those that were replaced:"""
+the apple both perform equally. With the camera in front of the scanner one of the two disparities vanishes along lines
+through the epipole, and the mean has a pole there; least squares in pixels weights both by their information.
+In the room of `tests/scenes/room.py` (1 px), with every range too long by 40 %, the errors of the replaced ranges
+are:"""
 
 _SCENES_WORDS = """\
-The thesis's own scenes are not public; these are rooms of the same kind, simulated, and their truth is known. The
-stages are those of the thesis, the default beside them; each finds its own matches, and the simplex walks the
-repaired residual, as the method `thesis` does. The error is the median displacement in the photograph of what is
-seen, px: median / worst over {count} cases of each scene. In the tables below, points are the matches that hold, of
-those used."""
+The thesis's own scenes are not public; these are simulated rooms of the same kind with known truth. The
+stages are those of the thesis, with the default for comparison; each finds its own matches, and the simplex minimises
+the repaired residual, as in the method `thesis`. The error is the median displacement of the visible cells in the
+photograph, px: median / worst over {count} cases of each scene. In the tables below, points are the inliers of the
+matches used."""
 
 _PRINTED_WORDS = """\
-Other rooms, other poses, and no truth: only how far the stages lie apart can be compared."""
+Rooms and poses differ, and the truth is unknown: only the distances between the stages can be compared."""
 
 
 def main() -> None:

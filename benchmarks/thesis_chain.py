@@ -1,4 +1,4 @@
-"""From good matches the thesis's estimators against the default: python -m benchmarks.thesis_chain [--seeds N].
+"""The thesis's estimators compared with the default, from good matches: python -m benchmarks.thesis_chain [--seeds N].
 
 Good matches are the sub-pixel block matches of the default's own registration. Distances are median displacements, in
 photo pixels, of what the photo sees of the scan.
@@ -26,7 +26,7 @@ def apart_px(case: SimulatedCase, first: lr.Rigid, second: lr.Rigid) -> float:
 
 
 def distances(case: SimulatedCase) -> dict[str, float]:
-    """Return how far each estimator ends from the default's pose."""
+    """Return the distance of each estimator from the pose of the default."""
     default = lr.register(case.scan, case.photo)
     good, camera = default.matches.subset(default.inliers), case.photo.camera
     poses = {"truth": case.camera_from_scanner, "robust": solve_pose(good, camera).camera_from_scanner}

@@ -1,4 +1,4 @@
-"""Figures 3.2 to 3.4 and 3.9: how the simplex descends, and the depth errors that it leaves."""
+"""Figures 3.2 to 3.4 and 3.9: convergence of the simplex, and the remaining depth errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks import plots
-from benchmarks.case import Case
 from benchmarks.plots import ACCENT, BAD, WARN, Plot, columns, field_width
 from benchmarks.table_3_1 import THRESHOLD_M
 from benchmarks.thesis_apple import PARAMETERS, SHOWN_READING, SHOWN_SEED, six
@@ -17,18 +16,19 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.diagnostics import stereo_depth_error
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.pose.thesis.stereo_simplex import DescentStep, SimplexFit, SimplexOptions, descend
+from tests.scenes.pose_case import Case
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """Every step of a descent."""
+    """All iterations of a descent."""
 
     parameters: np.ndarray
     """(K, 6) of the best vertex: Tx, Ty, Tz (m), alpha, beta, gamma (deg)."""
     cost: np.ndarray
     """(K,)"""
     rejections: np.ndarray
-    """The steps with which a round begins that has rejected anew."""
+    """First iterations of the rounds after a rejection."""
     last: DescentStep
 
     @property

@@ -1,4 +1,4 @@
-"""The thesis's estimators in the room: where they come home, what they reach, how near they come to the default."""
+"""The thesis's estimators in the room: convergence, accuracy, and distance from the default."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.apple import APPLE_READINGS, THESIS_START
-from benchmarks.case import Case, difference, picture_difference_px, start_near
-from benchmarks.peers import default, simplex_poses
 from benchmarks.pose_accuracy import BASELINES
 from benchmarks.pose_report import Section, number, percent, table
 from benchmarks.pose_starts import HOME_M
-from benchmarks.room import room_case
-from benchmarks.table_3_1 import THRESHOLD_M, median_and_p95, simplex_apple_figures
+from benchmarks.table_3_1 import THRESHOLD_M
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
+from tests.scenes.accuracy import default
+from tests.scenes.apple import APPLE_READINGS, THESIS_START, median_and_p95, simplex_apple_figures, simplex_poses
+from tests.scenes.pose_case import Case, difference, picture_difference_px, start_near
+from tests.scenes.room import room_case
 
 METHODS = ("linear", "stereo_simplex", "epipolar_simplex")
 _STARTS: dict[str, tuple[float, float] | None] = {
@@ -27,7 +27,7 @@ _MEDIAN_OVER_MEAN = 0.891  # of chi-squared with 6 degrees of freedom: median 5.
 
 
 def thresholds_section(seeds: Sequence[int]) -> Section:
-    """Table 3.1 by thresholds."""
+    """Compare rejection thresholds on Table 3.1."""
     rows, figures = [], {}
     for residual, threshold in (("stereo", THRESHOLD_M), ("stereo", None), ("epipolar", None)):
         name = f"{residual}-simplex, {f'threshold {threshold}' if threshold else 'own threshold'}"
@@ -48,7 +48,7 @@ def thresholds_section(seeds: Sequence[int]) -> Section:
 
 
 def descents_section(seeds: Sequence[int]) -> Section:
-    """One descent beside restarts and rejection."""
+    """Compare one descent with restarts and rejection."""
     rows, figures = [], {}
     for name, far in _STARTS.items():
         for residual in ("stereo", "epipolar"):
@@ -73,7 +73,7 @@ def descents_section(seeds: Sequence[int]) -> Section:
 
 
 def own_start_section(seeds: Sequence[int]) -> Section:
-    """Without a hint, among mismatches and by baseline."""
+    """Run without an initial pose, by share of outliers and by baseline."""
     heads = ("median mm", "accepted", "consistency")
     tables, figures = [], {}
     among = {
@@ -121,7 +121,7 @@ def _reached(cases: Sequence[Case], method: str) -> tuple[float, float, float]:
 
 
 def near_default_section(seeds: Sequence[int]) -> Section:
-    """From good matches: what separates the thesis's answer from the default's."""
+    """Measure the distance of the thesis's poses from the default's, from good matches."""
     gaps: dict[str, list[tuple[float, float]]] = {}
     for seed in seeds:
         baseline = float(np.random.default_rng([seed, 9]).uniform(0.3, 1.0))

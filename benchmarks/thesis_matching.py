@@ -1,4 +1,4 @@
-"""The thesis's correspondences (2.3.2) measured against the truth: how many, and how many of them are right.
+"""The thesis's correspondences (2.3.2) compared with the true pose: their number, and the share of correct ones.
 
 Run it as `python -m benchmarks.thesis_matching [--seeds N] [--seed-offset K] [--turned]`.
 
@@ -26,7 +26,7 @@ LEAST_RATIO = 0.9
 T1 = (0.05, 0.1, 0.15, 0.2)
 SIDES: tuple[FilterSide, ...] = ("two_sided", "one_sided")
 OFF = ((0.0, 0.0), (1.0, 0.05), (2.0, 0.1), (3.0, 0.2))
-"""Degrees and metres by which the pose that constrains the second search is wrong."""
+"""Error, in degrees and metres, of the pose that constrains guided matching."""
 
 
 @dataclass(frozen=True)
@@ -44,21 +44,21 @@ class Score:
 
 
 def searched(case: SimulatedCase, options: ThesisMatchOptions) -> ThesisSearch:
-    """Return a case ready to be searched."""
+    """Return a case prepared for matching."""
     working = working_camera(case.scan, case.photo.camera)
     view = lr.perspective_view(case.scan, working)
     return ThesisSearch(scan_levels(case.scan, view), photo_levels(case.photo, working), options)
 
 
 def scored(case: SimulatedCase, found: FoundMatches) -> Score:
-    """Hold matches against the truth, in photo pixels."""
+    """Compare matches with the truth, in photo pixels."""
     off = np.hypot(*(case.true_camera.project(case.camera_from_scanner @ found.matches.points) - found.matches.uv).T)
     median = float(np.nanmedian(off)) if np.isfinite(off).any() else float("nan")
     return Score(len(off), int((off <= RIGHT_PX).sum()), median)
 
 
 def with_options(search: ThesisSearch, options: ThesisMatchOptions) -> ThesisSearch:
-    """Return the same pair with other thresholds; what they do not change is not made again."""
+    """Return the same pair with other thresholds, reusing what does not depend on them."""
     other = ThesisSearch(search.scan, search.photo, options)
     shared = ("scan_uv", "photo_uv", "correlation")
     other.__dict__.update({name: value for name, value in search.__dict__.items() if name in shared})
@@ -72,7 +72,7 @@ def first_pass(case: SimulatedCase, search: ThesisSearch, t1: float, side: Filte
 
 
 def off_by(pose: Rigid, degrees: float, metres: float, rng: np.random.Generator) -> Rigid:
-    """Return a pose turned and moved in some direction."""
+    """Return a pose rotated and moved in random directions."""
     axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
     return Rigid.from_centre(
         rotation_from_rotvec(np.deg2rad(degrees) * axis) @ pose.rotation, pose.centre + metres * way
@@ -80,7 +80,7 @@ def off_by(pose: Rigid, degrees: float, metres: float, rng: np.random.Generator)
 
 
 def row(name: str, scores: list[Score]) -> str:
-    """Return a line of the table: medians over the cases, and how many have a ratio of .9 or more."""
+    """Return a line of the table: medians over the cases, and the number with a ratio of .9 or more."""
     ratio = np.array([s.ratio for s in scores])
     matches, right = (np.median([getattr(s, part) for s in scores]) for part in ("matches", "right"))
     good = int((np.nan_to_num(ratio) >= LEAST_RATIO).sum())
@@ -127,7 +127,7 @@ def measure(seeds: range) -> dict[str, list[Score]]:
 
 
 def turned(seeds: range) -> None:
-    """Print what is said of photos turned by 30, 90 and 180 degrees."""
+    """Print the warnings on photos rolled by 30, 90 and 180 degrees."""
     for scene in SCENES:
         for seed in seeds:
             case = simulate_case(scene, set_name="rotated", seed=seed)

@@ -1,4 +1,4 @@
-"""What the thesis itself prints in Tables 3.1 to 3.5: one run each."""
+"""Values printed in Tables 3.1 to 3.5 of the thesis: one run each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ APPLE_AFTER: Six = (4.9986, 2.0219, 1.9792, 25.1758, 10.1563, 4.9148)
 APPLE_BEFORE_PERCENT: Six = (-2.9204, -2.6790, -4.5038, -2.1699, -1.1058, 10.9712)
 APPLE_AFTER_PERCENT: Six = (-0.0279, 1.0961, -1.0380, 0.7034, 1.5632, -1.7039)
 APPLE_POINTS = (208, 189)
-"""Before and after rejection."""
+"""Number of points before and after rejection."""
 
 
 def mean_percent(errors: Six) -> float:

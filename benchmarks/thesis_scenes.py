@@ -96,7 +96,7 @@ def scenes_picture(runs: dict[str, list[SceneRun]]) -> np.ndarray:
 
 
 def simplex_of_scene(run: SceneRun) -> Convergence | None:
-    """Return the walk of the simplex stage again, from the constrained pose over the same matches."""
+    """Repeat the simplex stage from the constrained pose over the same matches, and return its iterations."""
     by_name = {column.stage.name: column.stage.result for column in run.comparison.columns}
     start, simplex = by_name["constrained_linear"], by_name["simplex"]
     if start is None or simplex is None:

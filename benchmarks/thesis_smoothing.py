@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks import plots
-from benchmarks.apple import APPLE_READINGS, apple_case, apple_points
-from benchmarks.case import Case
 from benchmarks.plots import ACCENT, BAD, WARN, Plot, columns, field_width
-from benchmarks.room import room_case
 from benchmarks.table_3_1 import THRESHOLD_M
 from benchmarks.thesis_apple import SHOWN_SEED, SMOOTHED_READING, markdown, stated
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about
 from ladarreg_core.pose.estimate import solve_pose
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.quality.smoothing import SmoothOptions, smooth_ranges
+from tests.scenes.apple import APPLE_READINGS, apple_case, apple_points
+from tests.scenes.pose_case import Case
+from tests.scenes.room import room_case
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Smoothing:
     ranges: np.ndarray
     """(M,) smoothed."""
     by_mean: np.ndarray
-    """(M,) as smoothed, but by the mean of the two stereo depths, as the thesis says."""
+    """(M,) smoothed by the mean of the two stereo depths, as in the thesis."""
     replaced: np.ndarray
 
 
@@ -98,7 +98,7 @@ _DIRECTIONS = {
 
 
 def poles_text(seeds: int) -> str:
-    """Return what both ways leave of ranges that are all too long by 40 %, in the room."""
+    """Return the errors that both methods leave in ranges that are all too long by 40 %, in the room."""
     rows = []
     for name, way in _DIRECTIONS.items():
         by_pixels, by_mean = [], []
@@ -120,7 +120,7 @@ _ERROR_SCALE = 1.0
 
 
 def smoothing_picture(run: Smoothing) -> np.ndarray:
-    """Draw the apple aside of the scanner's view, where spikes show as such."""
+    """Draw the apple from beside the scanner, so that spikes are visible."""
     size = (field_width(3, left=4) + plots.RIGHT, 420)
     turn = rotation_about("x", 0.25) @ rotation_about("y", 1.0) @ CAMERA_AXES_FROM_SCANNER
     rays = run.case.rays

@@ -18,7 +18,7 @@ from ..progress_bar import ProgressBar, progress_bar
 if TYPE_CHECKING:
     from ladarreg_core.photo import Photo
     from ladarreg_core.quality.assessment import Assessment
-    from ladarreg_core.quality.smoothed_scan import SmoothedScan
+    from ladarreg_core.quality.smoothing import SmoothedScan
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
 
@@ -102,11 +102,12 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) 
 
 
 def _smooth(arguments: Arguments, result: Registration, scan: Scan, bar: ProgressBar) -> SmoothedScan | None:
-    from ladarreg_core.quality.smoothed_scan import smoothed_scan
+
+    from ladarreg_core.quality.smoothing import smooth_with_report
 
     if not arguments.smooth or not result.accepted:
         return None
-    return timed("smooth", bar, lambda: smoothed_scan(scan, result))
+    return timed("smooth", bar, lambda: smooth_with_report(scan, result))
 
 
 def _export(

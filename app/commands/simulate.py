@@ -39,7 +39,7 @@ def run(arguments: Arguments) -> ExitCode:
     """Simulate and write `scan.npz`, `photo.png`, `camera.json` and `truth.json`."""
     from ladarreg_core.export.folder import check_folder, write_folder
     from ladarreg_core.simulate import simulate_case
-    from ladarreg_core.simulate.case_files import case_files
+    from ladarreg_core.simulate.case import case_files
 
     check_folder(arguments.out, force=arguments.force)  # before the simulation, which takes time
     case = simulate_case(

@@ -96,7 +96,7 @@ class RegistrationJobs:
             context.publish(now=True)
             if context.stop_wanted:
                 break
-        return SelfTest(tuple(trials)).in_words()
+        return SelfTest(tuple(trials)).summary()
 
     def _commit(self, inputs: Inputs, stage: StageId, result: Registration, context: JobContext) -> str:
         """Commit a registration with its matches; one that is not accepted, without them."""
@@ -138,4 +138,4 @@ def _self_test_shown(found: Any) -> dict[str, Any]:
         }
         for trial in found.trials
     ]
-    return {"sentence": found.in_words(), "advice": found.advice(), "rows": rows}
+    return {"sentence": found.summary(), "advice": found.advice(), "rows": rows}

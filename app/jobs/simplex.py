@@ -92,7 +92,7 @@ class SimplexJobs:
         return sentence + stopped
 
     def _start(self, inputs: Inputs, matches: Matches, rejecting: bool) -> Rigid | None:
-        from ladarreg_core.inspection.figures import scanners_place
+        from ladarreg_core.inspection.figures import pose_at_scanner
         from ladarreg_core.pose.estimate import solve_pose
 
         if rejecting:
@@ -102,7 +102,7 @@ class SimplexJobs:
         if wanted == "linear":
             return None  # `descend` then starts from the linear pose, or from one aimed at the matches
         if wanted == "scanner":
-            return scanners_place(inputs.scan)
+            return pose_at_scanner(inputs.scan)
         if wanted == "shown":
             if inputs.entry.pose is None:
                 raise OptionError("no pose is shown; choose another start for the simplex, or solve first")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ladarreg_core.export.glb import glb_bytes
-from ladarreg_core.inspection.model_textures import Legend, scattered
+from ladarreg_core.inspection.model_textures import Legend, colored_points
 
 if TYPE_CHECKING:
     import viser
@@ -74,7 +74,7 @@ class ModelLayer:
         if len(mesh.faces):
             data = glb_bytes(mesh, texture.image, for_viser=True, largest_texture_px=choice.most_texture_px)
             return self._server.scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
-        points, colours = scattered(subject.scan, texture.image, most=choice.most_vertices)
+        points, colours = colored_points(subject.scan, texture.image, most=choice.most_vertices)
         return self._server.scene.add_point_cloud(
             name,
             points,

@@ -45,7 +45,7 @@ class ModelChoice:
     def slice(self, result: PoseResult | None) -> dict[str, Any]:
         """Return the slice `model`, with the textures that the shown pose makes available."""
         choices = [
-            {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.said}
+            {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.description}
             for choice in texture_choices(result)
         ]
         return {**asdict(self), "choices": choices}

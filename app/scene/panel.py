@@ -109,5 +109,5 @@ class Panel:
         if self._views.options != views:
             self._views.options = views
         missing = next((c for c in texture_choices(result) if c.kind == choice.texture and not c.usable), None)
-        note = "" if missing is None else f"{missing.label} {missing.said}"
+        note = "" if missing is None else f"{missing.label} {missing.description}"
         self._legend.content = legend_html(legend, note)

@@ -110,7 +110,9 @@ class PicksLayer:
         shown = self._shown
         if shown is None or not self._visible:
             return
-        hit = shown.marks.met_by(event.ray_origin, event.ray_direction, radius_m=_CLICK_RADIUS * self._point_size)
+        hit = shown.marks.nearest_to_ray(
+            event.ray_origin, event.ray_direction, radius_m=_CLICK_RADIUS * self._point_size
+        )
         if hit is not None:
             self._on_click(shown.ids[hit])
 

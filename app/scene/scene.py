@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
-from ladarreg_core.inspection.model_textures import plain_picture
+from ladarreg_core.inspection.model_textures import uniform_picture
 from ladarreg_core.inspection.simplex_curves import CURVE_NAMES, SimplexCurves
 
 from .cameras_layer import CamerasLayer
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import viser
     from numpy.typing import ArrayLike
 
-    from ladarreg_core.inspection.viewpoints import Standpoint
+    from ladarreg_core.inspection.viewpoints import Viewpoint
     from ladarreg_core.photo import Photo
     from ladarreg_core.results import PoseResult
     from ladarreg_core.scan import Scan
@@ -67,7 +67,7 @@ class Scene3D:
         scene.world_axes.visible = False
         # Nothing is lit, and shadows would only cost time.
         scene.configure_default_lights(enabled=False, cast_shadow=False)
-        scene.set_background_image(plain_picture(BACKGROUND), format="png")
+        scene.set_background_image(uniform_picture(BACKGROUND), format="png")
         self._panel = Panel(server, actions, set_viewpoint=self._set_viewpoint, set_match_size=self._set_match_size)
         self._folder = SimplexFolder(server, actions, self._panel.call_or_notify)
         self._queue = DrawQueue("scene")
@@ -290,7 +290,7 @@ class Scene3D:
         self._queue.request("matches", self._draw_matches)
 
 
-def _move_client(client: viser.ClientHandle, viewpoint: Standpoint, *, near_m: float) -> None:
+def _move_client(client: viser.ClientHandle, viewpoint: Viewpoint, *, near_m: float) -> None:
     try:
         aspect = float(client.camera.aspect)
     except (AssertionError, RuntimeError):  # the browser has not reported its camera yet

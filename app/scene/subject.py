@@ -15,7 +15,7 @@ from ladarreg_core.inspection.model_textures import (
     registered_texture,
     usable_texture,
 )
-from ladarreg_core.inspection.viewpoints import Standpoint, from_pose, overview, typical_range
+from ladarreg_core.inspection.viewpoints import Viewpoint, from_pose, overview, typical_range
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -147,17 +147,17 @@ class Subject:
             registered=self.registered if needs_photo else None,
         )
 
-    def from_scanner(self) -> Standpoint:
+    def from_scanner(self) -> Viewpoint:
         """Return the viewpoint of the scanner."""
         return from_pose(self.scan, self.view.camera, self.view.view_from_scanner)
 
-    def from_camera(self) -> Standpoint | None:
+    def from_camera(self) -> Viewpoint | None:
         """Return the viewpoint of the camera; None without an accepted pose."""
         if self.accepted is None:
             return None
         return from_pose(self.scan, self.accepted.camera, self.accepted.camera_from_scanner)
 
-    def overview(self) -> Standpoint:
+    def overview(self) -> Viewpoint:
         """Return a viewpoint from the side that shows everything; a refused pose only if it is not far away."""
         result = self.result
         if result is not None and not result.accepted:

@@ -159,7 +159,7 @@ def array_bytes(value: object) -> int:
 
     Scans, photographs and views inside it are not counted: they have caches of their own.
     """
-    from ladarreg_core.inspection.views import NamedView
+    from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.perspective import View

@@ -14,9 +14,8 @@ from .isolated_readers import READERS
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ladarreg_core.inspection.partners import Partners
-    from ladarreg_core.inspection.picks import Measured
-    from ladarreg_core.inspection.views import NamedView
+    from ladarreg_core.inspection.picks import PickMeasurements, PickPredictor
+    from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, PoseEntry, Source
@@ -184,25 +183,25 @@ class Loader:
         cached = self._cache["assessment"].get(id(pose))
         return None if cached is None else cached[0][1]
 
-    def partners(self, scan: Scan, pose: PoseEntry) -> Partners:
+    def partners(self, scan: Scan, pose: PoseEntry) -> PickPredictor:
         """Return the prediction of picks from one image to the other under a pose."""
-        from ladarreg_core.inspection.partners import Partners
+        from ladarreg_core.inspection.picks import PickPredictor
 
-        def make() -> tuple[Any, Partners]:
+        def make() -> tuple[Any, PickPredictor]:
             registration = self.registration(pose)
-            return pose, Partners(scan, registration.camera, registration.camera_from_scanner)
+            return pose, PickPredictor(scan, registration.camera, registration.camera_from_scanner)
 
         return self.cached("partners", (id(pose), id(scan)), make)[1]
 
-    def measured(self, scan: Scan, photo: Photo) -> Measured:
+    def measured(self, scan: Scan, photo: Photo) -> PickMeasurements:
         """Return the measurements of the scan at picks of a photograph."""
-        from ladarreg_core.inspection.picks import Measured
+        from ladarreg_core.inspection.picks import PickMeasurements
 
-        return self.cached("measured", (id(scan), id(photo)), lambda: Measured(scan, photo))
+        return self.cached("measured", (id(scan), id(photo)), lambda: PickMeasurements(scan, photo))
 
 
 def _views_of(scan: Scan) -> tuple[NamedView, ...]:
-    from ladarreg_core.inspection.views import inspection_views
+    from ladarreg_core.inspection.pictures import inspection_views
 
     try:
         return inspection_views(scan)

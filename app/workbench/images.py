@@ -98,7 +98,7 @@ class Images:
         return _picture(buffer.getvalue(), "image/jpeg")
 
     def _overlay(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> Picture:
-        from ladarreg_core.inspection.overlays import scan_over_photo
+        from ladarreg_core.inspection.pictures import scan_over_photo
 
         result = self._loader.registration(pose)
         show = query.get("show", "intensity")
@@ -106,7 +106,7 @@ class Images:
 
     def _registered(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> Picture:
         from ladarreg_core.inspection.model_textures import texture_without_z_buffer
-        from ladarreg_core.inspection.overlays import photo_over_scan
+        from ladarreg_core.inspection.pictures import photo_over_scan
         from ladarreg_core.surface.texture import texture_scan
 
         scan, result, photo = self._scan_or_raise(), self._loader.registration(pose), self._loader.photo(entry)

@@ -31,7 +31,7 @@ _LEAST_MATCHES = 4
 
 def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEntry) -> dict[str, Any]:
     """Return the slice `judged`: errors of the picks under the shown pose, samples of lines, losses and cautions."""
-    from ladarreg_core.inspection.picks import judge_picks
+    from ladarreg_core.inspection.picks import pick_residuals
 
     picks = loader.picks(entry)
     lines = {pick.id: sampled_line(loader, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
@@ -54,7 +54,7 @@ def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEn
         registration = loader.registration(entry.pose)
     except LadarregError:  # its matches are missing, which the verdict of its stage states
         return found
-    for name, judged in judge_picks(measured, picks, registration).items():
+    for name, judged in pick_residuals(measured, picks, registration).items():
         found["by_pick"][name] = {
             "px": number(judged.px),
             "mm": number(judged.mm),
@@ -132,11 +132,11 @@ def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
             {"what": f.name, "level": f.level, "sentence": f.sentence, "what_to_do": f.what_to_do}
             for f in assessment.findings or ()
         ],
-        "uncertainty": assessment.uncertainty.in_words() if assessment.uncertainty else "",
+        "uncertainty": assessment.uncertainty.summary() if assessment.uncertainty else "",
         "check": assessment.match_to_check,
         "check_pick": _match_to_check(assessment),
         "advice": [
-            {"uv": place.uv.tolist(), "ray": place.ray.tolist(), "sentence": place.in_words()}
+            {"uv": place.uv.tolist(), "ray": place.ray.tolist(), "sentence": place.summary()}
             for place in assessment.advice or ()
         ],
         "absent": dict(assessment.absent),
@@ -146,7 +146,7 @@ def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
 def _match_to_check(assessment: Assessment) -> str | None:
     if not assessment.match_to_check or assessment.influence is None:
         return None
-    return assessment.influence.pick_ids[assessment.influence.most]
+    return assessment.influence.pick_ids[assessment.influence.most_influential]
 
 
 def number(value: float) -> float | None:

@@ -15,7 +15,7 @@ from ..session.session import Session
 from .pose_state import judged_slice, sampled_line
 
 if TYPE_CHECKING:
-    from ladarreg_core.inspection.partners import Partners
+    from ladarreg_core.inspection.picks import PickPredictor
     from ladarreg_core.project.document import CameraGiven, PhotoEntry
     from ladarreg_core.scan import Scan
 
@@ -38,7 +38,7 @@ class Queries:
         found: dict[str, Any] = judged_slice(self._loader, self._scan(), self._loader.photo(entry), entry)["by_pick"]
         return found
 
-    def partners(self, entry: PhotoEntry) -> Partners:
+    def partners(self, entry: PhotoEntry) -> PickPredictor:
         """Return the prediction of picks from one image to the other under the shown pose.
 
         Raises:
@@ -74,7 +74,7 @@ class Queries:
 
     def probe(self, ray: Sequence[float]) -> dict[str, Any]:
         """Return the scan's measurement along a ray."""
-        from ladarreg_core.inspection.probing import probe
+        from ladarreg_core.inspection.picks import probe
 
         found = probe(self._scan(), ray)
         return {"range_m": found.range_m, "intensity": found.intensity, "cell": found.cell}

@@ -125,7 +125,6 @@ class SceneSync:
         scene = self._scene
         if scene is None:
             return
-        from ladarreg_core.inspection.picks import picks_in_space
 
         from ..scene.colours import MATCH_COLOURS
 
@@ -149,7 +148,9 @@ class SceneSync:
                 scene.show_registration(scan, photo, registration, name=entry.source.name)
         if scan is None or entry is None:
             return
-        points, ids, on = picks_in_space(scan, loader.picks(entry))
+        from ladarreg_core.inspection.picks import pick_points
+
+        points, ids, on = pick_points(scan, loader.picks(entry))
         numbers = {pick.id: pick.number for pick in entry.picks}
         colours = [MATCH_COLOURS[(numbers[name] - 1) % len(MATCH_COLOURS)] for name in ids]
         scene.show_picks(points, colours, on, ids)

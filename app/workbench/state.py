@@ -53,7 +53,7 @@ def history_entry(entry: Entry) -> dict[str, Any]:
 
 def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
     """Return the slice `scan`; with `error` if it can no longer be read, or no view can show it."""
-    from ladarreg_core.inspection.views import resolution_note
+    from ladarreg_core.inspection.pictures import resolution_note
 
     source = document.scan
     if source is None:

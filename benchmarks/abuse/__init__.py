@@ -1,1 +1,1 @@
-"""The long attack on the workbench: `python -m benchmarks.abuse`."""
+"""The robustness benchmark of the workbench: `python -m benchmarks.abuse`."""

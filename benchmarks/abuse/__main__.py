@@ -1,10 +1,10 @@
-"""The long attack on the workbench, which may be interrupted and taken up again.
+"""Robustness benchmark of the workbench under attack, which can be interrupted and resumed.
 
 python -m benchmarks.abuse --log abuse.jsonl [--only kills,readers,...] [--quick] [--clients-hours 8 --pace 4]
 python -m benchmarks.abuse --summarise abuse.jsonl
 
-Every result is a line of the log; a run on the same log goes on where it ended. Files at fault are kept beside it. At
-the end, and by --summarise, a summary is printed as Markdown.
+Every result is a line of the log; a run with the same log continues where the last one ended. Files that caused a fault
+are kept beside it. At the end, and with --summarise, a summary is printed as Markdown.
 """
 
 from __future__ import annotations
@@ -33,8 +33,11 @@ def main() -> None:
     if arguments.summarise is not None:
         print(summary(arguments.summarise))
         return
-    for asked in (signal.SIGINT, signal.SIGTERM):  # also from a background shell: servers and disks are cleared away
-        signal.signal(asked, _stop)
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+    ):  # also from a background shell, so that servers and disks are cleaned up
+        signal.signal(number, _stop)
     log = Log(arguments.log)
     log.add("machine", **machine())
     size = {name: getattr(arguments, name) for name in _WHOLE}
@@ -63,19 +66,19 @@ def _stop(number: int, frame: object) -> NoReturn:
 
 def _parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--log", type=Path, default=Path("abuse.jsonl"), help="read and appended")
+    parser.add_argument("--log", type=Path, default=Path("abuse.jsonl"), help="log to read and append to")
     parser.add_argument("--summarise", type=Path, metavar="LOG", help="only print the summary of a log")
     parser.add_argument("--only", type=_sections, default=SECTIONS, metavar="A,B", help=", ".join(SECTIONS))
-    parser.add_argument("--quick", action="store_true", help="a tenth of everything, in some ten minutes")
-    parser.add_argument("--mutations", type=int, help="damaged files of each format")
+    parser.add_argument("--quick", action="store_true", help="a tenth of the work, about ten minutes")
+    parser.add_argument("--mutations", type=int, help="damaged files per format")
     parser.add_argument("--messages", type=int, help="hostile messages")
-    parser.add_argument("--kills", type=int)
-    parser.add_argument("--pairs", type=int, help="of stop signals")
+    parser.add_argument("--kills", type=int, help="kills while clients edit")
+    parser.add_argument("--pairs", type=int, help="pairs of stop signals")
     parser.add_argument("--disks", type=int, help="full disks")
     parser.add_argument("--flips", type=int, help="projects with one flipped bit")
-    parser.add_argument("--flood-seconds", type=float, help="of each flood")
-    parser.add_argument("--clients-hours", type=float, help="of ten people's work, in their time")
-    parser.add_argument("--pace", type=float, default=1.0, help="how many times as quickly as people they work")
+    parser.add_argument("--flood-seconds", type=float, help="duration of each flood")
+    parser.add_argument("--clients-hours", type=float, help="hours of work of ten clients, at pace 1")
+    parser.add_argument("--pace", type=float, default=1.0, help="speed of the clients relative to people")
     arguments = parser.parse_args()
     if arguments.pace <= 0:
         parser.error("--pace must be positive")
@@ -89,7 +92,7 @@ def _sections(text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     unknown = [name for name in names if name not in SECTIONS]
     if unknown:
-        raise argparse.ArgumentTypeError(f"there is no section {', '.join(unknown)}; choose of {', '.join(SECTIONS)}")
+        raise argparse.ArgumentTypeError(f"there is no section {', '.join(unknown)}; choose from {', '.join(SECTIONS)}")
     return names
 
 

@@ -1,13 +1,12 @@
 """Attacks on a server, in a process of their own.
 
-`python -m benchmarks.abuse.attacks PORT COOKIE SECONDS NAME [WORDS]` prints one JSON object at the end:
-what was tried, and what the server did about it.
+`python -m benchmarks.abuse.attacks PORT COOKIE SECONDS NAME [ARGUMENTS]` prints one JSON object at the end: the
+attempts, and the reactions of the server.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import http.client
 import json
 import sys
@@ -18,59 +17,23 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from websockets.asyncio.client import connect
-from websockets.exceptions import WebSocketException
-from websockets.typing import Subprotocol
+from tests.abuse.held_connections import HeldConnections
 
 HOST = "127.0.0.1"
-_AT_ONCE = 50
-_VISER = Subprotocol("viser-v1.1.1")
 
 
-async def idle(port: int, cookie: str, seconds: float, count: str) -> dict[str, Any]:
-    """Open connections and say nothing."""
-    return await _held(port, seconds, int(count), b"", b"")
-
-
-async def slow(port: int, cookie: str, seconds: float, count: str) -> dict[str, Any]:
-    """Open connections and send a header that never ends, a byte each half second."""
-    return await _held(port, seconds, int(count), f"GET / HTTP/1.1\r\nHost: {HOST}:{port}\r\nX-Slow: ".encode(), b"a")
-
-
-async def viser(port: int, cookie: str, seconds: float, count: str) -> dict[str, Any]:
-    """Open viser's websocket, with the cookie, again and again, and take in slowly what it sends."""
+async def hold(port: int, cookie: str, seconds: float, kind: str, count: str) -> dict[str, Any]:
+    """Hold connections of a kind of `HeldConnections`, and reopen what the server closes."""
+    held = HeldConnections(kind, int(count), HOST, port, cookie)
     until = time.monotonic() + seconds
-    found: Counter[str] = Counter()
-    at_once = asyncio.Semaphore(_AT_ONCE)
-
-    async def one() -> None:
-        headers = {"Cookie": cookie, "Origin": f"http://{HOST}:{port}"}
-        try:
-            async with at_once:
-                socket = await connect(
-                    f"ws://{HOST}:{port}/viser", additional_headers=headers, subprotocols=[_VISER], max_size=None,
-                    compression=None, proxy=None, open_timeout=max(1.0, until - time.monotonic()),
-                )  # fmt: skip
-        except (OSError, TimeoutError, WebSocketException):
-            found["refused"] += 1
-            return
-        found["opened"] += 1
-        try:
-            while time.monotonic() < until:
-                with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(socket.recv(), 1.0)
-                await asyncio.sleep(0.2)
-        except WebSocketException:
-            found["closed"] += 1
-        finally:
-            await socket.close()
-
-    await asyncio.gather(*(one() for _ in range(int(count))))
-    return dict(found)
+    while time.monotonic() < until:
+        held.fill()
+        held.pass_time(min(1.0, max(0.0, until - time.monotonic())))
+    return {"held": len(held.open), "opened": held.opened, "closed": held.closed, "failed": held.failed}
 
 
 async def tokens(port: int, cookie: str, seconds: float, count: str) -> dict[str, Any]:
-    """Show wrong tokens, as a picture on any web page does."""
+    """Send wrong tokens, as an image on a foreign web page could."""
     found: Counter[str] = Counter()
 
     def one() -> None:
@@ -94,72 +57,41 @@ async def tokens(port: int, cookie: str, seconds: float, count: str) -> dict[str
 
 
 async def upload(port: int, cookie: str, seconds: float, what: str, photo: str, *files: str) -> dict[str, Any]:
-    """Upload files one after the other."""
+    """Upload files one after another."""
     answers = []
     for file in files:
         began = time.monotonic()
-        answer = await asyncio.to_thread(_uploaded, port, cookie, what, photo, Path(file))
+        answer = await asyncio.to_thread(_upload, port, cookie, what, photo, Path(file))
         answers.append(f"{Path(file).name}: {answer} ({time.monotonic() - began:.1f} s)")
     return {"answers": answers}
 
 
-def _uploaded(port: int, cookie: str, what: str, photo: str, file: Path) -> str:
+def _upload(port: int, cookie: str, what: str, photo: str, file: Path) -> str:
     connection = http.client.HTTPConnection(HOST, port, timeout=150)
     headers = {"Cookie": cookie, "Origin": f"http://{HOST}:{port}", "X-File-Name": quote(file.name)}
     try:
         connection.request("POST", f"/upload?what={what}&photo={photo}", file.read_bytes(), headers)
         answer = connection.getresponse()
-        said = json.loads(answer.read())
-        return "taken" if said.get("ok") else f"refused ({said.get('error')})"
+        reply = json.loads(answer.read())
+        return "taken" if reply.get("ok") else f"refused ({reply.get('error')})"
     except (OSError, http.client.HTTPException, ValueError) as error:
         return f"no answer ({type(error).__name__})"
     finally:
         connection.close()
 
 
-async def _held(port: int, seconds: float, count: int, begin: bytes, go_on: bytes) -> dict[str, Any]:
-    """Hold connections until the server closes them, or the time is over."""
-    until = time.monotonic() + seconds
-    found: Counter[str] = Counter()
-    at_once = asyncio.Semaphore(_AT_ONCE)
-
-    async def one() -> None:
-        try:
-            async with at_once:
-                reader, writer = await asyncio.wait_for(asyncio.open_connection(HOST, port), max(1.0, seconds))
-        except (OSError, TimeoutError):
-            found["refused"] += 1
-            return
-        found["opened"] += 1
-        try:
-            writer.write(begin)
-            while (left := until - time.monotonic()) > 0:
-                try:
-                    if not await asyncio.wait_for(reader.read(1000), min(0.5, left)):
-                        raise ConnectionResetError
-                except TimeoutError:
-                    writer.write(go_on)
-        except OSError:
-            found["closed"] += 1
-        finally:
-            writer.close()
-
-    await asyncio.gather(*(one() for _ in range(count)))
-    return dict(found)
-
-
 ATTACKS: dict[str, Callable[..., Coroutine[Any, Any, dict[str, Any]]]] = {
-    attack.__name__: attack for attack in (idle, slow, viser, tokens, upload)
+    attack.__name__: attack for attack in (hold, tokens, upload)
 }
 
 
-def main(port: str, cookie: str, seconds: str, name: str, *words: str) -> None:
+def main(port: str, cookie: str, seconds: str, name: str, *arguments: str) -> None:
     if sys.platform != "win32":
         import resource
 
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
         resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, 8192) if most > 0 else 8192, most))
-    print(json.dumps(asyncio.run(ATTACKS[name](int(port), cookie, float(seconds), *words))))
+    print(json.dumps(asyncio.run(ATTACKS[name](int(port), cookie, float(seconds), *arguments))))
 
 
 if __name__ == "__main__":

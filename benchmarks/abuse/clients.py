@@ -1,4 +1,4 @@
-"""Hours of ten people at work: how the server's memory grows."""
+"""Memory growth of the server over hours of work by ten clients."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from tests.abuse.server_process import Page, Server, ServerGone, start_server
 SECTION = "clients"
 CLIENTS = 10
 _PAUSE_S = (0.5, 3.0)
-"""Between the edits of one person."""
+"""Pause between the edits of one client."""
 _SAMPLED_H = 1 / 6
 _MOST_OF_ONE = 12
 _STAYS_H = (0.1, 0.5)
-"""How long somebody keeps the page open."""
+"""Time for which a client keeps the page open."""
 
 
 @dataclass
 class _Work:
-    """What all have done together."""
+    """Totals over all clients."""
 
     edits: int = 0
     unsaved: int = 0
@@ -36,7 +36,7 @@ class _Work:
 
 
 def run(log: Log, hours: float, pace: float) -> None:
-    """Let ten people work for so many hours, `pace` times as quickly as people do; memory every ten minutes of theirs.
+    """Run ten clients for these hours, at `pace` times the speed of people; log memory every ten minutes of their time.
 
     What was logged before counts, but the server is a new one: memory is compared within one server.
     """
@@ -107,7 +107,7 @@ def _focal() -> float:
 
 
 def _person(server: Server, k: int, pace: float, work: _Work, over: threading.Event) -> None:
-    """Come, edit for a while, go, and come again."""
+    """Connect, edit for a while, disconnect, and repeat."""
     rng = random.Random(f"{k} {time.monotonic_ns()}")
     while not over.is_set():
         try:
@@ -124,7 +124,7 @@ def _visit(page: Page, rng: random.Random, pace: float, work: _Work, over: threa
     photo = page.slices["shown"]
     mine: list[str] = []
     there = [pick["id"] for pick in page.slices[f"picks:{photo}"]]
-    if len(there) > 2 * CLIENTS * _MOST_OF_ONE:  # undo brings matches back that nobody looks after any more
+    if len(there) > 2 * CLIENTS * _MOST_OF_ONE:  # undo restores matches that no client owns any more
         page.ask("remove_picks", photo=photo, picks=there[: -CLIENTS * _MOST_OF_ONE])
     leaves = time.monotonic() + 3600 / pace * rng.uniform(*_STAYS_H)
     while time.monotonic() < leaves and not over.is_set():
@@ -146,12 +146,12 @@ def _visit(page: Page, rng: random.Random, pace: float, work: _Work, over: threa
             work.times_ms.append(1e3 * (time.perf_counter() - began))
             work.unsaved += bool(reply["ok"]) and not page.is_saved(reply)
         _listen(page, rng.uniform(*_PAUSE_S) / pace)
-    if mine and not over.is_set():  # whoever goes leaves no heap of matches behind
+    if mine and not over.is_set():  # a leaving client removes its matches
         page.ask("remove_picks", photo=photo, picks=mine)
 
 
 def _listen(page: Page, seconds: float) -> None:
-    """Take in what others did, for a while."""
+    """Receive the edits of others for a while."""
     until = time.monotonic() + seconds
     while (left := until - time.monotonic()) > 0:
         try:

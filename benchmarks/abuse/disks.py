@@ -17,7 +17,7 @@ _AT_A_TIME = 200
 
 
 def run(log: Log, disks: int) -> None:
-    """Fill so many disks: real ones in memory where they can be mounted, else limits of file sizes."""
+    """Fill this many disks: RAM disks where they can be mounted, else by limits of file sizes."""
     if sys.platform != "linux":
         return
     for number in range(len(log.of(SECTION)), disks):
@@ -36,7 +36,7 @@ def run(log: Log, disks: int) -> None:
 
 
 def run_damage(log: Log, flips: int) -> None:
-    """Flip so many single bits of a project, and take away each of its files."""
+    """Flip this many single bits of a project, and remove each of its files."""
     with tempfile.TemporaryDirectory(prefix="damage-") as name:
         room = Path(name)
         os.environ["LADARREG_HOME"] = str(room / "home")

@@ -1,8 +1,9 @@
-"""Floods of connections and of files that grow: what others feel of them, and what they cost the server."""
+"""Floods of connections and of files that grow when read: their effect on other clients and on the server."""
 
 from __future__ import annotations
 
 import json
+import os
 import random
 import subprocess
 import sys
@@ -26,7 +27,7 @@ from tests.abuse.server_process import TOKEN, Page, Server, ServerGone
 SECTION = "floods"
 _PAUSE_S = 0.03
 _ADDRESS_SPACE = 14 << 30
-"""A server that takes more is stopped by the system, and this machine lives on."""
+"""The system stops a server that takes more memory, before the machine runs out of it."""
 _LONGEST_S = 180.0
 _NEWCOMER_WAITS_S = 5.0
 _AFTER_S = 5.0
@@ -37,52 +38,54 @@ class Flood:
     """An attack by name."""
 
     name: str
-    words: Callable[[Path], Sequence[object]]
-    """Makes what it needs in a folder, and returns the words for `attacks.main`; none: nobody attacks."""
+    arguments: Callable[[Path], Sequence[object]]
+    """Writes the files it needs into a folder, and returns the arguments for `attacks.main`; empty: no attack."""
 
 
 @dataclass
-class Felt:
-    """What somebody else felt."""
+class Effects:
+    """Effects on other clients and on the server."""
 
     ms: list[float] = field(default_factory=list)
-    """Until each edit was answered."""
+    """Latency of each edit."""
     unsaved: int = 0
     failures: list[str] = field(default_factory=list)
     newcomers: int = 0
     shut_out: int = 0
-    """Of the newcomers with the right token."""
+    """Number of new clients with the right token that did not get in."""
     peak_mb: float = 0.0
+    descriptors: int = 0
+    """Largest number of open file descriptors of the server."""
 
 
 def run(log: Log, seconds: float) -> None:
-    """Try every flood, for so long each, on a server of its own."""
+    """Run every flood for this time, each on a server of its own."""
     for flood in FLOODS:
         if not log.of(SECTION, flood=flood.name):
-            log.add(SECTION, **_flooded(flood, seconds))
+            log.add(SECTION, **_run_flood(flood, seconds))
 
 
-def _flooded(flood: Flood, seconds: float) -> dict[str, Any]:
+def _run_flood(flood: Flood, seconds: float) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="flood-") as name:
         room = Path(name)
-        words = [str(word) for word in flood.words(room)]
+        arguments = [str(argument) for argument in flood.arguments(room)]
         server = with_photo(room, room / "project", scan=True)
         _limit(server)
-        felt, over = Felt(), threading.Event()
+        effects, over = Effects(), threading.Event()
         watchers = [
-            threading.Thread(target=work, args=(server, felt, over), daemon=True)
-            for work in (_watch_memory, _watch_newcomers)
+            threading.Thread(target=work, args=(server, effects, over), daemon=True)
+            for work in (_watch_server, _watch_newcomers)
         ]
         try:
             page = server.page()
             photo = page.slices["shown"]
             pick = _new_pick(page, photo)
-            for _ in range(20):  # the first edits of a server take longer
-                _edit(page, photo, pick, Felt())
+            for _ in range(20):  # the first edits of a server are slower
+                _edit(page, photo, pick, Effects())
             base = server.memory_mb()
             for watcher in watchers:
                 watcher.start()
-            attack = _attack(server, words, seconds, lambda: _edit(page, photo, pick, felt), felt)
+            attack = _attack(server, arguments, seconds, lambda: _edit(page, photo, pick, effects), effects)
             over.set()
             time.sleep(_AFTER_S)
             after = server.memory_mb()
@@ -90,56 +93,59 @@ def _flooded(flood: Flood, seconds: float) -> dict[str, Any]:
             page.close()
         except (ServerGone, TimeoutError) as error:
             over.set()
-            felt.failures.append(f"the editor was thrown out: {error}")
+            effects.failures.append(f"the editing client was disconnected: {error}")
             base = after = float("nan")
             attack, joins = {}, _joins(server)
         finally:
             over.set()
             server.kill()
-        ms = np.array(felt.ms or [float("nan")])
+        ms = np.array(effects.ms or [float("nan")])
         return {
-            "flood": flood.name, "edits": len(felt.ms), "p50_ms": _round(np.percentile(ms, 50)),
-            "p99_ms": _round(np.percentile(ms, 99)), "worst_ms": _round(ms.max()), "unsaved": felt.unsaved,
-            "newcomers": felt.newcomers, "shut_out": felt.shut_out, "joins_after": joins, "base_mb": _round(base),
-            "peak_mb": _round(felt.peak_mb), "after_mb": _round(after), "failures": felt.failures[:5], "attack": attack,
+            "flood": flood.name, "edits": len(effects.ms), "p50_ms": _round(np.percentile(ms, 50)),
+            "p99_ms": _round(np.percentile(ms, 99)), "worst_ms": _round(ms.max()), "unsaved": effects.unsaved,
+            "newcomers": effects.newcomers, "shut_out": effects.shut_out, "joins_after": joins, "base_mb": _round(base),
+            "peak_mb": _round(effects.peak_mb), "after_mb": _round(after), "descriptors": effects.descriptors,
+            "failures": effects.failures[:5], "attack": attack,
         }  # fmt: skip
 
 
-def _attack(server: Server, words: list[str], seconds: float, edit: Callable[[], None], felt: Felt) -> dict[str, Any]:
-    """Run the attack, and edit until it is over."""
+def _attack(
+    server: Server, arguments: list[str], seconds: float, edit: Callable[[], None], effects: Effects
+) -> dict[str, Any]:
+    """Run the attack, and edit until it has ended."""
     process = None
-    if words:
+    if arguments:
         process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.abuse.attacks", str(server.port), server.cookie, str(seconds), *words],
-            stdout=subprocess.PIPE, text=True,
+            [sys.executable, "-m", "benchmarks.abuse.attacks", str(server.port), server.cookie, str(seconds),
+            *arguments], stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
     least, most = time.monotonic() + seconds, time.monotonic() + _LONGEST_S
     try:
         while time.monotonic() < least or (process is not None and process.poll() is None):
             if time.monotonic() > most:
-                felt.failures.append(f"the attack was not over within {_LONGEST_S:g} s")
+                effects.failures.append(f"the attack did not end within {_LONGEST_S:g} s")
                 break
             edit()
             time.sleep(_PAUSE_S)
     finally:
-        said = ""
+        output = ""
         if process is not None:
             process.kill()
-            said = process.communicate()[0]
-    found = json.loads(said) if said.strip() else {}
+            output = process.communicate()[0]
+    found = json.loads(output) if output.strip() else {}
     assert isinstance(found, dict)
     return found
 
 
-def _edit(page: Page, photo: str, pick: list[str], felt: Felt) -> None:
+def _edit(page: Page, photo: str, pick: list[str], effects: Effects) -> None:
     began = time.perf_counter()
     uv = [random.uniform(5, 700), random.uniform(5, 500)]
     reply = page.ask("set_pick", photo=photo, pick=pick[0], photo_uv=[uv])
-    felt.ms.append(1e3 * (time.perf_counter() - began))
-    if not reply["ok"]:  # an accepted scan takes the matches of the old one away
+    effects.ms.append(1e3 * (time.perf_counter() - began))
+    if not reply["ok"]:  # an accepted scan removes the matches of the previous one
         pick[:] = _new_pick(page, photo)
     elif not page.is_saved(reply):
-        felt.unsaved += 1
+        effects.unsaved += 1
 
 
 def _new_pick(page: Page, photo: str) -> list[str]:
@@ -147,24 +153,26 @@ def _new_pick(page: Page, photo: str) -> list[str]:
     return [reply.get("pick", "")]
 
 
-def _watch_memory(server: Server, felt: Felt, over: threading.Event) -> None:
+def _watch_server(server: Server, effects: Effects, over: threading.Event) -> None:
     while not over.wait(0.1):
-        felt.peak_mb = max(felt.peak_mb, server.memory_mb())
+        effects.peak_mb = max(effects.peak_mb, server.memory_mb())
+        with suppress(OSError):
+            effects.descriptors = max(effects.descriptors, len(os.listdir(f"/proc/{server.process.pid}/fd")))
 
 
-def _watch_newcomers(server: Server, felt: Felt, over: threading.Event) -> None:
-    """Have somebody come with the right token, now and then, without a cookie."""
+def _watch_newcomers(server: Server, effects: Effects, over: threading.Event) -> None:
+    """Request the page with the right token, without a cookie, once a second."""
     while not over.wait(1.0):
-        felt.newcomers += 1
+        effects.newcomers += 1
         try:
             status, _, _ = server.ask("GET", f"/?token={TOKEN}", headers={"Cookie": ""}, timeout_s=_NEWCOMER_WAITS_S)
         except OSError:
             status = 0
-        felt.shut_out += status != 200
+        effects.shut_out += status != 200
 
 
 def _joins(server: Server) -> bool:
-    """Tell whether a page can be opened."""
+    """Return whether a page can be opened."""
     with suppress(ServerGone, TimeoutError, OSError):
         Page(server, timeout_s=20).close()
         return True
@@ -185,19 +193,19 @@ def _round(value: float) -> float | None:
 def _hostile(
     make: str, name: str, copies: int = 1, what: str = "scan", **fields: Any
 ) -> Callable[[Path], list[object]]:
-    """Return what has a file of `tests.abuse.bombs` written, and uploaded so many times."""
+    """Return a flood that writes a file of `tests.abuse.bombs`, and uploads it this many times."""
 
-    def words(room: Path) -> list[object]:
+    def arguments(room: Path) -> list[object]:
         from tests.abuse import bombs
 
         path = getattr(bombs, make)(room / name, **fields)
         return ["upload", what, "p1", *[path] * copies]
 
-    return words
+    return arguments
 
 
 def _unviewable(room: Path) -> list[object]:
-    """Write a sound scan of which no picture can be made: its rows lie a hundred-thousandth of a radian apart."""
+    """Write a valid scan that cannot be rendered: its rows are 1e-5 rad apart."""
     rng = np.random.default_rng(0)
     write_npz_counts(
         room / "unviewable.npz", counts=rng.integers(500, 2000, (24, 36)).astype(np.uint16),
@@ -207,10 +215,12 @@ def _unviewable(room: Path) -> list[object]:
 
 
 FLOODS = (
-    Flood("nobody attacks", lambda room: []),
-    Flood("1,100 idle connections", lambda room: ["idle", 1100]),
-    Flood("1,100 slow headers", lambda room: ["slow", 1100]),
-    Flood("200 viser sockets", lambda room: ["viser", 200]),
+    Flood("no attack", lambda room: []),
+    Flood("1,100 idle connections", lambda room: ["hold", "idle", 1100]),
+    Flood("1,100 slow headers", lambda room: ["hold", "slow", 1100]),
+    Flood("100 requests with a cookie", lambda room: ["hold", "cookie", 100]),
+    Flood("100 document sockets", lambda room: ["hold", "document", 100]),
+    Flood("200 viser sockets", lambda room: ["hold", "viser", 200]),
     Flood("60 wrong tokens", lambda room: ["tokens", 60]),
     Flood("camera YAML, one line of 60 kB", _hostile("long_camera_yaml", "c.yaml", what="camera", size=60_000)),
     Flood("camera YAML, one line of 900 kB", _hostile("long_camera_yaml", "c.yaml", what="camera", size=900_000)),
@@ -222,4 +232,4 @@ FLOODS = (
     Flood("matches CSV, 2 M", _hostile("matches_csv", "m.csv", what="matches", count=2_000_000)),
     Flood("a scan that cannot be shown", _unviewable),
 )
-"""All floods, in the order in which they are tried."""
+"""All floods, in the order in which they run."""

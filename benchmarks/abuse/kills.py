@@ -1,4 +1,4 @@
-"""Hundreds of kills while people edit, and pairs of stop signals."""
+"""Hundreds of kills while clients edit, and pairs of stop signals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _ON_ONE_PROJECT = 10
 
 
 def run(log: Log, kills: int) -> None:
-    """Kill so many times, ten times on one project."""
+    """Kill the server this many times, ten times per project."""
     done = len(log.of(SECTION))
     while done < kills:
         count = min(_ON_ONE_PROJECT, kills - done)
@@ -30,7 +30,7 @@ def run(log: Log, kills: int) -> None:
 
 
 def run_signals(log: Log, pairs: int) -> None:
-    """Stop so many times by two signals."""
+    """Stop the server this many times by two signals."""
     if not hasattr(signal, "SIGHUP"):
         return
     known = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]

@@ -1,4 +1,4 @@
-"""The log of a long run: JSON lines, appended as results come, so that a run that ended is taken up again."""
+"""Log of a long run: JSON lines, appended as results arrive, so that an interrupted run can be resumed."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ Row = dict[str, Any]
 
 
 class Log:
-    """Appends rows to a file and knows those that are in it already."""
+    """Appends rows to a file, and reads the rows already in it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.rows = read_rows(path)
         self.work = path.with_name(f"{path.name}.d")
-        """Folder for what the run needs and for the files that are at fault."""
+        """Folder for working files and for files that caused a fault."""
         self.work.mkdir(parents=True, exist_ok=True)
 
     def add(self, section: str, **fields: Any) -> None:
@@ -37,7 +37,7 @@ class Log:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Return the rows of a file; a last line that was not written whole is left out."""
+    """Return the rows of a file; an incomplete last line is ignored."""
     rows = []
     if path.is_file():
         for line in path.read_text(encoding="utf-8").splitlines():
@@ -58,7 +58,7 @@ def rows_of(rows: list[Row], section: str, wanted: Mapping[str, Any] | None = No
 
 
 def machine() -> Row:
-    """Return on what the run takes place."""
+    """Return a description of the machine and the software."""
     import platform
 
     try:

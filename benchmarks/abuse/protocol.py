@@ -17,7 +17,7 @@ _AT_A_TIME = 1000
 
 
 def run(log: Log, messages: int) -> None:
-    """Send so many messages, on a new project after each thousand."""
+    """Send this many messages, with a new project after each thousand."""
     done = {row["first"] for row in log.of(SECTION)}
     for first in range(0, messages, _AT_A_TIME):
         if first not in done:

@@ -13,11 +13,11 @@ from tests.abuse.seed_files import write_seeds
 SECTION = "readers"
 _AT_A_TIME = 100
 _MOST_FAULTS = 20
-"""Written to the log for a hundred files."""
+"""Number of files per row of the log."""
 
 
 def run(log: Log, mutations: int) -> None:
-    """Read so many damaged files of each format; those that were read before are not read again."""
+    """Read this many damaged files of each format, without those read before."""
     with tempfile.TemporaryDirectory(prefix="seeds-") as name:
         folder = Path(name)
         seeds = write_seeds(folder)

@@ -1,4 +1,4 @@
-"""What a log says, as Markdown."""
+"""Summary of a log as Markdown."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 from benchmarks.abuse.log import Row, read_rows, rows_of
 
-P99_MS, MEMORY_MB, GROWTH_MB, PROTOCOL_S = 50.0, 1024.0, 50.0, 5.0
-"""What is promised: edits of others (p99), memory of one flood or file, growth after ten minutes, one message."""
+P99_MS, MEMORY_MB, GROWTH_MB = 50.0, 1024.0, 50.0
+"""Limits: latency of other clients' edits (p99), memory of one flood or file, growth after ten minutes."""
 _FAULTS_SHOWN = 5
 
 
@@ -41,7 +41,7 @@ def _table(head: Iterable[str], body: Iterable[Iterable[object]]) -> str:
 
 
 def _listed(faults: Iterable[str]) -> str:
-    """Return the first different faults as a list."""
+    """Return the most frequent kinds of fault as a list, each with its first example."""
     kinds: Counter[str] = Counter()
     first: dict[str, str] = {}
     for fault in faults:
@@ -52,7 +52,7 @@ def _listed(faults: Iterable[str]) -> str:
         f"- {kinds[kind]} x `{first[kind][:260].replace('`', '')}`" for kind, _ in kinds.most_common(_FAULTS_SHOWN)
     ]
     if len(kinds) > _FAULTS_SHOWN:
-        shown.append(f"- and {len(kinds) - _FAULTS_SHOWN} kinds more")
+        shown.append(f"- and {len(kinds) - _FAULTS_SHOWN} more kinds")
     return "\n".join(shown)
 
 
@@ -74,7 +74,7 @@ def _readers(rows: list[Row]) -> str:
                 f"{max(row['mb'] for row in own):.0f}", _sum(own, "count"),
             )
         )  # fmt: skip
-    head = ("format", "damaged files", "refused", "dearest, s", "dearest, MB", "failures")
+    head = ("format", "damaged files", "refused", "slowest, s", "largest, MB", "failures")
     return _section("Damaged files", _table(head, body), _all(found, "faults"))
 
 
@@ -94,7 +94,7 @@ def _kills(rows: list[Row]) -> str:
         return ""
     body = (len(found), _sum(found, "answered"), sum(bool(row["lost"]) for row in found), _sum(found, "count"))
     head = ("kills", "edits answered", "kills that lost some", "edits lost")
-    return _section("Kills while three people edit", _table(head, [body]), _all(found, "lost"))
+    return _section("Kills while three clients edit", _table(head, [body]), _all(found, "lost"))
 
 
 def _signals(rows: list[Row]) -> str:
@@ -152,14 +152,15 @@ def _floods(rows: list[Row]) -> str:
         body.append(
             (
                 row["flood"], row["edits"], row["p50_ms"], row["p99_ms"], row["worst_ms"], row["unsaved"], newcomers,
-                grown, kept, "yes" if row["joins_after"] else "NO", "met" if met else "MISSED",
+                grown, kept, row.get("descriptors"), "yes" if row["joins_after"] else "NO", "met" if met else "MISSED",
             )
         )  # fmt: skip
-    head = ("flood", "edits of another", "median, ms", f"p99, ms (<= {P99_MS:g})", "worst, ms", "not saved",
-            "newcomers let in", "peak, MB more", "afterwards, MB more", "a page opens afterwards", "")  # fmt: skip
-    said = [f"{row['flood']}: {answer}" for row in found for answer in _answers(row)]
+    head = ("flood", "edits of another client", "median, ms", f"p99, ms (<= {P99_MS:g})", "worst, ms", "not saved",
+            "newcomers let in", "peak, MB more", "afterwards, MB more", "descriptors, most",
+            "a page opens afterwards", "")  # fmt: skip
+    answers = [f"{row['flood']}: {answer}" for row in found for answer in _answers(row)]
     return _section("Floods", _table(head, body), [*_all(found, "failures")]) + (
-        "\n\n" + "\n".join(f"- {line[:300]}" for line in said) if said else ""
+        "\n\n" + "\n".join(f"- {line[:300]}" for line in answers) if answers else ""
     )
 
 
@@ -185,9 +186,10 @@ def _clients(rows: list[Row]) -> str:
         body.append(
             (hours, f"{last['pace']:g}", last["edits"], last["unsaved"], first["mb"], last["mb"], highest, met, slow)
         )
-    head = ("hours of ten people", "pace", "edits", "not saved", "MB after ten minutes", "MB at the end", "highest, MB",
+    head = ("hours of ten clients", "pace", "edits", "not saved", "MB after ten minutes", "MB at the end",
+            "highest, MB",
             f"growth <= {GROWTH_MB:g} MB", "highest p99, ms")  # fmt: skip
-    return _section("Ten people at work", _table(head, body), _all(rows_of(rows, "clients"), "faults"))
+    return _section("Ten clients at work", _table(head, body), _all(rows_of(rows, "clients"), "faults"))
 
 
 def _sum(rows: list[Row], name: str) -> Any:

@@ -18,7 +18,7 @@ from ladarreg_core.export.staging import clear_leftovers, put_in_place, staging_
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.quality.assessment import Assessment, assess
-from ladarreg_core.quality.smoothed_scan import SmoothedScan
+from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import scan_mesh

@@ -23,7 +23,7 @@ from ladarreg_core.surface.texture import Label
 
 if TYPE_CHECKING:
     from ladarreg_core.quality.assessment import Assessment
-    from ladarreg_core.quality.smoothed_scan import SmoothedScan
+    from ladarreg_core.quality.smoothing import SmoothedScan
 
 CAMERA_FROM_SCANNER_IS = (
     "maps scanner points (X forward, Y left, Z up, m) to the camera (x right, y down, z forward, m): "
@@ -159,7 +159,7 @@ def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
             "worst_uv": uncertainty.worst_uv,
         },
         "advice": [
-            {"sentence": place.in_words(), "cell": place.cell, "uv": place.uv, "gain": place.gain}
+            {"sentence": place.summary(), "cell": place.cell, "uv": place.uv, "gain": place.gain}
             for place in (a.advice or () if a is not None else ())
         ],
         "not_assessed": {} if a is None else a.absent,

@@ -1,1 +1,2 @@
-"""What an operator looks at: pictures of the scan, overlays, what a pose says of picks, their partners."""
+"""Inspection: pictures of the scan, overlays, residuals of picks and their predicted counterparts, textures of the
+model."""

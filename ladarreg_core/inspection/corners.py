@@ -1,4 +1,4 @@
-"""The corner that an operator means when he clicks beside it."""
+"""Snapping: the corner nearest to a clicked pixel, sub-pixel."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def nearest_corner(gray: FloatArray, at: ArrayLike, *, reach_px: float = 8.0) ->
     """Return the sub-pixel corner (2,) nearest to a pixel; None where there is none within reach.
 
     Args:
-        gray: (h, w) picture, 0 to 255.
+        gray: (h, w) image, 0 to 255.
         at: (u, v).
-        reach_px: how far away it may be, px.
+        reach_px: largest distance, px.
 
     Source: the thesis's corner detector (2.3.2).
     """
@@ -39,21 +39,21 @@ def nearest_corner(gray: FloatArray, at: ArrayLike, *, reach_px: float = 8.0) ->
     if not len(corners):
         return None
     corner = np.array([left, top])
-    away = np.linalg.norm(corners.uv + corner - (u, v), axis=1)
-    # of two nearby ones the stronger is meant: a weak one beside it is its own texture
+    distance = np.linalg.norm(corners.uv + corner - (u, v), axis=1)
+    # Prefer strong corners: a weak one beside a strong one is its texture.
     strong = corners.w >= 0.05 * corners.w.max()
-    away = np.where(strong, away, np.inf)
-    best = int(np.argmin(away))
-    if not away[best] <= reach_px:
+    distance = np.where(strong, distance, np.inf)
+    best = int(np.argmin(distance))
+    if not distance[best] <= reach_px:
         return None
-    refined = _refined(window, corners.uv[best])
+    refined = _refine(window, corners.uv[best])
     return np.asarray(refined + corner)
 
 
-def _refined(window: FloatArray, at: FloatArray) -> FloatArray:
-    """Return where the gradients around a corner (2,) all point past, which is the corner itself, not its inside.
+def _refine(window: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the point where the edges around a corner (2,) intersect.
 
-    The detector's own maximum lies up to a pixel inside the angle. Source: Foerstner and Guelch (1987), as
+    The maximum of the detector lies up to a pixel inside the angle. Source: Foerstner and Guelch (1987), as
     `cv2.cornerSubPix`.
     """
     start = np.array([[at]], np.float32)
@@ -65,10 +65,10 @@ def _refined(window: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def gray_of_view(view: View) -> FloatArray:
-    """Return a view's intensity, stretched, (h, w) float32, 0 to 255."""
+    """Return the intensity of a view, contrast-stretched, (h, w) float32, 0 to 255."""
     return stretched(compensated(view), np.isfinite(view.ranges), Stretch()).astype(np.float32)
 
 
 def gray_of_photo(photo: Photo) -> FloatArray:
-    """Return a photo in gray, (h, w) float32, 0 to 255."""
+    """Return a photo in gray levels, (h, w) float32, 0 to 255."""
     return np.asarray(cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY), dtype=np.float32)

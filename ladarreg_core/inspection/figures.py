@@ -1,4 +1,4 @@
-"""The figures of an answer that stand side by side with those of others. Source: thesis Tables 3.2-3.5."""
+"""Figures of a pose for comparison with other poses. Source: thesis Tables 3.2-3.5."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ _MOST_DECIMALS = 6
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One of the thesis's six parameters, to the decimals that mean something."""
+    """One of the thesis's six parameters, rounded to its significant decimals."""
 
     name: str
     """Tx, Ty, Tz, alpha, beta or gamma."""
     unit: str
     """m or deg."""
     value: str
-    """Its value."""
+    """The value."""
     sigma: str
-    """Its standard deviation; `unknown` where there is none."""
+    """The standard deviation; `unknown` where there is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """How well the matches agree with a pose; NaN: there are none."""
+    """Agreement of the inliers with a pose; NaN where there are none."""
 
     inliers: int
-    """How many count."""
+    """Number of inliers."""
     median_px: float
-    """Their median pixel residual."""
+    """Median pixel residual."""
     rms_px: float
-    """Root mean square of them."""
+    """Root mean square pixel residual."""
     rms_depth_m: float
-    """Root mean square of laser minus stereo depth, m."""
+    """Root mean square difference of laser and stereo depth, m."""
 
 
 def figures(result: PoseResult) -> Figures:
-    """Return the figures of an answer's inliers."""
+    """Return the figures of a pose, over its inliers."""
     lengths = np.linalg.norm(result.residuals_px[result.inliers], axis=1)
     depth = result.stereo_depth_error_m[result.inliers]
     depth = depth[np.isfinite(depth)]
@@ -66,13 +66,13 @@ def parameters(result: PoseResult) -> tuple[Parameter, ...]:
         if not length:
             value, sigma = math.degrees(value), math.degrees(sigma)
         decimals = _decimals(sigma)
-        said = f"{sigma:.{decimals}f}" if math.isfinite(sigma) else "unknown"
-        found.append(Parameter(name, "m" if length else "deg", f"{value:.{decimals}f}", said))
+        sigma_text = f"{sigma:.{decimals}f}" if math.isfinite(sigma) else "unknown"
+        found.append(Parameter(name, "m" if length else "deg", f"{value:.{decimals}f}", sigma_text))
     return tuple(found)
 
 
-def scanners_place(scan: Scan) -> Rigid:
-    """Return the pose of a camera that stands where the scanner does and looks at what it saw."""
+def pose_at_scanner(scan: Scan) -> Rigid:
+    """Return the pose of a camera at the position of the scanner that looks along the mean direction of the scan."""
     return Rigid(look_along(scan.mean_direction), np.zeros(3))
 
 

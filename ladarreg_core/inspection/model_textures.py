@@ -1,4 +1,4 @@
-"""What may be painted on the 3-D model: the photograph, what the laser measured, or what the pose is worth."""
+"""Textures of the 3-D model: the photograph, laser measurements, or the quality of the pose."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ LABEL_COLOURS: dict[Label, Colour] = {
     Label.GRAZING: (242, 184, 75),
     Label.UNCERTAIN: (157, 140, 255),
 }
-"""RGB of each label on the model; they differ in lightness too."""
-NOTHING_KNOWN: Colour = (62, 68, 79)
-"""RGB of cells that a kind of picture says nothing of."""
+"""RGB of each visibility class on the model; the colours differ in lightness too."""
+NO_DATA_COLOUR: Colour = (62, 68, 79)
+"""RGB of cells without data in a texture."""
 
-_LABEL_WORDS = {
+_LABEL_MEANINGS = {
     Label.SEEN: "seen by the camera",
-    Label.OCCLUDED: "hidden from the camera",
-    Label.OUT_OF_FRAME: "outside the photograph",
-    Label.GRAZING: "seen at a grazing angle",
-    Label.UNCERTAIN: "uncertain: at a depth edge, or off by over 2 px",
+    Label.OCCLUDED: "occluded: hidden from the camera",
+    Label.OUT_OF_FRAME: "out of frame: outside the photograph",
+    Label.GRAZING: "grazing: seen at a grazing angle",
+    Label.UNCERTAIN: "uncertain: at a depth edge, or by more than 2 px",
 }
-_KIND_WORDS: dict[TextureKind, tuple[str, str]] = {
+_KINDS: dict[TextureKind, tuple[str, str]] = {
     "colour": ("Colour", "the photograph, where the camera sees the surface"),
-    "intensity": ("Intensity", "what the laser itself measured"),
+    "intensity": ("Intensity", "laser intensity"),
     "range": ("Range", "distance from the scanner"),
-    "residual": ("Residual", "how well the matches nearby agree"),
-    "uncertainty": ("Uncertainty", "how far the picture may be off"),
-    "label": ("Label", "what each colour is worth"),
+    "residual": ("Residual", "residual of the nearby matches"),
+    "uncertainty": ("Uncertainty", "uncertainty of the photo position"),
+    "label": ("Visibility class", "how reliable each colour is"),
 }
-_OF_A_POSE = ("colour", "residual", "uncertainty", "label")
+_NEED_POSE = ("colour", "residual", "uncertainty", "label")
 _RAMP = 17
-_SHARE_SHOWN = (1.0, 99.0)  # per cent: a few cells far off must not flatten all others
+_SHARE_SHOWN = (1.0, 99.0)  # per cent; a few far cells must not compress the scale for all others
 _LEAST_COLOUR_PX = 1e-3
 _NODES = 96
 _NEIGHBOURS = 4
@@ -65,74 +65,74 @@ _OUTSIDE = np.float32(-10)
 
 @dataclass(frozen=True, slots=True)
 class Legend:
-    """What the colours of a picture mean: single colours with words, a scale, or both."""
+    """Legend of a texture: single colours with their meanings, a scale, or both."""
 
     title: str
-    """What is shown, with its unit."""
+    """Quantity shown, with its unit."""
     entries: tuple[tuple[Colour, str], ...] = ()
     """RGB with its meaning."""
     ramp: tuple[Colour, ...] = ()
-    """RGB along a scale, from its least to its most; empty: no scale."""
+    """RGB along a scale, from its least to its greatest value; empty: no scale."""
     least: str = ""
-    """What the first colour of the scale stands for."""
+    """Value of the first colour of the scale."""
     most: str = ""
-    """What its last one stands for."""
+    """Value of the last colour of the scale."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelTexture:
-    """A picture for the whole scan grid with its legend; read-only."""
+    """Texture for the whole scan grid with its legend; read-only."""
 
     image: ByteArray
     """(H, W, 3) uint8 RGB."""
     legend: Legend
-    """What its colours mean."""
+    """Its legend."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "image", read_only(self.image, np.uint8, (None, None, 3), "the model's picture"))
+        object.__setattr__(self, "image", read_only(self.image, np.uint8, (None, None, 3), "the texture of the model"))
 
 
 @dataclass(frozen=True, slots=True)
 class TextureChoice:
-    """One kind of picture, as a menu offers it."""
+    """Menu entry for a kind of texture."""
 
     kind: TextureKind
-    """Its name."""
+    """Its identifier."""
     label: str
-    """Its name for people."""
+    """Its displayed name."""
     usable: bool
-    """Whether there is what it needs."""
-    said: str
-    """What it shows, or what is missing for it."""
+    """Whether its inputs are available."""
+    description: str
+    """What it shows, or which input is missing."""
 
 
 def texture_choices(result: PoseResult | None) -> tuple[TextureChoice, ...]:
-    """Return the kinds of picture, with those that need an accepted pose told apart.
+    """Return the kinds of texture, with those that need an accepted pose marked as unusable without one.
 
     Args:
         result: the pose shown, if any.
     """
     missing = None
     if result is None:
-        missing = "needs a pose: none is found yet"
+        missing = "needs a pose; there is none yet"
     elif not result.accepted:
-        missing = "needs an accepted pose: this one is not"
+        missing = "needs an accepted pose; this one is not accepted"
     choices = []
-    for kind, (label, said) in _KIND_WORDS.items():
-        why_not = missing if kind in _OF_A_POSE else None
+    for kind, (label, description) in _KINDS.items():
+        why_not = missing if kind in _NEED_POSE else None
         if why_not is None and kind == "residual" and result is not None and not result.inliers.any():
-            why_not = "needs matches: this pose has none of its own"
-        choices.append(TextureChoice(kind, label, why_not is None, why_not or said))
+            why_not = "needs matches; this pose has none of its own"
+        choices.append(TextureChoice(kind, label, why_not is None, why_not or description))
     return tuple(choices)
 
 
 def usable_texture(kind: str, result: PoseResult | None) -> TextureKind:
-    """Return the kind if there is what it needs, else `intensity`: nothing unaccepted is shown as registered.
+    """Return the kind if its inputs are available, else `intensity`: only accepted poses are shown as registered.
 
     Raises:
         OptionError: if there is no such kind.
     """
-    known = _known(kind)
+    known = _checked_kind(kind)
     return known if any(c.usable for c in texture_choices(result) if c.kind == known) else "intensity"
 
 
@@ -145,35 +145,35 @@ def model_texture(
     z_buffer: bool = True,
     registered: RegisteredTexture | None = None,
 ) -> ModelTexture:
-    """Return what to paint on the model.
+    """Return a texture for the model.
 
     `colour` is the photograph where the camera sees the surface and the dimmed laser intensity elsewhere; without
-    `z_buffer` it is painted through everything in front, as in thesis Figure 2.23. `residual` is at each cell the root
-    mean square residual, px, of the matches that hold, weighted by a Gaussian of their angle from it (seen from the
-    scanner) whose width is their usual spacing; beyond three widths from all of them nothing is known. `uncertainty` is
-    the standard deviation of the pixel that a cell takes its colour from, by the pose's covariance.
+    `z_buffer` it also colours occluded cells, as in thesis Figure 2.23. `residual` is at each cell the root mean square
+    residual, px, of the inliers, weighted by a Gaussian of their angular distance from it (seen from the scanner) whose
+    width is their typical spacing; cells more than three widths from all inliers have no data. `uncertainty` is the
+    standard deviation of the pixel from which a cell takes its colour, from the covariance of the pose.
 
     Args:
         scan: the scan.
         kind: one of `TextureKind`.
         photo: the photograph, for `colour` and `label`.
         result: its accepted pose, for all kinds but `intensity` and `range`.
-        z_buffer: whether what is hidden from the camera stays uncoloured.
-        registered: `texture_scan` of these arguments, where it is known already.
+        z_buffer: whether cells that are hidden from the camera stay uncoloured.
+        registered: `texture_scan` of these arguments, if already computed.
 
     Returns:
-        The picture (H, W, 3) with its legend; cells without a return have any colour.
+        The texture (H, W, 3) with its legend; the colour of cells without a return is arbitrary.
 
     Raises:
-        OptionError: if there is no such kind, or what it needs is missing or not accepted.
+        OptionError: if there is no such kind, or its input is missing or not accepted.
         ShapeError: if the registered texture is not on the scan's grid.
     """
-    known = _known(kind)
+    known = _checked_kind(kind)
     if known == "intensity":
         if np.ptp(scan.intensity[scan.valid]) <= 0:
             return ModelTexture(
                 shape_picture(scan),
-                Legend("Shape: the scan has no intensity", ramp=_GRAYS, least="aslant", most="facing the scanner"),
+                Legend("Shape: the scan has no intensity", ramp=_GRAYS, least="oblique", most="facing the scanner"),
             )
         gray = intensity_picture(scan)
         return ModelTexture(gray, Legend("Laser intensity", ramp=_GRAYS, least="weak", most="strong"))
@@ -181,16 +181,16 @@ def model_texture(
         return _of_range(scan)
     choice = next(c for c in texture_choices(result) if c.kind == known)
     if result is None or not choice.usable:
-        raise OptionError(f"the texture {kind!r} {choice.said}")
+        raise OptionError(f"the texture {kind!r} {choice.description}")
     if known == "residual":
-        return _of_pixels(residual_field(scan, result), "Residual of the matches nearby, px")
+        return _of_pixels(residual_field(scan, result), "Residual of the nearby matches, px")
     if known == "uncertainty":
         sigma = picture_sigma(scan, result.camera, result.camera_from_scanner, result.covariance)
-        return _of_pixels(sigma, "Standard deviation of the picture, px")
+        return _of_pixels(sigma, "Standard deviation of the photo position, px")
     if photo is None:
         raise OptionError(f"the texture {kind!r} needs the photograph; give it")
     if known == "colour" and not z_buffer:
-        return ModelTexture(painted_through(scan, photo, result), _colour_legend("outside the photograph"))
+        return ModelTexture(picture_without_z_buffer(scan, photo, result), _colour_legend("outside the photograph"))
     if registered is None:
         registered = registered_texture(scan, photo, result)
     if registered.labels.shape != scan.shape:
@@ -201,41 +201,41 @@ def model_texture(
 
 
 def registered_texture(scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
-    """Return `texture_scan` of a result: with its own camera and covariance."""
+    """Return `texture_scan` of a result, with its camera and covariance."""
     covariance = np.asarray(result.covariance)
     return texture_scan(scan, photo, result.camera_from_scanner, camera=result.camera, covariance=covariance)
 
 
-def painted_through(scan: Scan, photo: Photo, result: PoseResult) -> NDArray[np.uint8]:
-    """Return the picture for a model without a z-buffer, (H, W, 3) uint8 RGB.
+def picture_without_z_buffer(scan: Scan, photo: Photo, result: PoseResult) -> NDArray[np.uint8]:
+    """Return the texture that also colours occluded cells, (H, W, 3) uint8 RGB.
 
-    What lies outside the photograph has the dimmed laser intensity. Source: thesis 2.5, Figure 2.23.
+    Cells outside the photograph show the dimmed laser intensity. Source: thesis 2.5, Figure 2.23.
 
     Raises:
-        ShapeError: if the camera is not of the photo's size.
+        ShapeError: if the camera and the photo differ in size.
     """
     return np.array(model_picture(scan, texture_without_z_buffer(scan, photo, result)))
 
 
 def texture_without_z_buffer(scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
-    """Return the photograph on every cell in front of the camera, hidden or not: all of them count as seen.
+    """Return the photograph on every cell in front of the camera, visible or occluded: all are labelled as seen.
 
-    Source: thesis 2.5, Figure 2.23, where this is what goes wrong.
+    Source: thesis 2.5, Figure 2.23, which shows the resulting errors.
 
     Raises:
-        ShapeError: if the camera is not of the photo's size.
+        ShapeError: if the camera and the photo differ in size.
     """
     camera, pose = result.camera, result.camera_from_scanner
     if camera.size != photo.camera.size:
         raise ShapeError(
             f"the camera is for {camera.width} x {camera.height} pixels, the photo has {photo.camera.width} x "
-            f"{photo.camera.height}; give the camera of this picture size"
+            f"{photo.camera.height}; give a camera of this size"
         )
     uv = camera.project(pose @ scan.points)
     inside = camera.contains(uv)
     depth = (scan.points @ pose.rotation[2].astype(np.float32) + np.float32(pose.translation[2]))[inside]
     cell_px = camera.focal_px * np.sqrt(np.prod(scan.geometry.step_rad)) * scan.ranges[inside] / depth
-    # Cells coarser than pixels take their mean, not one of them.
+    # Cells coarser than pixels take the mean of their pixels, not one of them.
     reduce = max(1, int(np.median(cell_px))) if inside.any() else 1
     size = tuple(max(1, n // reduce) for n in camera.size)
     copy = np.asarray(cv2.resize(photo.pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -249,7 +249,7 @@ def texture_without_z_buffer(scan: Scan, photo: Photo, result: PoseResult) -> Re
 
 
 def shape_picture(scan: Scan) -> NDArray[np.uint8]:
-    """Return how squarely the scanner looks at each cell's surface, in gray RGB, (H, W, 3) uint8."""
+    """Return the cosine of the incidence angle of each cell in gray RGB, (H, W, 3) uint8."""
     points = np.where(scan.valid[..., None], scan.points, 0).astype(np.float32)
     normal = np.cross(np.gradient(points, axis=0), np.gradient(points, axis=1))
     length = np.linalg.norm(normal, axis=-1) * np.maximum(np.linalg.norm(points, axis=-1), np.float32(1e-12))
@@ -259,7 +259,7 @@ def shape_picture(scan: Scan) -> NDArray[np.uint8]:
 
 
 def residual_field(scan: Scan, result: PoseResult) -> NDArray[np.float32]:
-    """Return the residual of the matches that hold, interpolated over the scan's grid; see `model_texture`.
+    """Return the residual of the inliers, interpolated over the scan grid; see `model_texture`.
 
     Returns:
         (H, W) float32, photo pixels; NaN where no match is near.
@@ -269,7 +269,7 @@ def residual_field(scan: Scan, result: PoseResult) -> NDArray[np.float32]:
     if not used.any():
         return np.full(scan.shape, np.nan, dtype=np.float32)
     rays, squares = result.matches.rays[used], residual[used] ** 2
-    width = _usual_spacing(rays)
+    width = _typical_spacing(rays)
     rows, columns = (_nodes(n) for n in scan.shape)
     directions = np.asarray(scan.rays[np.ix_(rows, columns)]).reshape(-1, 3)
     mean, nearest = np.empty(len(directions)), np.empty(len(directions))
@@ -277,51 +277,51 @@ def residual_field(scan: Scan, result: PoseResult) -> NDArray[np.float32]:
         part = slice(first, first + _CHUNK)
         angle = _angles(directions[part], rays)
         nearest[part] = angle.min(axis=1)
-        # Relative to the nearest one, so that a cell far from all still has weights.
+        # Relative to the nearest one, so that the weights of a cell far from all do not underflow.
         weight = np.exp((nearest[part, None] ** 2 - angle**2) / (2 * width**2))
         mean[part] = np.sqrt(weight @ squares / weight.sum(axis=1))
     shape = (len(rows), len(columns))
-    field, away = (_between_nodes(a.reshape(shape), rows, columns, scan.shape) for a in (mean, nearest))
-    field[~(away <= _REACH * width)] = np.nan
+    field, distance = (_interpolate_nodes(a.reshape(shape), rows, columns, scan.shape) for a in (mean, nearest))
+    field[~(distance <= _REACH * width)] = np.nan
     return field
 
 
-def scattered(scan: Scan, image: ByteArray, *, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return a scan without surface as points (N, 3), m, with their colours (N, 3) in a picture of its grid.
+def colored_points(scan: Scan, image: ByteArray, *, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return the points (N, 3), m, of a scan without a surface, with their colours (N, 3) from a texture of its grid.
 
     Args:
         scan: the scan.
         image: (H, W, 3) uint8 RGB.
-        most: how many points at most, spread over the grid.
+        most: largest number of points, spread over the grid.
 
     Raises:
-        ShapeError: if the picture is not of the scan's grid.
+        ShapeError: if the texture is not on the scan grid.
     """
-    pixels = read_only(image, np.uint8, (*scan.shape, 3), "the model's picture")
+    pixels = read_only(image, np.uint8, (*scan.shape, 3), "the texture of the model")
     cells = np.flatnonzero(scan.valid)
     cells = cells[:: max(1, -(-len(cells) // max(most, 1)))]
     return np.asarray(scan.points.reshape(-1, 3)[cells], np.float32), pixels.reshape(-1, 3)[cells]
 
 
 def view_picture(view: View, picture: ByteArray) -> NDArray[np.uint8]:
-    """Return a gray picture (H, W, 3) of the scan's grid as a view shows it, (h, w, 3) uint8 RGB."""
+    """Resample a gray texture (H, W, 3) of the scan grid into a view, (h, w, 3) uint8 RGB."""
     gray = view.resample(np.asarray(picture[..., 0], dtype=np.float32))
     return np.repeat(np.rint(gray).astype(np.uint8)[..., None], 3, axis=-1)
 
 
 def small_picture(picture: ByteArray, longest_px: int) -> NDArray[np.uint8]:
-    """Return a picture (h, w, 3) with its longer side reduced to at most `longest_px`."""
+    """Return an image (h, w, 3) with its longer side reduced to at most `longest_px`."""
     factor = min(1.0, longest_px / max(picture.shape[:2]))
     size = (max(1, round(picture.shape[1] * factor)), max(1, round(picture.shape[0] * factor)))
     return np.array(cv2.resize(np.asarray(picture), size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def plain_picture(colour: Colour) -> NDArray[np.uint8]:
-    """Return the smallest picture of one colour, (2, 2, 3) uint8 RGB."""
+def uniform_picture(colour: Colour) -> NDArray[np.uint8]:
+    """Return a small image of one colour, (2, 2, 3) uint8 RGB."""
     return np.full((2, 2, 3), colour, dtype=np.uint8)
 
 
-def _known(kind: str) -> TextureKind:
+def _checked_kind(kind: str) -> TextureKind:
     for known in get_args(TextureKind):
         if kind == known:
             return known  # type: ignore[no-any-return]
@@ -329,7 +329,7 @@ def _known(kind: str) -> TextureKind:
 
 
 def _colour_legend(elsewhere: str) -> Legend:
-    return Legend("Colour of the photograph", ((NOTHING_KNOWN, f"{elsewhere}: laser intensity, dimmed"),))
+    return Legend("Colour of the photograph", ((NO_DATA_COLOUR, f"{elsewhere}: laser intensity, dimmed"),))
 
 
 def _of_range(scan: Scan) -> ModelTexture:
@@ -337,16 +337,16 @@ def _of_range(scan: Scan) -> ModelTexture:
     span = np.float32(max(high - low, 1e-6 * high))
     level = (np.nan_to_num(scan.ranges, nan=low) - np.float32(low)) / span
     legend = Legend("Range from the scanner, m", ramp=_VIRIDIS, least=_number(low), most=_number(high))
-    return ModelTexture(_coloured(level), legend)
+    return ModelTexture(_viridis(level), legend)
 
 
 def _of_pixels(values: FloatArray, title: str) -> ModelTexture:
-    """Return a picture of (H, W) pixels from 0 to a round number."""
+    """Return a texture of values (H, W) in pixels, on a scale from 0 to a round number."""
     known = np.isfinite(values)
     most = max(scale_end(np.where(known, values, np.float32(np.nan))), _LEAST_COLOUR_PX)
-    picture = np.array(_coloured(np.where(known, values, 0).astype(np.float32) / np.float32(most)))
-    picture[~known] = NOTHING_KNOWN
-    legend = Legend(title, ((NOTHING_KNOWN, "nothing known here"),), _VIRIDIS, least="0", most=f"{most:.3g} and above")
+    picture = np.array(_viridis(np.where(known, values, 0).astype(np.float32) / np.float32(most)))
+    picture[~known] = NO_DATA_COLOUR
+    legend = Legend(title, ((NO_DATA_COLOUR, "no data"),), _VIRIDIS, least="0", most=f"{most:.3g} and above")
     return ModelTexture(picture, legend)
 
 
@@ -355,23 +355,23 @@ def _of_labels(labels: ByteArray) -> ModelTexture:
     for label, colour in LABEL_COLOURS.items():
         table[label] = colour
     present = set(np.unique(labels).tolist())
-    entries = tuple((LABEL_COLOURS[label], words) for label, words in _LABEL_WORDS.items() if int(label) in present)
-    return ModelTexture(table[labels], Legend("What the colours are worth", entries))
+    entries = tuple((LABEL_COLOURS[label], words) for label, words in _LABEL_MEANINGS.items() if int(label) in present)
+    return ModelTexture(table[labels], Legend("Visibility class", entries))
 
 
-def _coloured(level: FloatArray) -> NDArray[np.uint8]:
-    """Return the colours (..., 3) of levels 0 to 1, dark blue to yellow: lighter is more."""
+def _viridis(level: FloatArray) -> NDArray[np.uint8]:
+    """Return the colours (..., 3) of levels 0 to 1, from dark blue to bright yellow."""
     steps = np.rint(255 * np.clip(level, 0, 1)).astype(np.uint8)
     flat = steps.reshape(-1, 1)
-    coloured = np.asarray(cv2.applyColorMap(flat, cv2.COLORMAP_VIRIDIS), dtype=np.uint8)
-    return coloured.reshape(*steps.shape, 3)[..., ::-1]
+    colours = np.asarray(cv2.applyColorMap(flat, cv2.COLORMAP_VIRIDIS), dtype=np.uint8)
+    return colours.reshape(*steps.shape, 3)[..., ::-1]
 
 
 def _ramp(colours: Callable[[FloatArray], ByteArray]) -> tuple[Colour, ...]:
     return tuple((int(r), int(g), int(b)) for r, g, b in colours(np.linspace(0, 1, _RAMP)))
 
 
-_VIRIDIS = _ramp(_coloured)
+_VIRIDIS = _ramp(_viridis)
 _GRAYS = _ramp(lambda level: np.repeat(np.rint(18 + 227 * level).astype(np.uint8)[:, None], 3, axis=1))
 
 
@@ -380,29 +380,30 @@ def _number(metres: float) -> str:
 
 
 def _angles(directions: FloatArray, rays: FloatArray) -> FloatArray:
-    """Return the angles (N, M), rad, between unit rays (N, 3) and (M, 3), by their chords: exact for small ones."""
+    """Return the angles (N, M), rad, between unit rays (N, 3) and (M, 3), computed from chords, which is accurate for
+    small ones."""
     return np.asarray(2 * np.arcsin(np.sqrt(np.clip((1 - directions @ rays.T) / 2, 0, 1))))
 
 
-def _usual_spacing(rays: FloatArray) -> float:
-    """Return the median angle, rad, from a match to its fourth neighbour, within reason."""
+def _typical_spacing(rays: FloatArray) -> float:
+    """Return the median angle, rad, from a match to its fourth neighbour, within limits."""
     some = rays[:: max(1, len(rays) // _CHUNK)]
     if len(some) < 2:
         return _WIDEST_RAD / 2
     around = np.partition(_angles(some, some), min(_NEIGHBOURS, len(some) - 1), axis=1)
-    usual = float(np.median(around[:, min(_NEIGHBOURS, len(some) - 1)]))
-    return float(np.clip(usual, _NARROWEST_RAD, _WIDEST_RAD))
+    typical = float(np.median(around[:, min(_NEIGHBOURS, len(some) - 1)]))
+    return float(np.clip(typical, _NARROWEST_RAD, _WIDEST_RAD))
 
 
 def _nodes(count: int) -> IntArray:
-    """Return places spread over 0 .. count - 1, both ends among them."""
+    """Return indices spread evenly over 0 .. count - 1, including both ends."""
     return np.unique(np.rint(np.linspace(0, count - 1, min(count, _NODES))).astype(np.int64))
 
 
-def _between_nodes(
+def _interpolate_nodes(
     values: FloatArray, rows: IntArray, columns: IntArray, shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Return values at nodes (R, C), interpolated over a grid (H, W)."""
+    """Interpolate values at nodes (R, C) over a grid (H, W)."""
     v = np.interp(np.arange(shape[0]), rows, np.arange(len(rows))).astype(np.float32)
     u = np.interp(np.arange(shape[1]), columns, np.arange(len(columns))).astype(np.float32)
     return np.array(look_up(values.astype(np.float32), *np.meshgrid(u, v)), dtype=np.float32)

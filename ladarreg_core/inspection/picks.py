@@ -1,16 +1,19 @@
-"""What a pose says of every pick, those that are switched off included."""
+"""Picks as an operator inspects them: residuals under a pose, predicted counterparts, and what the scan measured."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lines import along_line, line_on_scan
@@ -20,83 +23,88 @@ from ladarreg_core.quality.influence import influence
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import measured_ranges
+from ladarreg_core.surface.visibility import ScanProjection, project_scan
 
-_MOST_KNOWN = 4_000  # some kilobytes each
+_MOST_CACHED = 4_000  # some kilobytes each
+_REACH_PX = 6
+_REFINED_CELLS = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class JudgedPick:
-    """What a pose says of one pick: of a line the worse of its ends."""
+class PickResiduals:
+    """Residuals of one pick under a pose; of a line, those of its worse end."""
 
     px: float
-    """Length of the pixel residual; NaN: none."""
+    """Length of the pixel residual; NaN where undefined."""
     mm: float
-    """Range residual, mm, signed; NaN: none."""
+    """Range residual, mm, signed; NaN where undefined."""
     depth_m: float
     """Laser minus stereo depth, m, signed; NaN where undefined."""
     inlier: bool | None
-    """Whether the solver let it count; None: it was not asked."""
+    """Whether the solver used it as an inlier; None: it was not part of the solution."""
     influence_px: float
-    """By how much the picture moves without it, px; NaN where that is not known."""
+    """Shift of the photo positions if it were removed, px; NaN where unknown."""
     photo: FloatArray
-    """(1 or 2, 2) where the pose expects the scan side in the photo; NaN: nowhere."""
+    """(1 or 2, 2) predicted photo pixels of its scan side; NaN where there are none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledLine:
-    """The rays along a drawn line, and which of them have a range."""
+    """Rays along a drawn line, with those that have a range marked."""
 
     rays: FloatArray
     """(K, 3) unit, scanner frame."""
     known: tuple[bool, ...]
-    """(K,) whether the scan has a range there."""
+    """(K,) whether the scan has a range along the ray."""
     sampled: int
-    """How many rays the straight edge was looked for along."""
+    """Number of rays along which the straight edge was searched."""
     used: int
-    """How many of them lie on it; 0: the surface under the line is not straight."""
+    """Number of these that lie on the edge; 0: the surface under the line is not straight."""
 
 
 @dataclass(slots=True, eq=False)
-class Measured:
-    """What the scan measures under picks; kept, since a pick seldom changes while its neighbours do."""
+class PickMeasurements:
+    """Matches derived from picks, cached per pick, since one pick at a time is edited."""
 
     scan: Scan
     """The scan."""
     photo: Photo
     """The photo."""
-    _known: dict[tuple[str, bytes, bytes, str, float], tuple[Matches, tuple[str, ...]]] = field(default_factory=dict)
+    _cache: dict[tuple[str, bytes, bytes, str, float], tuple[Matches, tuple[str, ...]]] = field(default_factory=dict)
 
     def of(self, pick: Pick) -> tuple[Matches, tuple[str, ...]]:
-        """Return the matches of one pick, switched on or off, and what it lost."""
+        """Return the matches of one pick, on or off, and sentences on any loss of samples."""
         key = (pick.id, pick.scan.tobytes(), pick.photo.tobytes(), pick.kind, pick.weight)
-        if key not in self._known:
-            if len(self._known) >= _MOST_KNOWN:
-                self._known.clear()
-            self._known[key] = matches_from_picks(self.scan, [replace(pick, on=True)], camera=self.photo.camera)
-        return self._known[key]
+        if key not in self._cache:
+            if len(self._cache) >= _MOST_CACHED:
+                self._cache.clear()
+            self._cache[key] = matches_from_picks(self.scan, [replace(pick, on=True)], camera=self.photo.camera)
+        return self._cache[key]
 
     def joined(self, picks: Sequence[Pick]) -> Matches:
         """Return the matches of all picks."""
         return Matches.joined([m for m in (self.of(pick)[0] for pick in picks) if len(m)])
 
     def losses(self, picks: Sequence[Pick]) -> tuple[str, ...]:
-        """Return what the picks that are switched on lost, in sentences."""
+        """Return sentences on the lost samples of the picks that are on."""
         return tuple(sentence for pick in picks if pick.on for sentence in self.of(pick)[1])
 
 
-def judge_picks(measured: Measured, picks: Sequence[Pick], result: PoseResult) -> dict[str, JudgedPick]:
-    """Return what a pose says of each pick that has a range.
+def pick_residuals(
+    measurements: PickMeasurements, picks: Sequence[Pick], result: PoseResult
+) -> dict[str, PickResiduals]:
+    """Compute the residuals of each pick that has a range, whether it is on or off.
 
     Args:
-        measured: what the scan measures under picks.
-        picks: any, on or off.
-        result: the pose with the matches that it was solved from.
+        measurements: the matches of the picks.
+        picks: any picks, on or off.
+        result: the pose with the matches from which it was solved.
     """
-    matches = measured.joined(picks)
+    matches = measurements.joined(picks)
     if not len(matches):
         return {}
     with np.errstate(all="ignore"):
-        said = describe_pose(
+        described = describe_pose(
             result.camera_from_scanner,
             matches,
             np.ones(len(matches), np.bool_),
@@ -106,10 +114,10 @@ def judge_picks(measured: Measured, picks: Sequence[Pick], result: PoseResult) -
             covariance=result.covariance,
         )
         expected = result.camera.project(result.camera_from_scanner @ matches.points)
-    moved, counted = _influences(result), _inliers(result)
-    px = np.linalg.norm(said.residuals_px, axis=1)
-    worth, mm = np.nan_to_num(px, nan=-1.0).tolist(), (1000 * said.residuals_m).tolist()
-    depth_m = said.stereo_depth_error_m.tolist()
+    influences, inliers = _influences(result), _inliers(result)
+    px = np.linalg.norm(described.residuals_px, axis=1)
+    order, mm = np.nan_to_num(px, nan=-1.0).tolist(), (1000 * described.residuals_m).tolist()
+    depth_m = described.stereo_depth_error_m.tolist()
     by_pick: dict[str, list[int]] = {}
     for k, name in enumerate(matches.pick_ids):
         by_pick.setdefault(name, []).append(k)
@@ -117,19 +125,19 @@ def judge_picks(measured: Measured, picks: Sequence[Pick], result: PoseResult) -
     ends = np.rint(matches.fractions).astype(int).tolist()
     found = {}
     for pick in picks:
-        of_this = by_pick.get(pick.id)
-        if not of_this:
+        members = by_pick.get(pick.id)
+        if not members:
             continue
-        worst = max(of_this, key=worth.__getitem__)
+        worst = max(members, key=order.__getitem__)
         photo = np.full((len(pick.photo), 2), np.nan)
-        for k in of_this:
+        for k in members:
             photo[ends[k]] = expected[k]
-        found[pick.id] = JudgedPick(
+        found[pick.id] = PickResiduals(
             float(px[worst]),
-            _largest([mm[k] for k in of_this]),
-            _largest([depth_m[k] for k in of_this]),
-            counted.get(pick.id),
-            moved.get(pick.id, float("nan")),
+            _largest([mm[k] for k in members]),
+            _largest([depth_m[k] for k in members]),
+            inliers.get(pick.id),
+            influences.get(pick.id, float("nan")),
             photo,
         )
     return found
@@ -141,7 +149,7 @@ def sample_line(scan: Scan, ends: ArrayLike, *, samples: int = SAMPLES_PER_LINE)
     Args:
         scan: the scan.
         ends: (2, 3) unit rays, scanner frame.
-        samples: how many to show.
+        samples: number of rays.
     """
     ends = np.asarray(ends, dtype=np.float64)
     rays = along_line(ends, np.linspace(0, 1, samples))
@@ -149,6 +157,115 @@ def sample_line(scan: Scan, ends: ArrayLike, *, samples: int = SAMPLES_PER_LINE)
     edge = line_on_scan(scan, ends)
     sampled, used = (edge.sampled, edge.used) if edge else (samples, 0)
     return SampledLine(rays, tuple(known.tolist()), sampled, used)
+
+
+def pick_points(scan: Scan, picks: Sequence[Pick]) -> tuple[FloatArray, list[str], list[bool]]:
+    """Return the points (N, 3) m, scanner frame, of the ends of all picks, with pick id and on/off; NaN: no range."""
+    rays = [pick.scan for pick in picks]
+    ids = [pick.id for pick in picks for _ in range(len(pick.scan))]
+    on = [pick.on for pick in picks for _ in range(len(pick.scan))]
+    if not rays:
+        return np.zeros((0, 3)), ids, on
+    directions = np.concatenate(rays)
+    return directions * measured_ranges(scan, directions).outline[:, None], ids, on
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Measurement of the scan along a ray."""
+
+    range_m: float | None
+    """Along the ray, m; None without a return, or at a depth edge."""
+    intensity: float | None
+    """Of the nearest cell, in the sensor's unit; None outside the grid."""
+    cell: tuple[float, float] | None
+    """Fractional row and column; None outside the grid."""
+
+
+def probe(scan: Scan, ray: ArrayLike) -> Probe:
+    """Return the measurement along a unit ray (3,), scanner frame."""
+    direction = np.asarray(ray, dtype=np.float64)[None]
+    row, column = (float(v) for v in np.asarray(scan.geometry.cell_of(direction), dtype=np.float64)[0])
+    height, width = scan.shape
+    if not (-0.5 <= row <= height - 0.5 and -0.5 <= column <= width - 0.5):
+        return Probe(None, None, None)
+    measured = float(measured_ranges(scan, direction).ranges[0])
+    nearest = scan.intensity[min(max(round(row), 0), height - 1), min(max(round(column), 0), width - 1)]
+    return Probe(measured if np.isfinite(measured) else None, float(nearest), (row, column))
+
+
+class PickPredictor:
+    """Predicts the counterparts of picks in the other image under one pose; shared work is done once."""
+
+    def __init__(self, scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> None:
+        self._scan = scan
+        self._camera = camera
+        self._pose = camera_from_scanner
+
+    def in_photo(self, rays: ArrayLike) -> FloatArray:
+        """Return the photo pixels (N, 2) of unit rays (N, 3), scanner frame.
+
+        NaN where the scan has no return along the ray, or outside the photo. At a depth edge the nearer surface counts.
+        """
+        directions = np.asarray(rays, dtype=np.float64)
+        ranges = measured_ranges(self._scan, directions).outline
+        uv = self._camera.project(self._pose @ (directions * ranges[:, None]))
+        return np.where(self._camera.contains(uv)[:, None], uv, np.nan)
+
+    def on_scan(self, uv: ArrayLike) -> FloatArray:
+        """Return the unit rays (N, 3), scanner frame, to the surfaces seen at photo pixels (N, 2).
+
+        NaN where it sees no surface of the scan within 6 px.
+        """
+        return np.array([self._ray_at(np.asarray(at, dtype=np.float64)) for at in np.asarray(uv)]).reshape(-1, 3)
+
+    @cached_property
+    def _projection(self) -> ScanProjection:
+        return project_scan(self._scan, self._camera, self._pose)
+
+    @cached_property
+    def _nearest_cell(self) -> NDArray[np.int32]:
+        """Flat index of the nearest visible cell in each photo pixel; -1: none."""
+        projection = self._projection
+        seen = np.flatnonzero(projection.visible)
+        seen = seen[np.argsort(-projection.depth_m.reshape(-1)[seen], kind="stable")]  # the nearest is written last
+        at = np.rint(projection.uv.reshape(-1, 2)[seen]).astype(np.intp)
+        grid = np.full((self._camera.height, self._camera.width), -1, np.int32)
+        u, v = np.clip(at[:, 0], 0, self._camera.width - 1), np.clip(at[:, 1], 0, self._camera.height - 1)
+        grid[v, u] = seen
+        return grid
+
+    def _ray_at(self, at: FloatArray) -> FloatArray:
+        nowhere = np.full(3, np.nan)
+        if not np.isfinite(at).all() or not self._camera.contains(at):
+            return nowhere
+        u, v = np.rint(at).astype(int)
+        around = self._nearest_cell[
+            max(v - _REACH_PX, 0) : v + _REACH_PX + 1, max(u - _REACH_PX, 0) : u + _REACH_PX + 1
+        ]
+        cells = np.unique(around[around >= 0])
+        if not len(cells):
+            return nowhere
+        uv = self._projection.uv.reshape(-1, 2)[cells].astype(np.float64)
+        distance = np.linalg.norm(uv - at, axis=1)
+        best = int(np.argmin(distance))
+        if distance[best] > _REACH_PX:
+            return nowhere
+        cell = np.array(divmod(int(cells[best]), self._scan.shape[1]), dtype=np.float64)
+        return np.asarray(self._scan.geometry.ray_at((cell + self._sub_cell_offset(cell, at - uv[best]))[None])[0])
+
+    def _sub_cell_offset(self, cell: FloatArray, offset_px: FloatArray) -> FloatArray:
+        """Return the offset (2,) from a cell centre, in cells, of a pixel offset, by the slope of the surface around
+        it."""
+        row, column = cell.astype(int)
+        height, width = self._scan.shape
+        uv = self._projection.uv
+        r0, r1, c0, c1 = max(row - 1, 0), min(row + 1, height - 1), max(column - 1, 0), min(column + 1, width - 1)
+        J = np.stack([(uv[r1, column] - uv[r0, column]) / (r1 - r0), (uv[row, c1] - uv[row, c0]) / (c1 - c0)], axis=1)
+        if not np.isfinite(J).all() or abs(np.linalg.det(J.astype(np.float64))) < 1e-6:
+            return np.zeros(2)
+        offset = np.linalg.solve(J.astype(np.float64), offset_px)
+        return np.asarray(offset if np.abs(offset).max() <= _REFINED_CELLS else np.zeros(2))
 
 
 def _influences(result: PoseResult) -> Mapping[str, float]:
@@ -171,16 +288,5 @@ def _inliers(result: PoseResult) -> Mapping[str, bool]:
 
 
 def _largest(values: Sequence[float]) -> float:
-    """Return the value that is farthest from 0; NaN where there is none."""
+    """Return the finite value farthest from 0; NaN where there is none."""
     return max(filter(math.isfinite, values), key=abs, default=math.nan)
-
-
-def picks_in_space(scan: Scan, picks: Sequence[Pick]) -> tuple[FloatArray, list[str], list[bool]]:
-    """Return the points (N, 3) m, scanner frame, of all picks' ends, with pick id and switch of each; NaN: no range."""
-    rays = [pick.scan for pick in picks]
-    ids = [pick.id for pick in picks for _ in range(len(pick.scan))]
-    on = [pick.on for pick in picks for _ in range(len(pick.scan))]
-    if not rays:
-        return np.zeros((0, 3)), ids, on
-    directions = np.concatenate(rays)
-    return directions * measured_ranges(scan, directions).outline[:, None], ids, on

@@ -1,27 +1,87 @@
-"""The scan in perspective, as pictures that can be read before any pose exists."""
+"""Pictures of a scan for inspection: perspective views, renderings of them, and overlays of scan and photo."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.surface.perspective import View
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matching.views import viewing_directions
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
+from ladarreg_core.surface.render import render_scan_colors
+from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture
 
 Show = Literal["intensity", "raw", "range", "normals", "edges", "color"]
-_EMPTY = np.array((11, 12, 15), np.uint8)  # where nothing came back
+OverlayShow = Literal["intensity", "edges", "range"]
+_EDGE_COLOUR = (92, 200, 255)
+_STRONG = 150.0
+_WIDEST_PX = 2048
+_MOST_PIXELS = 8_000_000
+_ONE_VIEW_HALF_RAD = math.radians(50.0)
+_FIELD_RAD = math.radians(90.0)
+_NOTABLE = 1.05
+_EMPTY = np.array((11, 12, 15), np.uint8)  # no return
 _BINS = 4096
 _MOST_GAMMA = 10.0
 
 
+@dataclass(frozen=True, slots=True)
+class NamedView:
+    """A view with its name."""
+
+    view: View
+    """The view."""
+    label: str
+    """Its viewing direction, in words."""
+
+
+def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
+    """Return one view of the whole scan, or several side by side where one would be too wide.
+
+    Each has about one pixel per cell, but no more than 8 Mpixel, 16 pixels per cell of the scan, or 32,000 pixels a
+    side; beyond these limits the views are coarser. Source: thesis 2.2.2.
+
+    Raises:
+        DegenerateGeometryError: if the scan is so narrow that no such view resolves its rows and columns.
+    """
+    rays = scan.sampled_directions
+    away = np.arccos(np.clip(rays @ scan.mean_direction, -1, 1))
+    if float(np.percentile(away, 99)) <= _ONE_VIEW_HALF_RAD:
+        return (NamedView(perspective_view(scan, most_pixels=_MOST_PIXELS), "the whole scan"),)
+    focal = native_focal_px(scan)
+    side = 2 * focal * math.tan(_FIELD_RAD / 2)
+    share = min(1.0, math.sqrt(min(_MOST_PIXELS, most_view_pixels(scan))) / side)
+    if share < 1:
+        check_viewable(scan, focal * share)
+    camera = Camera.from_focal(max(2, round(side * share)), max(2, round(side * share)), focal * share)
+    directions = sorted(viewing_directions(scan, camera), key=lambda d: -_azimuth(d.rotation[2]))
+    return tuple(
+        NamedView(perspective_view(scan, camera, view_from_scanner=d), _direction_name(_azimuth(d.rotation[2])))
+        for d in directions
+    )
+
+
+def resolution_note(scan: Scan, views: Sequence[NamedView]) -> str | None:
+    """Return a note where the views have fewer pixels than the scan has cells in its finer direction."""
+    cells = max((native_focal_px(scan) / named.view.camera.fx for named in views), default=1.0)
+    if cells < _NOTABLE:
+        return None
+    return f"shown at one pixel per {cells:.2g} cells of its finer direction, the finest resolution of a view"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
-    """How intensities become gray levels.
+    """Mapping of intensities to gray levels.
 
     Raises:
         OptionError: if the percentiles do not rise, or gamma is not positive.
@@ -32,9 +92,9 @@ class Stretch:
     high: float = 99.5
     """Percentile that becomes white."""
     gamma: float = 0.6
-    """Exponent; below 1 dark parts open up."""
+    """Exponent; values below 1 brighten dark parts."""
     equalise: bool = False
-    """Spread the levels evenly instead."""
+    """Equalise the histogram instead."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.low < self.high <= 100:
@@ -44,21 +104,21 @@ class Stretch:
 
 
 def scan_picture(view: View, show: str, stretch: Stretch | None = None) -> NDArray[np.uint8]:
-    """Return a view of the scan as a picture, (h, w, 3) uint8 RGB.
+    """Render a view of the scan, (h, w, 3) uint8 RGB.
 
     Args:
         view: the view.
-        show: `intensity`, stretched, what falls with range made up for; `raw`, as the sensor gives it; `range`,
-            colours by inverse range, which is what parallax sees; `normals`, the
-            surface's direction as a colour; `edges`, of intensity and of range together; `color`, the scanner's own.
-        stretch: of the intensity; of the range its percentiles.
+        show: `intensity`, compensated for range; `raw`, as recorded; `range`, colours by inverse range, to which
+            parallax is proportional; `normals`, surface normals as colours; `edges` of intensity and range; `color`,
+            the colour recorded by the scanner.
+        stretch: contrast of the intensity; for the range only its percentiles count.
 
     Raises:
-        OptionError: if there is no such picture.
+        OptionError: if there is no such rendering.
         ShapeError: if the scan has no colour of its own.
     """
     if show not in get_args(Show):
-        raise OptionError(f"the scan is to be shown as {show!r}; it can be {', '.join(get_args(Show))}")
+        raise OptionError(f"the scan cannot be shown as {show!r}; choose one of {', '.join(get_args(Show))}")
     if show == "color":
         if view.scan.color is None:
             raise ShapeError("the scan has no colour of its own; show its intensity")
@@ -81,10 +141,10 @@ def scan_picture(view: View, show: str, stretch: Stretch | None = None) -> NDArr
 
 
 def compensated(view: View) -> FloatArray:
-    """Return a view's intensity, (h, w), as if all of it came from the median range.
+    """Return the intensity of a view, (h, w), compensated to the median range.
 
-    Light that comes back falls with the square of the range, which says nothing of the surface; without it, what lies
-    behind is as legible as what lies in front. Beyond a factor of four in range, noise would be all that is raised.
+    Returned light falls with the square of the range; compensation makes far surfaces as legible as near ones. It is
+    limited to a factor of four in range, beyond which it would amplify noise only.
     """
     seen = np.isfinite(view.ranges)
     if view.scan.intensity_is != "raw" or not seen.any():
@@ -94,7 +154,7 @@ def compensated(view: View) -> FloatArray:
 
 
 def stretched(values: FloatArray, known: NDArray[np.bool_], stretch: Stretch) -> NDArray[np.uint8]:
-    """Return gray levels (h, w) of values (h, w), by the known ones' distribution."""
+    """Map values (h, w) to gray levels (h, w), by the distribution of the known ones."""
     if not known.any():
         return np.zeros(values.shape, np.uint8)
     chosen = values[known]
@@ -110,7 +170,7 @@ def stretched(values: FloatArray, known: NDArray[np.bool_], stretch: Stretch) ->
 
 
 def edge_strength(view: View) -> NDArray[np.uint8]:
-    """Return how strong an edge is, (h, w) 0 to 255: of intensity, or of inverse range, whichever is the stronger."""
+    """Return the edge strength, (h, w) 0 to 255: of intensity or of inverse range, whichever is stronger."""
     seen = np.isfinite(view.ranges)
     gray = stretched(compensated(view), seen, Stretch()).astype(np.float32)
     depth = np.where(seen, 1 / np.where(seen, view.ranges, 1), 0).astype(np.float32)
@@ -120,7 +180,56 @@ def edge_strength(view: View) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * np.clip(np.maximum(of_gray, of_depth), 0, 1)), dtype=np.uint8)
 
 
-def _magnitude(values: FloatArray) -> FloatArray:
+def scan_over_photo(scan: Scan, camera: Camera, camera_from_scanner: Rigid, show: str) -> NDArray[np.uint8]:
+    """Render the scan as seen by the camera of the photo, (h, w, 4) uint8 RGBA; alpha 0 where it sees no surface.
+
+    Args:
+        scan: the scan.
+        camera: the camera of the photo; images wider than 2048 px are reduced.
+        camera_from_scanner: its pose.
+        show: `intensity`, `edges` of the intensity and of the surface, or `range`.
+
+    Raises:
+        OptionError: if there is no such overlay.
+    """
+    if show not in get_args(OverlayShow):
+        raise OptionError(f"the overlay is {show!r}; it must be one of {', '.join(get_args(OverlayShow))}")
+    if camera.width > _WIDEST_PX:
+        camera = camera.resized(_WIDEST_PX, max(1, round(camera.height * _WIDEST_PX / camera.width)))
+    picture = _range_picture(scan) if show == "range" else intensity_picture(scan)
+    colour, covered = render_scan_colors(scan, camera, camera_from_scanner, picture=picture, supersample=1)
+    if show != "edges":
+        return _with_alpha(colour, np.where(covered, 255, 0))
+    depth, _ = render_scan_colors(scan, camera, camera_from_scanner, picture=_range_picture(scan), supersample=1)
+    strength = np.maximum(_magnitude(colour[..., 0]), _magnitude(depth[..., 0]))
+    edge = np.zeros_like(colour)
+    edge[:] = _EDGE_COLOUR
+    inside = cv2.erode(covered.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return _with_alpha(edge, np.where(inside, np.clip(255 * strength / _STRONG, 0, 255), 0))
+
+
+def photo_over_scan(view: View, texture: RegisteredTexture) -> NDArray[np.uint8]:
+    """Render the photo as seen from the scanner, in a view, (h, w, 4) uint8 RGBA; alpha 0 where it has no colour."""
+    planes = [view.resample(texture.image[..., k].astype(np.float32)) for k in range(3)]
+    known = view.resample(texture.coloured.astype(np.float32))
+    colour = np.rint(np.stack(planes, axis=-1)).astype(np.uint8)
+    return _with_alpha(colour, np.where(view.inside, 255 * known, 0))
+
+
+def _azimuth(forward: np.ndarray) -> float:
+    return math.atan2(float(forward[1]), float(forward[0]))
+
+
+def _direction_name(azimuth: float) -> str:
+    degrees = round(math.degrees(azimuth))
+    if degrees == 0:
+        return "ahead"
+    return f"{abs(degrees)} deg {'left' if degrees > 0 else 'right'}"
+
+
+def _magnitude(plane: NDArray[Any]) -> FloatArray:
+    """Return the gradient magnitude (h, w) of a plane, by Sobel filters."""
+    values = plane.astype(np.float32)
     return np.hypot(cv2.Sobel(values, cv2.CV_32F, 1, 0), cv2.Sobel(values, cv2.CV_32F, 0, 1))
 
 
@@ -134,7 +243,7 @@ def _range_colours(ranges: FloatArray, seen: NDArray[np.bool_], stretch: Stretch
 
 
 def _normal_colours(view: View) -> NDArray[np.uint8]:
-    """Colour a surface by its normal in the view's axes, as renderers do: facing us is blue, right red, up green."""
+    """Colour a surface by its normal in view axes, as renderers do: right red, up green, facing the viewer blue."""
     ranges = np.nan_to_num(view.ranges)
     smooth = cv2.bilateralFilter(np.log(np.maximum(ranges, 1e-3)).astype(np.float32), 7, 0.03, 3)
     v, u = np.mgrid[: view.camera.height, : view.camera.width].astype(np.float32)
@@ -149,5 +258,16 @@ def _normal_colours(view: View) -> NDArray[np.uint8]:
     )
     normal = np.cross(down, across)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    shown = normal * np.array([1, -1, -1], np.float32)  # y up and z towards us, as people draw axes
+    shown = normal * np.array([1, -1, -1], np.float32)  # y up and z towards the viewer
     return np.asarray(np.rint(127.5 * (shown + 1)), dtype=np.uint8)
+
+
+def _range_picture(scan: Scan) -> NDArray[np.uint8]:
+    inverse = np.where(scan.valid, 1 / np.where(scan.valid, scan.ranges, 1), 0)
+    low, high = np.percentile(inverse[scan.valid], (1, 99))
+    level = np.rint(255 * np.clip((inverse - low) / max(high - low, 1e-12), 0, 1)).astype(np.uint8)
+    return np.repeat(level[..., None], 3, axis=-1)
+
+
+def _with_alpha(colour: NDArray[np.uint8], alpha: NDArray[np.generic]) -> NDArray[np.uint8]:
+    return np.dstack([colour, np.rint(alpha).astype(np.uint8)])

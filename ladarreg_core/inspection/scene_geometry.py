@@ -1,4 +1,4 @@
-"""Lines and marks of a 3-D scene: outlines of cameras, rays, and points of matches."""
+"""Geometry of the 3-D scene: outlines of cameras, rays, and marks at the points of matches."""
 
 from __future__ import annotations
 
@@ -13,84 +13,84 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.results import PoseResult
 
-_NEAR_OF_WAY = 0.01
+_NEAR_OF_DISTANCE = 0.01
 
 
 def camera_outline(camera: Camera, camera_from_scanner: Rigid, *, depth_m: float) -> NDArray[np.float32]:
-    """Return a camera as a pyramid of lines: four edges and the four sides of its picture.
+    """Return the frustum of a camera as lines: four edges and the four sides of its image.
 
     Args:
-        camera: intrinsics; its distortion is left out, and its axis stands in the middle.
+        camera: intrinsics; distortion is ignored, and the optical axis is taken as central.
         camera_from_scanner: its pose.
-        depth_m: from its centre to its picture.
+        depth_m: distance from the centre to the image.
 
     Returns:
         (8, 2, 3) float32, both ends of each line, m, scanner frame.
     """
     across, upright = camera.width / (2 * camera.fx), camera.height / (2 * camera.fy)
     corners = depth_m * np.array([[s * across, t * upright, 1] for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    placed = camera_from_scanner.inverse @ np.vstack([np.zeros((1, 3)), corners])
-    centre, picture = np.broadcast_to(placed[0], (4, 3)), placed[1:]
-    edges = np.stack([centre, picture], axis=1)
-    sides = np.stack([picture, np.roll(picture, -1, axis=0)], axis=1)
+    points = camera_from_scanner.inverse @ np.vstack([np.zeros((1, 3)), corners])
+    centre, image = np.broadcast_to(points[0], (4, 3)), points[1:]
+    edges = np.stack([centre, image], axis=1)
+    sides = np.stack([image, np.roll(image, -1, axis=0)], axis=1)
     return np.concatenate([edges, sides]).astype(np.float32)
 
 
 def camera_outlines(camera: Camera, poses: tuple[Rigid, ...], *, depth_m: float) -> NDArray[np.float32]:
-    """Return `camera_outline` of several poses in one, (8 n, 2, 3)."""
+    """Return the outlines of several poses in one array, (8 n, 2, 3)."""
     if not poses:
         return np.zeros((0, 2, 3), dtype=np.float32)
     return np.concatenate([camera_outline(camera, pose, depth_m=depth_m) for pose in poses])
 
 
 def dashed(segments: FloatArray, *, dashes: int) -> NDArray[np.float32]:
-    """Return lines (N, 2, 3) as dashes (N * dashes, 2, 3), that start and end with one."""
+    """Return lines (N, 2, 3) as dashes (N * dashes, 2, 3), with a dash at both ends."""
     ends = np.arange(2 * dashes).reshape(-1, 2) / (2 * dashes - 1)
     start, along = segments[:, None, None, 0], (segments[:, 1] - segments[:, 0])[:, None, None]
     return np.asarray((start + ends[None, :, :, None] * along).reshape(-1, 2, 3), dtype=np.float32)
 
 
 def rays_to(points: FloatArray, centres: tuple[FloatArray, ...]) -> NDArray[np.float32]:
-    """Return a line from every centre (3,) to every point (N, 3): (centres * N, 2, 3), the first centre's first."""
+    """Return lines from every centre (3,) to every point (N, 3): (centres * N, 2, 3), ordered by centre."""
     lines = [np.stack([np.broadcast_to(centre, points.shape), points], axis=1) for centre in centres]
     if not lines:
         return np.zeros((0, 2, 3), dtype=np.float32)
     return np.concatenate(lines).astype(np.float32)
 
 
-def faded(colours: ArrayLike, ground: ArrayLike, *, share: float) -> NDArray[np.uint8]:
-    """Return RGB colours (N, 3) moved a share, 0 to 1, of the way to the ground's."""
+def faded(colours: ArrayLike, background: ArrayLike, *, share: float) -> NDArray[np.uint8]:
+    """Blend RGB colours (N, 3) with the background by a share from 0 to 1."""
     bright = np.asarray(colours, dtype=np.float64)
-    return np.rint((1 - share) * bright + share * np.asarray(ground, dtype=np.float64)).astype(np.uint8)
+    return np.rint((1 - share) * bright + share * np.asarray(background, dtype=np.float64)).astype(np.uint8)
 
 
 def for_both_ends(colours: ArrayLike) -> NDArray[np.uint8]:
-    """Return one RGB colour a line (N, 3) as one for each of its ends, (N, 2, 3)."""
+    """Repeat one RGB colour per line (N, 3) for both of its ends, (N, 2, 3)."""
     return np.repeat(np.asarray(colours, dtype=np.uint8)[:, None], 2, axis=1)
 
 
 def repeated(colour: ArrayLike, count: int) -> NDArray[np.uint8]:
-    """Return one RGB colour (3,) count times, (count, 3)."""
+    """Repeat one RGB colour (3,), giving (count, 3)."""
     return np.tile(np.asarray(colour, dtype=np.uint8), (count, 1))
 
 
 def spread(count: int, most: int) -> NDArray[np.int64]:
-    """Return at most `most` of the indices 0 .. count - 1, evenly spread."""
+    """Return at most `most` evenly spread indices of 0 .. count - 1."""
     return np.unique(np.linspace(0, max(count - 1, 0), min(count, most)).round().astype(np.int64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """Points to be marked, those without a place left out; read-only."""
+    """Marked points with finite positions; read-only."""
 
     points: FloatArray
     """(N, 3) float32, m, scanner frame; finite."""
     colours: ByteArray
     """(N, 3) uint8 RGB."""
     on: BoolArray
-    """(N,) bool: whether a solver uses it."""
+    """(N,) bool: whether the solver uses the point."""
     given: IntArray
-    """(N,) which of the points given each is."""
+    """(N,) index of each in the input points."""
 
     def __post_init__(self) -> None:
         points = read_only(self.points, np.float32, (None, 3), "the marks' points")
@@ -101,7 +101,7 @@ class Marks:
 
     @staticmethod
     def of(points: ArrayLike, colours: ArrayLike, on: ArrayLike) -> Marks:
-        """Return the marks of those points (N, 3) that are finite.
+        """Create marks of the finite ones among points (N, 3).
 
         Raises:
             ShapeError: if the arrays disagree.
@@ -116,47 +116,47 @@ class Marks:
         return len(self.points)
 
     def at(self, index: IntArray) -> Marks:
-        """Return those of these indices."""
+        """Return the marks at these indices."""
         return Marks(self.points[index], self.colours[index], self.on[index], self.given[index])
 
     def chosen(self, wanted: ArrayLike) -> Marks:
-        """Return those that are wanted, (N,) bool."""
+        """Return the marks selected by a mask (N,) bool."""
         return self.at(np.flatnonzero(np.asarray(wanted, dtype=np.bool_)))
 
-    def dimmed(self, ground: ArrayLike, *, on: float, off: float) -> NDArray[np.uint8]:
-        """Return the colours moved a share toward the ground's, another where a mark is off."""
-        bright = faded(self.colours, ground, share=on)
-        return np.where(self.on[:, None], bright, faded(self.colours, ground, share=off))
+    def dimmed(self, background: ArrayLike, *, on: float, off: float) -> NDArray[np.uint8]:
+        """Blend the colours with the background, by different shares for marks that are on and off."""
+        bright = faded(self.colours, background, share=on)
+        return np.where(self.on[:, None], bright, faded(self.colours, background, share=off))
 
     def before(self, distance_m: float) -> NDArray[np.float32]:
-        """Return the points (N, 3) moved toward the scanner, along their rays: out of the surface that they lie on."""
+        """Return the points (N, 3) moved along their rays toward the scanner, so that they clear their surface."""
         ranges = np.linalg.norm(self.points, axis=1, keepdims=True)
         share = np.clip(distance_m / np.maximum(ranges, 1e-9), 0, 0.5)
         return np.asarray(self.points * (1 - share), dtype=np.float32)
 
-    def met_by(self, origin: ArrayLike, direction: ArrayLike, *, radius_m: float) -> int | None:
-        """Return which mark a ray means, as its place among these; None where it passes all by.
+    def nearest_to_ray(self, origin: ArrayLike, direction: ArrayLike, *, radius_m: float) -> int | None:
+        """Return the index of the mark nearest to a ray; None where it passes all of them.
 
         Args:
             origin: (3,) m.
             direction: (3,) of any length.
-            radius_m: how near the ray must come, or one hundredth of the way there.
+            radius_m: largest distance from the ray, or one hundredth of the distance along it if that is larger.
         """
         start, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
         along = along / np.linalg.norm(along)
         offset = self.points.astype(np.float64) - start
         ahead = offset @ along
-        aside = np.linalg.norm(offset - ahead[:, None] * along, axis=1)
-        near = (ahead > 0) & (aside <= np.maximum(radius_m, _NEAR_OF_WAY * ahead))
+        across = np.linalg.norm(offset - ahead[:, None] * along, axis=1)
+        near = (ahead > 0) & (across <= np.maximum(radius_m, _NEAR_OF_DISTANCE * ahead))
         if not near.any():
             return None
-        return int(np.argmin(np.where(near, aside / np.maximum(ahead, 1e-12), np.inf)))
+        return int(np.argmin(np.where(near, across / np.maximum(ahead, 1e-12), np.inf)))
 
 
 def marks_of_result(result: PoseResult, colours: Sequence[tuple[int, int, int]], *, most: int) -> Marks:
-    """Return at most `most` of the matches that hold, evenly spread, in these colours by turns."""
+    """Return marks at `most` inliers at most, evenly spread, with the colours in turn."""
     points = np.asarray(result.matches.points, dtype=np.float64)
-    held = np.flatnonzero(np.asarray(result.inliers) & np.isfinite(points).all(axis=1))
-    held = held[spread(len(held), most)] if len(held) else held
-    palette = np.asarray(colours, dtype=np.uint8)[np.arange(len(held)) % len(colours)]
-    return Marks(points[held], palette, np.ones(len(held), np.bool_), held)
+    inliers = np.flatnonzero(np.asarray(result.inliers) & np.isfinite(points).all(axis=1))
+    inliers = inliers[spread(len(inliers), most)] if len(inliers) else inliers
+    palette = np.asarray(colours, dtype=np.uint8)[np.arange(len(inliers)) % len(colours)]
+    return Marks(points[inliers], palette, np.ones(len(inliers), np.bool_), inliers)

@@ -1,4 +1,4 @@
-"""From where to look at a scan: as the scanner, as the camera, and from aside."""
+"""Viewpoints of the 3-D scene: at the scanner, at the camera, and an overview."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ _SAMPLES, _PERCENTILES = 4000, (1.0, 99.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Standpoint:
-    """A place to look from; read-only."""
+class Viewpoint:
+    """Position and viewing direction of the scene camera; read-only."""
 
     position: FloatArray
     """(3,) m, scanner frame."""
     look_at: FloatArray
-    """(3,) m, another place."""
+    """(3,) m, different from the position."""
     up: FloatArray
     """(3,)."""
     fov_rad: tuple[float, float]
-    """Field of view that is to be seen, across and upright."""
+    """Field of view to be shown, horizontal and vertical."""
 
     def __post_init__(self) -> None:
         for name in ("position", "look_at", "up"):
             object.__setattr__(self, name, read_only(getattr(self, name), np.float64, (3,), name.replace("_", " ")))
 
     def upright_fov_rad(self, aspect: float) -> float:
-        """Return the vertical field of view with which a window shows all of it.
+        """Return the vertical field of view with which a window shows the whole field of view.
 
         Args:
-            aspect: the window's width over its height.
+            aspect: width over height of the window.
         """
         across, upright = (np.tan(angle / 2) for angle in self.fov_rad)
         needed = 2 * np.arctan(max(float(upright), float(across) / max(aspect, 1e-3)))
@@ -52,26 +52,26 @@ def typical_range(scan: Scan) -> float:
 
 
 def field_of_view(camera: Camera) -> tuple[float, float]:
-    """Return a camera's field of view across and upright, rad, with its axis in the middle."""
+    """Return the horizontal and vertical field of view of a camera, rad, taking its axis as central."""
     return (
         2 * float(np.arctan2(camera.width, 2 * camera.fx)),
         2 * float(np.arctan2(camera.height, 2 * camera.fy)),
     )
 
 
-def from_pose(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Standpoint:
-    """Return what a camera sees."""
+def from_pose(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Viewpoint:
+    """Return the viewpoint of a camera."""
     _, down, forward = camera_from_scanner.rotation
     centre = camera_from_scanner.centre
-    return Standpoint(centre, centre + forward * typical_range(scan), -down, field_of_view(camera))
+    return Viewpoint(centre, centre + forward * typical_range(scan), -down, field_of_view(camera))
 
 
-def overview(scan: Scan, camera_centre: FloatArray | None) -> Standpoint:
-    """Return a view from behind and above, just so far off that it holds the scanner, the camera and the model.
+def overview(scan: Scan, camera_centre: FloatArray | None) -> Viewpoint:
+    """Return a viewpoint behind and above, just far enough to show scanner, camera and model.
 
     Args:
         scan: the scan.
-        camera_centre: (3,) m, scanner frame; None: there is no camera yet, and room is left for one.
+        camera_centre: (3,) m, scanner frame; None: no camera yet, and room is left for one.
     """
     direction = scan.mean_direction * np.array([1.0, 1, 0])
     length = float(np.linalg.norm(direction))
@@ -82,21 +82,21 @@ def overview(scan: Scan, camera_centre: FloatArray | None) -> Standpoint:
     # From the side away from the camera, so that neither frustum hides the other.
     aside = -left if centre @ left > 0 else left
     view = look_along(forward - _ASIDE * aside - np.array([0, 0, _ABOVE]))
-    held = np.vstack([_most_of(scan), centre, room, -room]) @ view.T
-    # A point is held where |x - middle| <= slope (z + back); the least `back` is linear in the outermost points.
+    shown = np.vstack([_central_points(scan), centre, room, -room]) @ view.T
+    # A point is visible where |x - middle| <= slope (z + back); the least `back` is linear in the outermost points.
     back = 0.0
     for k, fov in enumerate(_OVERVIEW_FOV_RAD):
         slope = _FILLED * np.tan(fov / 2)
-        high, low = ((sign * held[:, k] - slope * held[:, 2]).max() for sign in (1, -1))
+        high, low = ((sign * shown[:, k] - slope * shown[:, 2]).max() for sign in (1, -1))
         back = max(back, float(high + low) / (2 * slope))
-    depth = np.maximum(held[:, 2] + back, 1e-9)
-    middle = [_balanced(held[:, k], depth) for k in range(2)]
-    position, target = (view.T @ np.array([*middle, z]) for z in (-back, float(np.median(held[:, 2]))))
-    return Standpoint(position, target, np.array([0.0, 0, 1]), _OVERVIEW_FOV_RAD)
+    depth = np.maximum(shown[:, 2] + back, 1e-9)
+    middle = [_centred(shown[:, k], depth) for k in range(2)]
+    position, target = (view.T @ np.array([*middle, z]) for z in (-back, float(np.median(shown[:, 2]))))
+    return Viewpoint(position, target, np.array([0.0, 0, 1]), _OVERVIEW_FOV_RAD)
 
 
-def _balanced(across: FloatArray, depth: FloatArray) -> float:
-    """Return from where the outermost of points at `across` and `depth` (N,) are seen equally far to both sides."""
+def _centred(across: FloatArray, depth: FloatArray) -> float:
+    """Return the position from which the outermost points at `across` and `depth` (N,) are symmetric."""
     low, high = float(across.min()), float(across.max())
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
@@ -105,8 +105,8 @@ def _balanced(across: FloatArray, depth: FloatArray) -> float:
     return (low + high) / 2
 
 
-def _most_of(scan: Scan) -> FloatArray:
-    """Return some of a scan's points (N, 3) but for the outermost, which may be anywhere."""
+def _central_points(scan: Scan) -> FloatArray:
+    """Return a sample of the points (N, 3) of a scan without the outermost ones, which may be spurious."""
     points = scan.points[scan.valid].astype(np.float64)
     points = points[:: max(1, len(points) // _SAMPLES)]
     low, high = np.percentile(points, _PERCENTILES, axis=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from ladarreg_core.errors import OptionError
@@ -97,14 +96,3 @@ class History:
         """Return the last `most` commits, and earlier ones back to the current commit if necessary."""
         first = max(0, min(len(self.entries) - most, self.at))
         return History(self.entries[first:], self.at - first)
-
-
-def entries_from(entries: Sequence[Entry], at: int) -> History:
-    """Return a history with given commits.
-
-    Raises:
-        OptionError: if `at` is not the index of one of them.
-    """
-    if not 0 <= at < len(entries):
-        raise OptionError(f"the history has {len(entries)} steps and its position is {at}; the file is damaged")
-    return History(tuple(entries), at)

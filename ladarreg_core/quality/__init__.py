@@ -1,1 +1,1 @@
-"""Quality of a registration: findings, influence, conditioning, and where to add matches."""
+"""Quality of a registration: findings, influence, conditioning, uncertainty and suggestions for the next match."""

@@ -1,6 +1,6 @@
-"""What there is to say of a registration beside its pose: findings, influence, uncertainty, and where to go on.
+"""Assessment of a registration beyond its pose: findings, influence, uncertainty and suggested matches.
 
-Whatever cannot be told of a registration is absent with its reason: a poor one needs the rest most.
+Each part that cannot be computed is left out with a reason; a poor registration needs the other parts most.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import DegenerateGeometryError, LadarregError
 from ladarreg_core.quality.findings import Finding, findings
-from ladarreg_core.quality.influence import WORTH_A_CHECK, Influence, influence
-from ladarreg_core.quality.next_match import Place, advise, part_of_photo
+from ladarreg_core.quality.influence import INFLUENTIAL_COOK, Influence, influence
+from ladarreg_core.quality.next_match import SuggestedMatch, part_of_photo, suggest_matches
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
@@ -27,69 +27,69 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureUncertainty:
-    """How far the registered picture may be off, one standard deviation of the pose."""
+    """Uncertainty of the photo position of each scan cell, one standard deviation, from the covariance of the pose."""
 
     sigma_px: NDArray[np.float32]
-    """(H, W) photo pixels; NaN without a return and out of the photo."""
+    """(H, W) photo pixels; NaN without a return and outside the photo."""
     median_px: float
-    """Of all cells in the photo."""
+    """Median over all cells in the photo."""
     p95_px: float
-    """What 95 % of them do not exceed."""
+    """95th percentile over the same cells."""
     worst_px: float
-    """The largest where the range is no spike, which would show what its own error does."""
+    """Largest value over cells that are not range spikes; at a spike it would reflect the range error instead."""
     worst_cell: tuple[int, int]
-    """Row and column of the scan where it is."""
+    """Row and column of the scan cell with the largest value."""
     worst_uv: FloatArray
-    """(2,) its photo pixel."""
+    """(2,) photo pixel of that cell."""
     worst_where: str
-    """Which part of the photo that is."""
+    """Part of the photo that contains it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sigma_px", read_only(self.sigma_px, np.float32, (None, None), "the uncertainty"))
         object.__setattr__(self, "worst_uv", read_only(self.worst_uv, np.float64, (2,), "the worst pixel"))
 
-    def in_words(self) -> str:
-        """Return a sentence."""
+    def summary(self) -> str:
+        """Return the uncertainty as a sentence."""
         return (
-            f"Half of the picture is known to {_px(self.median_px)} px and 95 % of it to {_px(self.p95_px)} px (1 "
-            f"sigma); it is worst near {self.worst_where} of the photo, {_px(self.worst_px)} px."
+            f"Median uncertainty {_px(self.median_px)} px, 95 % within {_px(self.p95_px)} px (1 sigma); largest near "
+            f"{self.worst_where} of the photo, {_px(self.worst_px)} px."
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assessment:
-    """What there is to say of one registration; a part that has no answer is None, and `absent` says why."""
+    """Assessment of one registration; a part that could not be computed is None, with its reason in `absent`."""
 
     findings: tuple[Finding, ...] | None
-    """What makes the pose good or not."""
+    """Statements on what limits the quality of the pose."""
     influence: Influence | None
-    """How far the pose moves without each match."""
+    """Shift of the pose when each match is removed."""
     uncertainty: PictureUncertainty | None
-    """How far the picture may be off, cell by cell."""
-    advice: tuple[Place, ...] | None
-    """Where the next match would help most, best first."""
+    """Uncertainty of the photo position, cell by cell."""
+    advice: tuple[SuggestedMatch, ...] | None
+    """Positions where one more match would help most, best first."""
     absent: Mapping[str, str] = field(default_factory=dict)
-    """The parts without an answer, with the reason."""
+    """Reason for each part that could not be computed."""
 
     @property
     def match_to_check(self) -> str:
-        """A sentence on the match that moves the pose most; empty where none is worth a check."""
+        """A sentence on the most influential match; empty where no match is influential enough to be checked."""
         if self.influence is None or not len(self.influence.cook):
             return ""
-        worth = self.influence.cook[self.influence.most] >= WORTH_A_CHECK
-        return self.influence.in_words() if worth else ""
+        influential = self.influence.cook[self.influence.most_influential] >= INFLUENTIAL_COOK
+        return self.influence.summary() if influential else ""
 
 
 def _findings(result: PoseResult) -> tuple[Finding, ...]:
     if len(result.matches) == 0 and result.accepted:
         raise DegenerateGeometryError(
-            "the pose has no matches of its own to be judged by, as one that was carried over has none"
+            "the pose has no matches of its own to assess it by, as it was carried over from another photo"
         )
     return findings(result)
 
 
 def assess(scan: Scan, result: PoseResult) -> Assessment:
-    """Return what there is to say of a registration, accepted or not.
+    """Assess a registration, accepted or not.
 
     Args:
         scan: the scan.
@@ -97,60 +97,68 @@ def assess(scan: Scan, result: PoseResult) -> Assessment:
     """
     absent: dict[str, str] = {}
 
-    def part(name: str, work: Callable[[], T]) -> T | None:
+    def attempt(name: str, work: Callable[[], T]) -> T | None:
         try:
             with np.errstate(all="ignore"):
                 return work()
         except LadarregError as error:
             absent[name] = str(error)
         except np.linalg.LinAlgError:
-            absent[name] = "the matches and the pose contradict each other so far that nothing can be computed"
+            absent[name] = "the matches contradict the pose so strongly that nothing can be computed"
         return None
 
     return Assessment(
-        part("findings", lambda: _findings(result)),
-        part("influence", lambda: influence(result)),
-        part("uncertainty", lambda: _uncertainty(scan, result)),
-        part("advice", lambda: _advice(scan, result)),
+        attempt("findings", lambda: _findings(result)),
+        attempt("influence", lambda: influence(result)),
+        attempt("uncertainty", lambda: _uncertainty(scan, result)),
+        attempt("advice", lambda: _advice(scan, result)),
         absent,
     )
 
 
 def _uncertainty(scan: Scan, result: PoseResult) -> PictureUncertainty:
-    _check_pose(result)
+    _require_usable_pose(result)
     camera, pose = result.camera, result.camera_from_scanner
     sigma = picture_sigma(scan, camera, pose, result.covariance)
     known = np.isfinite(sigma)
     uv = np.full((*scan.shape, 2), np.nan, dtype=np.float32)
-    # Rows of a (3, N) matrix: a million products with a 3 x 3 one take ten times as long.
-    turned = pose.rotation.astype(np.float32) @ np.ascontiguousarray(scan.points[known].T, dtype=np.float32)
-    uv[known] = camera.project((turned + pose.translation.astype(np.float32)[:, None]).T)
+    # One product with a (3, N) matrix is ten times as fast as a million products with 3 x 3 ones.
+    rotated = pose.rotation.astype(np.float32) @ np.ascontiguousarray(scan.points[known].T, dtype=np.float32)
+    uv[known] = camera.project((rotated + pose.translation.astype(np.float32)[:, None]).T)
     known &= camera.contains(uv)
     if not known.any():
         raise DegenerateGeometryError("no cell of the scan lies in the photo; check the pose and the camera")
-    within = np.where(known, sigma, np.float32(np.nan))
+    sigma_in_photo = np.where(known, sigma, np.float32(np.nan))
     median, p95 = (float(v) for v in np.percentile(sigma[known].astype(np.float64), (50, 95)))
     around = median_range(scan.ranges)
     spike = ~(np.abs(scan.ranges - around) <= SPIKE_FRACTION * around)
-    judged = np.where(spike, np.float32(np.nan), within) if (known & ~spike).any() else within
-    row, column = (int(v) for v in np.unravel_index(int(np.nanargmax(judged)), scan.shape))
+    without_spikes = np.where(spike, np.float32(np.nan), sigma_in_photo) if (known & ~spike).any() else sigma_in_photo
+    row, column = (int(v) for v in np.unravel_index(int(np.nanargmax(without_spikes)), scan.shape))
     worst = uv[row, column]
     return PictureUncertainty(
-        within, median, p95, float(within[row, column]), (row, column), worst, part_of_photo(worst, camera)
+        sigma_in_photo,
+        median,
+        p95,
+        float(sigma_in_photo[row, column]),
+        (row, column),
+        worst,
+        part_of_photo(worst, camera),
     )
 
 
-def _advice(scan: Scan, result: PoseResult) -> tuple[Place, ...]:
-    _check_pose(result)
-    found = advise(scan, result)
+def _advice(scan: Scan, result: PoseResult) -> tuple[SuggestedMatch, ...]:
+    _require_usable_pose(result)
+    found = suggest_matches(scan, result)
     if not found:
-        raise DegenerateGeometryError("the photo sees no surface of the scan where a match is missing")
+        raise DegenerateGeometryError("no scan surface in the photo is free for another match")
     return found
 
 
-def _check_pose(result: PoseResult) -> None:
+def _require_usable_pose(result: PoseResult) -> None:
     if not result.accepted and not result.inliers.any():
-        raise DegenerateGeometryError("no match agrees with the pose, so it says nothing of the picture; add matches")
+        raise DegenerateGeometryError(
+            "no match agrees with the pose, so its uncertainty cannot be computed; add matches"
+        )
 
 
 def _px(value: float) -> str:

@@ -1,7 +1,8 @@
-"""What the matches of a pose tell of it, beside what as many would tell if they were well placed.
+"""Conditioning of a pose: its uncertainty compared with that of an ideal layout of as many matches.
 
-Well placed is: evenly over the photo, and from near to far as in a room. Both are told by the Fisher information, so
-that the comparison holds for any camera, any noise and any number of matches.
+The ideal layout spreads the matches evenly over the photo, and in range from near to far as in a room. Both
+uncertainties come from the Fisher information, so that the comparison holds for any camera, noise and number of
+matches.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 
 FAR_OVER_NEAR = 2.8
-"""Of well-placed matches: nine tenths of them then span a factor of 2.5, as those of a room 2 to 6 m deep do."""
-_REFERENCE = 192
+"""Range ratio of the ideal layout; nine tenths of the matches then span a factor of 2.5, as in a room 2 to 6 m deep."""
+_IDEAL_COUNT = 192
 _R3 = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
-_UNDETERMINED = 1e-12  # of the largest eigenvalue: below it rounding alone speaks
-_TAKES_PART = 0.5  # of the largest component
+_UNDETERMINED = 1e-12  # of the largest eigenvalue; below it rounding dominates
+_CONTRIBUTES = 0.5  # of the largest component
 _MOTIONS = (
     "tilting up or down",
     "turning about the vertical",
@@ -36,23 +37,24 @@ _MOTIONS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
-    """How much the places of the matches cost."""
+class Conditioning:
+    """Cost of the layout of the matches, relative to an ideal layout."""
 
     position_cost: float
-    """Standard deviation of the camera's place over that by well-placed matches; infinite where undetermined."""
+    """Standard deviation of the camera position over that of the ideal layout; infinite where undetermined."""
     picture_cost: float
-    """The same of the picture, median over the photo."""
+    """The same ratio for pixel positions, median over the photo."""
     ratio: float
     """Standard deviation of the worst determined motion over that of the best, lengths in mean ranges (rad)."""
-    well_placed_ratio: float
-    """The same of well-placed matches: 1 is out of reach, since turning aside resembles stepping aside."""
+    ideal_ratio: float
+    """The same ratio for the ideal layout; it exceeds 1, since panning resembles moving sideways."""
     worst_motion: str
-    """The worst determined motion in the photo's axes: 'moving forward or backward', or two that hide each other."""
+    """The worst determined motion in camera axes: 'moving forward or backward', or two that are confounded."""
 
 
-def placement(result: PoseResult) -> Placement | None:
-    """Return what the places of the inliers cost; None where fewer than 4 of them are seen, or the photo sees nothing.
+def assess_conditioning(result: PoseResult) -> Conditioning | None:
+    """Compare the inliers with an ideal layout; None with fewer than 4 visible inliers, or where the photo sees
+    nothing.
 
     Args:
         result: a pose with its matches, their noise and inliers.
@@ -67,35 +69,35 @@ def placement(result: PoseResult) -> Placement | None:
         return None
     matches = matches.subset(seen)
     reach = float(np.median(np.linalg.norm(pose @ matches.points, axis=1)))
-    well = _well_placed(matches, camera, pose, reach)
-    if len(well) < LEAST_MATCHES:
+    ideal = _ideal_matches(matches, camera, pose, reach)
+    if len(ideal) < LEAST_MATCHES:
         return None
-    _, J = pose_jacobian(pose, well.points, camera)
+    _, J = pose_jacobian(pose, ideal.points, camera)
     J = J[np.isfinite(J).all(axis=(1, 2))]
-    here, there = (_Determined.by(some, result, reach) for some in (matches, well))
-    return Placement(
-        here.position / there.position,
-        here.picture(J) / there.picture(J),
-        here.ratio,
-        there.ratio,
-        here.worst_motion(),
+    actual, best = (_Determined.by(some, result, reach) for some in (matches, ideal))
+    return Conditioning(
+        actual.position / best.position,
+        actual.picture(J) / best.picture(J),
+        actual.ratio,
+        best.ratio,
+        actual.worst_motion(),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Determined:
-    """The motions that matches determine, from the worst to the best: (w, R c / reach), rad."""
+    """Principal motions (w, R c / reach), rad, that matches determine, from the worst to the best."""
 
     sigmas: FloatArray
-    """(6,) falling."""
+    """(6,) standard deviations, descending."""
     motions: FloatArray
-    """(6, 6) one a column."""
+    """(6, 6), one motion per column."""
     to_pose: FloatArray
-    """(6, 6) to (w, c)."""
+    """(6, 6) map to (w, c)."""
 
     @staticmethod
     def by(matches: Matches, result: PoseResult, reach: float) -> _Determined:
-        """Return what the matches determine at the result's pose."""
+        """Return the motions that the matches determine at the result's pose."""
         measured = Measurements.of(matches, result.camera, sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m)
         H = information_matrix(measured, States.of([result.camera_from_scanner], measured))[0]
         to_pose = np.eye(6)
@@ -107,12 +109,12 @@ class _Determined:
 
     @property
     def position(self) -> float:
-        """Standard deviation of the camera's place, m."""
+        """Standard deviation of the camera position, m."""
         return self._spread(self.to_pose[3:])
 
     @property
     def ratio(self) -> float:
-        """Worst over best."""
+        """Worst standard deviation over best."""
         return float(self.sigmas[0] / self.sigmas[-1])
 
     def picture(self, J: FloatArray) -> float:
@@ -123,9 +125,9 @@ class _Determined:
         return float(np.sqrt(np.median((by_motion * by_motion).sum(axis=(1, 2)))))
 
     def worst_motion(self) -> str:
-        """Return the worst motion in words."""
+        """Return the name of the worst determined motion."""
         parts = np.abs(self.motions[:, 0])
-        chosen = [k for k in np.argsort(-parts).tolist() if parts[k] >= _TAKES_PART * parts.max()][:2]
+        chosen = [k for k in np.argsort(-parts).tolist() if parts[k] >= _CONTRIBUTES * parts.max()][:2]
         return " together with ".join(_MOTIONS[k] for k in sorted(chosen, reverse=True))
 
     def _spread(self, rows: FloatArray) -> float:
@@ -135,25 +137,25 @@ class _Determined:
         return float(np.sqrt((parts * parts).sum()))
 
 
-def _well_placed(matches: Matches, camera: Camera, pose: Rigid, reach: float) -> Matches:
-    """Return matches all over the photo, around the same distance and of the same information in all.
+def _ideal_matches(matches: Matches, camera: Camera, pose: Rigid, reach: float) -> Matches:
+    """Return the ideal layout: matches all over the photo, around the same distance and of the same total information.
 
-    Many that weigh little: a few at random places would be well placed by luck only.
+    It consists of many matches of little weight; the quality of a few random ones would depend on chance.
     """
     assert matches.weights is not None
     assert matches.range_weights is not None
     # Roberts' sequence for three dimensions: even, and the same at every call.
-    even = np.mod(0.5 + np.arange(1, _REFERENCE + 1)[:, None] * _R3, 1)
+    even = np.mod(0.5 + np.arange(1, _IDEAL_COUNT + 1)[:, None] * _R3, 1)
     uv = even[:, :2] * camera.size - 0.5
     rays = camera.unproject(uv)
-    at = pose.inverse @ (rays * (reach * FAR_OVER_NEAR ** (even[:, 2:] - 0.5)))
-    ranges = np.linalg.norm(at, axis=1)
+    points = pose.inverse @ (rays * (reach * FAR_OVER_NEAR ** (even[:, 2:] - 0.5)))
+    ranges = np.linalg.norm(points, axis=1)
     usable = np.isfinite(ranges) & (ranges > 0)
-    at, ranges, uv = at[usable], ranges[usable], uv[usable]
-    count = len(at)
+    points, ranges, uv = points[usable], ranges[usable], uv[usable]
+    count = len(points)
     total = float((matches.weights * matches.dimensions / 2).sum())
     return Matches(
-        at / ranges[:, None],
+        points / ranges[:, None],
         ranges,
         uv,
         weights=np.full(count, total / max(count, 1)),

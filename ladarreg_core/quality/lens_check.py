@@ -1,9 +1,9 @@
-"""Whether what is left over after the pose points at the focal length or the lens.
+"""Check of the focal length and the lens distortion against the residuals of a pose.
 
-A focal length that is wrong by the share s moves every ideal pixel x by s x, a lens that bends more than was said by
-k r^2 x. One Gauss-Newton step of the pose with either beside it tells how much of that the residuals hold, and how far
-the pose would move with it. Most of such an error hides in the pose: a growth of the residuals with the radius alone
-would show a fraction of it.
+A focal length wrong by the share s moves every ideal pixel x by s x; a wrong distortion coefficient moves it by
+k r^2 x. One Gauss-Newton step of the pose together with either parameter estimates the parameter from the residuals,
+and the shift of the pose that would follow. The pose has to be free in that step, since it absorbs most of such an
+error: the growth of the residuals with the radius alone would show a fraction of it.
 
 Source: Rao's score test (1948); the system is that of `bundle`.
 """
@@ -20,33 +20,34 @@ from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, adjust_range
 from ladarreg_core.results import PoseResult
 
 LEAST_MATCHES_OF_LENS = 12
-"""With fewer a noise of its own passes for a lens."""
+"""With fewer matches, noise can be mistaken for a lens error."""
 MOST_SIGMA_AT_EDGE = 0.02
-"""Of an ideal pixel's distance from the middle: a change known less well is far from linear, and no hint."""
-_UNDETERMINED = 1e-6  # of the information that a held pose would leave
+"""Largest standard deviation of the change, relative to the radius of the outermost ideal pixel; beyond it the step is
+far from linear and is not reported."""
+_UNDETERMINED = 1e-6  # of the information that a fixed pose would give
 
 
 @dataclass(frozen=True, slots=True)
-class LensHint:
-    """A change of the camera that the residuals ask for."""
+class LensCheck:
+    """Change of the camera that would reduce the residuals most significantly."""
 
     kind: Literal["focal", "lens"]
     """`focal`: a longer or shorter focal length; `lens`: a stronger or weaker distortion."""
     change: float
     """Relative change of the focal length, or of k1."""
     sigma: float
-    """Standard deviation of `change`, by the scatter that the matches show."""
-    moves_sigmas: float
-    """How far the camera's place would move with it, in the pose's own standard deviations."""
+    """Standard deviation of `change`, from the scatter of the matches."""
+    shift_sigmas: float
+    """Shift of the camera position that would follow, in standard deviations of the pose."""
 
     @property
     def significance(self) -> float:
-        """The change in its own standard deviations, at least 0."""
+        """The change over its standard deviation, at least 0."""
         return abs(self.change) / self.sigma
 
 
-def lens_hint(result: PoseResult) -> LensHint | None:
-    """Return the more significant of both changes; None where the matches tell neither.
+def check_lens(result: PoseResult) -> LensCheck | None:
+    """Return the more significant of the two changes; None where the matches determine neither.
 
     Args:
         result: a pose with its matches, their noise and inliers.
@@ -74,36 +75,36 @@ def lens_hint(result: PoseResult) -> LensHint | None:
     H, g = K.reshape(8, -1) @ J.reshape(8, -1).T, K.reshape(8, -1) @ e.ravel()
     chi2 = float((by_match * e).sum())
     farthest = float(squared.max())
-    hints = [
-        hint
-        for hint in (
-            _hint("focal", H, g, chi2, 6, dof, 1.0),
-            _hint("lens", H, g, chi2, 7, dof, farthest),
+    checks = [
+        check
+        for check in (
+            _check("focal", H, g, chi2, 6, dof, 1.0),
+            _check("lens", H, g, chi2, 7, dof, farthest),
         )
-        if hint is not None
+        if check is not None
     ]
-    return max(hints, key=lambda hint: hint.significance, default=None)
+    return max(checks, key=lambda check: check.significance, default=None)
 
 
-def _hint(
+def _check(
     kind: Literal["focal", "lens"], H: FloatArray, g: FloatArray, chi2: float, k: int, dof: int, at_edge: float
-) -> LensHint | None:
-    """Return what parameter k beside the pose would be; None where the pose can do nearly all that it does."""
+) -> LensCheck | None:
+    """Estimate parameter k together with the pose; None where the pose absorbs nearly all of its effect."""
     scale = np.sqrt(np.maximum(np.diag(H)[:6], 1e-300))
     pose = H[:6, :6] / np.outer(scale, scale)
     if not np.linalg.eigvalsh(pose)[0] > _UNDETERMINED**2:
         return None
     inverse = np.linalg.inv(pose) / np.outer(scale, scale)
-    follows = inverse @ H[:6, k]
-    information = float(H[k, k] - H[k, :6] @ follows)
+    response = inverse @ H[:6, k]
+    information = float(H[k, k] - H[k, :6] @ response)
     if not information > _UNDETERMINED * H[k, k]:
         return None
-    alone = inverse @ g[:6]
-    change = float(g[k] - H[k, :6] @ alone) / information
-    left = chi2 - float(g[:6] @ alone) - change * change * information
-    noise = max(1.0, left / dof)
+    pose_step = inverse @ g[:6]
+    change = float(g[k] - H[k, :6] @ pose_step) / information
+    remaining = chi2 - float(g[:6] @ pose_step) - change * change * information
+    noise = max(1.0, remaining / dof)
     position = np.sqrt(np.trace(inverse[3:, 3:]) * noise)
     sigma = float(np.sqrt(noise / information))
     if sigma * at_edge > MOST_SIGMA_AT_EDGE:
         return None
-    return LensHint(kind, change, sigma, float(np.linalg.norm(follows[3:] * change) / position))
+    return LensCheck(kind, change, sigma, float(np.linalg.norm(response[3:] * change) / position))

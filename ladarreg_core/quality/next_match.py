@@ -1,11 +1,12 @@
-"""Where the next match would help most.
+"""Suggestions for the next match: the positions where one would reduce the uncertainty of the pose most.
 
-A match in a place adds information to the pose; its gain is the growth of log det of that information,
+A match adds information to the pose; its gain is the growth of log det of that information,
 
     log det(S + J P J^T) - log det S
 
-with P the pose's covariance, J the pixel's derivative by the pose and S the covariance of the new match's residual, its
-pixel's noise and its range's. Source: Fedorov, Theory of optimal experiments (1972): D-optimal design.
+with P the covariance of the pose, J the derivative of the pixel by the pose and S the covariance of the new match's
+residual, from its pixel noise and its range noise. Source: Fedorov, Theory of optimal experiments (1972): D-optimal
+design.
 """
 
 from __future__ import annotations
@@ -26,77 +27,78 @@ from ladarreg_core.surface.uncertainty import covariance_factor
 from ladarreg_core.surface.visibility import project_scan
 
 _CANDIDATES = 900
-_MOST_PLACES = 100
-_BORDER = 0.02  # of the photo's shorter side: nearer to its edge there is nothing to pick by
-_TAKEN = 0.02  # of the photo's diagonal around a match: the same thing twice is no second measurement
-_HALF = 0.6  # what is left of an uncertainty that may be called halved
+_MOST_SUGGESTIONS = 100
+_BORDER = 0.02  # of the photo's shorter side: nearer to its edge there is too little context to pick by
+_TAKEN = 0.02  # of the photo's diagonal around a match: picking the same detail again adds no measurement
+_HALF = 0.6  # remaining share of an uncertainty that the text calls halved
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """A place where a match would help, and by how much."""
+class SuggestedMatch:
+    """Position where a match would help, with its gain."""
 
     ray: FloatArray
     """(3,) unit, scanner frame."""
     cell: tuple[int, int]
     """Row and column of the scan."""
     uv: FloatArray
-    """(2,) photo pixel where the pose expects it."""
+    """(2,) photo pixel predicted by the pose."""
     where: str
-    """Which part of the photo: 'the upper left', 'the middle', ..."""
+    """Part of the photo: 'the upper left', 'the middle', ..."""
     gain: float
-    """Growth of log det of the pose's information by a match here, after those at the places before it."""
-    here_px: tuple[float, float]
-    """Standard deviation of the picture here, now and with this match alone, px."""
+    """Growth of log det of the pose's information by this match, given the suggestions before it."""
+    local_px: tuple[float, float]
+    """Standard deviation of the pixel position here, now and with this match alone, px."""
     median_px: tuple[float, float]
-    """Median standard deviation over the picture, now and with this match alone, px."""
+    """Median standard deviation over the photo, now and with this match alone, px."""
 
-    def in_words(self) -> str:
-        """Return the advice as a sentence."""
-        now, then = self.here_px
-        left = then / now if now > 0 else 1.0
-        if left <= 1 - _HALF:
-            does = "more than halve the uncertainty there"
-        elif left <= _HALF:
-            does = "halve the uncertainty there"
+    def summary(self) -> str:
+        """Return the suggestion as a sentence."""
+        now, then = self.local_px
+        remaining = then / now if now > 0 else 1.0
+        if remaining <= 1 - _HALF:
+            effect = "more than halve the uncertainty there"
+        elif remaining <= _HALF:
+            effect = "halve the uncertainty there"
         else:
-            does = f"lower the uncertainty there by {1 - left:.0%}"
+            effect = f"reduce the uncertainty there by {1 - remaining:.0%}"
         return (
-            f"A match near {self.where} of the photo, around pixel ({self.uv[0]:.0f}, {self.uv[1]:.0f}), would {does} "
-            f"({_px(now)} to {_px(then)} px) and bring the whole picture's from {_px(self.median_px[0])} to "
+            f"A match near {self.where} of the photo, around pixel ({self.uv[0]:.0f}, {self.uv[1]:.0f}), would "
+            f"{effect} ({_px(now)} to {_px(then)} px) and the median over the photo from {_px(self.median_px[0])} to "
             f"{_px(self.median_px[1])} px."
         )
 
 
-def advise(
+def suggest_matches(
     scan: Scan,
     result: PoseResult,
     *,
-    places: int = 3,
+    count: int = 3,
     apart: float = 0.15,
     pickable: BoolArray | None = None,
-) -> tuple[Place, ...]:
-    """Return where the next match would help most, best first; none where the photo sees nothing that can be picked.
+) -> tuple[SuggestedMatch, ...]:
+    """Return the positions where the next match would help most, best first; none where the photo sees nothing
+    pickable.
 
-    Places are surfaces that the photo sees, away from its edge, from depth edges and from the matches that there are.
-    Each after the first is the best once the ones before it have been used.
+    Positions lie on surfaces that the photo sees, away from its border, from depth edges and from existing matches.
+    Each after the first is the best one given that those before it have been used.
 
     Args:
         scan: the scan.
         result: a pose of a photo of it, with its covariance and noise.
-        places: at most so many.
-        apart: least distance between places in the photo, as a share of its diagonal.
-        pickable: (H, W) bool, cells that show something to pick by; None: all.
+        count: number of suggestions at most.
+        apart: least distance between suggestions in the photo, as a share of its diagonal.
+        pickable: (H, W) bool, cells with detail that can be picked; None: all.
 
     Raises:
-        OptionError: if `places` is not a whole number from 1 to 100, or `apart` not a number from 0 to 1.
+        OptionError: if `count` is not a whole number from 1 to 100, or `apart` not a number from 0 to 1.
         ShapeError: if the mask is not on the scan's grid, or the pose's covariance is not finite and positive.
 
     Source: Fedorov, Theory of optimal experiments (1972).
     """
-    whole = isinstance(places, int | np.integer) and not isinstance(places, bool)
-    if not whole or not 1 <= places <= _MOST_PLACES:
-        raise OptionError(f"places is {places!r}; it must be a whole number from 1 to {_MOST_PLACES}")
+    whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
+    if not whole or not 1 <= count <= _MOST_SUGGESTIONS:
+        raise OptionError(f"count is {count!r}; it must be a whole number from 1 to {_MOST_SUGGESTIONS}")
     number = isinstance(apart, int | float | np.floating | np.integer) and not isinstance(apart, bool)
     if not number or not 0 <= apart <= 1:
         raise OptionError(f"apart is {apart!r}; it must be a number from 0 to 1")
@@ -107,41 +109,42 @@ def advise(
     pose, camera = result.camera_from_scanner, result.camera
     projection = project_scan(scan, camera, pose)
     seen = projection.visible & ~projection.grazing & ~projection.untested
-    judged = _seen_at(scan, camera, pose, _spread_over(seen))
-    free = judged if pickable is None else _seen_at(scan, camera, pose, _spread_over(seen & pickable))
-    free = free.subset(_free(free, result))
+    sampled = _seen_at(scan, camera, pose, _spread_over(seen))
+    free = sampled if pickable is None else _seen_at(scan, camera, pose, _spread_over(seen & pickable))
+    free = free.subset(_away_from_matches(free, result))
     if not len(free):
         return ()
 
     noise = _noise(free, result)
     diagonal = float(np.hypot(*camera.size))
-    now = _sigma(judged.by_pose, covariance)
+    now = _sigma(sampled.by_pose, covariance)
     usable = np.ones(len(free), dtype=np.bool_)
-    given: FloatArray = covariance
-    found: list[Place] = []
-    while len(found) < places and usable.any():
-        gains = np.where(usable, _gains(free.by_pose, noise, given), -np.inf)
+    updated: FloatArray = covariance
+    found: list[SuggestedMatch] = []
+    while len(found) < count and usable.any():
+        gains = np.where(usable, _gains(free.by_pose, noise, updated), -np.inf)
         k = int(np.argmax(gains))
         alone = _with_match(covariance, free.by_pose[k], noise[k])
         here = free.by_pose[k : k + 1]
         found.append(
-            Place(
+            SuggestedMatch(
                 free.rays[k],
                 (int(free.cells[k, 0]), int(free.cells[k, 1])),
                 free.uv[k],
                 part_of_photo(free.uv[k], camera),
                 float(gains[k]),
                 (float(_sigma(here, covariance)[0]), float(_sigma(here, alone)[0])),
-                (float(np.median(now)), float(np.median(_sigma(judged.by_pose, alone)))),
+                (float(np.median(now)), float(np.median(_sigma(sampled.by_pose, alone)))),
             )
         )
-        given = _with_match(given, free.by_pose[k], noise[k])
+        updated = _with_match(updated, free.by_pose[k], noise[k])
         usable &= np.linalg.norm(free.uv - free.uv[k], axis=1) > apart * diagonal
     return tuple(found)
 
 
 def part_of_photo(uv: FloatArray, camera: Camera) -> str:
-    """Return which of nine parts of the photo a pixel (2,) lies in: 'the upper left', 'the right', 'the middle'."""
+    """Return the part of the photo, one of nine, that contains a pixel (2,): 'the upper left', 'the right', 'the
+    middle'."""
     across, down = (float(uv[k] + 0.5) / camera.size[k] for k in range(2))
     horizontal = "left" if across < 1 / 3 else "right" if across > 2 / 3 else ""
     vertical = "upper" if down < 1 / 3 else "lower" if down > 2 / 3 else ""
@@ -154,7 +157,7 @@ def part_of_photo(uv: FloatArray, camera: Camera) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cells:
-    """Some cells as the pose sees them."""
+    """Scan cells with their photo pixels under a pose."""
 
     cells: IntArray
     """(N, 2) row, column."""
@@ -175,12 +178,12 @@ class _Cells:
 
 
 def _spread_over(mask: BoolArray) -> IntArray:
-    """Return some hundred cells (N, 2) of a mask: of each block of the grid the one nearest to its middle."""
+    """Return some hundred cells (N, 2) of a mask: in each block of the grid, the one nearest to its centre."""
     count = int(np.count_nonzero(mask))
     stride = max(1, int(np.sqrt(count / _CANDIDATES)))
     fine = max(1, stride // 4)
     rows, columns = (index * fine for index in np.nonzero(mask[::fine, ::fine]))
-    if len(rows) * fine * fine < count / 3:  # a mask of single rows or columns, which such a sample may miss
+    if len(rows) * fine * fine < count / 3:  # a mask of single rows or columns, which the coarse sample may miss
         rows, columns = np.nonzero(mask)
     off = (rows % stride - stride / 2) ** 2 + (columns % stride - stride / 2) ** 2
     block = rows // stride * (mask.shape[1] // stride + 1) + columns // stride
@@ -191,7 +194,7 @@ def _spread_over(mask: BoolArray) -> IntArray:
 
 
 def _seen_at(scan: Scan, camera: Camera, pose: Rigid, cells: IntArray) -> _Cells:
-    """Return the cells that have a surface around them and a pixel."""
+    """Return those cells that lie on a surface and inside the photo."""
     rays = scan.geometry.ray_at(cells)
     ranges = surface_range(scan, rays) if len(rays) else np.zeros(0)
     uv, by_pose = pose_jacobian(pose, rays * ranges[:, None], camera)
@@ -199,8 +202,8 @@ def _seen_at(scan: Scan, camera: Camera, pose: Rigid, cells: IntArray) -> _Cells
     return _Cells(cells, rays, ranges, uv, by_pose).subset(usable)
 
 
-def _free(candidates: _Cells, result: PoseResult) -> BoolArray:
-    """Return which candidates (N,) lie within the photo's border and not on a match."""
+def _away_from_matches(candidates: _Cells, result: PoseResult) -> BoolArray:
+    """Return which candidates (N,) lie off the photo's border and away from the existing matches."""
     camera = result.camera
     inside = camera.contains(candidates.uv, border=_BORDER * min(camera.size))
     taken = result.matches.uv[result.inliers]
@@ -212,8 +215,8 @@ def _free(candidates: _Cells, result: PoseResult) -> BoolArray:
 
 
 def _noise(cells: _Cells, result: PoseResult) -> FloatArray:
-    """Return the covariance (N, 2, 2) of a match's residual from its measured range, px^2."""
-    # A range that is off moves the point along its ray, as the camera moving back along it would.
+    """Return the covariance (N, 2, 2) of the residual of a match, px^2, from its pixel and its range noise."""
+    # A range error moves the point along its ray; so would an opposite shift of the camera.
     by_range = -np.einsum("nij,nj->ni", cells.by_pose[..., 3:], cells.rays)
     spread = by_range[:, :, None] * by_range[:, None]
     return np.asarray(result.sigma_px**2 * np.eye(2) + result.sigma_range_m**2 * spread)
@@ -226,14 +229,15 @@ def _gains(by_pose: FloatArray, noise: FloatArray, covariance: FloatArray) -> Fl
 
 
 def _with_match(covariance: FloatArray, by_pose: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return the pose's covariance after one more match: Kalman's update, in the form that stays positive."""
+    """Return the covariance of the pose after one more match: the Kalman update in Joseph form, which stays
+    positive."""
     gain = covariance @ by_pose.T @ np.linalg.inv(by_pose @ covariance @ by_pose.T + noise)
-    left = np.eye(6) - gain @ by_pose
-    return np.asarray(left @ covariance @ left.T + gain @ noise @ gain.T)
+    remaining = np.eye(6) - gain @ by_pose
+    return np.asarray(remaining @ covariance @ remaining.T + gain @ noise @ gain.T)
 
 
 def _sigma(by_pose: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the longer half axis (N,) of the pixels' one-sigma ellipses, px."""
+    """Return the semi-major axis (N,) of the one-sigma ellipses of the pixels, px."""
     predicted = by_pose @ covariance @ by_pose.swapaxes(1, 2)
     return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(predicted)[:, -1], 0)))
 

@@ -1,12 +1,13 @@
-"""Range smoothing by stereo: a range that its match contradicts gives way to the one that the match shows.
+"""Range smoothing by stereo: a range that contradicts its match is replaced by the range that the match shows.
 
-Where a laser's range and the stereo depth of a match differ by far, the range is mostly a spike. The range that puts
-the ray's point nearest to the match's pixel replaces it. Each point is replaced by itself alone, by no average over
-its neighbours, so that edges stay as they are.
+Where the laser range and the stereo depth of a match differ a lot, the range is mostly a spike. It is replaced by the
+range at which the point on the ray projects nearest to the pixel of the match. Each point is replaced on its own, not
+by an average of its neighbours, so that edges are preserved.
 
-The thesis takes "estimates based on their stereo depth", of which Eq 2.19 and 2.20 give two. Their mean has a pole
-wherever one of the two disparities vanishes, as along lines through the epipole of a camera ahead of the scanner (1 m
-ahead in a room: 4 m rms against .08 m); least squares in pixels weighs both by what they tell and has none.
+The thesis uses "estimates based on their stereo depth", of which Eq 2.19 and 2.20 give two. Their mean has a pole
+wherever one of the two disparities vanishes, as along lines through the epipole of a camera in front of the scanner (1
+m in front, in a room: 4 m rms instead of .08 m); least squares in pixels weights both by their information and has no
+pole.
 
 Source: thesis 3.2, Figure 3.5.
 """
@@ -24,28 +25,31 @@ from ladarreg_core.errors import CameraError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
+from ladarreg_core.pose.diagnostics import diagnose
+from ladarreg_core.quality.limits import MOST_SIGMA_Z_OVER_Z
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
 
-_NOBODY_KNOWS_M = 1e6  # a standard deviation that leaves the range to the pixel
-_MOST_FACTOR = 100.0  # no scanner errs by more; without a baseline rounding alone may say anything
+_UNKNOWN_RANGE_SIGMA_M = 1e6  # so large that the pixel alone determines the range
+_MOST_FACTOR = 100.0  # larger than any scanner's error; without a baseline, rounding may yield any range
 _UNIT_TOLERANCE = 1e-3
 _MOST_RANGE_M, _MOST_PIXEL = 1e7, 1e7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SmoothOptions:
-    """When a range gives way to stereo."""
+    """Conditions for replacing a range by stereo."""
 
     sigma_px: float = 1.0
     """Pixel noise of the matches, px."""
     significance: float = 5.0
-    """How many standard deviations nearer to the pixel the stereo range must project than the laser's to replace it.
+    """Significance, in standard deviations of the pixel, by which the stereo range must fit better than the laser's.
 
-    Told in pixels: a small disparity's range is far from normally distributed, the pixel is not."""
+    It is measured in pixels since the range of a small disparity is far from normally distributed."""
     across_sigma: float = 2.58
-    """How many standard deviations a pixel may lie off its epipolar line; beyond, the match is wrong, not the range."""
+    """Largest distance of a pixel from its epipolar line, in standard deviations; beyond it the match is wrong, not the
+    range."""
 
     def __post_init__(self) -> None:
         for name in ("sigma_px", "significance", "across_sigma"):
@@ -54,16 +58,28 @@ class SmoothOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothedRanges:
-    """Ranges without the spikes that their matches contradict."""
+    """Ranges with the spikes that contradict their matches replaced."""
 
     ranges: FloatArray
-    """(M,) m: as measured, or by stereo where replaced."""
+    """(M,) m: measured, or from stereo where replaced."""
     replaced: BoolArray
     """(M,) bool."""
     stereo_ranges: FloatArray
-    """(M,) m, at which the ray's point lies nearest to its pixel; NaN where that means nothing."""
+    """(M,) m, at which the point on the ray projects nearest to the pixel; NaN where undetermined."""
     sigma_m: FloatArray
     """(M,) standard deviation of `stereo_ranges`, m; infinite where the disparity does not determine them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothedScan:
+    """Scan with the range spikes under its matches replaced, and a report on it."""
+
+    scan: Scan
+    """The scan to show; the given one where nothing was replaced."""
+    cells_replaced: int
+    """Number of cells with a new range."""
+    sentence: str
+    """What was replaced, or why nothing was."""
 
 
 def smooth_ranges(
@@ -75,43 +91,45 @@ def smooth_ranges(
     covariance: ArrayLike | None = None,
     options: SmoothOptions | None = None,
 ) -> SmoothedRanges:
-    """Replace each range that its match contradicts by the range that the match shows.
+    """Replace each range that contradicts its match by the range that the match shows.
 
-    A range is kept where stereo lies within the threshold of it, where stereo is less certain than the threshold or
-    the pixels' noise explains the difference, and where the pixel lies off the epipolar line. A mismatch that happens
-    to lie on that line cannot be told from a spike.
+    A range is kept where stereo agrees with it within the threshold, where stereo is less certain than the threshold or
+    the pixel noise explains the difference, and where the pixel lies off the epipolar line. A false match that happens
+    to lie on that line cannot be distinguished from a spike.
 
     Args:
         matches: M matches; a weight multiplies the information of its pixel.
         camera: the photo's camera.
         camera_from_scanner: the pose.
-        threshold_m: the largest difference of laser and stereo, along the ray, that is no spike, m: one or (M,).
+        threshold_m: largest difference between laser and stereo along the ray that is not a spike, m: one value or
+            (M,).
         covariance: (6, 6) of the pose, as in `PoseResult`; None: the pose is exact.
-        options: when a difference counts; None: the defaults.
+        options: conditions for replacing a range; None: the defaults.
 
     Returns:
-        The ranges, in the matches' order.
+        The ranges, in the order of the matches.
 
     Raises:
-        ShapeError: if a match holds what is not finite, a range or weight that is not positive, a ray that is not
-            unit or a range or pixel beyond 1e7, or if thresholds or covariance are of another shape or not finite.
-        OptionError: if a threshold is not a positive number, or the pose or the options are something else.
-        CameraError: if `camera` is none.
+        ShapeError: if a match has a value that is not finite, a range or weight that is not positive, a ray that is not
+            a unit vector or a range or pixel beyond 1e7, or if thresholds or covariance have another shape or are not
+            finite.
+        OptionError: if a threshold is not a positive number, or the pose or the options have another type.
+        CameraError: if `camera` is not a `Camera`.
 
     Source: thesis 3.2, Figure 3.5.
     """
     options = SmoothOptions() if options is None else options
     _check_inputs(matches, camera, camera_from_scanner, options)
     threshold = _checked_threshold(threshold_m, len(matches))
-    spread = _checked_covariance(covariance)
+    pose_covariance = _checked_covariance(covariance)
     if len(matches) == 0:
         nothing = np.zeros(0)
         return SmoothedRanges(nothing, nothing.astype(np.bool_), nothing, nothing)
-    measured = Measurements.of(matches, camera, sigma_px=options.sigma_px, sigma_range_m=_NOBODY_KNOWS_M)
+    measured = Measurements.of(matches, camera, sigma_px=options.sigma_px, sigma_range_m=_UNKNOWN_RANGE_SIGMA_M)
     rho = _nearest_on_ray(measured, camera_from_scanner)
     with np.errstate(invalid="ignore"):
         known = (rho > matches.ranges / _MOST_FACTOR) & (rho < matches.ranges * _MOST_FACTOR)
-    # Two states of one pose: its ranges by stereo, and as measured.
+    # Two states of the same pose: with the ranges from stereo, and with the measured ones.
     both = States.of([camera_from_scanner] * 2, measured)
     states = States(both.rotations, both.centres, np.stack([np.where(known, rho, matches.ranges), matches.ranges]))
     seen = residuals(measured, states)
@@ -121,12 +139,12 @@ def smooth_ranges(
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         by_pixel = (lin.j[0] * lin.m[0]).sum(axis=0)  # information on the range, 1/m^2
         by_pose = np.einsum("pxn,xn->np", lin.j_pose[0], lin.m[0]) / by_pixel[:, None]
-        sigma = np.sqrt(1 / by_pixel + _quadratic(by_pose, spread))
+        sigma = np.sqrt(1 / by_pixel + _quadratic(by_pose, pose_covariance))
         sigma = np.where(known & np.isfinite(sigma), sigma, np.inf)
-        # How far the pose alone lets the length of each residual vary, in the pixel's own variance.
+        # Variance of the length of each residual due to the pose alone, relative to that of the pixel.
         pull = measured.information * seen.e + measured.cross_information * seen.e[:, ::-1]
         by_pose = np.einsum("bpxn,bxn->bnp", lin.j_pose, pull) / np.sqrt(np.maximum(s, 1e-12))[..., None]
-        allowed = 1 + _quadratic(by_pose, spread)
+        allowed = 1 + _quadratic(by_pose, pose_covariance)
     stereo = np.where(np.isfinite(sigma), rho, np.nan)
     with np.errstate(invalid="ignore"):
         on_line = s[0] <= options.across_sigma**2 * allowed[0]
@@ -137,21 +155,21 @@ def smooth_ranges(
 
 
 def smooth_scan(scan: Scan, result: PoseResult, *, options: SmoothOptions | None = None) -> Scan:
-    """Replace the spikes of a scan that lie under matches.
+    """Replace the range spikes of a scan that lie under matches.
 
-    Only a cell that stands out of its own neighbourhood is a spike, and only a range that does not stand out replaces
-    it; both are told by the spike gate, by the same 5 %.
+    A cell is a spike only if its range differs from its neighbourhood by more than 5 %, and it is replaced only by a
+    range that does not; both use the threshold of `surface.spikes`.
 
     Args:
         scan: the scan.
-        result: pose, camera and matches, mismatches among them.
-        options: when a difference counts; None: the defaults, with the result's own pixel noise.
+        result: pose, camera and matches, possibly with outliers.
+        options: conditions for replacing a range; None: the defaults, with the pixel noise of the result.
 
     Returns:
-        The scan, with a note on what was replaced; the scan itself where nothing was.
+        The scan with a note on what was replaced, or the same scan where nothing was.
 
     Raises:
-        LadarregError: as `smooth_ranges`; also OptionError if `scan` or `result` is something else.
+        LadarregError: as `smooth_ranges`; also OptionError if `scan` or `result` has another type.
 
     Source: thesis 3.2.
     """
@@ -171,7 +189,7 @@ def smooth_scan(scan: Scan, result: PoseResult, *, options: SmoothOptions | None
     index, rows, columns, measured, around = (v[spike] for v in (index, rows, columns, measured, around))
     if not len(index):
         return scan
-    # The match's own ray and pixel, but the cell's range: what a match remembers may be that of a neighbour.
+    # Ray and pixel of the match, but the range of the cell: a match may have taken its range from a neighbour.
     matches = replace(result.matches.subset(index), ranges=measured)
     ranges = np.array(scan.ranges)
     chosen = options or SmoothOptions(sigma_px=result.sigma_px)
@@ -188,15 +206,52 @@ def smooth_scan(scan: Scan, result: PoseResult, *, options: SmoothOptions | None
         return scan
     ranges[rows[good], columns[good]] = smoothed.ranges[good]
     count = len(set(zip(rows[good].tolist(), columns[good].tolist(), strict=True)))
-    note = f"{count} range spikes under matches were replaced by their stereo range."
-    return replace(scan, ranges=ranges, notes=(*scan.notes, note))
+    return replace(scan, ranges=ranges, notes=(*scan.notes, _replaced_sentence(count)))
+
+
+def smooth_with_report(scan: Scan, result: PoseResult) -> SmoothedScan:
+    """Replace the range spikes under the matches of a registration, and report what was replaced.
+
+    Args:
+        scan: the scan.
+        result: an accepted registration of it.
+
+    Raises:
+        LadarregError: as `smooth_scan`.
+
+    Source: thesis 3.2 and 3.5.
+    """
+    smoothed = smooth_scan(scan, result)
+    with np.errstate(invalid="ignore"):
+        count = int(np.count_nonzero((smoothed.ranges != scan.ranges) & scan.valid))
+    if count:
+        words = _replaced_sentence(count)
+    elif not _has_parallax(result):
+        words = (
+            "Nothing was replaced: scanner and camera are nearly at the same position, so that stereo gives no range."
+        )
+    else:
+        words = "Nothing was replaced: no match lies on a range spike that stereo contradicts."
+    return SmoothedScan(smoothed, count, words)
+
+
+def _has_parallax(result: PoseResult) -> bool:
+    """Return whether stereo ranges are certain enough to be compared with the laser's."""
+    figures = diagnose(
+        result.camera_from_scanner, result.matches, result.inliers, result.camera, sigma_px=result.sigma_px
+    )
+    return bool(figures.get("stereo_sigma_z_over_z", np.inf) <= MOST_SIGMA_Z_OVER_Z)
+
+
+def _replaced_sentence(count: int) -> str:
+    return f"{count} range spikes under matches were replaced by their stereo range."
 
 
 def _nearest_on_ray(measured: Measurements, pose: Rigid) -> FloatArray:
-    """Return the range (N,) at which each ray's image comes nearest to its pixel; not finite without a baseline.
+    """Return the range (N,) at which the image of each ray comes nearest to its pixel; not finite without a baseline.
 
-    A ray's image is the straight line through where it vanishes and where the scanner stands. The pixel is moved onto
-    that line by the shortest way that its noise knows, and the range read off there.
+    The image of a ray is the epipolar line through its vanishing point and the epipole. The pixel is projected onto
+    that line by the shortest Mahalanobis distance, and the range is computed there.
     """
     far, near = pose.rotation @ measured.rays, np.broadcast_to(pose.translation[:, None], measured.rays.shape)
     line = np.cross(far, near, axis=0)
@@ -206,13 +261,13 @@ def _nearest_on_ray(measured: Measurements, pose: Rigid) -> FloatArray:
         along = np.stack([line[1], -line[0]])
         weighted = measured.information * along + measured.cross_information * along[::-1]
         foot = pixel[:2] - off + along * ((weighted * off).sum(axis=0) / (weighted * along).sum(axis=0))
-        there = np.vstack([foot, np.ones(len(measured))])
-        a, b = np.cross(there, far, axis=0), np.cross(there, near, axis=0)
+        foot = np.vstack([foot, np.ones(len(measured))])
+        a, b = np.cross(foot, far, axis=0), np.cross(foot, near, axis=0)
         return np.asarray(-(a * b).sum(axis=0) / (a * a).sum(axis=0))
 
 
-def _quadratic(rows: FloatArray, spread: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("...k,kl,...l->...", rows, spread, rows))
+def _quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("...k,kl,...l->...", rows, matrix, rows))
 
 
 def _check_inputs(matches: object, camera: object, pose: object, options: object) -> None:
@@ -232,8 +287,8 @@ def _check_inputs(matches: object, camera: object, pose: object, options: object
     good &= (matches.ranges <= _MOST_RANGE_M) & (np.abs(matches.uv) <= _MOST_PIXEL).all(axis=1)
     if not good.all():
         raise ShapeError(
-            f"{int((~good).sum())} of {len(matches)} matches hold NaN or infinity, a range or weight that is not "
-            f"positive, a ray that is not of length 1, or a range or pixel beyond {_MOST_RANGE_M:g}; leave them out"
+            f"{int((~good).sum())} of {len(matches)} matches have NaN or infinity, a range or weight that is not "
+            f"positive, a ray that is not of length 1, or a range or pixel beyond {_MOST_RANGE_M:g}; remove them"
         )
 
 
@@ -241,17 +296,17 @@ def _checked_threshold(threshold: object, count: int) -> FloatArray:
     if isinstance(threshold, np.ndarray) and threshold.ndim:
         per_match: FloatArray = read_only(threshold, np.float64, (count,), "the thresholds")
         if not ((per_match > 0) & (per_match < np.inf)).all():
-            raise OptionError("the thresholds hold what is not a positive number; give metres along the ray")
+            raise OptionError("the thresholds contain values that are not positive numbers; give metres along the ray")
         return per_match
     _check_positive("threshold_m", threshold)
     return np.full(count, float(threshold))  # type: ignore[arg-type]
 
 
 def _checked_covariance(covariance: ArrayLike | None) -> FloatArray:
-    spread = read_only(np.zeros((6, 6)) if covariance is None else covariance, np.float64, (6, 6), "the covariance")
-    if not np.isfinite(spread).all():
-        raise ShapeError("the pose's covariance is not finite; leave it out, or estimate the pose from more matches")
-    return spread
+    matrix = read_only(np.zeros((6, 6)) if covariance is None else covariance, np.float64, (6, 6), "the covariance")
+    if not np.isfinite(matrix).all():
+        raise ShapeError("the covariance of the pose is not finite; omit it, or estimate the pose from more matches")
+    return matrix
 
 
 def _check_positive(name: str, value: object) -> None:

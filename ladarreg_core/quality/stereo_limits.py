@@ -1,7 +1,7 @@
-"""Where the thesis's methods fail, recognised before they solve.
+"""Conditions under which the thesis's methods fail, recognised in the matches before solving.
 
-Source: thesis 3.4: too little disparity at nearly the same place (Figure 3.19), and pictures turned about their optical
-axes (Figure 3.20); few and clustered matches make either worse.
+Source: thesis 3.4: too little disparity at nearly the same position (Figure 3.19), and images rotated about their
+optical axes (Figure 3.20); few and clustered matches make either worse.
 """
 
 from __future__ import annotations
@@ -18,17 +18,14 @@ from ladarreg_core.pose.ransac import ransac_pose
 from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
 from ladarreg_core.pose.thesis.starts import picture_roll
 from ladarreg_core.pose.thesis.stereo import StereoPairs
+from ladarreg_core.quality.limits import (
+    LARGE_ROLL_RAD,
+    LITTLE_SPREAD,
+    covered_share,
+    has_usable_parallax,
+    is_forward_baseline,
+)
 
-MOST_SIGMA_Z_OVER_Z = 0.05
-"""Above this a stereo depth is too uncertain to be compared with the laser's."""
-LEAST_DISPARITY_SIGMA = 40.0
-"""Below this many sigma_px of stereo_disparities disparity, likewise."""
-LARGE_ROLL_RAD = np.deg2rad(20.0)
-"""Correlation windows are not turned; beyond this they no longer look alike."""
-LEAST_ACROSS_OF_FORWARD = 0.25
-"""Below this ratio of |(Tx, Ty)| to |Tz| the disparities vanish inside the picture."""
-_LEAST_SPREAD = 0.1  # of the picture's area
-_WITHIN = (5.0, 95.0)  # per cent: a few mismatches elsewhere spread nothing
 _RANSAC_SIGMA, _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 6.0, 8, 0.3
 _MOST_SIGMA_PX = 1e6
 
@@ -41,19 +38,19 @@ def stereo_cautions(
     sigma_px: float = 1.0,
     view_from_scanner: Rigid | None = None,
 ) -> tuple[str, ...]:
-    """Return what is to be feared of the linear and the stereo methods on these matches, in sentences; none is good.
+    """Return warnings on the linear and the stereo methods for these matches, as sentences; none means no concern.
 
     Args:
-        matches: M matches, mismatches among them.
+        matches: M matches, possibly with outliers.
         camera: the photo's camera.
-        pose: camera_from_scanner, where it is known roughly; None: the one that most matches agree on, if any does.
+        pose: camera_from_scanner, if roughly known; None: the one on which enough matches agree, if any.
         sigma_px: pixel noise, px.
-        view_from_scanner: the scan's view in which the matches were found, against which the photo's roll is meant;
-            None: one that looks along the scanner's X, or at the matches.
+        view_from_scanner: view of the scan in which the matches were found, to which the roll of the photo refers;
+            None: one that looks along the scanner's X axis, or at the matches.
 
     Raises:
-        CameraError: if `camera` is none.
-        OptionError: if `sigma_px` is not a positive number, or a pose is no `Rigid`.
+        CameraError: if `camera` is not a `Camera`.
+        OptionError: if `sigma_px` is not a positive number, or a pose is not a `Rigid`.
     """
     if not isinstance(camera, Camera):
         raise CameraError(f"the camera is a {type(camera).__name__}; give a Camera")
@@ -72,7 +69,7 @@ def stereo_cautions(
     found = [_count(matches)]
     if len(matches):
         found += [_spread(matches, camera), _relief(matches)]
-        known = pose or _agreed(matches, camera, float(sigma_px))
+        known = pose or _consensus_pose(matches, camera, float(sigma_px))
         if known is None:
             found.append(_roll(picture_roll(pairs.laser, pairs.colour, pairs.depth)))
         else:
@@ -86,19 +83,18 @@ def _count(matches: Matches) -> str:
     if count >= LEAST_INLIERS:
         return ""
     return (
-        f"Different matches with a usable range: {count}. With fewer than {LEAST_INLIERS} no mismatch stands out; add "
-        "matches by hand or detect more corners."
+        f"Distinct matches with a usable range: {count}. With fewer than {LEAST_INLIERS}, outliers cannot be "
+        "recognised; add matches by hand or detect more corners."
     )
 
 
 def _spread(matches: Matches, camera: Camera) -> str:
-    low, high = np.percentile(matches.uv, _WITHIN, axis=0)
-    share = float(np.clip((high - low) / camera.size, 0, 1).prod()) / ((_WITHIN[1] - _WITHIN[0]) / 100) ** 2
-    if share >= _LEAST_SPREAD:
+    share = covered_share(matches.uv, camera)
+    if share >= LITTLE_SPREAD[1]:
         return ""
     return (
-        f"The matches cover only {share:.0%} of the photo, so that a small error in them moves the camera far. "
-        "Add matches in the rest of the picture."
+        f"The matches cover only {share:.0%} of the photo, so that small errors in them shift the camera far. "
+        "Add matches in the rest of the photo."
     )
 
 
@@ -108,12 +104,12 @@ def _relief(matches: Matches) -> str:
         return ""
     return (
         f"The matches lie near one plane (relief {extents[2] / max(float(extents[1]), 1e-300):.2f} of their width, the "
-        f"linear method needs {LEAST_PLANARITY:g}). Add matches off that plane, or give a first pose."
+        f"linear method needs {LEAST_PLANARITY:g}). Add matches off that plane, or give an initial pose."
     )
 
 
-def _agreed(matches: Matches, camera: Camera, sigma_px: float) -> Rigid | None:
-    """Return the pose that enough matches agree on."""
+def _consensus_pose(matches: Matches, camera: Camera, sigma_px: float) -> Rigid | None:
+    """Return the pose on which enough matches agree, by RANSAC."""
     found = ransac_pose(matches.points, matches.uv, camera, threshold_px=_RANSAC_SIGMA * sigma_px, iterations=1000)
     if found is None:
         return None
@@ -127,14 +123,14 @@ def _baseline(pose: Rigid, pairs: StereoPairs, camera: Camera, sigma_px: float) 
     if not np.isfinite(disparity).any():
         return ""
     median = float(np.nanmedian(disparity))
-    uncertain = np.sqrt(2) * sigma_px / max(median, 1e-12)
-    if uncertain <= MOST_SIGMA_Z_OVER_Z and median >= LEAST_DISPARITY_SIGMA * sigma_px:
+    relative_sigma = np.sqrt(2) * sigma_px / max(median, 1e-12)
+    if has_usable_parallax(median / sigma_px, relative_sigma):
         return ""
-    depth = f"known to {uncertain:.0%}" if uncertain < 1 else "unknown"
+    depth = f"uncertain by {relative_sigma:.0%}" if relative_sigma < 1 else "undetermined"
     return (
-        f"Scanner and camera stand nearly at the same place: the parallax of the matches is {median:.1f} px, which "
-        f"leaves stereo depths {depth}. Take the photo from further aside, or use the 'robust' method, which needs no "
-        "baseline."
+        f"Scanner and camera are nearly at the same position: the parallax of the matches is {median:.1f} px, which "
+        f"leaves stereo depths {depth}. Take the photo from further to the side, or use the 'robust' method, which "
+        "needs no baseline."
     )
 
 
@@ -142,27 +138,27 @@ def _direction(pose: Rigid, pairs: StereoPairs) -> str:
     Tx, Ty, Tz = pairs.parameters(pose)[:3]
     across = float(np.hypot(Tx, Ty))
     reach = float(np.median(pairs.depth))
-    if across >= LEAST_ACROSS_OF_FORWARD * abs(Tz) or np.hypot(across, Tz) < 0.01 * reach:
+    if not is_forward_baseline(across, Tz) or np.hypot(across, Tz) < 0.01 * reach:
         return ""
     return (
-        f"The camera stands {'in front of' if Tz > 0 else 'behind'} the scanner and hardly beside it ({across:.2f} m "
-        f"across, {abs(Tz):.2f} m along), where disparities vanish in the middle of the picture. Take the photo from "
-        "the side, or use the 'robust' method."
+        f"The camera is {'in front of' if Tz > 0 else 'behind'} the scanner and hardly beside it ({across:.2f} m "
+        f"across, {abs(Tz):.2f} m along), so that disparities vanish in the middle of the photo. Take the photo from "
+        "further to the side, or use the 'robust' method."
     )
 
 
 def _roll(roll: float | None) -> str:
     if roll is None or abs(roll) <= LARGE_ROLL_RAD:
         return ""
-    way = "clockwise" if roll > 0 else "counter-clockwise"
+    direction = "clockwise" if roll > 0 else "counter-clockwise"
     return (
-        f"The photo is rolled by {abs(np.degrees(roll)):.0f} deg {way} against the scan, and windows that are not "
-        "turned hardly correlate. Turn the photo upright first, or pick the matches by hand."
+        f"The photo is rolled by {abs(np.degrees(roll)):.0f} deg {direction} relative to the scan, and correlation "
+        "windows are not rotated. Rotate the photo upright first, or pick the matches by hand."
     )
 
 
 def _predicted_disparity(pose: Rigid, pairs: StereoPairs) -> FloatArray:
-    """Return the length (M,) of each match's disparity as the pose and its range foretell it, lambda = 1."""
+    """Return the length (M,) of the disparity of each match, predicted from the pose and its range, lambda = 1."""
     p = ThesisParameters(*map(float, pairs.parameters(pose)))
     points = np.vstack([-pairs.laser * pairs.depth, pairs.depth])
     with np.errstate(divide="ignore", invalid="ignore"):

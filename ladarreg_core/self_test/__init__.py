@@ -1,4 +1,4 @@
-"""What to expect of a scan and a camera, tried on photographs made from the scan itself.
+"""Self-test: expected accuracy of a scan and a camera, from synthetic photographs of the scan itself.
 
-`made_photo` makes them, `trials` registers them, `report` says what came of it.
+`synthetic_photo` renders them, `trials` registers them, `report` summarises the results.
 """

@@ -1,4 +1,4 @@
-"""What the trials of a self-test say, in figures and in a sentence."""
+"""Report of a self-test: the results of its trials in figures and in a sentence."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.self_test.trials import START_LEVELS_DEG, SelfTestOptions, Trial, run_trials
 
-_MOST_MISSES = 0.34  # of a level's starts may fail and it still 'works'
+_MOST_MISSES = 0.34  # share of the starts of a level that may fail while the level still counts as working
 
 
 @dataclass(frozen=True, slots=True)
 class SelfTest:
-    """What to expect of a scan and a camera."""
+    """Expected accuracy of a scan and a camera."""
 
     trials: tuple[Trial, ...]
-    """All that was tried."""
+    """All trials."""
 
     def of(self, kind: str) -> tuple[Trial, ...]:
         """Return the trials of a kind."""
@@ -28,77 +28,80 @@ class SelfTest:
 
     @property
     def accepted_wrongly(self) -> int:
-        """How many were called registered and were not: pictures of other places, and poses beyond 3 px."""
+        """Number of false acceptances: unrelated photos, and poses with errors beyond 3 px."""
         return sum(t.accepted and not t.right for t in (*self.of("right"), *self.of("wrong")))
 
     @property
     def position_mm(self) -> float:
-        """Median error of the camera's place where it was found, mm; NaN: never found."""
+        """Median error of the camera position over successful trials, mm; NaN: none."""
         return _median([t.error_mm for t in self.of("right") if t.right])
 
     @property
     def angle_deg(self) -> float:
-        """Median error of its direction where it was found, deg; NaN: never found."""
+        """Median error of the camera orientation over successful trials, deg; NaN: none."""
         return _median([t.error_deg for t in self.of("right") if t.right])
 
     @property
     def picture_px(self) -> float:
-        """Median error of the picture where it was found, px; NaN: never found."""
+        """Median error of photo positions over successful trials, px; NaN: none."""
         return _median([t.error_px for t in self.of("right") if t.right])
 
     @property
     def start_deg(self) -> float:
-        """The farthest level of starts that nearly all came home, as all nearer ones did; 0: none; NaN: not tried."""
+        """Largest start error from which, as from all smaller ones, nearly all trials succeed; 0: none; NaN: not
+        tried."""
         starts = self.of("start")
         if not starts:
             return float("nan")
         reached = 0.0
         for level in START_LEVELS_DEG:
-            there = [t for t in starts if t.off_deg == level]
-            if there and np.mean([not t.right for t in there]) > _MOST_MISSES:
+            at_level = [t for t in starts if t.off_deg == level]
+            if at_level and np.mean([not t.right for t in at_level]) > _MOST_MISSES:
                 break
-            reached = level if there else reached
+            reached = level if at_level else reached
         return reached
 
-    def in_words(self) -> str:
-        """Return the expectation as a sentence."""
+    def summary(self) -> str:
+        """Return the expected accuracy as a sentence."""
         parts = []
         right = self.of("right")
         found = sum(t.right for t in right)
         if right and found:
-            parts.append(f"{_length(self.position_mm)}, {self.angle_deg:.2g} deg, {found} of {len(right)}")
+            parts.append(
+                f"{_length(self.position_mm)}, {self.angle_deg:.2g} deg, {found} of {len(right)} photos registered"
+            )
         elif right:
-            parts.append(f"none of {len(right)} photographs could be registered")
+            parts.append(f"none of {len(right)} photos registered")
         if not np.isnan(self.start_deg):
-            works = f"starts up to {self.start_deg:.0f} deg work" if self.start_deg else "starts 3 deg off fail"
+            works = f"starts up to {self.start_deg:.0f} deg off work" if self.start_deg else "starts 3 deg off fail"
             parts.append(works)
         wrong = self.of("wrong")
         if wrong:
-            parts.append(f"{sum(t.right for t in wrong)} of {len(wrong)} wrong places refused")
+            parts.append(f"{sum(t.right for t in wrong)} of {len(wrong)} unrelated photos refused")
         return f"With this scan and camera: {'; '.join(parts)}."
 
     def advice(self) -> str:
-        """Return what to do, empty where all is well."""
+        """Return advice for this scan and camera; empty where none is needed."""
         right = self.of("right")
         if self.accepted_wrongly:
             return "Do not rely on 'accepted' alone here: check every registration by eye, and add drawn lines."
         if right and sum(t.right for t in right) < 0.75 * len(right):
-            return "Automatic registration will often fail here: have lines drawn by hand, or give a rough pose."
+            return "Automatic registration will often fail here: draw lines by hand, or give a rough initial pose."
         return ""
 
 
 def self_test(
     scan: Scan, camera: Camera, options: SelfTestOptions | None = None, *, report: Report | None = None
 ) -> SelfTest:
-    """Try a scan and a camera on photographs made from the scan itself.
+    """Estimate, before fieldwork, how well a scan and a camera will register, on synthetic photographs of the scan.
 
-    What it tells is what to expect of photographs of the very scene, taken when nothing had moved: an upper bound.
+    These show exactly the scanned scene with nothing moved, so that the result is an upper bound.
 
     Args:
         scan: the scan.
-        camera: the camera of the photographs to come.
-        options: how much is tried, and for how long.
-        report: told before each trial; may raise `Cancelled`.
+        camera: the camera that will take the photographs.
+        options: number of trials, and time limit.
+        report: called before each trial; may raise `Cancelled`.
 
     Raises:
         DegenerateGeometryError: if no camera beside the scanner sees enough of the scan.

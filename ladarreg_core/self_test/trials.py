@@ -1,4 +1,4 @@
-"""The trials of a self-test: made photographs without a guess, from starts that are off, and of other places."""
+"""Trials of a self-test: synthetic photos without an initial pose, with a wrong initial pose, and unrelated photos."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.scan import Scan
-from ladarreg_core.self_test.made_photo import MadePhoto, another_place, made_photo, random_pose
+from ladarreg_core.self_test.synthetic_photo import SyntheticPhoto, random_pose, render_photo, unrelated_photo
 
 TrialKind = Literal["right", "start", "wrong"]
 
 START_LEVELS_DEG = (3.0, 6.0, 12.0)
-"""How far the starts are turned; they are moved by as much of the range as that angle's arc."""
+"""Rotation errors of the initial poses; their position errors are the arc of that angle at the median range."""
 _RIGHT_PX = 3.0
 _LEAST_COVERED = 0.5
 _POSE_TRIES = 20
 _LARGEST_SIDE = 1280
-_PROBES = 4000
+_SAMPLE_POINTS = 4000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelfTestOptions:
-    """How much is tried."""
+    """Number and kind of trials."""
 
     photos: int = 20
-    """Photographs without any guess."""
+    """Photos without an initial pose."""
     starts: int = 9
-    """Photographs from a start that is off, by each of `START_LEVELS_DEG` in turn."""
+    """Photos with a wrong initial pose, off by each of `START_LEVELS_DEG` in turn."""
     wrong: int = 10
-    """Pictures of other places."""
+    """Unrelated photos."""
     seconds: float = 120.0
-    """It ends when this time is over; the kinds of trials take turns, so that each has had its share."""
+    """Time limit; the kinds of trials alternate, so that each gets its share."""
     seed: int = 0
-    """Of every draw."""
+    """Random seed; equal seeds give equal results."""
 
     def __post_init__(self) -> None:
         for name in ("photos", "starts", "wrong"):
@@ -51,7 +51,7 @@ class SelfTestOptions:
             if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 10_000:
                 raise OptionError(f"{name} is {value!r}; it must be a whole number from 0 to 10,000")
         if self.photos + self.starts + self.wrong == 0:
-            raise OptionError("nothing is to be tried; ask for some photos, starts or wrong places")
+            raise OptionError("there are no trials; set photos, starts or wrong above 0")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**31:
             raise OptionError(f"the seed is {self.seed!r}; it must be a whole number of at least 0")
         try:
@@ -64,26 +64,26 @@ class SelfTestOptions:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One registration of a made photograph."""
+    """One registration of a synthetic or unrelated photo."""
 
     kind: TrialKind
-    """`right`: no guess; `start`: looked for near a start that is off; `wrong`: a picture of another place."""
+    """`right`: without an initial pose; `start`: near a wrong initial pose; `wrong`: an unrelated photo."""
     accepted: bool
-    """Whether it was called registered."""
+    """Whether the registration was accepted."""
     error_px: float
-    """Median displacement of what the photo sees, px; NaN without a pose, and of another place."""
+    """Median displacement of the scan in the photo, px; NaN without a pose, and for unrelated photos."""
     error_mm: float
-    """How far the camera's centre is off, mm; NaN likewise."""
+    """Error of the camera position, mm; NaN likewise."""
     error_deg: float
-    """How far it is turned, deg; NaN likewise."""
+    """Error of the camera orientation, deg; NaN likewise."""
     off_deg: float
-    """How far the start was turned; 0 without one."""
+    """Rotation error of the initial pose; 0 without one."""
     seconds: float
-    """Wall time of the registration."""
+    """Wall-clock time of the registration."""
 
     @property
     def right(self) -> bool:
-        """Whether it ended as it should."""
+        """Whether the outcome is correct."""
         if self.kind == "wrong":
             return not self.accepted
         return self.accepted and self.error_px <= _RIGHT_PX
@@ -92,13 +92,13 @@ class Trial:
 def run_trials(
     scan: Scan, camera: Camera, options: SelfTestOptions | None = None, *, report: Report | None = None
 ) -> Iterator[Trial]:
-    """Yield trials as they end, until all are made or the time is over.
+    """Yield trials as they finish, until all are done or the time is over.
 
     Args:
         scan: the scan.
-        camera: the camera that photographs of it are taken with; a large one is tried at 1280 px.
-        options: how much.
-        report: told before each; may raise `Cancelled`.
+        camera: the camera of the photographs; a large one is reduced to 1280 px.
+        options: number of trials, and time limit.
+        report: called before each trial; may raise `Cancelled`.
 
     Raises:
         DegenerateGeometryError: if no camera beside the scanner sees enough of the scan.
@@ -106,20 +106,20 @@ def run_trials(
     o = options or SelfTestOptions()
     shrink = min(1.0, _LARGEST_SIDE / max(camera.size))
     camera = camera if shrink == 1.0 else camera.scaled(shrink)
-    plan = _turns(o)
+    plan = _plan(o)
     begun = time.perf_counter()
     for number, (kind, off_deg) in enumerate(plan):
         spent = time.perf_counter() - begun
-        if number and spent * (1 + 1 / number) > o.seconds:  # the next would end late
+        if number and spent * (1 + 1 / number) > o.seconds:  # the next would exceed the limit
             return
         if report is not None:
             report(Progress(number, len(plan), f"trial {number + 1} of {len(plan)}"))
         rng = np.random.default_rng([o.seed, number])
-        yield _tried(scan, _seen(scan, camera, rng), kind, off_deg, rng, number)
+        yield _run_trial(scan, _photo_of_scan(scan, camera, rng), kind, off_deg, rng, number)
 
 
-def _turns(o: SelfTestOptions) -> list[tuple[TrialKind, float]]:
-    """Return what to try, each kind spread evenly over the whole."""
+def _plan(o: SelfTestOptions) -> list[tuple[TrialKind, float]]:
+    """Return kind and start error of each trial, the kinds spread evenly."""
     kinds: list[tuple[float, TrialKind, float]] = []
     for count, kind in ((o.photos, "right"), (o.starts, "start"), (o.wrong, "wrong")):
         for k in range(count):
@@ -128,51 +128,51 @@ def _turns(o: SelfTestOptions) -> list[tuple[TrialKind, float]]:
     return [(kind, off) for _, kind, off in sorted(kinds, key=lambda entry: entry[0])]
 
 
-def _seen(scan: Scan, camera: Camera, rng: np.random.Generator) -> MadePhoto:
-    """Return a made photograph that shows enough of the scan."""
-    best: MadePhoto | None = None
+def _photo_of_scan(scan: Scan, camera: Camera, rng: np.random.Generator) -> SyntheticPhoto:
+    """Return a synthetic photo that shows enough of the scan."""
+    best: SyntheticPhoto | None = None
     for _ in range(_POSE_TRIES):
         pose = random_pose(scan, camera, rng)
-        if _share_seen(scan, camera, pose) == 0:
+        if _visible_share(scan, camera, pose) == 0:
             continue
-        made = made_photo(scan, camera, pose, rng)
+        made = render_photo(scan, camera, pose, rng)
         if made.covered >= _LEAST_COVERED:
             return made
         if best is None or made.covered > best.covered:
             best = made
     if best is None or best.covered < _LEAST_COVERED / 2:
         raise DegenerateGeometryError(
-            "no camera beside the scanner sees enough of the scan to try it; give the camera of the photographs, or a "
-            "denser scan"
+            "no camera beside the scanner sees enough of the scan for a self-test; give the actual camera of the "
+            "photographs, or a denser scan"
         )
     return best
 
 
-def _share_seen(scan: Scan, camera: Camera, pose: Rigid) -> float:
-    return float(np.mean(camera.contains(camera.project(pose @ _probes(scan)))))
+def _visible_share(scan: Scan, camera: Camera, pose: Rigid) -> float:
+    return float(np.mean(camera.contains(camera.project(pose @ _sample_points(scan)))))
 
 
-def _probes(scan: Scan) -> np.ndarray:
+def _sample_points(scan: Scan) -> np.ndarray:
     points = np.asarray(scan.points, dtype=np.float64).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
-    return points[:: max(1, len(points) // _PROBES)]
+    return points[:: max(1, len(points) // _SAMPLE_POINTS)]
 
 
-def _tried(
-    scan: Scan, made: MadePhoto, kind: TrialKind, off_deg: float, rng: np.random.Generator, number: int
+def _run_trial(
+    scan: Scan, made: SyntheticPhoto, kind: TrialKind, off_deg: float, rng: np.random.Generator, number: int
 ) -> Trial:
     photo, start = made.photo, None
     if kind == "wrong":
-        photo = another_place(photo, number)
+        photo = unrelated_photo(photo, number)
     elif kind == "start":
-        start = _off(made.camera_from_scanner, off_deg, float(np.nanmedian(scan.ranges)), rng)
+        start = _wrong_start(made.camera_from_scanner, off_deg, float(np.nanmedian(scan.ranges)), rng)
     begun = time.perf_counter()
-    accepted, pose = _registered(scan, photo, start)
+    accepted, pose = _register(scan, photo, start)
     seconds = time.perf_counter() - begun
     if kind == "wrong" or pose is None:
         return Trial(kind, accepted, float("nan"), float("nan"), float("nan"), off_deg, seconds)
     truth = made.camera_from_scanner
-    points = _probes(scan)
+    points = _sample_points(scan)
     uv = photo.camera.project(truth @ points)
     seen = photo.camera.contains(uv)
     shift = np.linalg.norm(photo.camera.project(pose @ points[seen]) - uv[seen], axis=1)
@@ -183,15 +183,17 @@ def _tried(
     )  # fmt: skip
 
 
-def _off(truth: Rigid, degrees: float, reach: float, rng: np.random.Generator) -> Rigid:
-    """Return a start that is turned by so many degrees and moved by as long an arc of the range, any way."""
-    axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+def _wrong_start(truth: Rigid, degrees: float, reach: float, rng: np.random.Generator) -> Rigid:
+    """Return a pose rotated by this angle and moved by its arc at the range, both in random directions."""
+    axis, direction = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
     angle = np.deg2rad(degrees)
-    return Rigid.from_centre(rotation_from_rotvec(axis * angle) @ truth.rotation, truth.centre + angle * reach * way)
+    return Rigid.from_centre(
+        rotation_from_rotvec(axis * angle) @ truth.rotation, truth.centre + angle * reach * direction
+    )
 
 
-def _registered(scan: Scan, photo: Photo, start: Rigid | None) -> tuple[bool, Rigid | None]:
-    """Return whether a photograph was accepted, and the pose; with a start, near that alone."""
+def _register(scan: Scan, photo: Photo, start: Rigid | None) -> tuple[bool, Rigid | None]:
+    """Register a photo, near the initial pose only if there is one; return whether it was accepted, and the pose."""
     auto = AutoOptions(reach="everywhere" if start is None else "near_start")
     result = register(scan, photo, initial=start, options=RegisterOptions(auto=auto))
     return result.accepted, result.camera_from_scanner

@@ -1,4 +1,4 @@
-"""One simulated case: a scan, a photograph from elsewhere, and the truth between them."""
+"""Simulated cases: a scan, a photograph from elsewhere and the true pose, in memory and as files."""
 
 from __future__ import annotations
 
@@ -6,13 +6,19 @@ import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError
+from ladarreg_core.errors import ExportError, OptionError
+from ladarreg_core.formats.camera_file import write_camera
+from ladarreg_core.formats.json_file import write_json
+from ladarreg_core.formats.npz import write_npz_counts
+from ladarreg_core.formats.pose_file import POSE_FIELD
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
@@ -36,22 +42,23 @@ _CAMERAS: dict[Instrument, Camera] = {"colour": CAMERA, "thermal": THERMAL_CAMER
 
 @dataclass(frozen=True)
 class CaseSet:
-    """What distinguishes a set of cases."""
+    """Parameters of a set of cases."""
 
     baseline_m: tuple[float, float] = (0.3, 1.0)
-    """Lateral, to either side."""
+    """Lateral baseline, to either side."""
     other_axes_m: float = 0.15
+    """Largest offset along the other two axes."""
     toe_in_limit_deg: float = 12.0
     tilt_deg: float = 2.0
-    """Of pitch and roll, to either side."""
+    """Largest pitch and roll, to either side."""
     rolls_deg: tuple[float, ...] = (0.0,)
-    """The photograph is turned by one of these, by the seed."""
+    """Rolls of the photograph, one chosen by the seed."""
     independent_inks: bool = False
     speckle: float = 0.06
     noise: float = 1.0
     lighting: Lighting = field(default_factory=Lighting)
     instrument: Instrument = "colour"
-    """What takes the photograph."""
+    """Instrument that takes the photograph."""
 
 
 SETS = {
@@ -62,7 +69,7 @@ SETS = {
         noise=2.0,
         lighting=Lighting(ambient=0.22, strength=(1.25,), tints=((1.0, 0.93, 0.82),)),
     ),
-    # From 2 m aside, 12 degrees of toe-in would leave half of the picture without scan.
+    # At 2 m to the side, 12 degrees of toe-in would leave half of the photo without scan.
     "wide": CaseSet(baseline_m=(1.4, 2.2), toe_in_limit_deg=26.0),
     "rotated": CaseSet(rolls_deg=(30.0, 90.0, 180.0, -90.0, -30.0)),
     "identical": CaseSet(baseline_m=(0.0, 0.0), other_axes_m=0.0, toe_in_limit_deg=0.0, tilt_deg=0.0),
@@ -74,21 +81,21 @@ SETS = {
 
 @dataclass(frozen=True, eq=False)
 class SimulatedCase:
-    """What the instruments gave, and what nobody is told outside a test."""
+    """Measurements of the instruments, with the true pose and camera."""
 
     scan: Scan
     photo: Photo
-    """With the camera as it is stated, which may be wrong on purpose."""
+    """Photograph with the stated camera, which may be wrong on purpose."""
     camera_from_scanner: Rigid
-    """The truth."""
+    """True pose."""
     true_camera: Camera
-    """The camera as it really is."""
+    """True camera."""
     counts: NDArray[np.uint16]
-    """(H, W), the scan as the instrument stores it."""
+    """(H, W) range counts as stored by the instrument."""
     intensity: NDArray[np.uint16]
-    """(H, W), as the instrument stores it."""
+    """(H, W) intensity as stored by the instrument."""
     hot_spots_m: NDArray[np.float64] | None = None
-    """(K, 3), of the set `gamma`: where the sources lie, scanner frame."""
+    """(K, 3) positions of the sources, scanner frame; only in the set `gamma`."""
 
 
 def simulate_case(
@@ -101,35 +108,35 @@ def simulate_case(
     focal_error: float = 0.0,
     report: Report | None = None,
 ) -> SimulatedCase:
-    """Return a scan and a photograph of a made-up room; the same arguments give the same bytes.
+    """Simulate a scan and a photograph of a synthetic room; equal arguments give equal bytes.
 
     Args:
         scene: boxes, desk, office or people.
         set_name: standard, hard, wide, rotated, identical, thermal or gamma.
-        seed: not negative; every seed is another room and another pose.
-        k1: radial distortion of the real lens.
-        k1_error: how much the stated k1 is above the real one.
-        focal_error: how much the stated focal length is above the real one, relative.
-        report: told how far it is.
+        seed: not negative; every seed gives another room and pose.
+        k1: radial distortion of the true lens.
+        k1_error: excess of the stated k1 over the true one.
+        focal_error: relative excess of the stated focal length over the true one.
+        report: receives the progress.
 
     Raises:
-        OptionError: if the scene or set does not exist or a number makes no sense.
+        OptionError: if the scene or set does not exist or a number is out of range.
         DependencyError: if `embreex` is not installed.
 
-    Source: the thesis's instruments (chapter 2.2), made up; cleaner than reality.
+    Source: models of the thesis's instruments (chapter 2.2); cleaner than reality.
     """
-    case_set = _checked(scene, set_name, seed, (k1, k1_error, focal_error))
-    # One stream a purpose: more noise must not move the furniture.
+    case_set = _checked_set(scene, set_name, seed, (k1, k1_error, focal_error))
+    # One random stream per purpose: more noise must not move the furniture.
     streams = np.random.SeedSequence([zlib.crc32(f"{scene}/{set_name}".encode()), seed]).spawn(4)
     layout, pose_rng, scan_rng, photo_rng = (np.random.default_rng(s) for s in streams)
 
     def stage(start: int, share: int, label: str) -> Callable[[float], None]:
-        def tell(done: float) -> None:
+        def forward(done: float) -> None:
             if report:
                 report(Progress(start + round(share * done), 100, label))
 
-        tell(0.0)
-        return tell
+        forward(0.0)
+        return forward
 
     stage(0, 15, "building the room")
     world = build_scene(
@@ -155,7 +162,7 @@ def simulate_case(
         fy=true_camera.fy * (1 + focal_error),
         distortion=(k1 + k1_error, 0, 0, 0),
     )
-    photo, hot_spots_m = _photographed(
+    photo, hot_spots_m = _take_photo(
         world,
         caster,
         case_set,
@@ -177,7 +184,52 @@ def simulate_case(
     )
 
 
-def _photographed(
+def write_case(case: SimulatedCase, folder: Path | str) -> None:
+    """Write `scan.npz` (counts form), `photo.png`, `camera.json` and `truth.json` into a folder, created if necessary.
+
+    A thermal photo is a 16-bit gray PNG in centikelvin, as written by thermal cameras; a gamma photo is an 8-bit one of
+    photon counts, and its `truth.json` also contains the sources as `hot_spots_m`.
+
+    Args:
+        case: the case.
+        folder: the target folder; files of these names are replaced.
+
+    Raises:
+        ExportError: if they cannot be written there.
+    """
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        for name, write in case_files(case):
+            write(target / name)
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise ExportError(
+            f"the simulated case cannot be written to {target}: {reason}; choose a writable folder"
+        ) from None
+
+
+def case_files(case: SimulatedCase) -> list[tuple[str, Callable[[Path], None]]]:
+    """Return the names of the files of a case, each with a function that writes it to a path."""
+    truth: dict[str, Any] = {POSE_FIELD: case.camera_from_scanner.matrix.tolist(), "made_by": "simulate"}
+    if case.hot_spots_m is not None:
+        truth["hot_spots_m"] = case.hot_spots_m.tolist()
+
+    def scan(path: Path) -> None:
+        write_npz_counts(path, counts=case.counts, intensity=case.intensity, geometry=GEOMETRY, r0_m=R0_M, dr_m=DR_M)
+
+    def photo(path: Path) -> None:
+        path.write_bytes(_png_of(case.photo))
+
+    return [
+        ("scan.npz", scan),
+        ("photo.png", photo),
+        ("camera.json", lambda path: write_camera(path, case.photo.camera)),
+        ("truth.json", lambda path: write_json(path, truth)),
+    ]
+
+
+def _take_photo(
     world: World,
     caster: RayCaster,
     case_set: CaseSet,
@@ -188,7 +240,7 @@ def _photographed(
     rng: np.random.Generator,
     report: Callable[[float], None],
 ) -> tuple[Photo, NDArray[np.float64] | None]:
-    """Return what the set's instrument gives, with the camera as it is stated, and the sources that it shows."""
+    """Take a photo with the instrument of the set; return it with the stated camera, and the sources that it shows."""
     if case_set.instrument == "thermal":
         kelvin = take_thermal_image(world, caster, true_camera, pose, rng=rng, noise=case_set.noise, report=report)
         return thermal_photo(centikelvin(kelvin) * np.float32(CENTIKELVIN_K), stated, name=name), None
@@ -208,13 +260,13 @@ def _photographed(
     return Photo(pixels=pixels, camera=stated, name=name), None
 
 
-def _checked(scene: str, set_name: str, seed: int, lens: tuple[float, ...]) -> CaseSet:
+def _checked_set(scene: str, set_name: str, seed: int, lens: tuple[float, ...]) -> CaseSet:
     if scene not in SCENES:
         raise OptionError(f"there is no scene {scene!r}; the scenes are {', '.join(SCENES)}")
     if set_name not in SETS:
         raise OptionError(f"there is no set {set_name!r}; the sets are {', '.join(SETS)}")
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise OptionError(f"the seed is {seed!r}; it must be a whole number that is not negative")
+        raise OptionError(f"the seed is {seed!r}; it must be a whole number of at least 0")
     if not all(math.isfinite(v) and abs(v) <= 0.5 for v in lens):
         raise OptionError(f"k1, its error and the focal error are {lens}; each must lie within -0.5 to 0.5")
     return SETS[set_name]
@@ -232,3 +284,13 @@ def _pose(case_set: CaseSet, seed: int, focus_m: float, rng: np.random.Generator
     roll += case_set.rolls_deg[seed % len(case_set.rolls_deg)]
     a, b, c = (float(np.radians(v)) for v in (pan, tilt, roll))
     return ThesisParameters(Tx=left, Ty=up, Tz=ahead, alpha=a, beta=b, gamma=c).pose
+
+
+def _png_of(photo: Photo) -> bytes:
+    """Return a PNG: 8-bit colour, 8-bit gray where the channels are equal, or 16-bit centikelvin."""
+    pixels = photo.pixels[..., ::-1]
+    picture: NDArray[Any] = pixels[..., 0] if (pixels == pixels[..., :1]).all() else pixels
+    if photo.temperature_k is not None:
+        picture = centikelvin(photo.temperature_k)
+    _, png = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    return png.tobytes()

@@ -1,4 +1,4 @@
-"""Pieces of furniture, clutter and people; each stands at a placement, its front towards the placement's -x."""
+"""Furniture, clutter and people; each stands at a placement, its front towards the placement's -x."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ladarreg_core.simulate.textures import SKIN_K, Printer
 from ladarreg_core.simulate.world import Placement, Texture, WorldBuilder
 
-# Over the air, K: what a thermal camera sees of electronics, lamps, clothes on people, and hot water.
+# Temperatures over the air, K, of electronics, lamps, clothed people and hot water.
 _CASE_K, _SHADE_K = 6.0, 22.0
 _SHIRT_K, _TROUSERS_K, _SHOES_K = 7.0, 5.5, 2.5
 _PIPE_K, _PIPE_RADIUS_M = 18.0, 0.022
@@ -19,16 +19,16 @@ _PIPE_K, _PIPE_RADIUS_M = 18.0, 0.022
 
 @dataclass(frozen=True)
 class Workshop:
-    """What every piece is made with."""
+    """Tools and options with which objects are built."""
 
     builder: WorldBuilder
     printer: Printer
     heated: bool = False
-    """Heating pipes are laid."""
+    """Whether there are heating pipes."""
 
     @property
     def rng(self) -> np.random.Generator:
-        """The scene's generator."""
+        """The random generator of the scene."""
         return self.printer.rng
 
     def cylinder(
@@ -77,7 +77,7 @@ class Workshop:
 
 
 def room(shop: Workshop, *, floor_z: float, depth_m: float, half_width_m: float, height_m: float) -> None:
-    """Add floor, ceiling and four walls around the scanner; the wall behind it lets the lights in."""
+    """Add floor, ceiling and four walls around the scanner; the wall behind it lets light in."""
     b, p = shop.builder, shop.printer
     behind, wide = -1.5, 2 * half_width_m
     deep = depth_m - behind
@@ -95,7 +95,7 @@ def room(shop: Workshop, *, floor_z: float, depth_m: float, half_width_m: float,
 
 
 def carton(shop: Workshop, at: Placement, size: tuple[float, float, float]) -> None:
-    """Add a carton of (depth, width, height) with prints on the sides that can be seen."""
+    """Add a carton of (depth, width, height) with prints on its visible sides."""
     d, w, h = size
     p = shop.printer
     side = p.carton(d, h)
@@ -123,7 +123,7 @@ def books(shop: Workshop, at: Placement, length_m: float, *, tallest_m: float, d
 
 
 def pile_of_books(shop: Workshop, at: Placement, count: int) -> None:
-    """Add books that lie on each other, every one turned a little."""
+    """Add a pile of books, each slightly rotated."""
     rng, p = shop.rng, shop.printer
     z = 0.0
     for _ in range(count):
@@ -165,7 +165,7 @@ def bookcase(shop: Workshop, at: Placement, *, width_m: float, height_m: float) 
 
 
 def ornament(shop: Workshop, at: Placement, width_m: float, height_m: float) -> None:
-    """Add something for a shelf: a ball, a vase, a pile of books, a framed picture."""
+    """Add an ornament for a shelf: a ball, a vase, a pile of books or a framed picture."""
     rng, p = shop.rng, shop.printer
     kind = int(rng.integers(4))
     if kind == 0:
@@ -193,7 +193,7 @@ def vase(shop: Workshop, at: Placement, height_m: float) -> None:
 
 
 def desk(shop: Workshop, at: Placement, *, width_m: float, depth_m: float = 0.75) -> Placement:
-    """Add a desk and return where things stand on it: the middle of its top."""
+    """Add a desk and return the placement of the middle of its top."""
     p, b = shop.printer, shop.builder
     height, tones = float(shop.rng.uniform(0.7, 0.78)), p.inks.wood()
     edge = p.wood(width_m, 0.035, tones)
@@ -307,7 +307,7 @@ def bin_or_drum(shop: Workshop, at: Placement, radius_m: float, height_m: float)
 
 
 def cabinet(shop: Workshop, at: Placement, *, width_m: float, height_m: float, depth_m: float = 0.42) -> Placement:
-    """Add a cabinet of drawers or doors, and return where things stand on it."""
+    """Add a cabinet of drawers or doors, and return the placement of its top."""
     p, b = shop.printer, shop.builder
     if shop.rng.random() < 0.5:
         drawers(shop, at, (depth_m, width_m, height_m))

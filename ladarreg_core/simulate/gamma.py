@@ -1,4 +1,4 @@
-"""The simulated gamma camera: a few hot spots, smeared over tens of pixels, counted photon by photon."""
+"""The simulated gamma camera: a few hot spots, blurred over tens of pixels, with photon-counting noise."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.world import Viewpoint, World
 
 GAMMA_CAMERA = Camera.from_focal(320, 240, 405.8)
-"""The thermal camera's field of view, on a coded aperture or a pinhole."""
+"""Field of view of the thermal camera, behind a coded aperture or a pinhole."""
 
 _SPOTS = (3, 6)
 _PEAK_COUNTS = (25.0, 120.0)
@@ -26,7 +26,7 @@ _BACKGROUND_COUNTS = 2.0
 
 @dataclass(frozen=True, eq=False)
 class GammaImage:
-    """What was counted, and where it came from."""
+    """Photon counts and the positions of their sources."""
 
     counts: ByteArray
     """(height, width) uint8 photons."""
@@ -37,14 +37,14 @@ class GammaImage:
 def take_gamma_image(
     world: World, caster: RayCaster, camera: Camera, camera_from_scanner: Rigid, *, rng: np.random.Generator
 ) -> GammaImage:
-    """Count the photons of some sources on a world's surfaces, that the camera sees.
+    """Simulate the photon counts of sources on surfaces that the camera sees.
 
     Args:
-        world: where the sources lie.
+        world: surfaces with the sources.
         caster: its ray caster.
-        camera: the camera as it really is.
-        camera_from_scanner: where it really stands.
-        rng: of the sources and the photons.
+        camera: the true camera.
+        camera_from_scanner: its true pose.
+        rng: random generator of sources and photons.
 
     Raises:
         DegenerateGeometryError: if the camera sees nothing of the world.
@@ -64,7 +64,7 @@ def take_gamma_image(
     spots = np.stack(hit.points, axis=-1).astype(np.float64)
     rate = np.full(inner.shape, _BACKGROUND_COUNTS)
     v, u = np.mgrid[: camera.height, : camera.width]
-    sigma_px = float(rng.uniform(*_SPREAD_PX))  # of the aperture, the same for all
+    sigma_px = float(rng.uniform(*_SPREAD_PX))  # blur of the aperture, the same for all
     for centre in camera.project(camera_from_scanner @ spots):
         squared = (u - centre[0]) ** 2 + (v - centre[1]) ** 2
         rate += float(rng.uniform(*_PEAK_COUNTS)) * np.exp(-squared / (2 * sigma_px**2))

@@ -1,4 +1,4 @@
-"""The simulated LADAR: five sub-rays a cell, summed as an amplitude-modulated scanner sums them."""
+"""The simulated LADAR: five sub-rays per cell, superposed as in an amplitude-modulated scanner."""
 
 from __future__ import annotations
 
@@ -10,31 +10,32 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.rays import SampleGrid, in_strips
+from ladarreg_core.simulate.ray_cast import RayCaster, SampleGrid, in_strips
 from ladarreg_core.simulate.world import Viewpoint, World
 
 GEOMETRY = AzimuthElevation(rows=700, columns=1000, d_azimuth_rad=np.radians(0.055), d_elevation_rad=np.radians(0.055))
 R0_M = 1.0
 DR_M = 0.0022
 MODULATION_M = 4096 * DR_M
-"""The range at which the phase comes round again."""
+"""Ambiguity interval of the phase, m."""
 
 _DIVERGENCE_RAD = np.radians(0.03)
-_SUB_RAYS = np.array([[0.0, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])  # of the divergence: row, column
+_SUB_RAYS = np.array(
+    [[0.0, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]]
+)  # in units of the divergence: row, column
 _SUB_WEIGHTS = np.array([2.0, 1.0, 1.0, 1.0, 1.0]) / 6
 _REFERENCE_M = 2.5
-_SIGMA_M = 0.003  # at the amplitude .3
+_SIGMA_M = 0.003  # at an amplitude of .3
 _READ_NOISE = 0.003
 _DROPOUT = 0.006
-_DROPOUT_RANDOM = 0.4  # of the drop-outs that still report some range
+_DROPOUT_RANDOM = 0.4  # share of drop-outs that still report a random range
 _FULL_COUNT = 4095
 _INTENSITY_PER_AMPLITUDE = 2048
 
 
 @dataclass(frozen=True, eq=False)
 class LadarImages:
-    """What the instrument's two registers hold."""
+    """Contents of the two registers of the instrument."""
 
     counts: NDArray[np.uint16]
     """(H, W): range = R0_M + count DR_M; 0 = no return."""
@@ -53,11 +54,11 @@ def scan_world(
     """Scan a world from the scanner's own origin.
 
     Args:
-        world: what to scan.
+        world: the scanned world.
         caster: its ray caster.
-        rng: of the noise.
+        rng: random generator of the noise.
         speckle: relative standard deviation of the amplitude.
-        report: told how much is done, 0..1.
+        report: receives the share done, 0..1.
 
     Returns:
         Counts and intensity on `GEOMETRY`.
@@ -75,10 +76,10 @@ def scan_world(
         real = np.zeros((part.stop - part.start, columns), np.float32)
         imaginary = np.zeros_like(real)
         for k, weight in enumerate(_SUB_WEIGHTS.astype(np.float32)):
-            a, r = _returned(viewpoint, grid.faces(k, part).ravel(), grid.directions(k, part).reshape(-1, 3))
-            turn = (r - np.float32(R0_M)) * np.float32(2 * np.pi / MODULATION_M)
-            real += (weight * a * np.cos(turn)).reshape(real.shape)
-            imaginary += (weight * a * np.sin(turn)).reshape(real.shape)
+            a, r = _returns(viewpoint, grid.faces(k, part).ravel(), grid.directions(k, part).reshape(-1, 3))
+            phase_rad = (r - np.float32(R0_M)) * np.float32(2 * np.pi / MODULATION_M)
+            real += (weight * a * np.cos(phase_rad)).reshape(real.shape)
+            imaginary += (weight * a * np.sin(phase_rad)).reshape(real.shape)
         amplitude[part] = np.hypot(real, imaginary)
         phase[part] = np.arctan2(imaginary, real)
 
@@ -87,10 +88,10 @@ def scan_world(
 
 
 def _rays_at(step: FloatArray, rows: slice) -> FloatArray:
-    """Return the unit rays (h, W, 3) of some rows, moved by a step (row, column) in cells."""
+    """Return the unit rays (h, W, 3) of some rows, offset by a step (row, column) in cells."""
     row = np.arange(rows.start, rows.stop) + step[0]
     column = np.arange(GEOMETRY.columns) + step[1]
-    # Angles separate, so one row and one column of cells tell all of them.
+    # Azimuth and elevation separate, so one row and one column of cells determine all rays.
     across = GEOMETRY.ray_at(np.stack([np.full(len(column), (GEOMETRY.rows - 1) / 2), column], axis=-1))
     down = GEOMETRY.ray_at(np.stack([row, np.full(len(row), (GEOMETRY.columns - 1) / 2)], axis=-1))
     rays = np.empty((len(row), len(column), 3))
@@ -100,10 +101,10 @@ def _rays_at(step: FloatArray, rows: slice) -> FloatArray:
     return rays
 
 
-def _returned(
+def _returns(
     viewpoint: Viewpoint, faces: NDArray[np.int32], directions: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return amplitude and range (N,) of single rays."""
+    """Return amplitude and range (N,) of individual rays."""
     hit = viewpoint.meet(faces, directions)
     metal, gloss, _ = hit.finish
     c = hit.cosine
@@ -131,10 +132,10 @@ def _digitise(
     measured = amplitude * (rng.standard_gamma(looks, shape, dtype=np.float32) / np.float32(looks))
     measured += rng.standard_normal(shape, dtype=np.float32) * np.float32(_READ_NOISE)
     counts = np.clip(np.rint(range_m / np.float32(DR_M)), 1, _FULL_COUNT).astype(np.uint16)
-    # The signal decides whether there is a return, not its noise: else dark paper would flicker.
+    # The noise-free signal decides on a drop-out; otherwise dark paper would flicker.
     lost = amplitude < _DROPOUT
-    wild = lost & (rng.random(shape, dtype=np.float32) < _DROPOUT_RANDOM)
+    random_range = lost & (rng.random(shape, dtype=np.float32) < _DROPOUT_RANDOM)
     counts[lost] = 0
-    counts[wild] = rng.integers(1, _FULL_COUNT + 1, int(wild.sum())).astype(np.uint16)
+    counts[random_range] = rng.integers(1, _FULL_COUNT + 1, int(random_range.sum())).astype(np.uint16)
     intensity = np.clip(np.rint(measured * _INTENSITY_PER_AMPLITUDE), 0, _FULL_COUNT).astype(np.uint16)
     return LadarImages(counts, intensity)

@@ -1,4 +1,4 @@
-"""Inks: what a colour looks like to the eye, and how much of the laser it returns."""
+"""Inks: visible colour and laser albedo of materials."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _DYES = (0.0, 0.03, 0.08, 0.13, 0.3, 0.42, 0.52, 0.58, 0.63, 0.75, 0.95)  # hues
 _BLACK = 0.08  # linear luminance
 
 
-class InkWell:
-    """Mixes inks: the same seed gives the same inks in the same order.
+class InkMixer:
+    """Mixes inks at random; equal seeds give equal inks in the same order.
 
-    A laser sees another colour than the eye: 30 % of the inks are transparent to it, so that it sees the paper
-    beneath, and only most blacks are black. With `independent`, its albedo has nothing to do with the colour.
+    The laser albedo differs from the visible colour: 30 % of the inks are transparent to the laser, which then sees the
+    paper beneath, and most but not all blacks are black to it. With `independent`, albedo and colour are unrelated.
     """
 
     def __init__(self, rng: np.random.Generator, *, independent: bool = False) -> None:
@@ -28,7 +28,7 @@ class InkWell:
         self._independent = independent
 
     def of(self, rgb: Rgb) -> Ink:
-        """Return an ink of this colour with a laser albedo drawn for it."""
+        """Return an ink of this colour with a random laser albedo."""
         draw = self._rng.random(3)
         linear = [(value / 255) ** GAMMA for value in rgb]
         if self._independent:
@@ -53,13 +53,13 @@ class InkWell:
         return self.of(_rgb(base + self._rng.integers(-6, 7, 3)))
 
     def vivid(self) -> Ink:
-        """Return a saturated colour, of the hues that dyes and prints prefer."""
+        """Return a saturated colour of a hue common in dyes and prints."""
         hue = float(self._rng.choice(_DYES) + 0.025 * self._rng.standard_normal())
         saturation, value = self._rng.uniform(0.35, 0.78), self._rng.uniform(0.35, 0.9)
         return self.of(hsv(hue, saturation, value))
 
     def muted(self) -> Ink:
-        """Return a grayish colour of any hue, as walls, clothes and furniture have."""
+        """Return a grayish colour of any hue, as of walls, clothes and furniture."""
         return self.of(hsv(self._rng.random(), self._rng.uniform(0.05, 0.35), self._rng.uniform(0.3, 0.85)))
 
     def wood(self) -> tuple[Ink, Ink]:
@@ -74,7 +74,7 @@ class InkWell:
         return self.of(hsv(self._rng.uniform(0.04, 0.08), self._rng.uniform(0.3, 0.5), value))
 
     def any(self) -> Ink:
-        """Return an ink of any kind, as print has them."""
+        """Return an ink of any kind, as found in print."""
         kind = self._rng.random()
         return (
             self.vivid()

@@ -13,31 +13,30 @@ from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.materials import GAMMA
-from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.rays import SampleGrid, differs_from_neighbours, in_strips
+from ladarreg_core.simulate.ray_cast import RayCaster, SampleGrid, differs_from_neighbours, in_strips
 from ladarreg_core.simulate.world import Surface, Viewpoint, World
 
 SUPERSAMPLES = np.array([[-0.25, -0.25], [-0.25, 0.25], [0.25, -0.25], [0.25, 0.25]])
-"""The samples of a pixel: v, u, px."""
+"""Sample offsets within a pixel: v, u, px."""
 
 _BLUR_PX = 0.6
 _SHOT_NOISE = 0.012  # of full scale, at full scale
 _READ_NOISE = 0.002
 _SHADOW_STRIP = 32768  # rays
-_FULL_AT = 0.93  # what the brightest percent of the picture is exposed to
+_FULL_AT = 0.93  # exposure of the brightest percent of the picture
 _LINEAR = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """The lamps of a scene and what they do."""
+    """Lighting of a scene."""
 
     ambient: float = 0.30
-    """From everywhere."""
+    """Ambient light."""
     strength: tuple[float, ...] = (0.55, 0.45)
-    """Of each point light, at the scene's distance; lights beyond these are not lit."""
+    """Strength of each point light, at the distance of the scene; further lights are off."""
     tints: tuple[tuple[float, float, float], ...] = ((1.0, 0.96, 0.88), (0.92, 0.97, 1.0))
-    """Red, green, blue of each light."""
+    """RGB of each light."""
 
 
 def take_photograph(
@@ -51,17 +50,17 @@ def take_photograph(
     noise: float = 1.0,
     report: Callable[[float], None] | None = None,
 ) -> ByteArray:
-    """Photograph a world.
+    """Take a colour photograph of a world.
 
     Args:
-        world: what to photograph.
+        world: the photographed world.
         caster: its ray caster.
-        camera: the camera as it really is.
-        camera_from_scanner: where it really stands.
-        lighting: the lamps.
-        rng: of the noise.
-        noise: factor on the noise of the pixels.
-        report: told how much is done, 0..1.
+        camera: the true camera.
+        camera_from_scanner: its true pose.
+        lighting: the lighting.
+        rng: random generator of the noise.
+        noise: factor on the pixel noise.
+        report: receives the share done, 0..1.
 
     Returns:
         (height, width, 3) uint8 RGB.
@@ -86,13 +85,13 @@ def take_photograph(
 
 
 def cast_pixels(world: World, caster: RayCaster, camera: Camera, camera_from_scanner: Rigid) -> SampleGrid:
-    """Return which face every sample of every pixel of a camera meets.
+    """Return the face that each sample of each pixel of a camera hits.
 
     Args:
-        world: what is there.
+        world: the world.
         caster: its ray caster.
-        camera: the camera as it really is, with its lens.
-        camera_from_scanner: where it really stands.
+        camera: the true camera with its lens.
+        camera_from_scanner: its true pose.
     """
     R = camera_from_scanner.rotation
 
@@ -101,7 +100,7 @@ def cast_pixels(world: World, caster: RayCaster, camera: Camera, camera_from_sca
         x, y, z = np.moveaxis(camera.unproject(np.stack([u + step[1], v + step[0]], axis=-1)), -1, 0)
         rays = np.empty((*u.shape, 3))
         for i in range(3):
-            # Spelled out, since a matrix product's last bit may depend on the number of threads.
+            # Written out, since the last bit of a matrix product may depend on the number of threads.
             rays[..., i] = R[0, i] * x + R[1, i] * y + R[2, i] * z
         return rays
 
@@ -116,19 +115,20 @@ def _lit_samples(
     grid: SampleGrid,
     lamp: NDArray[np.float64],
 ) -> list[NDArray[np.bool_]]:
-    """Return which pixels (H, W) a lamp reaches, for each supersample; cast twice only along edges and shadows."""
+    """Return the pixels (H, W) lit by a lamp, for each supersample; supersamples are cast only along edges and
+    shadows."""
     shape = grid.centre_faces.shape
 
     def reached(faces: NDArray[np.int32], rays: NDArray[np.float32]) -> NDArray[np.bool_]:
         starts = np.empty((len(faces), 3), np.float32)
-        ask = np.empty(len(faces), np.bool_)
+        facing = np.empty(len(faces), np.bool_)
 
         def strip(part: slice) -> None:
-            starts[part], ask[part] = viewpoint.towards_lamp(faces[part], rays[part], lamp)
+            starts[part], facing[part] = viewpoint.towards_lamp(faces[part], rays[part], lamp)
 
         in_strips(len(faces), strip, step=_SHADOW_STRIP)
         out = np.zeros(len(faces), np.bool_)
-        where = np.flatnonzero(ask)
+        where = np.flatnonzero(facing)
         out[where] = caster.sees(starts[where], lamp)
         return out
 
@@ -156,7 +156,7 @@ def _shade(
     metal, gloss, glow = hit.finish
     albedo = _LINEAR[hit.texel[:, :3]]
     nx, ny, nz = hit.normals
-    # What faces up sees the ceiling, what faces down the floor.
+    # Surfaces that face up see the ceiling, those that face down the floor.
     base = np.float32(lighting.ambient) * (np.float32(0.85) + np.float32(0.25) * nz) + glow
     light = np.repeat(base[:, None], 3, axis=1)
     shine = np.zeros_like(light)
@@ -178,7 +178,7 @@ def _shade(
 
 
 def _develop(linear: NDArray[np.float32], rng: np.random.Generator, noise: float) -> ByteArray:
-    """Return the picture (H, W, 3) that the exposed sensor becomes."""
+    """Return the developed picture (H, W, 3) of an exposed sensor."""
     bright = float(np.percentile(linear.max(axis=-1), 99.0))
     blurred = cv2.GaussianBlur(linear * np.float32(_FULL_AT / max(bright, 1e-6)), (0, 0), _BLUR_PX)
     sigma = np.sqrt(np.maximum(blurred, 0) * np.float32(_SHOT_NOISE**2) + np.float32(_READ_NOISE**2))

@@ -1,4 +1,4 @@
-"""Four rooms, different for every seed."""
+"""Four kinds of rooms, different for every seed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from ladarreg_core.simulate import furniture as make
 from ladarreg_core.simulate.furniture import Workshop
-from ladarreg_core.simulate.materials import InkWell
+from ladarreg_core.simulate.materials import InkMixer
 from ladarreg_core.simulate.textures import Printer
 from ladarreg_core.simulate.world import Placement, World, WorldBuilder
 
@@ -21,11 +21,11 @@ def build_scene(
 
     Args:
         scene: a name in `SCENES`.
-        layout: decides everything about it.
-        independent_inks: the laser's albedo has nothing to do with the colour.
-        heated: heating pipes run along the far wall.
+        layout: random generator of the whole scene.
+        independent_inks: laser albedo and visible colour are unrelated.
+        heated: whether heating pipes run along the far wall.
     """
-    inks = InkWell(layout, independent=independent_inks)
+    inks = InkMixer(layout, independent=independent_inks)
     shop = Workshop(WorldBuilder(), Printer(layout, inks), heated=heated)
     return SCENES[scene](shop)
 
@@ -51,7 +51,7 @@ def _boxes(shop: Workshop) -> World:
 
 
 def _stack(shop: Workshop, at: Placement, width_m: float, height_m: float) -> None:
-    """Pile cartons up to about a height; on the top now and then something round."""
+    """Stack cartons to about a height, sometimes with an ornament on top."""
     rng = shop.rng
     z = 0.0
     while z < height_m - 0.1:
@@ -176,7 +176,7 @@ def _decorate(shop: Workshop, depth_m: float, floor_z: float, *, count: int) -> 
         else:
             w, h = slot * _u(rng, 0.5, 0.8), _u(rng, 0.6, 1.0)
             at, texture = Placement(depth_m, middle, floor_z + _u(rng, 1.2, 1.6)), p.poster(w, h)
-        # A sheet of 5 to 20 mm: its edge throws the thin shadow that tells it from paint.
+        # A sheet of 5 to 20 mm: its edge casts a thin shadow, unlike paint.
         thick = _u(rng, 0.005, 0.02)
         shop.builder.box(at.on(-thick / 2, 0, 0), (thick, w, h), p.plain(p.inks.muted()), front=texture)
 

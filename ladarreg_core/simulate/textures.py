@@ -1,30 +1,30 @@
-"""Printed, painted and grown surfaces, drawn as pictures of inks."""
+"""Textures of printed, painted and natural surfaces, drawn in inks."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-from ladarreg_core.simulate.materials import Ink, InkWell
+from ladarreg_core.simulate.materials import Ink, InkMixer
 from ladarreg_core.simulate.world import Picture, Texture
 
 PITCH_M = 0.0016
-"""Texel size of things; below a pixel of either sensor at 2 m."""
+"""Texel size of objects; below a pixel of either sensor at 2 m."""
 COARSE_M = 0.004
 """Texel size of floors and walls."""
 SKIN_K = 12.0
-"""How much warmer skin is than a room of 21 C."""
+"""Temperature of skin over a room of 21 C."""
 
-_SCREEN_K, _LEAVES_K, _COLD_GLASS_K = 13.0, -1.2, -4.0  # over the air: lit, transpiring, winter outside
+_SCREEN_K, _LEAVES_K, _COLD_GLASS_K = 13.0, -1.2, -4.0  # over the air: lit screen, transpiring leaves, glass in winter
 
 _FONTS = (cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_COMPLEX, cv2.FONT_HERSHEY_TRIPLEX, cv2.FONT_HERSHEY_SIMPLEX)
 _SYLLABLES = tuple("ba co de fi gu ha jo ka le mi no pa ri su ta ve wi xo yu za lor men tis ral".split())  # noqa: SIM905
 
 
 class Printer:
-    """Draws the surfaces of one scene; the same seed prints the same things in the same order."""
+    """Draws the textures of one scene; equal seeds give equal textures in the same order."""
 
-    def __init__(self, rng: np.random.Generator, inks: InkWell) -> None:
+    def __init__(self, rng: np.random.Generator, inks: InkMixer) -> None:
         self.rng = rng
         self.inks = inks
 
@@ -33,17 +33,17 @@ class Printer:
     def sheet(self, width_m: float, height_m: float, ink: Ink, *, pitch_m: float = PITCH_M) -> Picture:
         """Return an empty picture of this size in one ink."""
         w, h = max(4, round(width_m / pitch_m)), max(4, round(height_m / pitch_m))
-        # One word a texel fills five times as fast as four bytes.
+        # Filling one word per texel is five times as fast as four bytes.
         return np.full((h, w), np.array(ink, np.uint8).view(np.uint32)[0]).view(np.uint8).reshape(h, w, 4)
 
     def word(self) -> str:
-        """Return a word that nobody knows."""
+        """Return an invented word."""
         count = int(self.rng.integers(1, 4))
         text = "".join(str(self.rng.choice(_SYLLABLES)) for _ in range(count))
         return text.upper() if self.rng.random() < 0.5 else text.capitalize()
 
     def grain(self, picture: Picture, strength: float, *, cells: float = 40.0) -> Picture:
-        """Return the picture with soft blotches of wear, the same for the eye and the laser."""
+        """Return the picture with soft patches of wear, equal for camera and laser."""
         h, w = picture.shape[:2]
         coarse, fine = (
             self.rng.standard_normal((max(2, round(h / scale)), max(2, round(w / scale))), dtype=np.float32)
@@ -55,7 +55,7 @@ class Printer:
         return np.asarray(cv2.multiply(picture, gains, scale=1 / 128), dtype=np.uint8)
 
     def write(self, picture: Picture, text: str, box: tuple[int, int, int, int], ink: Ink) -> None:
-        """Write text as large as it fits into (left, top, width, height), texels."""
+        """Write text as large as fits into (left, top, width, height), texels."""
         left, top, width, height = box
         font = _FONTS[int(self.rng.integers(len(_FONTS)))]
         (tw, th), base = cv2.getTextSize(text, font, 1.0, 1)
@@ -158,7 +158,7 @@ class Printer:
     def _courses(
         self, picture: Picture, length_m: float, height_m: float, ink: Ink, *, top: int, stagger: float, joint: int = 2
     ) -> None:
-        """Lay bricks, tiles or planks, each of its own tone; joints keep what was there."""
+        """Draw bricks, tiles or planks, each of its own tone; joints keep the background."""
         h, w = picture.shape[:2]
         length, height = max(4, round(length_m / COARSE_M)), max(4, round(height_m / COARSE_M))
         for course, y in enumerate(range(top, h, height)):
@@ -181,7 +181,7 @@ class Printer:
         return Texture(self.grain(picture, 0.03), gloss=0.2)
 
     def window(self, width_m: float, height_m: float) -> Texture:
-        """Return a window with bars, and a view of hills and houses; its glass swallows the laser."""
+        """Return a window with bars, and a view of hills and houses; its glass returns no laser light."""
 
         def glass(r: int, g: int, b: int) -> Ink:
             return r, g, b, 2
@@ -339,7 +339,7 @@ class Printer:
     def plain(
         self, ink: Ink, *, metal: float = 0.0, gloss: float = 0.0, glow: float = 0.0, excess_k: float = 0.0
     ) -> Texture:
-        """Return one ink, faintly worn."""
+        """Return a texture of one ink, slightly worn."""
         picture = self.grain(np.full((48, 48, 4), ink, np.uint8), 0.03, cells=12)
         return Texture(picture, metal=metal, gloss=gloss, glow=glow, excess_k=excess_k)
 
@@ -380,7 +380,7 @@ class Printer:
             self.lines(pane, (s // 12, t // 6, s * 5 // 6, t * 3 // 4), ink, height=int(self.rng.integers(3, 9)))
             if self.rng.random() < 0.4:
                 self.shapes(pane, (s // 2, t // 4, s // 2, t * 3 // 4), 5)
-        # A laser meets the glass, not what is shown behind it.
+        # The laser hits the glass, not the image behind it.
         picture[..., 3] = int(self.rng.integers(12, 90))
         return Texture(picture, gloss=0.3, glow=0.35, excess_k=_SCREEN_K)
 
@@ -396,7 +396,7 @@ class Printer:
         return Texture(picture)
 
     def wrap(self, around_m: float, height_m: float) -> Texture:
-        """Return what goes around a mug, a can or a drum: bands and a printed front."""
+        """Return the wrap of a mug, a can or a drum: bands and a printed front."""
         picture = self.sheet(around_m, height_m, self.inks.any())
         h, w = picture.shape[:2]
         for _ in range(int(self.rng.integers(1, 4))):

@@ -1,4 +1,4 @@
-"""The simulated thermal camera: bodies of one temperature each, reflections, a soft lens and a drifting sensor."""
+"""The simulated thermal camera: bodies of one temperature each, reflections, lens blur and sensor drift."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.photograph import SUPERSAMPLES, cast_pixels
-from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.rays import in_strips
+from ladarreg_core.simulate.ray_cast import RayCaster, in_strips
 from ladarreg_core.simulate.world import Viewpoint, World
 
 THERMAL_CAMERA = Camera.from_focal(320, 240, 405.8)
-"""The colour camera's field of view on a small microbolometer."""
+"""Field of view of the colour camera on a small microbolometer."""
 
 _AIR_K, _AIR_SPREAD_K = 294.15, 2.0
-_BODY_SD_K, _BODY_LIMIT_K = 0.35, 0.9  # what stood in the sun, was carried in, or lies on a cold floor
+_BODY_SD_K, _BODY_LIMIT_K = 0.35, 0.9  # objects warmed by the sun, carried in, or on a cold floor
 _LAPSE_K_PER_M = (0.2, 0.7)  # warm air rises
 _FACING_K = (0.2, 0.5)  # a surface warms towards what it faces: the ceiling's lamps, a heated wall
-_CEILING_K = 3.0  # what a mirror that looks straight up shows, over the air
+_CEILING_K = 3.0  # temperature over the air that a mirror facing straight up shows
 _BLUR_PX = 1.0
 _NETD_K = 0.05
-_DRIFT_K = 0.12  # of the sensor between two of its calibrations, slow across the picture
+_DRIFT_K = 0.12  # of the sensor between calibrations, smooth across the picture
 
 
 def take_thermal_image(
@@ -39,16 +38,16 @@ def take_thermal_image(
     noise: float = 1.0,
     report: Callable[[float], None] | None = None,
 ) -> NDArray[np.float32]:
-    """Photograph what a world's bodies radiate; what they are printed with is not seen.
+    """Take a thermal image of a world; prints are invisible in it.
 
     Args:
-        world: what to photograph.
+        world: the photographed world.
         caster: its ray caster.
-        camera: the camera as it really is.
-        camera_from_scanner: where it really stands.
-        rng: of the temperatures, the drift and the noise.
-        noise: factor on the noise and drift of the pixels.
-        report: told how much is done, 0..1.
+        camera: the true camera.
+        camera_from_scanner: its true pose.
+        rng: random generator of temperatures, drift and noise.
+        noise: factor on pixel noise and drift.
+        report: receives the share done, 0..1.
 
     Returns:
         (height, width) float32 apparent temperature, K, in the linear approximation of small differences.

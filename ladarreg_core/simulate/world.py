@@ -11,36 +11,36 @@ from numpy.typing import ArrayLike, NDArray
 from ladarreg_core.arrays import FloatArray, IntArray
 
 _EMISSIVITY, _METAL_REFLECTS = 0.94, 0.6
-_CLEARANCE_M = 0.003  # above a surface, so that a shadow ray does not meet the face that it leaves
+_CLEARANCE_M = 0.003  # above a surface, so that a shadow ray does not hit the face that it leaves
 
 Picture = NDArray[np.uint8]
-"""(h, w, 4): the inks of a surface."""
+"""(h, w, 4): inks of a surface."""
 
 
 @dataclass(frozen=True)
 class Texture:
-    """A picture that is on a surface, and how that surface shines."""
+    """Texture of a surface with its optical and thermal properties."""
 
     picture: Picture
     """(h, w, 4) uint8: gamma-encoded red, green, blue; linear laser albedo."""
     metal: float = 0.0
-    """0..1: how much of the return is a mirror's."""
+    """Specular share of the return, 0..1."""
     gloss: float = 0.0
-    """0..1: a coat of lacquer."""
+    """Gloss of a coat of lacquer, 0..1."""
     glow: float = 0.0
-    """Light of its own, in units of its colour; screens and windows."""
+    """Emitted light, in units of its colour, for screens and windows."""
     excess_k: float = 0.0
-    """How much warmer than the air it is; a thermal camera alone sees that."""
+    """Temperature over the air, K; visible to a thermal camera only."""
 
     @property
     def emissivity(self) -> float:
-        """Of thermal radiation, seen face on: paint and paper nearly 1, bare metal a mirror."""
+        """Thermal emissivity at normal incidence: nearly 1 for paint and paper, low for bare metal."""
         return _EMISSIVITY - _METAL_REFLECTS * self.metal
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A finished scene; face 0 is nothing, for rays that leave."""
+    """A complete scene; face 0 stands for rays that hit nothing."""
 
     triangles: NDArray[np.float32]
     """(T, 3, 3), scanner frame, m."""
@@ -61,22 +61,22 @@ class World:
     heat: NDArray[np.float32]
     """(2, F): excess over the air, K, and emissivity."""
     body_of_face: NDArray[np.int32]
-    """(F,): which body the face belongs to; a body has one temperature."""
+    """(F,): body of the face; each body has one temperature."""
     curve_of_face: NDArray[np.int32]
-    """(F,): the row of `curves`, or -1 for what is flat."""
+    """(F,): row of `curves`, or -1 for flat faces."""
     curves: NDArray[np.float32]
     """(K, 3, 4): the unnormalised normal of a curved surface is linear in the point."""
     texels: NDArray[np.uint32]
     """All textures, flat, four bytes each."""
     focus_m: float
-    """How far ahead the things lie that a photographer would aim at."""
+    """Distance ahead of the objects at which the camera aims."""
     lights: FloatArray
     """(L, 3), m."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a piece of furniture stands: its own x points away from its front, y left, z up from its underside."""
+    """Position and yaw of an object: its x axis points away from its front, y left, z up from its underside."""
 
     x: float
     y: float
@@ -103,12 +103,12 @@ class Placement:
         return out
 
     def on(self, x: float, y: float, z: float, yaw_rad: float = 0.0) -> Placement:
-        """Return the placement of something that stands at a local point, turned by `yaw_rad` against this."""
+        """Return the placement of an object at a local point, rotated by `yaw_rad` relative to this one."""
         return Placement.at(self.points([x, y, z]), self.yaw_rad + yaw_rad)
 
 
 class WorldBuilder:
-    """Collects faces; every face gets the texture that it is given, stretched over it."""
+    """Collects textured faces; each texture is stretched over its face."""
 
     def __init__(self) -> None:
         self._textures: list[Texture] = []
@@ -122,7 +122,7 @@ class WorldBuilder:
         self._body = 0
 
     def quad(self, top_left: ArrayLike, right: ArrayLike, down: ArrayLike, texture: Texture) -> None:
-        """Add a parallelogram, seen from where `right` is right and `down` is down; all (3,), scanner frame, m."""
+        """Add a parallelogram by its corner and its sides to the right and down; all (3,), scanner frame, m."""
         self._body += 1
         self._sheet(top_left, right, down, texture)
 
@@ -136,9 +136,9 @@ class WorldBuilder:
         """Add a box of (depth, width, height) whose underside is centred at `at`.
 
         Args:
-            at: where it stands.
+            at: its placement.
             size: depth, width, height, m.
-            texture: for every side that `sides` does not name.
+            texture: texture of the sides not named in `sides`.
             sides: textures by name: front, back, left, right, top, bottom.
         """
         a, b, c = size[0] / 2, size[1] / 2, float(size[2])
@@ -165,16 +165,16 @@ class WorldBuilder:
         sectors: int = 28,
         front: ArrayLike = (-1.0, 0.0, 0.0),
     ) -> None:
-        """Add a turned surface: cylinders, balls, limbs, vases; its texture's middle faces `front`.
+        """Add a surface of revolution (cylinder, ball, limb, vase); the middle of its texture faces `front`.
 
         Args:
             base: (3,), one end of the axis, scanner frame, m.
             tip: (3,), the other end; the texture's top is there.
             profile: (height, radius) pairs, m, from the base's end upward.
             texture: wrapped around once.
-            squash: depth over width; below 1 it is flattened along `front`.
-            sectors: facets around.
-            front: (3,), a direction that is not along the axis.
+            squash: depth over width; values below 1 flatten it along `front`.
+            sectors: number of facets around the axis.
+            front: (3,), a direction not parallel to the axis.
         """
         self._body += 1
         axis = np.asarray(tip, dtype=np.float64) - np.asarray(base, dtype=np.float64)
@@ -217,7 +217,7 @@ class WorldBuilder:
         texture: Texture,
         curve: NDArray[np.float64] | None,
     ) -> None:
-        key = id(texture)  # the list keeps every texture alive, so an id stays its own
+        key = id(texture)  # the list keeps every texture alive, so ids are not reused
         if key not in self._texture_id:
             self._texture_id[key] = len(self._textures)
             self._textures.append(texture)
@@ -230,7 +230,7 @@ class WorldBuilder:
         self._face_curves.append(np.full(len(corners), -1 if curve is None else len(self._curves) - 1))
 
     def finish(self, *, focus_m: float, lights: ArrayLike) -> World:
-        """Return the world, ready to be cast into."""
+        """Return the complete world."""
         corners = np.concatenate(self._corners)
         texels = np.concatenate(self._texels)
         cross = np.cross(corners[:, 3] - corners[:, 0], corners[:, 2] - corners[:, 1])
@@ -251,7 +251,7 @@ class WorldBuilder:
         triangles = np.concatenate([corners[:, [0, 2, 1]], corners[:, [1, 2, 3]]])
         face_of_triangle = np.concatenate([faces, faces])
         areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=-1)
-        real = areas > 1e-12  # poles of turned surfaces have one triangle a facet
+        real = areas > 1e-12  # facets at the poles of surfaces of revolution have one triangle
         return World(
             triangles=triangles[real].astype(np.float32),
             face_of_triangle=face_of_triangle[real].astype(np.int32),
@@ -281,7 +281,7 @@ def _ring_normals(
     high_rad: float,
 ) -> NDArray[np.float64]:
     """Return the (3, 4) map from a point of a ring to its normal, tilting from `low_rad` to `high_rad` across it."""
-    # (x cos / r, y cos / r, sin), the sine linear in z: exact for balls and cylinders, close for what is between.
+    # (x cos / r, y cos / r, sin), the sine linear in z: exact for balls and cylinders, approximate otherwise.
     scale = (np.cos(low_rad) + np.cos(high_rad)) / max(float(r.sum()), 1e-6)
     low, high = np.sin(low_rad), np.sin(high_rad)
     gradient = (high - low) / (z[1] - z[0]) if abs(z[1] - z[0]) > 1e-9 else 0.0
@@ -300,7 +300,7 @@ def _fit_texels(
     d = corners - centre[:, None]
     middle = texels.mean(axis=1)
     e = texels - middle[:, None]
-    # The normal is added as a third direction without texels, so that the fit is unique and constant along it.
+    # The normal is added as a third direction with constant texels, so that the fit is unique.
     spread = np.einsum("fki,fkj->fij", d, d)
     scale = np.trace(spread, axis1=1, axis2=2)[:, None, None]
     spread += normals[:, :, None] * normals[:, None, :] * scale
@@ -311,24 +311,24 @@ def _fit_texels(
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What a bundle of rays from one point meets; N rays."""
+    """Surface points hit by N rays from one viewpoint."""
 
     range_m: NDArray[np.float32]
-    """(N,); 0 where there is nothing."""
+    """(N,); 0 without a hit."""
     points: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
     """x, y, z (N,) each, m."""
     normals: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
     """x, y, z (N,) each, unit, towards the viewer."""
     cosine: NDArray[np.float32]
-    """(N,): of the incidence angle."""
+    """(N,): cosine of the incidence angle."""
     texel: NDArray[np.uint8]
-    """(N, 4): the ink there."""
+    """(N, 4): ink."""
     finish: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
     """metal, gloss, glow (N,) each."""
 
 
 class Viewpoint:
-    """A world as seen from one point: what depends on the face and the point alone is computed once."""
+    """A world seen from one point; quantities that depend on face and point only are precomputed."""
 
     def __init__(self, world: World, origin: ArrayLike) -> None:
         self._world = world
@@ -343,7 +343,7 @@ class Viewpoint:
         self._limit = world.texture_size.astype(np.float32) - np.float32(1)
 
     def meet(self, faces: IntArray, directions: FloatArray) -> Surface:
-        """Return where rays meet the planes of the faces that they are known to meet first.
+        """Intersect rays with the planes of the faces that they hit first.
 
         Args:
             faces: (N,) face of each ray.
@@ -387,7 +387,7 @@ class Viewpoint:
     def towards_lamp(
         self, faces: IntArray, directions: FloatArray, lamp: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Return where shadow rays start and which are worth casting.
+        """Return the origins of shadow rays, and which of them have to be cast.
 
         Args:
             faces: (N,) face of each ray.

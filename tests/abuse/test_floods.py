@@ -14,9 +14,9 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from benchmarks.floods import Held, descriptors, edits_until, newcomers_until
-from benchmarks.workbench import Page, Served, with_camera_and_picks
 from ladarreg_core.simulate.sample import sample_folder
+from tests.abuse.held_connections import HeldConnections, descriptors, edits_until, newcomers_until
+from tests.served_workbench import Page, Served, with_camera_and_picks
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 DESCRIPTORS = 256
@@ -62,9 +62,9 @@ def page(found: Served) -> Page:
 
 
 @contextmanager
-def flooded(found: Served, kind: str, count: int) -> Iterator[Held]:
+def flooded(found: Served, kind: str, count: int) -> Iterator[HeldConnections]:
     """Hold connections open, and open again what the server closes."""
-    held = Held(kind, count, found.host, found.port, found.cookie)
+    held = HeldConnections(kind, count, found.host, found.port, found.cookie)
     over = threading.Event()
 
     def hold() -> None:

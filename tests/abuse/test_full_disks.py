@@ -20,7 +20,6 @@ from ladarreg.cli import _explain
 from ladarreg.exit_codes import ExitCode
 from ladarreg.session.session import Session
 
-from benchmarks.workbench import Page, Served
 from ladarreg_core.errors import ExportError, UnsavedError
 from ladarreg_core.export.atomic_write import AppendedFile
 from ladarreg_core.project.document import Source
@@ -30,6 +29,7 @@ from ladarreg_core.simulate.sample import sample_folder
 from tests.abuse.drawing import begin, draw, work_until_killed
 from tests.abuse.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
 from tests.processes import restore_ctrl_c
+from tests.served_workbench import Page, Served
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="no limit of file sizes and no kill -9 on Windows")
 ROUNDS = 20

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -81,8 +80,3 @@ def sample_bench(home: Path, **options: Any) -> WorkbenchDriver:
     """Open a workbench on the embedded sample."""
     folder = sample_folder()
     return open_bench(home, folder / "scan.npz", next(folder.glob("photo.*")), camera=folder / "camera.json", **options)
-
-
-def idle_threads() -> set[str]:
-    """Return the names of all threads."""
-    return {thread.name for thread in threading.enumerate()}

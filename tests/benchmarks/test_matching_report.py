@@ -1,4 +1,4 @@
-"""What `benchmarks.matching` says of its rows, and how its page keeps what stands around the tables."""
+"""The report of `benchmarks.matching`, and its page, which keeps the text around the tables."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_a_peer_changes_no_bar_of_ours() -> None:
     assert bars_of(ours) == bars_of([*ours, row("hard", True, 90.0, method="SIFT + RANSAC", seconds=99)])
 
 
-def test_the_page_keeps_what_stands_around_the_tables(tmp_path: Path) -> None:
+def test_the_page_keeps_the_text_around_the_tables(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("Before.\n\n<!-- matching: begin -->\nold\n<!-- matching: end -->\n\nAfter.\n", encoding="utf-8")
     write_page(page, [row("standard", True, 0.11)])

@@ -1,4 +1,4 @@
-"""What `benchmarks.pose` prints, writes and calls met."""
+"""The report of `benchmarks.pose`: its text, page, JSON and bars."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.accuracy import Answers, ask, measure
-from benchmarks.case import Case
-from benchmarks.lines import line_case
-from benchmarks.peers import Answer, default
 from benchmarks.pose_accuracy import backends_apart, mismatches_section
 from benchmarks.pose_report import Bar, Section, as_text, table, write_json, write_page
-from benchmarks.room import plane_case, repeated_case, room_case, room_ranges
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
+from tests.scenes.accuracy import Answer, Answers, ask, default, measure
+from tests.scenes.pose_case import Case
+from tests.scenes.room import plane_case, repeated_case, room_case, room_ranges
+from tests.scenes.room_lines import line_case
 
 
 def section(cell: str = "1.00", value: float = 1.0, *, key: str = "some") -> Section:
@@ -27,14 +26,14 @@ def section(cell: str = "1.00", value: float = 1.0, *, key: str = "some") -> Sec
 
 
 @given(st.floats(), st.none() | st.floats(-9, 9), st.none() | st.floats(-9, 9))
-def test_a_bar_is_met_between_its_bounds_and_never_by_what_is_not_known(value, least, most):
+def test_a_bar_is_met_between_its_bounds_and_never_by_an_unknown_value(value, least, most):
     within = (least is None or value >= least) and (most is None or value <= most)
     bar = Bar("it", value, least=least, most=most)
     assert bar.met == (within and not math.isnan(value))
     assert bar.verdict == ("met" if bar.met else "MISSED")
 
 
-def test_a_page_keeps_what_stands_around_the_tables_and_the_sections_that_did_not_run(tmp_path):
+def test_a_page_keeps_the_text_around_the_tables_and_sections_that_did_not_run(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("# Benchmarks\n\nBefore.\n", encoding="utf-8")
     write_page(page, [section("1.11"), section("2.22", key="other")], seeds=range(3, 5))
@@ -61,7 +60,7 @@ def test_json_is_strict_and_says_what_ran(tmp_path):
 
 
 def off_by(sigmas: float):
-    """A solver that errs by so many of the bound's sigmas, any way, and reports the bound."""
+    """Return a solver with errors of this many sigmas of the bound, which reports the bound."""
     rng = np.random.default_rng(0)
 
     def solve(case: Case) -> Answer:

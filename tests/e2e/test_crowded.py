@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from benchmarks.floods import Held
-from benchmarks.workbench import served
+from tests.abuse.held_connections import HeldConnections
+from tests.served_workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -22,8 +22,8 @@ def test_a_page_beyond_the_limit_shows_the_reason_and_connects_when_another_clos
     browser: Browser, tmp_path: Path
 ) -> None:
     with served(tmp_path / "project") as (found, _):
-        others = Held("document", 64, found.host, found.port, found.cookie)
-        views = Held("viser", 64, found.host, found.port, found.cookie)
+        others = HeldConnections("document", 64, found.host, found.port, found.cookie)
+        views = HeldConnections("viser", 64, found.host, found.port, found.cookie)
         others.fill()
         views.fill()
         time.sleep(1)

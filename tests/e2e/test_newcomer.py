@@ -15,9 +15,9 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from benchmarks.workbench import Served
 from ladarreg_core.simulate.sample import sample_folder
 from tests.e2e.test_workbench import no_model
+from tests.served_workbench import Served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.workbench import Page as Socket
-from benchmarks.workbench import Served, served
 from ladarreg_core.simulate.sample import sample_folder
 from tests.e2e.audits import hard_to_read, lost_without_a_mouse
+from tests.served_workbench import Page as Socket
+from tests.served_workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, Route
@@ -151,7 +151,7 @@ def operator(browser: Browser, server: Served, checkout: Path, request: pytest.F
 def seen_by_both(server: Served) -> list[tuple[Any, Any, Any]]:
     """Return three lines that scan and photo share: view pixels, photo pixels, rays; from the sample's true pose."""
     import ladarreg_core as lr
-    from ladarreg_core.inspection.views import inspection_views
+    from ladarreg_core.inspection.pictures import inspection_views
 
     folder = sample_folder()
     scan = lr.read_scan(folder / "scan.npz")

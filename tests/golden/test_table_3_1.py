@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.table_3_1 import simplex_apple_figures
+from tests.scenes.apple import simplex_apple_figures
 
 SEEDS = range(24)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.apple import APPLE_TRUTH, apple_points
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about
 from ladarreg_core.matches import Matches
@@ -23,6 +22,7 @@ from ladarreg_core.pose.thesis.stereo import (
     rotate_coordinates,
     stereo_depth,
 )
+from tests.scenes.apple import APPLE_TRUTH, apple_points
 
 LENS = Camera.from_focal(512, 512, 256.0)
 

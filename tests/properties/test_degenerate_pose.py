@@ -11,8 +11,6 @@ import numpy as np
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.case import difference
-from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
@@ -20,6 +18,8 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
 from ladarreg_core.results import PoseResult
+from tests.scenes.pose_case import difference
+from tests.scenes.room import ROOM_CAMERA, room_case
 
 LENSES = {
     "room": ROOM_CAMERA,

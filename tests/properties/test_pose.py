@@ -8,8 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.case import difference
-from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, DegenerateGeometryError, LadarregError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
@@ -18,6 +16,8 @@ from ladarreg_core.pose.bundle import Measurements, States, least_squares, linea
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.results import PoseResult
 from tests.properties.strategies import rotvecs
+from tests.scenes.pose_case import difference
+from tests.scenes.room import ROOM_CAMERA, room_case
 
 LENSES = (
     ROOM_CAMERA,

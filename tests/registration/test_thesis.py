@@ -149,7 +149,7 @@ def test_a_vanishing_baseline_is_detected_and_reported() -> None:
     case = simulate_case("boxes", set_name="identical", seed=41)
     literal = RegisterOptions(thesis=ThesisOptions(residual="stereo"))
     result = lr.register(case.scan, case.photo, method="thesis", options=literal)
-    assert any("nearly at the same place" in reason for reason in result.reasons), result.reasons
+    assert any("nearly at the same position" in reason for reason in result.reasons), result.reasons
     if result.accepted:
         assert shift_px(case, case.camera_from_scanner, result.camera_from_scanner) < 2
 

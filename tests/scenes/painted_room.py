@@ -1,4 +1,4 @@
-"""A small room with painted walls and two boxes, seen by a scanner and by a camera: exact truth, made in a moment.
+"""A small room with painted walls and two boxes, seen by a scanner and by a camera: exact truth, generated quickly.
 
 It needs no ray caster: everything is a plane or an axis-parallel box, met in closed form.
 """
@@ -41,7 +41,7 @@ class PaintedRoom:
         return float(np.median(np.hypot(*(true - camera.project(pose @ points))[seen].T)))
 
     def mahalanobis(self, pose: Rigid, covariance: np.ndarray) -> float:
-        """Distance of the truth in standard deviations, per parameter."""
+        """Error in standard deviations, per parameter."""
         w = rotvec_from_rotation(self.camera_from_scanner.rotation @ pose.rotation.T)
         d = np.concatenate([w, self.camera_from_scanner.centre - pose.centre])
         return float(np.sqrt(d @ np.linalg.inv(covariance) @ d / 6))
@@ -87,7 +87,7 @@ def paint(points: np.ndarray, box: np.ndarray, axis: np.ndarray, picture: np.nda
 
 
 def painted_room(seed: int = 0, *, distortion: tuple[float, ...] = (), baseline_m: float = 0.4) -> PaintedRoom:
-    """Make the room: a scan of 420 x 300 cells and a photo of 480 x 340 pixels from `baseline_m` aside."""
+    """Make the room: a scan of 420 x 300 cells and a photo of 480 x 340 pixels at `baseline_m` to the side."""
     rng = np.random.default_rng(seed)
     picture = paintings(seed)
     geometry = AzimuthElevation(300, 420, np.deg2rad(0.11), np.deg2rad(0.11))

@@ -34,7 +34,7 @@ class Panorama:
 
 
 def panorama(wall_seeds: tuple[int, ...]) -> Panorama:
-    """Make it: one wall of 60 degrees for each seed, which paints it; the photo is taken of the middle one."""
+    """Make the room: one wall of 60 degrees for each seed, which paints it; the photo is taken of the middle one."""
     pictures = [paintings(seed) for seed in wall_seeds]
     middle = len(wall_seeds) // 2
     step = np.deg2rad(0.11)

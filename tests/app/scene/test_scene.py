@@ -299,7 +299,7 @@ def test_controls_call_actions_and_follow_the_state_without_a_loop(
     scene.show_registration(SCAN, PHOTO, pose())
     assert scene.settle()
     client = Client()
-    press(gui(server, "Texture"), "Label", client)
+    press(gui(server, "Texture"), "Visibility class", client)
     press(gui(server, "Cameras"), False, client)
     assert scene.settle()
     assert actions.calls == [{"texture": "label"}, {"cameras": False}]

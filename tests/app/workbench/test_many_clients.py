@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.workbench import Page, many_people, served, with_camera_and_picks
+from tests.served_workbench import Page, many_clients, served, with_camera_and_picks
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send")]
 
@@ -18,7 +18,7 @@ def test_ten_clients_see_the_same_document(tmp_path: Path) -> None:
     with served(project) as (found, _):
         watching = Page(found)
         with_camera_and_picks(watching, 20)
-        _, edits = many_people(found, 0.1)
+        _, edits = many_clients(found, 0.1)
         assert edits > 40
         watching.ask("list_served")
         coming = Page(found)

@@ -1,4 +1,4 @@
-"""What an operator looks at: pictures of the scan, overlays, partners, corners, judged picks."""
+"""Inspection: pictures of the scan, overlays, predicted counterparts, corners, residuals of picks."""
 
 from __future__ import annotations
 
@@ -14,14 +14,25 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.corners import nearest_corner
-from ladarreg_core.inspection.figures import figures, parameters, scanners_place
+from ladarreg_core.inspection.figures import figures, parameters, pose_at_scanner
 from ladarreg_core.inspection.model_textures import texture_without_z_buffer
-from ladarreg_core.inspection.overlays import photo_over_scan, scan_over_photo
-from ladarreg_core.inspection.partners import Partners
-from ladarreg_core.inspection.picks import Measured, judge_picks, picks_in_space, sample_line
-from ladarreg_core.inspection.pictures import Stretch, compensated, scan_picture
-from ladarreg_core.inspection.probing import probe
-from ladarreg_core.inspection.views import inspection_views, resolution_note
+from ladarreg_core.inspection.picks import (
+    PickMeasurements,
+    PickPredictor,
+    pick_points,
+    pick_residuals,
+    probe,
+    sample_line,
+)
+from ladarreg_core.inspection.pictures import (
+    Stretch,
+    compensated,
+    inspection_views,
+    photo_over_scan,
+    resolution_note,
+    scan_over_photo,
+    scan_picture,
+)
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.estimate import solve_pose
@@ -63,7 +74,7 @@ def test_stretch_is_monotone_and_reaches_both_ends() -> None:
         assert gray[seen].max() == 255
 
 
-def test_what_falls_with_range_is_made_up_for() -> None:
+def test_intensity_is_compensated_for_range() -> None:
     """One paint on a floor: the same gray near and far, though a hundredth of the light comes back."""
     geometry = AzimuthElevation(120, 100, 0.004, 0.004, elevation_offset_rad=-0.35)
     ranges = np.clip(-1.5 / np.minimum(geometry.rays[..., 2], -1e-6), 0, 16)
@@ -74,14 +85,14 @@ def test_what_falls_with_range_is_made_up_for() -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"low": 50, "high": 50}, {"gamma": 0}, {"low": -1}, {"gamma": float("nan")}])
-def test_a_stretch_without_meaning_is_refused(wrong: dict[str, float]) -> None:
+def test_an_invalid_stretch_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(OptionError):
         Stretch(**wrong)  # type: ignore[arg-type]
 
 
-def test_what_cannot_be_shown_is_told() -> None:
+def test_an_unknown_rendering_is_refused() -> None:
     view = inspection_views(wall())[0].view
-    with pytest.raises(OptionError, match="can be intensity"):
+    with pytest.raises(OptionError, match="one of intensity"):
         scan_picture(view, "smell")
     with pytest.raises(ShapeError, match="no colour"):
         scan_picture(view, "color")
@@ -100,7 +111,7 @@ def test_a_narrow_scan_has_one_view_and_a_wide_one_several_that_cover_it() -> No
     assert seen.all()
 
 
-def test_views_have_no_more_pixels_than_a_scan_has_use_for() -> None:
+def test_views_have_no_more_pixels_than_the_scan_resolves() -> None:
     usual = wall()
     assert resolution_note(usual, inspection_views(usual)) is None
     rng = np.random.default_rng(0)
@@ -122,7 +133,7 @@ def test_views_have_no_more_pixels_than_a_scan_has_use_for() -> None:
     assert seen > 10
     note = resolution_note(fine := wall_of_unlike_steps(), inspection_views(fine))
     assert note is not None
-    assert "one pixel for" in note
+    assert "one pixel per" in note
 
 
 def wall_of_unlike_steps() -> Scan:
@@ -133,7 +144,7 @@ def wall_of_unlike_steps() -> Scan:
 # overlays
 
 
-def test_an_overlay_lies_where_the_photo_shows_the_same() -> None:
+def test_an_overlay_agrees_with_the_photo() -> None:
     c = the_case()
     overlay = scan_over_photo(c.scan, c.true_camera, c.camera_from_scanner, "intensity")
     assert overlay.shape == (c.true_camera.height, c.true_camera.width, 4)
@@ -159,7 +170,7 @@ def test_edges_are_transparent_but_for_lines() -> None:
         scan_over_photo(c.scan, c.true_camera, c.camera_from_scanner, "sound")
 
 
-def test_without_the_z_buffer_hidden_cells_are_painted() -> None:
+def test_without_the_z_buffer_occluded_cells_are_coloured() -> None:
     c = the_case()
     honest = texture_scan(c.scan, c.photo, c.camera_from_scanner)
     pose = describe_pose(
@@ -176,31 +187,31 @@ def test_without_the_z_buffer_hidden_cells_are_painted() -> None:
     assert (alpha[0] > 0).sum() < (alpha[1] > 0).sum()
 
 
-# partners
+# predictor
 
 
-def test_partners_lead_back_to_where_they_came_from() -> None:
+def test_predicted_counterparts_lead_back_to_their_picks() -> None:
     c = the_case()
-    partners = Partners(c.scan, c.true_camera, c.camera_from_scanner)
+    predictor = PickPredictor(c.scan, c.true_camera, c.camera_from_scanner)
     rng = np.random.default_rng(1)
     uv = rng.uniform((5, 5), (c.true_camera.width - 6, c.true_camera.height - 6), (300, 2))
-    rays = partners.on_scan(uv)
+    rays = predictor.on_scan(uv)
     known = np.isfinite(rays[:, 0])
     assert known.mean() > 0.5
-    back = partners.in_photo(rays[known])
+    back = predictor.in_photo(rays[known])
     off = np.linalg.norm(back - uv[known], axis=1)
     assert np.nanmedian(off) < 0.1
     assert np.nanpercentile(off, 80) < 1.0, "the rest lies at depth edges"
 
 
-def test_nothing_is_predicted_where_there_is_nothing() -> None:
+def test_no_counterpart_is_predicted_without_a_surface() -> None:
     c = the_case()
-    partners = Partners(c.scan, c.true_camera, c.camera_from_scanner)
-    assert np.isnan(partners.on_scan([[-50.0, 10.0], [np.nan, 3.0]])).all()
-    assert np.isnan(partners.in_photo([[-1.0, 0, 0]])).all()
+    predictor = PickPredictor(c.scan, c.true_camera, c.camera_from_scanner)
+    assert np.isnan(predictor.on_scan([[-50.0, 10.0], [np.nan, 3.0]])).all()
+    assert np.isnan(predictor.in_photo([[-1.0, 0, 0]])).all()
 
 
-def test_a_cell_is_probed_where_it_is() -> None:
+def test_a_probe_reads_the_cell_along_the_ray() -> None:
     scan = the_case().scan
     row, column = np.argwhere(scan.valid)[12345]
     found = probe(scan, scan.rays[row, column])
@@ -226,17 +237,17 @@ def test_a_click_beside_a_corner_finds_it(u: float, v: float, du: float, dv: flo
     assert found == pytest.approx((u, v), abs=0.35)
 
 
-def test_a_plain_surface_and_places_outside_have_no_corner() -> None:
+def test_a_uniform_surface_and_pixels_outside_have_no_corner() -> None:
     assert nearest_corner(np.full((60, 60), 90, np.float32), (30, 30)) is None
     assert nearest_corner(np.zeros((60, 60), np.float32), (-3, 30)) is None
     assert nearest_corner(np.zeros((60, 60), np.float32), (float("nan"), 30)) is None
 
 
-# judged picks
+# residuals picks
 
 
 def picks_of(c: SimulatedCase, count: int, seed: int, noise_px: float) -> list[Pick]:
-    """Points of the scan that the camera sees, put down with noise."""
+    """Picks on points of the scan that the camera sees, with noise."""
     rng = np.random.default_rng(seed)
     label = texture_scan(c.scan, c.photo, c.camera_from_scanner).labels
     cells = np.argwhere(label == Label.SEEN)
@@ -247,16 +258,16 @@ def picks_of(c: SimulatedCase, count: int, seed: int, noise_px: float) -> list[P
     return [Pick(f"m{k}", "point", ray[None], at[None]) for k, (ray, at) in enumerate(zip(rays, uv, strict=True))]
 
 
-def test_every_pick_is_judged_the_ones_switched_off_too() -> None:
+def test_every_pick_has_residuals_whether_on_or_off() -> None:
     c = the_case()
     picks = picks_of(c, 40, 0, 0.3)
     wrong = Pick("wrong", "point", picks[0].scan, picks[0].photo + 60, on=False)
-    measured = Measured(c.scan, c.photo)
+    measured = PickMeasurements(c.scan, c.photo)
     result = solve_pose(matches_from_picks(c.scan, picks, camera=c.photo.camera)[0], c.photo.camera)
-    judged = judge_picks(measured, [*picks, wrong], result)
-    assert judged["wrong"].px == pytest.approx(60 * 2**0.5, abs=5)
-    assert judged["wrong"].inlier is None
-    inside = [judged[pick.id] for pick in picks if pick.id in judged]
+    residuals = pick_residuals(measured, [*picks, wrong], result)
+    assert residuals["wrong"].px == pytest.approx(60 * 2**0.5, abs=5)
+    assert residuals["wrong"].inlier is None
+    inside = [residuals[pick.id] for pick in picks if pick.id in residuals]
     assert len(inside) > 30
     assert np.median([j.px for j in inside]) < 1.5
     assert all(j.photo.shape == (1, 2) for j in inside)
@@ -264,12 +275,12 @@ def test_every_pick_is_judged_the_ones_switched_off_too() -> None:
     for pick in picks:
         if pick.id in by_id:
             expected = np.linalg.norm(result.residuals_px[by_id[pick.id]])
-            assert judged[pick.id].px == pytest.approx(expected, rel=1e-6, abs=1e-9)
+            assert residuals[pick.id].px == pytest.approx(expected, rel=1e-6, abs=1e-9)
     # asked again, the same, from what was kept
-    assert judge_picks(measured, [*picks, wrong], result)["wrong"].px == judged["wrong"].px
+    assert pick_residuals(measured, [*picks, wrong], result)["wrong"].px == residuals["wrong"].px
 
 
-def test_a_line_tells_which_samples_have_a_range() -> None:
+def test_a_sampled_line_marks_the_samples_with_a_range() -> None:
     geometry = AzimuthElevation(60, 80, 0.01, 0.01)
     ranges = 3 / geometry.rays[..., 0]
     ranges[:, 40:50] = np.nan
@@ -283,20 +294,20 @@ def test_a_line_tells_which_samples_have_a_range() -> None:
     assert line.used < line.sampled
 
 
-def test_picks_stand_in_space_where_the_scan_measured_them() -> None:
+def test_pick_points_lie_at_their_measured_ranges() -> None:
     c = the_case()
     picks = picks_of(c, 20, 5, 0)
-    points, ids, on = picks_in_space(c.scan, picks)
+    points, ids, on = pick_points(c.scan, picks)
     assert points.shape == (20, 3)
     assert ids == [pick.id for pick in picks]
     assert all(on)
     known = np.isfinite(points[:, 0])
     aside = np.cross(points[known], np.concatenate([pick.scan for pick in picks])[known])
     assert np.abs(aside).max() < 1e-9
-    assert picks_in_space(c.scan, [])[0].shape == (0, 3)
+    assert pick_points(c.scan, [])[0].shape == (0, 3)
 
 
-def test_figures_are_told_to_the_digits_that_mean_something() -> None:
+def test_parameters_are_rounded_to_their_significant_digits() -> None:
     c = the_case()
     result = solve_pose(matches_from_picks(c.scan, picks_of(c, 60, 2, 0.5), camera=c.photo.camera)[0], c.photo.camera)
     found = {p.name: p for p in parameters(result)}
@@ -306,11 +317,11 @@ def test_figures_are_told_to_the_digits_that_mean_something() -> None:
         assert len(parameter.sigma.split(".")[-1]) == len(parameter.value.split(".")[-1])
     assert figures(result).inliers == int(result.inliers.sum())
     assert 0 < figures(result).median_px <= figures(result).rms_px * 1.2
-    assert scanners_place(c.scan).centre == pytest.approx(np.zeros(3))
+    assert pose_at_scanner(c.scan).centre == pytest.approx(np.zeros(3))
 
 
 def test_a_photo_that_sees_nothing_of_the_scan_has_an_empty_overlay() -> None:
     camera = Camera.from_focal(64, 48, 60)
-    away = Rigid(np.diag([-1.0, 1.0, -1.0]) @ scanners_place(wall()).rotation, np.zeros(3))
+    away = Rigid(np.diag([-1.0, 1.0, -1.0]) @ pose_at_scanner(wall()).rotation, np.zeros(3))
     overlay = scan_over_photo(wall(), camera, away, "intensity")
     assert not overlay[..., 3].any()

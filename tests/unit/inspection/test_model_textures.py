@@ -1,4 +1,4 @@
-"""What is painted on the model says what it claims."""
+"""Textures of the model agree with their legends."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.inspection.model_textures import (
     LABEL_COLOURS,
-    NOTHING_KNOWN,
+    NO_DATA_COLOUR,
+    colored_points,
     model_texture,
-    painted_through,
-    plain_picture,
+    picture_without_z_buffer,
     residual_field,
-    scattered,
     small_picture,
     texture_choices,
+    uniform_picture,
     usable_texture,
 )
 from ladarreg_core.matches import Matches
@@ -69,7 +69,7 @@ def result(room: PaintedRoom) -> PoseResult:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_covers_the_grid_and_tells_its_colours(kind: str, room: PaintedRoom, result: PoseResult) -> None:
+def test_every_kind_covers_the_grid_and_has_a_legend(kind: str, room: PaintedRoom, result: PoseResult) -> None:
     texture = model_texture(room.scan, kind, photo=room.photo, result=result)
     assert texture.image.shape == (*room.scan.shape, 3)
     assert not texture.image.flags.writeable
@@ -93,13 +93,13 @@ def test_labels_have_exactly_their_colours_and_the_legend_names_those_present(
     assert len(set(LABEL_COLOURS.values())) == len(LABEL_COLOURS)
 
 
-def test_without_the_z_buffer_what_is_hidden_has_the_colour_of_its_pixel(room: PaintedRoom, result: PoseResult) -> None:
-    """And with it, it has none: thesis Figure 2.23."""
+def test_without_the_z_buffer_occluded_cells_take_the_photo(room: PaintedRoom, result: PoseResult) -> None:
+    """With the z-buffer they have none: thesis Figure 2.23."""
     camera, pose = room.photo.camera, room.camera_from_scanner
     labels = texture_scan(room.scan, room.photo, pose).labels
     hidden = labels == Label.OCCLUDED
     assert hidden.sum() > 500
-    through = painted_through(room.scan, room.photo, result)
+    through = picture_without_z_buffer(room.scan, room.photo, result)
     uv = camera.project(pose @ room.scan.points)[hidden].astype(np.float32)
     smooth = cv2.remap(room.photo.pixels, uv[None, :, 0], uv[None, :, 1], cv2.INTER_LINEAR)[0]
     assert np.abs(through[hidden].astype(int) - smooth).max() <= 1
@@ -111,16 +111,16 @@ def test_without_the_z_buffer_what_is_hidden_has_the_colour_of_its_pixel(room: P
     np.testing.assert_array_equal(through[outside], solid[outside])
 
 
-def test_nothing_behind_the_camera_is_painted(room: PaintedRoom, result: PoseResult) -> None:
+def test_nothing_behind_the_camera_is_coloured(room: PaintedRoom, result: PoseResult) -> None:
     behind = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, [100.0, 0.0, 0.0])
-    picture = painted_through(room.scan, room.photo, dataclasses.replace(result, camera_from_scanner=behind))
+    picture = picture_without_z_buffer(room.scan, room.photo, dataclasses.replace(result, camera_from_scanner=behind))
     assert np.ptp(picture, axis=-1).max() == 0
 
 
 @settings(max_examples=20)
 @given(st.lists(st.floats(0.25, 90.0, width=32), min_size=12, max_size=12))
 def test_a_farther_cell_is_never_darker(metres: list[float]) -> None:
-    """Viridis grows lighter all the way."""
+    """Viridis grows lighter monotonically."""
     ranges = np.array(metres, np.float32).reshape(3, 4)
     image = model_texture(Scan(AzimuthElevation(3, 4, 0.1, 0.1), ranges, np.ones((3, 4))), "range").image
     light = (image.astype(float) @ [0.2126, 0.7152, 0.0722]).ravel()
@@ -135,7 +135,7 @@ def test_equal_residuals_give_an_even_field(level: float, room: PaintedRoom) -> 
     np.testing.assert_allclose(field[known], level, rtol=1e-4)
 
 
-def test_the_field_takes_up_the_nearest_matches_and_nothing_far_away(result: PoseResult) -> None:
+def test_the_field_follows_the_nearest_matches_and_ends_far_from_all(result: PoseResult) -> None:
     good, bad = np.array([[10, 10], [14, 13]]), np.array([[10, 290], [13, 285]])
     geometry = AzimuthElevation(30, 300, 0.002, 0.002)
     scan = Scan(geometry, np.full((30, 300), 3.0), np.ones((30, 300)))
@@ -154,18 +154,18 @@ def test_the_field_takes_up_the_nearest_matches_and_nothing_far_away(result: Pos
     none = dataclasses.replace(four, inliers=np.zeros(4, bool))
     assert np.isnan(residual_field(scan, none)).all()
     picture = model_texture(scan, "residual", result=outlier)
-    assert tuple(picture.image[10, 290]) == NOTHING_KNOWN
+    assert tuple(picture.image[10, 290]) == NO_DATA_COLOUR
 
 
 def test_a_less_certain_pose_is_never_darker(room: PaintedRoom, result: PoseResult) -> None:
-    """The scale ends at a round number of the picture's own, so pictures are compared in its numbers."""
+    """Each scale ends at its own round number, so textures are compared by their values."""
     tight = model_texture(room.scan, "uncertainty", result=result)
     loose = dataclasses.replace(result, covariance=result.covariance * 100)
     ends = [float(t.legend.most.split()[0]) for t in (tight, model_texture(room.scan, "uncertainty", result=loose))]
     assert ends[1] == pytest.approx(10 * ends[0], rel=0.5)
 
 
-def test_what_is_not_accepted_paints_nothing(room: PaintedRoom, result: PoseResult) -> None:
+def test_a_pose_that_is_not_accepted_colours_nothing(room: PaintedRoom, result: PoseResult) -> None:
     refused = result_of(room, accepted=False)
     for kind in ("colour", "label", "residual", "uncertainty"):
         assert usable_texture(kind, None) == usable_texture(kind, refused) == "intensity"
@@ -177,14 +177,14 @@ def test_what_is_not_accepted_paints_nothing(room: PaintedRoom, result: PoseResu
     assert all(c.usable for c in texture_choices(result))
 
 
-def test_nonsense_is_refused(room: PaintedRoom, result: PoseResult) -> None:
+def test_invalid_arguments_are_refused(room: PaintedRoom, result: PoseResult) -> None:
     with pytest.raises(OptionError, match="one of colour"):
         model_texture(room.scan, "glitter")
     with pytest.raises(OptionError, match="photograph"):
         model_texture(room.scan, "colour", result=result)
     other = Photo(np.zeros((10, 10, 3), np.uint8), Camera.from_focal(10, 10, 20.0))
-    with pytest.raises(ShapeError, match="picture size"):
-        painted_through(room.scan, other, result)
+    with pytest.raises(ShapeError, match="camera of this size"):
+        picture_without_z_buffer(room.scan, other, result)
     small = texture_scan(room.scan, room.photo, room.camera_from_scanner)
     cut = dataclasses.replace(small, image=small.image[:9], labels=small.labels[:9])
     with pytest.raises(ShapeError, match="cells"):
@@ -192,12 +192,12 @@ def test_nonsense_is_refused(room: PaintedRoom, result: PoseResult) -> None:
 
 
 @given(st.integers(1, 4000))
-def test_a_scan_without_surface_is_spread_over_few_enough_points(most: int) -> None:
+def test_a_scan_without_surface_is_thinned_to_the_limit(most: int) -> None:
     image = np.arange(30 * 40 * 3, dtype=np.uint8).reshape(30, 40, 3)
     ranges = np.full((30, 40), 2.0)
     ranges[::2] = np.nan
     scan = Scan(AzimuthElevation(30, 40, 0.01, 0.01), ranges, np.ones((30, 40)))
-    points, colours = scattered(scan, image, most=most)
+    points, colours = colored_points(scan, image, most=most)
     assert 0 < len(points) <= most
     assert points.shape == colours.shape
     assert np.isfinite(points).all()
@@ -211,12 +211,12 @@ def test_small_pictures_keep_their_shape_and_mean() -> None:
     assert small.shape == (100, 300, 3)
     assert abs(float(small.mean()) - float(picture.mean())) < 1
     assert small_picture(picture, 5000).shape == picture.shape
-    assert (plain_picture((1, 2, 3)) == [1, 2, 3]).all()
+    assert (uniform_picture((1, 2, 3)) == [1, 2, 3]).all()
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
 def test_a_scan_without_intensity_shows_its_shape(lean: float, tilt: float) -> None:
-    """Of a plane the cosine is known."""
+    """The cosine of the incidence angle on a plane is known."""
     geometry = AzimuthElevation(30, 40, 0.004, 0.004)
     normal = np.array([1.0, lean, tilt])
     scan = Scan(geometry, 3.0 / (geometry.rays @ normal), np.ones((30, 40)))

@@ -1,4 +1,4 @@
-"""Standpoints, outlines and curves of the 3-D scene."""
+"""Viewpoints, outlines and curves of the 3-D scene."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ WALL = Scan(GEOMETRY, 3 / GEOMETRY.rays[..., 0], np.ones((40, 60)))
 
 
 @given(poses(reach_m=5.0), st.floats(0.05, 3.0))
-def test_a_cameras_outline_ends_at_the_corners_of_its_picture(pose: Rigid, depth: float) -> None:
+def test_a_cameras_outline_ends_at_the_corners_of_its_image(pose: Rigid, depth: float) -> None:
     lines = camera_outline(CAMERA, pose, depth_m=depth)
     assert lines.shape == (8, 2, 3)
     np.testing.assert_allclose(lines[:4, 0], np.broadcast_to(pose.centre, (4, 3)), atol=1e-4)
@@ -56,7 +56,7 @@ def test_dashes_lie_on_their_line_and_reach_both_ends(dashes: int) -> None:
     np.testing.assert_allclose(pieces[..., 2], 2 - pieces[..., 0], atol=1e-5)
 
 
-def test_marks_without_a_place_are_left_out() -> None:
+def test_marks_without_a_finite_point_are_left_out() -> None:
     marks = Marks.of(
         [[1, 2, 3], [np.nan, 0, 0], [4, 5, 6]], [[255, 0, 0], [0, 255, 0], [0, 0, 255]], [True, True, False]
     )
@@ -74,14 +74,14 @@ def test_marks_without_a_place_are_left_out() -> None:
 
 
 @given(st.integers(0, 19), st.floats(-0.9, 0.9), st.floats(-0.9, 0.9))
-def test_a_click_means_the_mark_that_its_ray_comes_nearest_to(wanted: int, aside: float, above: float) -> None:
+def test_a_click_selects_the_mark_nearest_to_its_ray(wanted: int, aside: float, above: float) -> None:
     rng = np.random.default_rng(2)
     points = rng.uniform((2, -3, -2), (6, 3, 2), (20, 3))
     marks = Marks.of(points, np.zeros((20, 3), np.uint8), np.ones(20, bool))
     eye = np.array([-1.0, aside, above])
-    assert marks.met_by(eye, 7 * (points[wanted] - eye), radius_m=0.02) == wanted
-    assert marks.met_by(eye, eye - points[wanted], radius_m=0.02) is None, "behind the eye"
-    assert marks.met_by(eye, (0.0, 0.0, 1.0), radius_m=0.02) is None
+    assert marks.nearest_to_ray(eye, 7 * (points[wanted] - eye), radius_m=0.02) == wanted
+    assert marks.nearest_to_ray(eye, eye - points[wanted], radius_m=0.02) is None, "behind the eye"
+    assert marks.nearest_to_ray(eye, (0.0, 0.0, 1.0), radius_m=0.02) is None
 
 
 def test_small_helpers() -> None:
@@ -101,7 +101,7 @@ def test_spread_indices_reach_both_ends(count: int, most: int) -> None:
 
 
 @given(poses(reach_m=3.0))
-def test_a_camera_stands_where_it_is_and_looks_along_its_axis(pose: Rigid) -> None:
+def test_a_camera_viewpoint_lies_at_its_centre_and_looks_along_its_axis(pose: Rigid) -> None:
     there = from_pose(WALL, CAMERA, pose)
     np.testing.assert_allclose(there.position, pose.centre, atol=1e-12)
     in_camera = pose @ np.stack([there.look_at, there.position + there.up])
@@ -111,7 +111,7 @@ def test_a_camera_stands_where_it_is_and_looks_along_its_axis(pose: Rigid) -> No
 
 
 @given(st.floats(0.2, 5.0))
-def test_a_window_of_any_shape_shows_the_whole_picture(aspect: float) -> None:
+def test_a_window_of_any_shape_shows_the_whole_field_of_view(aspect: float) -> None:
     there = from_pose(WALL, CAMERA, Rigid(CAMERA_AXES_FROM_SCANNER, np.zeros(3)))
     upright = math.tan(there.upright_fov_rad(aspect) / 2)
     assert upright >= 200 / 500 - 1e-9
@@ -120,7 +120,7 @@ def test_a_window_of_any_shape_shows_the_whole_picture(aspect: float) -> None:
 
 
 @given(st.none() | st.tuples(*[st.floats(-2.0, 2.0)] * 3))
-def test_the_overview_holds_the_scanner_the_camera_and_nearly_all_of_the_model(
+def test_the_overview_shows_the_scanner_the_camera_and_nearly_all_of_the_model(
     centre: tuple[float, float, float] | None,
 ) -> None:
     there = overview(WALL, None if centre is None else np.array(centre))
@@ -165,7 +165,7 @@ def test_curves_stay_short_keep_their_ends_and_are_evenly_thinned(count: int, mo
     np.testing.assert_allclose(drawn.parameters[4], np.degrees(0.1))
 
 
-def test_a_descent_that_starts_again_goes_on_where_the_last_one_ended() -> None:
+def test_a_restarted_descent_continues_the_iteration_numbers() -> None:
     curves = SimplexCurves()
     for _ in range(3):
         for k in (1, 4, 9):  # what was seen of it
@@ -173,7 +173,7 @@ def test_a_descent_that_starts_again_goes_on_where_the_last_one_ended() -> None:
     assert curves.snapshot().parameters[0].tolist() == [1, 4, 9, 10, 13, 18, 19, 22, 27]
 
 
-def test_costs_without_a_logarithm_do_not_tear_the_curve() -> None:
+def test_costs_without_a_logarithm_do_not_break_the_curve() -> None:
     curves = SimplexCurves()
     for k, cost in enumerate((100.0, math.inf, 0.0, math.nan, 1e-3, -1.0), start=1):
         curves.add(k, ThesisParameters(0, 0, 0, 0, 0, 0), cost)

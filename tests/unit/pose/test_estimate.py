@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.accuracy import measure
-from benchmarks.apple import APPLE_READINGS, apple_case, apple_error_percent
-from benchmarks.case import difference
-from benchmarks.peers import default, known_inliers
-from benchmarks.room import ROOM_CAMERA, room_case
-from benchmarks.table_3_1 import apple_figures
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.ambiguity import mirrored
 from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
+from tests.scenes.accuracy import default, known_inliers, measure
+from tests.scenes.apple import APPLE_READINGS, apple_case, apple_error_percent, apple_figures
+from tests.scenes.pose_case import difference
+from tests.scenes.room import ROOM_CAMERA, room_case
 
 STRONG_LENS = Camera(768, 512, 700.0, 702.0, 380.0, 260.0, (-0.28, 0.11, 1e-3, -7e-4, -0.02))
 

@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import f, norm
 
-from benchmarks.case import difference
-from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.intrinsics import PARAMETERS, Descent, estimate_intrinsics, intrinsic, predicted_gains
+from tests.scenes.pose_case import difference
+from tests.scenes.room import ROOM_CAMERA, room_case
 
 SIGMA = {"sigma_px": 1.0, "sigma_range_m": 0.015}
 LENSES = {

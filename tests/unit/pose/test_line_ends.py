@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.case import difference
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
@@ -16,6 +15,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.line_ends import RepairedEnds, repair_ends
+from tests.scenes.pose_case import difference
 
 SIGMA_PX, SIGMA_M = 1.0, 0.015
 GATE = 9.21

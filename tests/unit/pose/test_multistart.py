@@ -10,8 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.case import difference, start_near
-from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.errors import DegenerateGeometryError, LadarregError, OptionError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
@@ -19,6 +17,8 @@ from ladarreg_core.pose.ambiguity import mirrored
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import Basin, probe_basin
 from ladarreg_core.pose.result import describe_pose
+from tests.scenes.pose_case import difference, start_near
+from tests.scenes.room import ROOM_CAMERA, room_case
 
 
 def solved(case, matches=None, **options):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.room import room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.pose.ransac import ransac_pose
+from tests.scenes.room import room_case
 
 BACKENDS = ("poselib", "opencv")
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.lines import line_case
-from benchmarks.room import room_case, room_ranges
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
 from ladarreg_core.registration import RegisterOptions
+from tests.scenes.room import room_case, room_ranges
+from tests.scenes.room_lines import line_case
 
 STATED = {"sigma_px": 1.0, "sigma_range_m": 0.015}
 

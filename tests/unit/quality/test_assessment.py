@@ -1,4 +1,4 @@
-"""What there is to say of a registration: all of it, or the reason why not."""
+"""Assessment of a registration: every part is computed, or missing with a reason."""
 
 from __future__ import annotations
 
@@ -11,16 +11,14 @@ from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.quality.influence import influence
-from ladarreg_core.quality.next_match import advise
-from ladarreg_core.quality.smoothed_scan import smoothed_scan
+from ladarreg_core.quality.next_match import suggest_matches
 from ladarreg_core.results import PoseResult
 from ladarreg_core.surface.uncertainty import pixel_sigma
 from tests.unit.quality.test_next_match import clustered
-from tests.unit.quality.test_smoothing import SPIKES, matched, stepped_scan
 
 
 @pytest.mark.parametrize("seed", [2, 3])  # with a lens and without
-def test_all_of_it_is_what_its_parts_say(seed: int) -> None:
+def test_the_assessment_agrees_with_its_parts(seed: int) -> None:
     room, _, _, result, _ = clustered(seed, count=14)
     found = assess(room.scan, result)
     assert found.absent == {}
@@ -29,7 +27,7 @@ def test_all_of_it_is_what_its_parts_say(seed: int) -> None:
     assert found.influence is not None
     np.testing.assert_array_equal(found.influence.cook, influence(result).cook)
     assert found.advice is not None
-    assert [place.cell for place in found.advice] == [place.cell for place in advise(room.scan, result)]
+    assert [place.cell for place in found.advice] == [place.cell for place in suggest_matches(room.scan, result)]
 
     seen = found.uncertainty
     assert seen is not None
@@ -49,7 +47,7 @@ def test_all_of_it_is_what_its_parts_say(seed: int) -> None:
     np.testing.assert_allclose(seen.worst_uv, at, atol=1e-2)
 
 
-def test_a_range_spike_is_not_the_worst_place() -> None:
+def test_a_range_spike_is_not_the_worst_cell() -> None:
     room, _, _, result, _ = clustered(2, count=14)
     clean = assess(room.scan, result).uncertainty
     ranges = np.array(room.scan.ranges)
@@ -61,7 +59,7 @@ def test_a_range_spike_is_not_the_worst_place() -> None:
     assert spiked.worst_px == pytest.approx(clean.worst_px, rel=1e-6)
 
 
-def test_what_cannot_be_told_is_absent_with_its_reason() -> None:
+def test_a_part_that_cannot_be_computed_has_a_reason() -> None:
     room, _, matches, good, _ = clustered(2, count=14)
     away = Rigid(rotation_from_rotvec([0, np.pi, 0]) @ good.camera_from_scanner.rotation, np.zeros(3))
     none = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
@@ -87,31 +85,14 @@ def test_what_cannot_be_told_is_absent_with_its_reason() -> None:
         assert isinstance(found.match_to_check, str)
 
 
-def test_a_carried_pose_is_not_blamed_for_having_no_matches() -> None:
+def test_a_carried_pose_has_no_findings_for_lack_of_matches() -> None:
     room, *_, result, _ = clustered(0)
     none = np.zeros(0)
     carried = replace(
         result, accepted=True, matches=Matches(np.zeros((0, 3)), none, np.zeros((0, 2))),
         inliers=none.astype(bool), residuals_px=np.zeros((0, 2)), residuals_m=none, stereo_depth_error_m=none,
     )  # fmt: skip
-    told = assess(room.scan, carried)
-    assert told.findings is None
-    assert "carried over" in told.absent["findings"]
-    assert told.uncertainty is not None
-
-
-def test_the_smoothed_scan_says_what_was_done() -> None:
-    beside = ((5, 5), (50, 80), (10, 20), (20, 60), (40, 10), (55, 50))
-    scan, result = stepped_scan(), matched((*SPIKES[:2], *beside))
-    done = smoothed_scan(scan, result)
-    assert done.cells_replaced == 2
-    assert np.count_nonzero(done.scan.ranges != scan.ranges) == 2
-    assert done.sentence.startswith("2 range spikes under matches")
-    clean = stepped_scan(spiked=False)
-    left = smoothed_scan(clean, result)
-    assert (left.scan is clean, left.cells_replaced) == (True, 0)
-    assert "no match lies on a range spike" in left.sentence
-    pose = Rigid(result.camera_from_scanner.rotation, np.zeros(3))
-    uv = result.camera.project(pose @ result.matches.points)
-    same = replace(result, camera_from_scanner=pose, matches=Matches(result.matches.rays, result.matches.ranges, uv))
-    assert "nearly at the same place" in smoothed_scan(scan, same).sentence
+    assessment = assess(room.scan, carried)
+    assert assessment.findings is None
+    assert "carried over" in assessment.absent["findings"]
+    assert assessment.uncertainty is not None

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.case import difference
-from benchmarks.room import room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.quality.influence import WORTH_A_CHECK, influence
+from ladarreg_core.quality.influence import INFLUENTIAL_COOK, influence
+from tests.scenes.pose_case import difference
+from tests.scenes.room import room_case
 
 LENS = Camera(768, 512, 974.0, 974.0, 383.5, 255.5, (0.12, -0.05, 0.001, -0.002))
 
@@ -27,14 +27,14 @@ def without(matches, name):
 
 @pytest.mark.parametrize("count", [12, 40])
 @pytest.mark.parametrize(("seed", "baseline_m"), [(41, 0.0), (42, 0.5), (43, 1.5)])
-def test_the_pose_moves_as_it_does_when_solved_again(seed, baseline_m, count):
+def test_the_predicted_shift_agrees_with_solving_again(seed, baseline_m, count):
     case = room_case(seed, count=count, baseline_m=baseline_m, camera=LENS if seed == 43 else room_case(0).camera)
     weights = np.random.default_rng(seed).uniform(0.3, 3, count)
     matches = replace(case.matches, weights=weights)
     result = solved(matches, case)
     found = influence(result)
     order = np.argsort(found.cook)
-    assert order[-1] == found.most
+    assert order[-1] == found.most_influential
     for k in (order[-1], order[-2], order[count // 2]):
         again = solved(without(matches, matches.pick_ids[k]), case).camera_from_scanner
         step = difference(again, result.camera_from_scanner)
@@ -49,7 +49,7 @@ def test_the_pose_moves_as_it_does_when_solved_again(seed, baseline_m, count):
         assert found.pixels[k] == pytest.approx(shift, rel=0.1, abs=0.01)
 
 
-def test_the_samples_of_a_line_are_left_out_together():
+def test_the_samples_of_a_line_are_removed_together():
     case = room_case(7, count=30)
     ids = tuple("a line" if k % 3 == 0 else f"point {k}" for k in range(30))
     matches = replace(case.matches, pick_ids=ids)
@@ -63,8 +63,8 @@ def test_the_samples_of_a_line_are_left_out_together():
     assert alone.cook[0] != pytest.approx(found.cook[0], rel=0.1)
 
 
-def test_a_wrong_match_far_from_the_others_is_the_one_to_check():
-    """Inliers crowd in one part of the photo; one match elsewhere, 20 px off, turns the whole pose."""
+def test_a_wrong_match_far_from_the_others_is_most_influential():
+    """Inliers cluster in one part of the photo; one match elsewhere, 20 px off, rotates the whole pose."""
     case = room_case(11, count=300)
     near = np.argsort(np.linalg.norm(case.uv - (200, 150), axis=1))[:14]
     far = int(np.argmax(np.linalg.norm(case.uv - (200, 150), axis=1)))
@@ -73,17 +73,17 @@ def test_a_wrong_match_far_from_the_others_is_the_one_to_check():
     uv[-1] += (14, -14)
     matches = Matches(case.rays[chosen], case.ranges[chosen], uv)
     found = influence(solved(matches, case))
-    assert found.most == 14
-    assert found.cook[14] > 10 * WORTH_A_CHECK
-    assert found.in_words().startswith("Match 15 moves the camera by ")
-    assert found.in_words().endswith("when left out: check it.")
+    assert found.most_influential == 14
+    assert found.cook[14] > 10 * INFLUENTIAL_COOK
+    assert found.summary().startswith("Removing match 15 shifts the camera by ")
+    assert found.summary().endswith(" px in the photo): check it.")
     good = influence(solved(case.matches, case))
-    assert good.in_words().startswith("No match matters much")
+    assert good.summary().startswith("No match is very influential")
 
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10_000), count=st.integers(16, 60))
-def test_what_disagrees_counts_for_nothing(seed, count):
+def test_outliers_have_no_influence(seed, count):
     case = room_case(seed, count=count, outliers=0.25)
     result = solved(case.matches, case, gate_chi2=9.21)
     found = influence(result)
@@ -93,8 +93,8 @@ def test_what_disagrees_counts_for_nothing(seed, count):
     assert (influence(result).cook == found.cook).all()
 
 
-def test_a_match_without_which_nothing_holds_has_no_finite_influence():
-    """Three points hold a pose, two do not; a copy of a point may go, since the other stays."""
+def test_an_indispensable_match_has_infinite_influence():
+    """Three points determine a pose, two do not; a copy of a point is dispensable."""
     case = room_case(3, count=20)
     matches = case.matches.subset([0, 1, 1, 2, *range(4, 20)])
     matches = replace(matches, pick_ids=tuple(map(str, range(20))))
@@ -102,10 +102,10 @@ def test_a_match_without_which_nothing_holds_has_no_finite_influence():
     found = influence(replace(solved(matches, case), inliers=inliers))
     assert np.isinf(found.cook[[0, 3]]).all()
     assert np.isfinite(found.cook[[1, 2]]).all()
-    assert "alone holds the pose" in found.in_words()
+    assert "The pose depends on match" in found.summary()
 
 
-def test_a_pose_that_was_not_found_by_least_squares_is_brought_there_first():
+def test_a_pose_of_another_method_is_first_refined_by_least_squares():
     case = room_case(19, count=80)
     linear = solve_pose(case.matches, case.camera, PoseOptions(method="linear", sigma_px=1.0, sigma_range_m=0.015))
     robust = influence(solved(case.matches.subset(linear.inliers), case))

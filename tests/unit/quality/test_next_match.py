@@ -10,7 +10,7 @@ from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import Measurements, States, information_matrix
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.quality.next_match import advise, part_of_photo
+from ladarreg_core.quality.next_match import part_of_photo, suggest_matches
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.ranges import surface_range
@@ -29,7 +29,7 @@ class Room:
     camera: Camera
     camera_from_scanner: Rigid
     rays: np.ndarray
-    """(N, 3) that can be picked."""
+    """(N, 3) points that can be picked."""
     uv: np.ndarray
     """(N, 2) their pixels."""
 
@@ -66,7 +66,7 @@ def joined(a, b):
 
 
 def clustered(seed, *, count=8):
-    """Eight matches in a quarter of what can be picked, and their pose."""
+    """Eight matches in a quarter of the pickable points, and their pose."""
     room = shared_room(seed % 2)
     rays, uv = room.rays, room.uv
     rng = np.random.default_rng([seed, 77])
@@ -76,11 +76,11 @@ def clustered(seed, *, count=8):
     return room, rays, matches, solve_pose(matches, camera, OPTIONS, initial=room.camera_from_scanner), rng
 
 
-def test_following_the_advice_helps_more_than_a_match_anywhere():
+def test_a_suggested_match_helps_more_than_a_random_one():
     before, advised, anywhere = [], [], []
     for seed in range(30):
         room, rays, matches, result, rng = clustered(seed)
-        best = advise(room.scan, result, places=1)[0]
+        best = suggest_matches(room.scan, result, count=1)[0]
         for errors, ray in ((advised, best.ray), (anywhere, rays[rng.integers(len(rays))])):
             more = joined(matches, measured(room, ray[None], rng))
             errors.append(room.error_px(solve_pose(more, result.camera, OPTIONS, initial=result.camera_from_scanner)
@@ -97,9 +97,9 @@ def log_det(room, matches, pose):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_gain_is_that_of_the_estimators_own_information_and_no_place_has_more(seed):
+def test_the_gain_is_that_of_the_estimators_information_and_the_largest(seed):
     room, rays, matches, result, rng = clustered(seed)
-    places = advise(room.scan, result, places=3)
+    places = suggest_matches(room.scan, result, count=3)
     assert len(places) == 3
     pose = result.camera_from_scanner
 
@@ -122,10 +122,10 @@ def test_the_gain_is_that_of_the_estimators_own_information_and_no_place_has_mor
     assert max(others) - log_det(room, matches, pose) <= places[0].gain * 1.05
 
 
-def test_places_lie_apart_on_surfaces_that_the_photo_sees():
+def test_suggestions_lie_apart_on_surfaces_that_the_photo_sees():
     room, _, _, result, _ = clustered(3)
     camera, scan = result.camera, room.scan
-    places = advise(scan, result, places=6, apart=0.2)
+    places = suggest_matches(scan, result, count=6, apart=0.2)
     assert [p.gain for p in places] == sorted((p.gain for p in places), reverse=True)
     uv = np.array([p.uv for p in places])
     away = np.linalg.norm(uv[:, None] - uv, axis=-1)[np.triu_indices(len(uv), 1)]
@@ -136,31 +136,31 @@ def test_places_lie_apart_on_surfaces_that_the_photo_sees():
         np.testing.assert_allclose(scan.rays[place.cell], place.ray, atol=1e-12)
         point = place.ray * surface_range(scan, place.ray[None])[0]
         np.testing.assert_allclose(camera.project(result.camera_from_scanner @ point), place.uv, atol=1e-6)
-        assert place.here_px[1] < place.here_px[0]
+        assert place.local_px[1] < place.local_px[0]
         assert place.median_px[1] < place.median_px[0]
-    again = advise(scan, result, places=6, apart=0.2)
+    again = suggest_matches(scan, result, count=6, apart=0.2)
     assert [p.cell for p in again] == [p.cell for p in places]
-    words = places[0].in_words()
+    words = places[0].summary()
     assert words.startswith(f"A match near {places[0].where} of the photo")
     assert "halve the uncertainty there" in words
 
 
-def test_only_what_can_be_picked_is_named():
+def test_only_pickable_cells_are_suggested():
     room, _, _, result, _ = clustered(4)
     mask = np.zeros(room.scan.shape, dtype=np.bool_)
-    assert advise(room.scan, result, pickable=mask) == ()
-    free = advise(room.scan, result, places=1)[0]
+    assert suggest_matches(room.scan, result, pickable=mask) == ()
+    free = suggest_matches(room.scan, result, count=1)[0]
     rows, columns = np.mgrid[: mask.shape[0], : mask.shape[1]]
     mask |= np.hypot(rows - free.cell[0], columns - free.cell[1]) > 60
-    found = advise(room.scan, result, pickable=mask)
+    found = suggest_matches(room.scan, result, pickable=mask)
     assert found
     assert all(mask[place.cell] for place in found)
 
 
-def test_a_photo_that_looks_elsewhere_gets_no_advice():
+def test_a_photo_of_something_else_gets_no_suggestion():
     room, _, _, result, _ = clustered(4)
     away = Rigid(rotation_from_rotvec((0, np.pi, 0)) @ result.camera_from_scanner.rotation, np.zeros(3))
-    assert advise(room.scan, replace(result, camera_from_scanner=away)) == ()
+    assert suggest_matches(room.scan, replace(result, camera_from_scanner=away)) == ()
 
 
 def test_the_part_of_the_photo_is_named_as_an_operator_would():
@@ -172,14 +172,14 @@ def test_the_part_of_the_photo_is_named_as_an_operator_would():
 
 def test_hostile_arguments_are_named():
     room, _, _, result, _ = clustered(4)
-    for bad in ({"places": 0}, {"places": 1.5}, {"places": True}, {"apart": -0.1}, {"apart": np.nan}, {"apart": "1"}):
+    for bad in ({"count": 0}, {"count": 1.5}, {"count": True}, {"apart": -0.1}, {"apart": np.nan}, {"apart": "1"}):
         with pytest.raises(OptionError, match=next(iter(bad))):
-            advise(room.scan, result, **bad)
+            suggest_matches(room.scan, result, **bad)
     with pytest.raises(ShapeError, match="mask"):
-        advise(room.scan, result, pickable=np.ones((3, 3), dtype=np.bool_))
+        suggest_matches(room.scan, result, pickable=np.ones((3, 3), dtype=np.bool_))
     with pytest.raises(ShapeError, match="covariance"):
-        advise(room.scan, replace(result, covariance=np.full((6, 6), np.nan)))
+        suggest_matches(room.scan, replace(result, covariance=np.full((6, 6), np.nan)))
     undetermined = replace(result, covariance=np.diag([1e13] * 6))
-    assert all(np.isfinite([p.gain, *p.here_px, *p.median_px]).all() for p in advise(room.scan, undetermined))
-    exact = advise(room.scan, replace(result, covariance=np.zeros((6, 6))))
-    assert all(p.gain == pytest.approx(0, abs=1e-9) and p.in_words() for p in exact)
+    assert all(np.isfinite([p.gain, *p.local_px, *p.median_px]).all() for p in suggest_matches(room.scan, undetermined))
+    exact = suggest_matches(room.scan, replace(result, covariance=np.zeros((6, 6))))
+    assert all(p.gain == pytest.approx(0, abs=1e-9) and p.summary() for p in exact)

@@ -1,4 +1,4 @@
-"""Range smoothing by stereo: spikes go, everything else stays, and what cannot be known is left alone."""
+"""Range smoothing by stereo: spikes are replaced, and all other ranges stay."""
 
 from __future__ import annotations
 
@@ -9,17 +9,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.apple import apple_case, apple_points
-from benchmarks.room import ROOM_CAMERA, room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, LadarregError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.quality.smoothing import SmoothedRanges, SmoothOptions, smooth_ranges, smooth_scan
+from ladarreg_core.quality.smoothing import (
+    SmoothedRanges,
+    SmoothOptions,
+    smooth_ranges,
+    smooth_scan,
+    smooth_with_report,
+)
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
+from tests.scenes.apple import apple_case, apple_points
+from tests.scenes.room import ROOM_CAMERA, room_case
 
 BENT = Camera(768, 512, 974.0, 940.0, 380.0, 260.0, (-0.25, 0.1, 1e-3, -7e-4))
 SEEDS = st.integers(0, 10_000)
@@ -90,8 +96,8 @@ def test_without_spikes_nothing_changes(seed: int, baseline: float) -> None:
 
 @given(seed=SEEDS, spikes=st.lists(st.floats(-1.5, 6.0), min_size=30, max_size=30), chosen=SEEDS)
 @settings(max_examples=25)
-def test_each_point_is_replaced_by_itself_alone(seed: int, spikes: list[float], chosen: int) -> None:
-    """No neighbour has a say, whatever its depth: this is what keeps edges."""
+def test_each_point_is_replaced_independently(seed: int, spikes: list[float], chosen: int) -> None:
+    """Neighbours have no effect, whatever their depth, which preserves edges."""
     case = room_case(seed, count=30, baseline_m=1.0)
     case = replace(case, ranges=case.ranges + np.array(spikes))
     order = np.random.default_rng(chosen).permutation(30)[: chosen % 30 + 1]
@@ -148,7 +154,7 @@ def test_a_match_off_its_epipolar_line_changes_no_range(seed: int, pixels: float
     assert not smoothed.replaced.any()
 
 
-def test_what_lies_behind_the_camera_is_left_as_it_is() -> None:
+def test_points_behind_the_camera_are_unchanged() -> None:
     case = room_case(3, count=20)
     behind = Rigid.from_centre(rotation_from_rotvec([0, np.pi, 0]) @ case.pose.rotation, case.pose.centre)
     smoothed = smooth_ranges(case.matches, case.camera, behind, threshold_m=0.1)
@@ -200,7 +206,7 @@ def matched(
     )
 
 
-def test_spikes_of_a_scan_under_matches_go_and_its_edge_stays() -> None:
+def test_spikes_of_a_scan_under_matches_are_replaced_and_its_edge_stays() -> None:
     scan, truth = stepped_scan(), stepped_scan(spiked=False)
     beside_the_edge = ((10, 44), (10, 45), (11, 44), (11, 45))
     smoothed = smooth_scan(scan, matched((*SPIKES[:2], *beside_the_edge, (5, 5), (50, 80))))
@@ -212,7 +218,7 @@ def test_spikes_of_a_scan_under_matches_go_and_its_edge_stays() -> None:
     assert smoothed.shape == scan.shape
 
 
-def test_a_scan_is_not_smoothed_by_what_makes_another_spike() -> None:
+def test_a_scan_is_not_smoothed_by_another_spike() -> None:
     scan = stepped_scan()
     along, across = matched(SPIKES, shown=0.7), matched(SPIKES, off_px=(0.0, 30.0))
     for wrong in (along, across, matched(((5, 5), (50, 80)))):
@@ -221,6 +227,23 @@ def test_a_scan_is_not_smoothed_by_what_makes_another_spike() -> None:
 
 
 # --- what no input may do --------------------------------------------------------------------------------------------
+
+
+def test_smoothing_reports_the_replaced_cells() -> None:
+    beside = ((5, 5), (50, 80), (10, 20), (20, 60), (40, 10), (55, 50))
+    scan, result = stepped_scan(), matched((*SPIKES[:2], *beside))
+    done = smooth_with_report(scan, result)
+    assert done.cells_replaced == 2
+    assert np.count_nonzero(done.scan.ranges != scan.ranges) == 2
+    assert done.sentence.startswith("2 range spikes under matches")
+    clean = stepped_scan(spiked=False)
+    left = smooth_with_report(clean, result)
+    assert (left.scan is clean, left.cells_replaced) == (True, 0)
+    assert "no match lies on a range spike" in left.sentence
+    pose = Rigid(result.camera_from_scanner.rotation, np.zeros(3))
+    uv = result.camera.project(pose @ result.matches.points)
+    same = replace(result, camera_from_scanner=pose, matches=Matches(result.matches.rays, result.matches.ranges, uv))
+    assert "nearly at the same position" in smooth_with_report(scan, same).sentence
 
 
 def test_hostile_arguments_are_refused_in_one_line() -> None:

@@ -1,4 +1,4 @@
-"""The failures of thesis 3.4, told beforehand, and nothing told where all is well."""
+"""Warnings of the failures of thesis 3.4, and none for good matches."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.room import room_case
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.frames import Rigid, rotation_about
@@ -15,12 +14,13 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.thesis.starts import picture_roll
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.quality.stereo_limits import stereo_cautions
+from tests.scenes.room import room_case
 
 BIG = Camera.from_focal(1400, 1400, 974.0)
-SAME_PLACE, AHEAD, ROLLED = "same place", "hardly beside", "rolled"
+SAME_POSITION, AHEAD, ROLLED = "same position", "hardly beside", "rolled"
 
 
-def said(case, **options) -> str:
+def warnings(case, **options) -> str:
     return " | ".join(stereo_cautions(case.matches, case.camera, **options))
 
 
@@ -36,39 +36,39 @@ def rolled(seed: int, roll_rad: float, *, outliers: float = 0.0, baseline_m: flo
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3])
-def test_a_good_case_is_left_in_peace(outliers):
+def test_a_good_case_has_no_warning(outliers):
     for seed in range(600, 610):
         case = room_case(seed, outliers=outliers, baseline_m=0.7, direction=(0.2, 1.0, -0.3))
-        assert said(case) == ""
-        assert said(case, pose=case.pose) == ""
+        assert warnings(case) == ""
+        assert warnings(case, pose=case.pose) == ""
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3])
 @pytest.mark.parametrize("baseline_m", [0.0, 0.05])
-def test_the_same_place_is_recognised(baseline_m, outliers):
+def test_a_zero_baseline_is_recognised(baseline_m, outliers):
     for seed in range(620, 628):
         case = room_case(seed, baseline_m=baseline_m, outliers=outliers)
-        assert SAME_PLACE in said(case)
-        assert SAME_PLACE in said(case, pose=case.pose)
-        assert "robust" in said(case)
+        assert SAME_POSITION in warnings(case)
+        assert SAME_POSITION in warnings(case, pose=case.pose)
+        assert "robust" in warnings(case)
 
 
 def test_a_larger_noise_needs_a_larger_baseline():
     case = room_case(630, baseline_m=0.5, direction=(0, 1, 0))
-    assert said(case, pose=case.pose, sigma_px=1.0) == ""
-    assert SAME_PLACE in said(case, pose=case.pose, sigma_px=5.0)
+    assert warnings(case, pose=case.pose, sigma_px=1.0) == ""
+    assert SAME_POSITION in warnings(case, pose=case.pose, sigma_px=5.0)
 
 
-def test_a_step_forward_is_no_baseline():
+def test_a_forward_step_is_no_baseline():
     case = room_case(631, baseline_m=0.6, direction=(1, 0.1, 0))
-    assert AHEAD in said(case)
-    assert "in front of" in said(case)
-    assert "behind" in said(room_case(632, baseline_m=0.6, direction=(-1, 0.1, 0)))
+    assert AHEAD in warnings(case)
+    assert "in front of" in warnings(case)
+    assert "behind" in warnings(room_case(632, baseline_m=0.6, direction=(-1, 0.1, 0)))
 
 
 @given(seed=st.integers(0, 10_000), roll=st.floats(-np.pi, np.pi), outliers=st.sampled_from([0.0, 0.3]))
 @settings(max_examples=40)
-def test_a_roll_is_read_off_the_matches(seed, roll, outliers):
+def test_the_roll_is_estimated_from_the_matches(seed, roll, outliers):
     matches, pose = rolled(seed, roll, outliers=outliers)
     pairs = StereoPairs.of(matches, BIG)
     true = pairs.parameters(pose)[5]
@@ -78,7 +78,7 @@ def test_a_roll_is_read_off_the_matches(seed, roll, outliers):
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3])
-def test_a_large_roll_is_told_and_a_small_one_is_not(outliers):
+def test_a_large_roll_is_reported_and_a_small_one_is_not(outliers):
     for seed in range(640, 646):
         for degrees in (-90, -35, 0, 5, 35, 90, 180):
             matches, pose = rolled(seed, np.deg2rad(degrees), outliers=outliers)
@@ -88,7 +88,7 @@ def test_a_large_roll_is_told_and_a_small_one_is_not(outliers):
     assert "deg clockwise" in " ".join(stereo_cautions(rolled(640, 0.6)[0], BIG))
 
 
-def test_the_roll_is_meant_against_the_view():
+def test_the_roll_refers_to_the_view():
     matches, pose = rolled(650, np.deg2rad(90))
     turned_view = Rigid(pose.rotation, np.zeros(3))
     assert ROLLED not in " | ".join(stereo_cautions(matches, BIG, view_from_scanner=turned_view))
@@ -96,7 +96,7 @@ def test_the_roll_is_meant_against_the_view():
     assert ROLLED in " | ".join(stereo_cautions(upright, BIG, view_from_scanner=turned_view))
 
 
-def test_chance_has_no_roll():
+def test_random_matches_have_no_roll():
     rng = np.random.default_rng(0)
     xy = rng.uniform(-0.5, 0.5, (2, 2, 100))
     assert picture_roll(xy[0], xy[1], rng.uniform(2, 6, 100)) is None
@@ -105,7 +105,7 @@ def test_chance_has_no_roll():
     assert picture_roll(same, same, np.ones(30)) is None
 
 
-def test_few_clustered_and_flat_matches_are_told():
+def test_few_clustered_and_flat_matches_are_reported():
     case = room_case(660, direction=(0, 1, 0))
     assert "range: 8" in " ".join(stereo_cautions(case.matches.subset(np.arange(8)), case.camera))
     near = np.linalg.norm(case.uv - [384, 256], axis=1) < 90
@@ -117,7 +117,7 @@ def test_few_clustered_and_flat_matches_are_told():
     assert "near one plane" in " ".join(stereo_cautions(flat, case.camera))
 
 
-def test_nothing_and_nonsense_do_no_harm():
+def test_empty_and_invalid_input():
     case = room_case(670, count=40)
     empty = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
     assert "range: 0" in stereo_cautions(empty, case.camera)[0]

@@ -1,4 +1,4 @@
-"""Whole cases: the same for the same seed, another for another, and refused where they make no sense."""
+"""Whole cases: reproducible by seed, different between seeds, and refused for invalid arguments."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from ladarreg_core.errors import Cancelled, DependencyError, ExportError, Option
 from ladarreg_core.formats.npz import read_npz
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
 from ladarreg_core.progress import Progress
-from ladarreg_core.simulate import SCENES, SETS, SimulatedCase, sample_maker, simulate_case, write_case
+from ladarreg_core.simulate import SCENES, SETS, SimulatedCase, sample, simulate_case, write_case
 from ladarreg_core.simulate.case import CAMERA, _pose
 from ladarreg_core.simulate.ladar import GEOMETRY, LadarImages
-from ladarreg_core.simulate.materials import InkWell
+from ladarreg_core.simulate.materials import InkMixer
 from ladarreg_core.simulate.sample import SAMPLE_FILES, sample_folder
 from ladarreg_core.simulate.scenes import build_scene
 
@@ -41,12 +41,12 @@ TOLD: dict[str, list[Progress]] = {}
 @cache
 def case_of(scene: str) -> SimulatedCase:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
-    seed = sample_maker.SEED if scene == sample_maker.SCENE else 0
+    seed = sample.SEED if scene == sample.SCENE else 0
     return simulate_case(scene, seed=seed, report=TOLD.setdefault(scene, []).append)
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES))
-def test_a_case_is_something_to_work_with(scene: str) -> None:
+def test_a_case_has_enough_to_register(scene: str) -> None:
     case = case_of(scene)
     assert case.scan.shape == (700, 1000)
     assert case.scan.valid.mean() > 0.9
@@ -110,7 +110,7 @@ def test_every_seed_is_another_room_and_another_pose() -> None:
 
 
 @pytest.mark.parametrize("set_name", sorted(SETS))
-def test_poses_keep_to_their_set(set_name: str) -> None:
+def test_poses_stay_within_their_set(set_name: str) -> None:
     case_set = SETS[set_name]
     for seed in range(100):
         p = ThesisParameters.from_pose(_pose(case_set, seed, 3.5, np.random.default_rng(seed)))
@@ -129,7 +129,7 @@ def test_poses_keep_to_their_set(set_name: str) -> None:
 
 @pytest.mark.parametrize("set_name", ["standard", "hard"])
 def test_a_laser_sees_other_colours_than_the_eye(set_name: str) -> None:
-    well = InkWell(np.random.default_rng(0), independent=set_name == "hard")
+    well = InkMixer(np.random.default_rng(0), independent=set_name == "hard")
     red = np.array([well.of((255, 40, 40))[3] for _ in range(2000)]) / 255
     black = np.array([well.of((20, 20, 20))[3] for _ in range(2000)]) / 255
     white = np.array([well.of((250, 250, 250))[3] for _ in range(2000)]) / 255
@@ -165,7 +165,7 @@ def test_the_stated_camera_may_be_wrong_on_purpose(monkeypatch: pytest.MonkeyPat
         ({"scene": "garden"}, "boxes, desk, office, people"),
         ({"scene": ""}, "boxes"),
         ({"set_name": "tropical"}, "standard, hard, wide, rotated, identical"),
-        ({"seed": -1}, "not negative"),
+        ({"seed": -1}, "at least 0"),
         ({"seed": True}, "whole number"),
         ({"seed": 1.5}, "whole number"),
         ({"seed": "3"}, "whole number"),
@@ -173,7 +173,7 @@ def test_the_stated_camera_may_be_wrong_on_purpose(monkeypatch: pytest.MonkeyPat
         ({"focal_error": -1.0}, "focal error"),
     ],
 )
-def test_nonsense_is_refused_in_one_line(arguments: dict[str, Any], says: str) -> None:
+def test_invalid_arguments_are_refused_in_one_line(arguments: dict[str, Any], says: str) -> None:
     with pytest.raises(OptionError, match=says) as caught:
         simulate_case(**{"scene": "boxes", **arguments})
     assert "\n" not in str(caught.value)
@@ -225,13 +225,13 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_the_embedded_sample_is_whole_and_small() -> None:
+def test_the_embedded_sample_is_complete_and_small() -> None:
     folder = sample_folder()
     assert sum(path.stat().st_size for path in folder.iterdir()) <= 3_000_000
 
 
-def test_the_embedded_sample_is_what_its_command_makes() -> None:
-    folder, case = sample_folder(), case_of(sample_maker.SCENE)
+def test_the_command_reproduces_the_embedded_sample() -> None:
+    folder, case = sample_folder(), case_of(sample.SCENE)
     truth = Rigid.from_matrix(json.loads((folder / "truth.json").read_text())["camera_from_scanner"])
     assert np.allclose(truth.matrix, case.camera_from_scanner.matrix, atol=1e-9)
     # Another processor may round a last bit the other way.

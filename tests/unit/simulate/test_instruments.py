@@ -1,4 +1,4 @@
-"""The thermal and the gamma camera, before worlds whose radiation can be told by hand, and as files."""
+"""The thermal and the gamma camera, on worlds whose radiation is known analytically, and as files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`"
 
 from ladarreg_core.simulate import SimulatedCase, simulate_case
 from ladarreg_core.simulate import thermal as thermal_camera
-from ladarreg_core.simulate.case_files import case_files
+from ladarreg_core.simulate.case import case_files
 from ladarreg_core.simulate.gamma import GAMMA_CAMERA, take_gamma_image
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.scenes import build_scene

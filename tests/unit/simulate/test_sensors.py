@@ -1,4 +1,4 @@
-"""The two instruments, before worlds whose picture can be told by hand."""
+"""The two instruments, on worlds whose image is known analytically."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParamete
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 
 from ladarreg_core.simulate import ladar, photograph
-from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.rays import SampleGrid, differs_from_neighbours
+from ladarreg_core.simulate.ray_cast import RayCaster, SampleGrid, differs_from_neighbours
 from ladarreg_core.simulate.scenes import build_scene
 from ladarreg_core.simulate.world import Placement, Texture, Viewpoint, World, WorldBuilder
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.case import difference
-from benchmarks.room import room_case
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.pose.thesis.linear import linear_pose
+from tests.scenes.pose_case import difference
+from tests.scenes.room import room_case
 
 
 def test_it_is_exact_on_exact_matches():

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.optimize import minimize, rosen
 
-from benchmarks.room import room_case
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
 from ladarreg_core.pose.thesis.nelder_mead import nelder_mead, start_simplex
 from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
+from tests.scenes.room import room_case
 
 
 def walked(cost, simplex, **options):

@@ -9,10 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.apple import THESIS_START, apple_case
-from benchmarks.case import Case, difference, picture_difference_px, start_near
-from benchmarks.peers import default
-from benchmarks.room import room_case
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
@@ -20,6 +16,10 @@ from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
 from ladarreg_core.pose.thesis.nelder_mead import SimplexStep
 from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
 from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions, descend, fit_simplex
+from tests.scenes.accuracy import default
+from tests.scenes.apple import THESIS_START, apple_case
+from tests.scenes.pose_case import Case, difference, picture_difference_px, start_near
+from tests.scenes.room import room_case
 
 METHODS = ("stereo_simplex", "epipolar_simplex")
 BESIDE = (0.1, 1.0, 0.2)

@@ -1,8 +1,7 @@
-"""Matches with their truth: what every benchmark of pose estimation is asked."""
+"""Cases of pose estimation: matches with their true pose and outliers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from ladarreg_core.pose.bundle import Measurements, States, information_matrix
 
 @dataclass(frozen=True)
 class Case:
-    """Matches with their truth."""
+    """Matches with their true pose and noise."""
 
     rays: np.ndarray
     ranges: np.ndarray
@@ -23,7 +22,7 @@ class Case:
     camera: Camera
     pose: Rigid
     true: np.ndarray
-    """(N,) bool: not mismatched."""
+    """(N,) bool: true matches."""
     sigma_px: float
     sigma_range_m: float
 
@@ -40,12 +39,12 @@ class Case:
 
 
 def difference(truth: Rigid, found: Rigid) -> np.ndarray:
-    """(6,) w and c of `PoseResult.covariance`."""
+    """Return the difference (6,) of two poses: w and c as in `PoseResult.covariance`."""
     return np.concatenate([rotvec_from_rotation(truth.rotation @ found.rotation.T), truth.centre - found.centre])
 
 
 def start_near(case: Case, seed: int, degrees: float, metres: float) -> Rigid:
-    """A start so far from the truth, any way."""
+    """Return a start at this distance from the truth, in random directions."""
     rng = np.random.default_rng([seed, 5])
     axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
     turn = rotation_from_rotvec(axis * np.deg2rad(degrees))
@@ -53,13 +52,8 @@ def start_near(case: Case, seed: int, degrees: float, metres: float) -> Rigid:
 
 
 def picture_difference_px(case: Case, a: Rigid, b: Rigid) -> float:
-    """The median displacement of the case's points between two poses, photo pixels."""
+    """Return the median displacement of the points between two poses, photo pixels."""
     points = case.matches.points
     return float(
         np.nanmedian(np.linalg.norm(case.camera.project(a @ points) - case.camera.project(b @ points), axis=1))
     )
-
-
-def first_third(seeds: Sequence[int]) -> Sequence[int]:
-    """The seeds that a slow method is asked: the same cases as everybody, fewer of them."""
-    return seeds[: max(2, len(seeds) // 3)]

@@ -1,7 +1,7 @@
-"""Photographs of a scan from another place, in another light and with other inks, whose pose is known exactly.
+"""Synthetic photographs of a scan from another position, in another light and with other inks, with exactly known pose.
 
-They show the scan's own surface, so that no scene has to be invented; what a laser cannot know, how bright its ink is
-to a camera and where the lamps hang, is made up anew for every picture.
+They show the surface of the scan, so that no scene has to be modelled. What a laser does not measure, the brightness of
+an ink to a camera and the position of the lamps, is drawn at random for every photograph.
 """
 
 from __future__ import annotations
@@ -30,28 +30,30 @@ _TILT_RAD = np.deg2rad(2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MadePhoto:
-    """A photograph with its truth."""
+class SyntheticPhoto:
+    """A synthetic photograph with its true pose."""
 
     photo: Photo
     """The photograph."""
     camera_from_scanner: Rigid
-    """Where it was taken."""
+    """True pose."""
     covered: float
-    """Which share of it shows the scan, 0 to 1."""
+    """Share of the photo that shows the scan, 0 to 1."""
 
 
 def random_pose(scan: Scan, camera: Camera, rng: np.random.Generator) -> Rigid:
-    """Return a pose beside the scanner that looks at a part of the scan.
+    """Draw a pose beside the scanner that looks at a part of the scan.
 
     Args:
         scan: the scan.
-        camera: its field of view decides how far aside of the scan's middle it may look.
-        rng: of the draw.
+        camera: its field of view decides how far off the middle of the scan it may look.
+        rng: random generator.
     """
     reach = float(np.nanmedian(scan.ranges))
     aim, scatter = scan.mean_direction, scan.sampled_directions
-    if float(np.median(scatter @ aim)) < np.cos(camera.width / 2 / camera.fx):  # wider than the photo: any part of it
+    if float(np.median(scatter @ aim)) < np.cos(
+        camera.width / 2 / camera.fx
+    ):  # a scan wider than the photo: look at any part of it
         aim = scatter[rng.integers(len(scatter))]
     axes = look_along(aim)  # rows: right, down, forward
     aside = rng.choice([-1.0, 1.0]) * rng.uniform(*_LATERAL)
@@ -61,28 +63,30 @@ def random_pose(scan: Scan, camera: Camera, rng: np.random.Generator) -> Rigid:
     return Rigid.from_centre(tilt @ look_along(towards / np.linalg.norm(towards)), centre)
 
 
-def made_photo(scan: Scan, camera: Camera, pose: Rigid, rng: np.random.Generator) -> MadePhoto:
-    """Photograph a scan.
+def render_photo(scan: Scan, camera: Camera, pose: Rigid, rng: np.random.Generator) -> SyntheticPhoto:
+    """Render a synthetic photograph of a scan.
 
     Args:
-        scan: the scan; its own colour is used where it has one, else its intensity.
+        scan: the scan; its colour is used where it has one, else its intensity.
         camera: the camera.
         pose: `camera_from_scanner`.
-        rng: of light, inks and noise.
+        rng: random generator of light, inks and noise.
     """
-    rgb, covered = render_scan_colors(scan, camera, pose, picture=_painted(scan, rng), supersample=2)
-    filled = _filled(rgb, covered)
+    rgb, covered = render_scan_colors(scan, camera, pose, picture=_relit(scan, rng), supersample=2)
+    filled = _fill_holes(rgb, covered)
     noise = rng.normal(size=filled.shape).astype(np.float32) * rng.uniform(*_NOISE)
     pixels = np.clip(np.rint(filled + noise * np.sqrt(np.maximum(filled, 1) / 128)), 0, 255).astype(np.uint8)
-    return MadePhoto(Photo(pixels, camera, name="made from the scan", calibrated=True), pose, float(covered.mean()))
+    return SyntheticPhoto(
+        Photo(pixels, camera, name="synthetic photo of the scan", calibrated=True), pose, float(covered.mean())
+    )
 
 
-def another_place(photo: Photo, number: int) -> Photo:
-    """Return a picture of no place that the scan saw: mirrored, or cut up and put together in another order.
+def unrelated_photo(photo: Photo, number: int) -> Photo:
+    """Return a photo of a scene that the scan does not show: mirrored, or cut into tiles in another order.
 
     Args:
         photo: a photograph.
-        number: which of the ways.
+        number: selects mirroring (even) or one of the orders (odd).
     """
     pixels: NDArray[Any] = np.asarray(photo.pixels)
     if number % 2 == 0:
@@ -93,21 +97,21 @@ def another_place(photo: Photo, number: int) -> Photo:
         height, width = (min(p.shape[axis] for p in parts) for axis in (0, 1))
         rows = [np.hstack([parts[k][:height, :width] for k in order[4 * r : 4 * r + 4]]) for r in range(3)]
         pixels = cv2.resize(np.vstack(rows), photo.camera.size, interpolation=cv2.INTER_LINEAR)
-    return Photo(np.ascontiguousarray(pixels), photo.camera, name="of another place", calibrated=True)
+    return Photo(np.ascontiguousarray(pixels), photo.camera, name="unrelated photo", calibrated=True)
 
 
-def _painted(scan: Scan, rng: np.random.Generator) -> ByteArray:
-    """Return the scan's picture (H, W, 3) in another light and other inks."""
+def _relit(scan: Scan, rng: np.random.Generator) -> ByteArray:
+    """Return the picture (H, W, 3) of the scan in another light and with other inks."""
     ink = _ink(scan)
     shade = _shade(scan, rng)
-    painted = np.empty((*scan.shape, 3), dtype=np.float32)
+    relit = np.empty((*scan.shape, 3), dtype=np.float32)
     for c in range(3):
-        painted[..., c] = 255 * _tone(ink[..., c] / 255, rng) * shade
-    return np.clip(np.rint(painted), 0, 255).astype(np.uint8)
+        relit[..., c] = 255 * _tone(ink[..., c] / 255, rng) * shade
+    return np.clip(np.rint(relit), 0, 255).astype(np.uint8)
 
 
 def _ink(scan: Scan) -> NDArray[np.float32]:
-    """Return (H, W, 3) float32, 0 to 255: the scan's colour, or its intensity without the fall with range."""
+    """Return (H, W, 3) float32, 0 to 255: the colour of the scan, or its intensity compensated for range."""
     if scan.color is not None:
         return np.asarray(scan.color, dtype=np.float32)
     signal = np.maximum(scan.intensity, 0).astype(np.float32)
@@ -122,7 +126,7 @@ def _ink(scan: Scan) -> NDArray[np.float32]:
 
 
 def _tone(values: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return values 0 to 1 through a curve of its own, which may fall as well as rise: inks differ by wavelength."""
+    """Map values 0 to 1 by a random tone curve, which may fall as well as rise: inks differ by wavelength."""
     steps = rng.uniform(-0.35, 1.0, _KNOTS - 1)
     knots = np.concatenate([[0.0], np.cumsum(steps)])
     knots = 0.08 + 0.84 * (knots - knots.min()) / max(float(np.ptp(knots)), 1e-6)
@@ -130,7 +134,7 @@ def _tone(values: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 def _shade(scan: Scan, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return how bright a lamp somewhere makes each cell (H, W), 0 to about 1."""
+    """Return the brightness (H, W) of each cell under a lamp at a random position, 0 to about 1."""
     points = np.nan_to_num(np.asarray(scan.points, dtype=np.float32))
     right, down = (cv2.Sobel(points, cv2.CV_32F, dx, 1 - dx, ksize=3) for dx in (1, 0))
     normals = cv2.GaussianBlur(np.cross(right, down), (0, 0), _NORMAL_BLUR)
@@ -145,17 +149,17 @@ def _shade(scan: Scan, rng: np.random.Generator) -> NDArray[np.float32]:
     return np.asarray(ambient + (1 - ambient) * lit, dtype=np.float32)
 
 
-def _filled(rgb: ByteArray, covered: BoolArray) -> NDArray[np.float32]:
-    """Return the picture (H, W, 3) float32 with what the scan did not see filled in from around.
+def _fill_holes(rgb: ByteArray, covered: BoolArray) -> NDArray[np.float32]:
+    """Fill what the scan did not see from its surroundings; return (H, W, 3) float32.
 
-    A constant colour there would print the outline of the scan's own holes into the photograph.
+    A constant colour there would draw the outline of the scan's holes into the photograph.
     """
     values, weight = rgb.astype(np.float32) * covered[..., None], covered.astype(np.float32)
-    return _pulled(values, weight)
+    return _pull_push(values, weight)
 
 
-def _pulled(values: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return weighted values with the gaps taken from a picture of half the size, and so on."""
+def _pull_push(values: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return weighted values with their gaps filled from an image of half the size, recursively."""
     height, width = weight.shape
     known = values / np.maximum(weight, 1e-6)[..., None]
     if min(height, width) <= 2:
@@ -163,8 +167,8 @@ def _pulled(values: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray
         mean = values.reshape(-1, 3).sum(axis=0) / total
         return np.where((weight > 0)[..., None], known, mean).astype(np.float32)
     half = (max(1, width // 2), max(1, height // 2))
-    fewer, lighter = (cv2.resize(plane, half, interpolation=cv2.INTER_AREA) for plane in (values, weight))
-    smaller = _pulled(np.asarray(fewer, dtype=np.float32), np.asarray(lighter, dtype=np.float32))
+    half_values, half_weight = (cv2.resize(plane, half, interpolation=cv2.INTER_AREA) for plane in (values, weight))
+    smaller = _pull_push(np.asarray(half_values, dtype=np.float32), np.asarray(half_weight, dtype=np.float32))
     coarse = cv2.resize(smaller, (width, height), interpolation=cv2.INTER_LINEAR)
     share = np.clip(weight, 0, 1)[..., None]
     return np.asarray(known * share + coarse * (1 - share), dtype=np.float32)

@@ -6,11 +6,15 @@ radius 3 and depth 2 to 8 at f = 128 px, C radius 3 at f = 256 px with all spike
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from benchmarks.case import Case
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
+from ladarreg_core.pose.thesis.stereo_simplex import Residual, SimplexOptions, fit_simplex
+from tests.scenes.accuracy import Solver
+from tests.scenes.pose_case import Case
 
 APPLE_TRUTH = ThesisParameters(5.0, 2.0, 2.0, *np.deg2rad([25.0, 10.0, 5.0]))
 APPLE_READINGS = {"A": (1.0, 256.0, False), "B": (3.0, 128.0, False), "C": (3.0, 256.0, True)}
@@ -20,7 +24,7 @@ THESIS_START = ThesisParameters(2.0, 0.0, 0.0, 0.0, 0.0, 0.0).pose
 
 
 def apple_points(reading: str) -> np.ndarray:
-    """The apple's 208 vertices, scanner frame."""
+    """Return the 208 vertices of the apple, scanner frame."""
     radius, _, _ = APPLE_READINGS[reading]
     t, phi = (
         a.ravel() for a in np.meshgrid(np.linspace(0.12, np.pi - 0.12, 13), np.arange(16) * np.pi / 8, indexing="ij")
@@ -34,7 +38,8 @@ def apple_points(reading: str) -> np.ndarray:
 
 
 def apple_case(reading: str, seed: int) -> Case:
-    """Table 3.1: 208 vertices of an apple, uniform noise on ranges and pixels, spikes on a tenth of the ranges."""
+    """Return the case of Table 3.1: 208 vertices, uniform noise on ranges and pixels, spikes on a tenth of the
+    ranges."""
     _, focal, fixed_spikes = APPLE_READINGS[reading]
     rng = np.random.default_rng([seed, ord(reading)])
     points = apple_points(reading)
@@ -59,7 +64,48 @@ def apple_case(reading: str, seed: int) -> Case:
 
 
 def apple_error_percent(pose: Rigid) -> float:
-    """Mean |error| over the six parameters, per cent of each."""
+    """Return the mean |error| over the six parameters, per cent of each."""
     found, truth = ThesisParameters.from_pose(pose), APPLE_TRUTH
     names = ("Tx", "Ty", "Tz", "alpha", "beta", "gamma")
     return 100 * float(np.mean([abs(getattr(found, k) / getattr(truth, k) - 1) for k in names]))
+
+
+def simplex_poses(
+    case: Case,
+    residual: Residual,
+    *,
+    start: Rigid | None = THESIS_START,
+    threshold_m: float | None = None,
+    restarts: int = 2,
+) -> tuple[Rigid, Rigid]:
+    """Return the poses of the simplex before and after rejection; threshold None: from the data."""
+    options = SimplexOptions(residual=residual, reject_depth_m=threshold_m, restarts=restarts)
+    fit = fit_simplex(case.matches, case.camera, options, initial=start, sigma_px=case.sigma_px)
+    return fit.before.camera_from_scanner, fit.after.camera_from_scanner
+
+
+def simplex_apple_figures(
+    residual: Residual, reading: str, seeds: Sequence[int], threshold: float | None
+) -> np.ndarray:
+    """Return the mean |error| % of every seed, (N, 2): all points, outliers rejected."""
+    errors = []
+    for seed in seeds:
+        poses = simplex_poses(apple_case(reading, seed), residual, threshold_m=threshold)
+        errors.append([apple_error_percent(pose) for pose in poses])
+    return np.array(errors)
+
+
+def apple_errors(solver: Solver, reading: str, seeds: Sequence[int]) -> np.ndarray:
+    """Return the mean |error| % of every seed (N,); infinite where there is no pose."""
+    found = [solver(apple_case(reading, seed)) for seed in seeds]
+    return np.array([apple_error_percent(f[0]) if f else np.inf for f in found])
+
+
+def apple_figures(solver: Solver, reading: str, seeds: int) -> tuple[float, float]:
+    """Return median and 95th percentile of the mean |error| % over seeds."""
+    return median_and_p95(apple_errors(solver, reading, range(seeds)))
+
+
+def median_and_p95(errors: np.ndarray) -> tuple[float, float]:
+    how = "linear" if np.isfinite(errors).all() else "higher"  # no interpolation between a number and infinity
+    return float(np.median(errors)), float(np.percentile(errors, 95, method=how))  # type: ignore[call-overload]

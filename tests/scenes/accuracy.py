@@ -1,24 +1,47 @@
-"""How good a solver's poses are over many cases, against the Cramer-Rao bound."""
+"""Accuracy of pose solvers over many cases, relative to the Cramer-Rao bound; the default solver, and its best case."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.case import Case, difference
-from benchmarks.peers import Answer, Solver
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.pose.estimate import PoseOptions, solve_pose
+from tests.scenes.pose_case import Case, difference
+
+Answer = tuple[Rigid, np.ndarray | None]
+"""A pose, and its covariance (6, 6) where one is given."""
+Solver = Callable[[Case], "Answer | None"]
+
 
 SUCCESS_SIGMAS = 6.0
 """Mahalanobis distance to the truth, by the bound, that still counts as a success."""
 _RESAMPLED = 400
 
 
+def default(
+    case: Case, *, matches: Matches | None = None, initial: Rigid | None = None, **options: object
+) -> Answer | None:
+    chosen = PoseOptions(sigma_px=case.sigma_px, sigma_range_m=case.sigma_range_m, **options)  # type: ignore[arg-type]
+    try:
+        result = solve_pose(matches or case.matches, case.camera, chosen, initial=initial)
+    except LadarregError:
+        return None
+    return result.camera_from_scanner, result.covariance
+
+
+def known_inliers(case: Case) -> Answer | None:
+    return default(case, matches=case.matches.subset(case.true), gate_chi2=1e6)
+
+
 @dataclass(frozen=True)
 class Figures:
-    """What a solver reached over many seeds."""
+    """Accuracy of a solver over many seeds."""
 
     success: float
     """Share within `SUCCESS_SIGMAS` of the truth."""
@@ -31,16 +54,16 @@ class Figures:
     position_mm: float
     """Median over all cases."""
     milliseconds: float
-    """Median, of the processor's time."""
+    """Median processor time."""
 
 
 @dataclass(frozen=True)
 class Answers:
-    """What a solver said of some cases."""
+    """Poses that a solver found for some cases."""
 
     found: tuple[Answer | None, ...]
     milliseconds: np.ndarray
-    """(N,) the processor's time."""
+    """(N,) processor time."""
 
 
 def ask(solver: Solver, cases: Sequence[Case]) -> Answers:
@@ -54,12 +77,12 @@ def ask(solver: Solver, cases: Sequence[Case]) -> Answers:
 
 
 def measure(solver: Solver, cases: Sequence[Case]) -> Figures:
-    """Success, efficiency and consistency over the cases, and the time."""
+    """Measure success, efficiency, consistency and time of a solver over the cases."""
     return figures_of(ask(solver, cases), cases)
 
 
 def figures_of(answers: Answers, cases: Sequence[Case]) -> Figures:
-    """The figures of answers to cases."""
+    """Compute the figures of answers to cases."""
     squares, bounds, distances, position = [], [], [], []
     for case, found in zip(cases, answers.found, strict=True):
         if found is None:
@@ -85,7 +108,7 @@ def figures_of(answers: Answers, cases: Sequence[Case]) -> Figures:
 
 
 def _efficiency(squares: np.ndarray, bounds: np.ndarray) -> tuple[float, float]:
-    """Efficiency and its standard error from squared errors and bounds, (N, 6) each."""
+    """Return the efficiency and its standard error from squared errors and bounds, (N, 6) each."""
     count = len(squares)
     if count < 2:
         return np.nan, np.nan
@@ -95,5 +118,5 @@ def _efficiency(squares: np.ndarray, bounds: np.ndarray) -> tuple[float, float]:
 
 
 def length_in_sigmas(step: np.ndarray, covariance: np.ndarray) -> float:
-    """The length of a step (6,) by a covariance (6, 6)."""
+    """Return the Mahalanobis length of a step (6,) by a covariance (6, 6)."""
     return float(np.sqrt(step @ np.linalg.solve(covariance, step)))

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.case import Case
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
+from tests.scenes.pose_case import Case
 
 ROOM_CAMERA = Camera.from_focal(768, 512, 974.0)
 ROOM_WALLS = (np.array([-1.0, -2.4, -1.2]), np.array([5.6, 2.4, 1.5]))
@@ -24,7 +24,7 @@ ROOM_BOXES = (
 
 
 def room_ranges(rays: np.ndarray) -> np.ndarray:
-    """The distance (N,) to the first surface of the room along unit rays (N, 3) from its origin."""
+    """Return the distance (N,) to the first surface of the room along unit rays (N, 3) from its origin."""
     with np.errstate(divide="ignore"):
         inverse = 1 / np.where(np.abs(rays) < 1e-12, 1e-12, rays)
     ranges = np.maximum(inverse * ROOM_WALLS[0], inverse * ROOM_WALLS[1]).min(axis=1)
@@ -46,11 +46,12 @@ def room_case(
     sigma_range_m: float = 0.015,
     camera: Camera = ROOM_CAMERA,
 ) -> Case:
-    """Matches in the room; the camera stands `baseline_m` away, by default anywhere but mostly beside the scanner."""
+    """Return matches in the room; the camera is `baseline_m` away, by default in a random direction, mostly
+    sideways."""
     rng = np.random.default_rng([seed, count, int(outliers * 100)])
     way = rng.normal(size=3) * [0.4, 1.0, 0.5] if direction is None else np.array(direction)
     centre = way / np.linalg.norm(way) * baseline_m
-    # It looks at the middle of what the scanner sees, give or take a few degrees.
+    # It looks at the middle of the scan, within a few degrees.
     pan = np.arctan2(centre[1], 4.0 - centre[0])
     turn = rotation_from_rotvec(rng.normal(size=3) * np.deg2rad(3)) @ rotation_from_rotvec([0, -pan, 0])
     pose = Rigid.from_centre(turn @ CAMERA_AXES_FROM_SCANNER, centre)
@@ -84,7 +85,7 @@ def plane_case(
     sigma_px: float = 1.0,
     sigma_range_m: float = 0.002,
 ) -> Case:
-    """Matches on a square plane of twice the extent, turned by half a radian, 30 cm between scanner and camera."""
+    """Return matches on a square plane of twice the extent, rotated by half a radian, with a baseline of 30 cm."""
     rng = np.random.default_rng([seed, count, 17])
     flat = np.column_stack([np.zeros(count), rng.uniform(-extent_m, extent_m, (count, 2))])
     points = flat @ rotation_from_rotvec([0, 0, 0.5]).T + [distance_m, 0, 0]
@@ -97,7 +98,7 @@ def plane_case(
 
 
 def repeated_case(seed: int, *, share: float, count: int = 60, spacing_m: float = 0.9) -> Case:
-    """A room where a share of the matches leads to the next of like things, as if the camera stood elsewhere."""
+    """Return a room case in which a share of the matches belongs to a second, displaced pose."""
     case = room_case(seed, count=count)
     beside = Rigid.from_centre(case.pose.rotation, case.pose.centre + np.array([0, spacing_m, 0]))
     astray = np.arange(count) < round(share * count)

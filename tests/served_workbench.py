@@ -1,0 +1,176 @@
+"""A served workbench and the websocket clients of its pages, for tests and benchmarks that drive it from outside."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import random
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from ladarreg.gateway.delta import changed
+from websockets.sync.client import ClientConnection, connect
+
+from ladarreg_core.simulate.sample import sample_folder
+
+_CLIENTS, _MOST_PICKS = 10, 12
+_SHORT_PAUSE_S, _LONG_PAUSE_S, _SHORT_MIN = (0.1, 0.5), (0.5, 3.0), 5.0  # between the edits of one client
+
+
+@dataclass
+class Served:
+    """A running server."""
+
+    process: subprocess.Popen[str]
+    host: str
+    port: int
+    token: str
+    cookie: str = ""
+
+    @property
+    def address(self) -> str:
+        return f"http://{self.host}:{self.port}/"
+
+    def get(self, path: str) -> tuple[int, bytes, dict[str, str]]:
+        connection = http.client.HTTPConnection(self.host, self.port, timeout=60)
+        connection.request("GET", f"/{path}", headers={"Cookie": self.cookie} if self.cookie else {})
+        reply = connection.getresponse()
+        body = reply.read()
+        connection.close()
+        return reply.status, body, {name.lower(): value for name, value in reply.getheaders()}
+
+    def enter(self) -> None:
+        status, _, headers = self.get(f"?token={self.token}")
+        assert status == 200, status
+        self.cookie = headers["set-cookie"].split(";")[0]
+
+    def memory_mb(self) -> float:
+        """Resident memory of the server process."""
+        total = 0
+        for line in Path(f"/proc/{self.process.pid}/status").read_text().splitlines():
+            if line.startswith("VmRSS"):
+                total += int(line.split()[1])
+        return total / 1024
+
+
+class Page:
+    """The document socket of a page, with the slices that it was sent."""
+
+    def __init__(self, served: Served) -> None:
+        self.socket: ClientConnection = connect(
+            f"ws://{served.host}:{served.port}/document",
+            additional_headers={"Cookie": served.cookie, "Origin": served.address.rstrip("/")},
+            max_size=None,
+            ping_interval=None,
+        )
+        self.number = 0
+        self.slices: dict[str, Any] = {}
+        self.take(json.loads(self.socket.recv(timeout=60)))
+
+    def take(self, message: dict[str, Any]) -> dict[str, Any]:
+        self.slices.update(message.get("slices", {}))
+        for name, change in message.get("changes", {}).items():
+            self.slices[name] = changed(self.slices[name], change)
+        return message
+
+    def ask(self, do: str, **fields: Any) -> dict[str, Any]:
+        self.number += 1
+        self.socket.send(json.dumps({"id": self.number, "do": do, **fields}))
+        while True:
+            message = self.take(json.loads(self.socket.recv(timeout=120)))
+            if message.get("reply") == self.number:
+                return message
+
+    def until(self, true: Any, seconds: float = 120) -> None:
+        end = time.monotonic() + seconds
+        while not true(self.slices):
+            self.take(json.loads(self.socket.recv(timeout=max(0.1, end - time.monotonic()))))
+
+
+@contextmanager
+def served(project: Path) -> Iterator[tuple[Served, float]]:
+    """Start a server on the sample; also yield the time until its first picture, s."""
+    folder = sample_folder()
+    begun = time.perf_counter()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ladarreg", "serve", str(folder / "scan.npz"), str(next(folder.glob("photo.*"))),
+         "--project", str(project), "--port", "0", "--no-browser"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        address = next((word for word in line.split() if "://" in word), None)
+        if address is None:
+            raise SystemExit(process.communicate()[1])
+        parts = urlsplit(address)
+        found = Served(process, parts.hostname or "", parts.port or 0, parts.query.removeprefix("token="))
+        found.enter()
+        status, picture, _ = found.get("picture/scan?view=0&show=intensity")
+        assert status == 200, status
+        assert picture[:4] == b"\x89PNG"
+        yield found, time.perf_counter() - begun
+    finally:
+        process.terminate()
+        process.wait(60)
+
+
+def with_camera_and_picks(page: Page, count: int) -> None:
+    """Set the camera, and add picks at random."""
+    camera = json.loads((sample_folder() / "camera.json").read_text())
+    assert page.ask("set_camera", photo="p1", focal_px=camera["fx"])["ok"]
+    rng = random.Random(0)
+    for _ in range(count):
+        ray, uv = random_pick(rng)
+        assert page.ask("add_pick", photo="p1", kind="point", scan=[ray], photo_uv=[uv])["ok"]
+
+
+def random_pick(rng: random.Random) -> tuple[list[float], list[float]]:
+    return [1, rng.uniform(-0.35, 0.35), rng.uniform(-0.2, 0.2)], [rng.uniform(5, 700), rng.uniform(5, 500)]
+
+
+def many_clients(found: Served, minutes: float) -> tuple[list[tuple[float, float]], int]:
+    """Let ten clients edit at random; return memory over time (s, MB) and the number of edits."""
+    pause_s = _SHORT_PAUSE_S if minutes < _SHORT_MIN else _LONG_PAUSE_S
+    end = time.monotonic() + 60 * minutes
+    edits = [0] * _CLIENTS
+
+    def work(k: int) -> None:
+        rng = random.Random(k)
+        page = Page(found)
+        mine: list[str] = []
+        while time.monotonic() < end:
+            what = rng.random()
+            if (what < 0.4 and len(mine) < _MOST_PICKS) or not mine:
+                ray, uv = random_pick(rng)
+                reply = page.ask("add_pick", photo="p1", kind="point", scan=[ray], photo_uv=[uv])
+                mine += [reply["pick"]] if reply["ok"] else []
+            elif what < 0.7:
+                page.ask("set_pick", photo="p1", pick=rng.choice(mine), photo_uv=[random_pick(rng)[1]])
+            elif what < 0.95:
+                page.ask("remove_picks", photo="p1", picks=[mine.pop(rng.randrange(len(mine)))])
+            else:
+                page.ask(rng.choice(["undo", "redo"]))
+            edits[k] += 1
+            time.sleep(rng.uniform(*pause_s))
+        page.socket.close()
+
+    workers = [threading.Thread(target=work, args=(k,)) for k in range(_CLIENTS)]
+    for worker in workers:
+        worker.start()
+    begun, memory = time.monotonic(), []
+    while time.monotonic() < end:
+        memory.append((time.monotonic() - begun, found.memory_mb()))
+        time.sleep(min(5.0, 60 * minutes / 12))
+    for worker in workers:
+        worker.join()
+    return memory, sum(edits)
