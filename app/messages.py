@@ -45,12 +45,12 @@ def verdict(result: PoseResult) -> str:
 
 def position(result: PoseResult) -> str:
     """Return the camera position relative to the scanner, with its standard deviation."""
-    return f"{result.thesis_parameters.in_words()} (sigma {1000 * result.sigma_position_m:.1f} mm)"
+    return f"{result.thesis_parameters.describe_position()} (sigma {1000 * result.sigma_position_m:.1f} mm)"
 
 
 def orientation(result: PoseResult) -> str:
     """Return the camera orientation relative to the scanner, with its standard deviation."""
-    return f"{result.thesis_parameters.turn_in_words()} (sigma {sigma_angle(result)})"
+    return f"{result.thesis_parameters.describe_orientation()} (sigma {sigma_angle(result)})"
 
 
 def sigma_angle(result: PoseResult) -> str:

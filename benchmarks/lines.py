@@ -69,7 +69,6 @@ def by_distances(case: LineCase, *, ends: bool) -> PoseResult | None:
         case.scan, case.picks, camera=case.camera, lines="kappa", pose=start.camera_from_scanner
     )
     full = np.isin(sampled.fractions, (0.0, 1.0)) if ends else np.zeros(len(sampled), np.bool_)
-    assert sampled.weights is not None
     matches = Matches(
         sampled.rays, sampled.ranges, sampled.uv, sampled.pick_ids, sampled.fractions,
         np.where(full, 1.0, sampled.weights), sampled.range_weights, sampled.directions, ~full,

@@ -120,7 +120,7 @@ def measure(seeds: range) -> dict[str, list[Score]]:
             turn = search.detect_roll()
             seconds["turned"].append(time.perf_counter() - started)
             if turn is not None:
-                print(f"{scene} {seed}: an upright photo was called turned: {turn.in_words()}")
+                print(f"{scene} {seed}: an upright photo was called turned: {turn.summary()}")
     for name, spent in seconds.items():
         print(f"{name:34}{np.median(spent):9.3f} s")
     return scores

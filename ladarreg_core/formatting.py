@@ -28,6 +28,3 @@ def format_pixels(pixels: float) -> str:
 def format_percent(share: float) -> str:
     """Return a share, 0 to 1, as a whole number of per cent."""
     return f"{100 * share:.0f} %"
-
-
-length_in_words = format_length

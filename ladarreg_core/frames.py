@@ -240,8 +240,6 @@ class ThesisParameters:
             f"rolled {abs(roll):.2f} deg {'clockwise' if roll >= 0 else 'counter-clockwise'}"
         )
 
-    in_words, turn_in_words = describe_position, describe_orientation
-
 
 def rotation_about(axis: str, angle_rad: float) -> NDArray[np.float64]:
     """Return the right-handed rotation matrix (3, 3) about one coordinate axis, `x`, `y` or `z`."""

@@ -8,9 +8,8 @@ from ladarreg_core.export.viser_colors import line_colours_for_viewer
 from ladarreg_core.inspection.model_textures import small_picture, view_picture
 from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
 from ladarreg_core.inspection.viewpoints import field_of_view
+from ladarreg_core.palette import ACCENT, REFUSED, SCANNER
 from ladarreg_core.surface.texture import intensity_picture
-
-from .colours import ACCENT, REFUSED, SCANNER
 
 if TYPE_CHECKING:
     import viser
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from ladarreg_core.arrays import ByteArray
     from ladarreg_core.camera import Camera
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.inspection.model_textures import Colour
+    from ladarreg_core.palette import Colour
 
     from .subject import Subject
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import html
 
 from ladarreg_core.inspection.model_textures import Legend
-
-from .colours import as_css
+from ladarreg_core.palette import as_css
 
 
 def legend_html(legend: Legend, note: str = "") -> str:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.inspection.model_textures import texture_choices
+from ladarreg_core.palette import ACCENT
 
 from ..gateway.pages import static_text
-from .colours import ACCENT
 from .legend import legend_html
 
 if TYPE_CHECKING:

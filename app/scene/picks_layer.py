@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from ladarreg_core.export.viser_colors import line_colours_for_viewer
 from ladarreg_core.inspection.scene_geometry import Marks, for_both_ends, marks_of_result, rays_to, repeated, spread
-
-from .colours import BACKGROUND, HIGHLIGHT, MATCH_COLOURS
+from ladarreg_core.palette import BACKGROUND, HIGHLIGHT, MATCHES
 
 if TYPE_CHECKING:
     import viser
@@ -67,7 +66,7 @@ class PicksLayer:
             return
         accepted = subject.accepted
         if accepted is not None and (picks is None or not picks.ids):
-            marks = marks_of_result(accepted, MATCH_COLOURS, most=_MAX_RESULT_MATCHES)
+            marks = marks_of_result(accepted, MATCHES, most=_MAX_RESULT_MATCHES)
             picks = Picks(marks, tuple(accepted.matches.pick_ids[k] for k in marks.given))
         if picks is None or not picks.ids:
             return

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from ladarreg_core.inspection.model_textures import uniform_picture
 from ladarreg_core.inspection.simplex_curves import CURVE_NAMES, SimplexCurves
+from ladarreg_core.palette import BACKGROUND
 
 from .cameras_layer import CamerasLayer
-from .colours import BACKGROUND
 from .draw_queue import DrawQueue
 from .model_layer import ModelLayer
 from .model_view import ModelChoice

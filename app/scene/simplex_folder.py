@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.inspection.simplex_curves import CURVE_NAMES, DrawnCurves, SimplexCurves
+from ladarreg_core.palette import MATCHES, REFUSED, as_css
 
 from ..jobs.runner import FULL_SPEED, WATCHED_SPEED
-from .colours import MATCH_COLOURS, REFUSED, as_css
 
 if TYPE_CHECKING:
     import viser
@@ -124,7 +124,7 @@ class SimplexFolder:
 
 def _series(names: Sequence[str]) -> tuple[Any, ...]:
     curves: list[dict[str, Any]] = [{"label": "step"}]
-    for k, (name, colour) in enumerate(zip(names, MATCH_COLOURS, strict=True)):
+    for k, (name, colour) in enumerate(zip(names, MATCHES, strict=True)):
         curves.append({
             "label": name, "stroke": as_css(colour), "width": 1.5, "scale": "m" if k < 3 else "deg",
             # The dashes distinguish curves whose colours look alike to some people.

@@ -13,9 +13,9 @@ from ladarreg_core.inspection.scene_geometry import (
     for_both_ends,
     repeated,
 )
+from ladarreg_core.palette import ACCENT, BACKGROUND, REFUSED
 
 from .cameras_layer import add_camera, viser_pose
-from .colours import ACCENT, BACKGROUND, REFUSED
 
 if TYPE_CHECKING:
     import viser
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ladarreg_core.arrays import FloatArray
     from ladarreg_core.camera import Camera
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.inspection.model_textures import Colour
+    from ladarreg_core.palette import Colour
 
     from .simplex_frame import SimplexFrame
     from .subject import Subject

@@ -126,7 +126,7 @@ class SceneSync:
         if scene is None:
             return
 
-        from ..scene.colours import MATCH_COLOURS
+        from ladarreg_core.palette import MATCHES
 
         loader = self._loader
         scan, entry = loader.scan(self._session.document), self._selection.photo
@@ -152,5 +152,5 @@ class SceneSync:
 
         points, ids, on = pick_points(scan, loader.picks(entry))
         numbers = {pick.id: pick.number for pick in entry.picks}
-        colours = [MATCH_COLOURS[(numbers[name] - 1) % len(MATCH_COLOURS)] for name in ids]
+        colours = [MATCHES[(numbers[name] - 1) % len(MATCHES)] for name in ids]
         scene.show_picks(points, colours, on, ids)

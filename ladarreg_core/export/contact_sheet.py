@@ -34,19 +34,6 @@ from ladarreg_core.export.detail import (
 )
 from ladarreg_core.export.images import write_png
 from ladarreg_core.export.layout import (
-    ACCENT,
-    BACKGROUND,
-    BAD,
-    BAD_GROUND,
-    DIM,
-    INK,
-    LINE,
-    OK,
-    OK_GROUND,
-    PANEL,
-    WARN,
-    WARN_GROUND,
-    Colour,
     beside,
     boxed,
     chip,
@@ -63,6 +50,21 @@ from ladarreg_core.export.layout import (
     wrapped,
 )
 from ladarreg_core.export.match_panels import best_enlargement, match_panel
+from ladarreg_core.palette import (
+    ACCENT,
+    BACKGROUND,
+    BAD,
+    BAD_GROUND,
+    DIM,
+    INK,
+    LINE,
+    OK,
+    OK_GROUND,
+    PANEL,
+    WARN,
+    WARN_GROUND,
+    Colour,
+)
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -310,8 +312,8 @@ def _lines(column: Column, apart: Difference | None) -> list[tuple[str, Colour]]
         return []
     lines = [
         (_inlier_summary(result), INK),
-        (result.thesis_parameters.in_words(), INK),
-        (result.thesis_parameters.turn_in_words().replace(" deg", "°"), INK),
+        (result.thesis_parameters.describe_position(), INK),
+        (result.thesis_parameters.describe_orientation().replace(" deg", "°"), INK),
     ]
     if apart is not None and column.stage.name != "default":
         lines.append((f"{_distance(apart)} from the default", DIM))

@@ -10,21 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray, read_only
-from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.errors import ShapeError
 from ladarreg_core.export.atomic_write import write_bytes
-from ladarreg_core.export.layout import BACKGROUND, DIM, INK, padded, stacked, text_block
-from ladarreg_core.surface.texture import Label, RegisteredTexture
+from ladarreg_core.export.layout import padded, stacked, text_block
+from ladarreg_core.palette import BACKGROUND, DIM, INK, UNKNOWN, VISIBILITY, ramp_colours
+from ladarreg_core.surface.texture import RegisteredTexture
+from ladarreg_core.validation import require_positive
 
-LABEL_COLOURS = {
-    Label.NO_RETURN: (15, 17, 21),
-    Label.SEEN: (76, 195, 138),
-    Label.OCCLUDED: (242, 111, 110),
-    Label.OUT_OF_FRAME: (73, 88, 120),
-    Label.GRAZING: (242, 184, 75),
-    Label.UNCERTAIN: (201, 167, 255),
-}
-"""RGB colour of each label."""
-_NO_VALUE = (48, 48, 48)
 _SHARE_SHOWN = 98.0  # per cent; a few outlying cells must not compress the scale of all others
 _NICE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 _LEAST_PX, _MOST_PX = 1e-6, 1e9
@@ -61,8 +53,7 @@ def write_labels_png(path: str | Path, texture: RegisteredTexture) -> None:
     from PIL import Image
 
     palette = np.zeros((256, 3), dtype=np.uint8)
-    for label, colour in LABEL_COLOURS.items():
-        palette[label] = colour
+    palette[: len(VISIBILITY)] = VISIBILITY
     image = Image.fromarray(texture.labels)
     image.putpalette(palette.tobytes())
     stream = io.BytesIO()
@@ -90,15 +81,13 @@ def uncertainty_picture(sigma_px: FloatArray, *, most_px: float | None = None) -
     if not sigma.size:
         raise ShapeError("the uncertainty has no cells; it must have the size of the scan")
     if most_px is not None:
-        number = isinstance(most_px, int | float | np.floating | np.integer) and not isinstance(most_px, bool)
-        if not number or not _LEAST_PX <= most_px <= _MOST_PX:
-            raise OptionError(f"most_px is {most_px!r}; it must be a positive number of pixels")
+        require_positive(most_px, "most_px", most=_MOST_PX, unit="pixels")
     most = scale_end(sigma) if most_px is None else float(most_px)
     with np.errstate(invalid="ignore"):
         level = np.clip(np.nan_to_num(sigma / np.float32(most), nan=0.0, posinf=1.0, neginf=0.0), 0, 1)
         exceeded = bool((sigma > most).any())
-    picture = _coloured(np.rint(level * 255).astype(np.uint8))
-    picture[np.isnan(sigma)] = _NO_VALUE
+    picture = np.array(ramp_colours(level))
+    picture[np.isnan(sigma)] = UNKNOWN
     return stacked([picture, _scale(most, exceeded="+" if exceeded else "", room=picture.shape[1])])
 
 
@@ -122,15 +111,10 @@ def scale_end(sigma_px: FloatArray) -> float:
     return float(power * next((n for n in _NICE if n * power >= high * (1 - 1e-6)), _NICE[-1]))
 
 
-def _coloured(level: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the colours (H, W, 3) of levels (H, W)."""
-    return np.array(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)[..., ::-1], dtype=np.uint8)
-
-
 def _scale(most: float, *, exceeded: str, room: int) -> NDArray[np.uint8]:
     """Return the scale bar with its numbers, if possible `room` pixels wide."""
     width = int(np.clip(room - 2 * _MARGIN, *_BAR_WIDTHS))
-    bar = _coloured(np.tile(np.linspace(0, 255, width).round().astype(np.uint8), (_BAR_HEIGHT, 1)))
+    bar = np.array(ramp_colours(np.tile(np.linspace(0, 1, width), (_BAR_HEIGHT, 1))))
     field = 56
     full = np.full((round(_TEXT * 1.36), width + field, 3), BACKGROUND, dtype=np.uint8)
     for tick in range(_TICKS + 1):

@@ -176,7 +176,7 @@ def thesis_document(thesis: ThesisParameters) -> dict[str, Any]:
         "beta": thesis.beta,
         "gamma": thesis.gamma,
         "units": "m, rad",
-        "in_words": thesis.in_words(),
+        "in_words": thesis.describe_position(),
     }
 
 

@@ -13,26 +13,13 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray
 from ladarreg_core.errors import DependencyError
+from ladarreg_core.palette import BACKGROUND, INK, Colour
 
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
 
-Colour = tuple[int, int, int]
 Align = Literal["left", "centre", "right"]
 
-# Colours as in the page's style sheet.
-BACKGROUND: Colour = (0x0F, 0x11, 0x15)
-PANEL: Colour = (0x16, 0x1A, 0x21)
-LINE: Colour = (0x2A, 0x31, 0x3D)
-INK: Colour = (0xE8, 0xEC, 0xF2)
-DIM: Colour = (0x8F, 0x9B, 0xAD)
-ACCENT: Colour = (0x5C, 0xC8, 0xFF)
-OK: Colour = (0x4C, 0xC3, 0x8A)
-OK_GROUND: Colour = (0x12, 0x24, 0x1C)
-WARN: Colour = (0xF2, 0xB8, 0x4B)
-WARN_GROUND: Colour = (0x2A, 0x22, 0x13)
-BAD: Colour = (0xF2, 0x72, 0x6F)
-BAD_GROUND: Colour = (0x2B, 0x16, 0x17)
 
 _LINE_HEIGHT = 1.36
 _NEAREST_FROM = 9

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.export.layout import BACKGROUND, BAD, OK, Colour, resized
+from ladarreg_core.export.layout import resized
+from ladarreg_core.palette import BACKGROUND, BAD, OK, Colour
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.validation import require_choice
 
 MaximaOf = Literal["every_pixel", "thresholded"]
 _LARGEST_REACH_PX = 1000
@@ -63,10 +64,7 @@ class CornerOptions:
             raise OptionError(f"the corners' q_min is {self.q_min!r}; it must be at least 0 and below 1")
         if not (_is_number(self.pre_blur_px) and 0 <= self.pre_blur_px <= _LARGEST_REACH_PX):
             raise OptionError(f"the corners' pre_blur_px is {self.pre_blur_px!r}; it must be a number of at least 0")
-        if self.maxima_of not in get_args(MaximaOf):
-            raise OptionError(
-                f"the corners' maxima_of is {self.maxima_of!r}; it must be one of {', '.join(get_args(MaximaOf))}"
-            )
+        require_choice(self.maxima_of, get_args(MaximaOf), "the corners' maxima_of")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

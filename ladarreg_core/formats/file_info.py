@@ -173,7 +173,7 @@ def describe_pose(path: Path) -> FileInfo:
         kind="pose",
         format="JSON",
         pose={
-            "camera": six.in_words(),
+            "camera": six.describe_position(),
             "pan_tilt_roll_deg": ", ".join(f"{angle:.2f}" for angle in angles),
         },
     )

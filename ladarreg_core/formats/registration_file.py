@@ -38,7 +38,7 @@ def read_registration(path: PathLike) -> Registration:
         return Registration(
             camera_from_scanner=pose,
             camera=camera_from_fields(fields["camera"]),
-            matches=Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))),
+            matches=Matches.none(),
             inliers=np.zeros(0, np.bool_),
             residuals_px=np.zeros((0, 2)),
             residuals_m=np.zeros(0),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.export.images import scale_end
+from ladarreg_core.palette import UNKNOWN, VISIBILITY, Colour, ramp_colours
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -22,19 +23,7 @@ from ladarreg_core.surface.texture import Label, RegisteredTexture, intensity_pi
 from ladarreg_core.surface.uncertainty import picture_sigma
 
 TextureKind = Literal["colour", "intensity", "range", "residual", "uncertainty", "label"]
-Colour = tuple[int, int, int]
 
-LABEL_COLOURS: dict[Label, Colour] = {
-    Label.NO_RETURN: (15, 17, 21),
-    Label.SEEN: (76, 195, 138),
-    Label.OCCLUDED: (176, 74, 120),
-    Label.OUT_OF_FRAME: (82, 91, 106),
-    Label.GRAZING: (242, 184, 75),
-    Label.UNCERTAIN: (157, 140, 255),
-}
-"""RGB of each visibility class on the model; the colours differ in lightness too."""
-NO_DATA_COLOUR: Colour = (62, 68, 79)
-"""RGB of cells without data in a texture."""
 
 _LABEL_MEANINGS = {
     Label.SEEN: "seen by the camera",
@@ -329,7 +318,7 @@ def _checked_kind(kind: str) -> TextureKind:
 
 
 def _colour_legend(elsewhere: str) -> Legend:
-    return Legend("Colour of the photograph", ((NO_DATA_COLOUR, f"{elsewhere}: laser intensity, dimmed"),))
+    return Legend("Colour of the photograph", ((UNKNOWN, f"{elsewhere}: laser intensity, dimmed"),))
 
 
 def _of_range(scan: Scan) -> ModelTexture:
@@ -337,41 +326,32 @@ def _of_range(scan: Scan) -> ModelTexture:
     span = np.float32(max(high - low, 1e-6 * high))
     level = (np.nan_to_num(scan.ranges, nan=low) - np.float32(low)) / span
     legend = Legend("Range from the scanner, m", ramp=_VIRIDIS, least=_number(low), most=_number(high))
-    return ModelTexture(_viridis(level), legend)
+    return ModelTexture(ramp_colours(level), legend)
 
 
 def _of_pixels(values: FloatArray, title: str) -> ModelTexture:
     """Return a texture of values (H, W) in pixels, on a scale from 0 to a round number."""
     known = np.isfinite(values)
     most = max(scale_end(np.where(known, values, np.float32(np.nan))), _LEAST_COLOUR_PX)
-    picture = np.array(_viridis(np.where(known, values, 0).astype(np.float32) / np.float32(most)))
-    picture[~known] = NO_DATA_COLOUR
-    legend = Legend(title, ((NO_DATA_COLOUR, "no data"),), _VIRIDIS, least="0", most=f"{most:.3g} and above")
+    picture = np.array(ramp_colours(np.where(known, values, 0).astype(np.float32) / np.float32(most)))
+    picture[~known] = UNKNOWN
+    legend = Legend(title, ((UNKNOWN, "no data"),), _VIRIDIS, least="0", most=f"{most:.3g} and above")
     return ModelTexture(picture, legend)
 
 
 def _of_labels(labels: ByteArray) -> ModelTexture:
     table = np.zeros((256, 3), dtype=np.uint8)
-    for label, colour in LABEL_COLOURS.items():
-        table[label] = colour
+    table[: len(VISIBILITY)] = VISIBILITY
     present = set(np.unique(labels).tolist())
-    entries = tuple((LABEL_COLOURS[label], words) for label, words in _LABEL_MEANINGS.items() if int(label) in present)
+    entries = tuple((VISIBILITY[label], words) for label, words in _LABEL_MEANINGS.items() if int(label) in present)
     return ModelTexture(table[labels], Legend("Visibility class", entries))
-
-
-def _viridis(level: FloatArray) -> NDArray[np.uint8]:
-    """Return the colours (..., 3) of levels 0 to 1, from dark blue to bright yellow."""
-    steps = np.rint(255 * np.clip(level, 0, 1)).astype(np.uint8)
-    flat = steps.reshape(-1, 1)
-    colours = np.asarray(cv2.applyColorMap(flat, cv2.COLORMAP_VIRIDIS), dtype=np.uint8)
-    return colours.reshape(*steps.shape, 3)[..., ::-1]
 
 
 def _ramp(colours: Callable[[FloatArray], ByteArray]) -> tuple[Colour, ...]:
     return tuple((int(r), int(g), int(b)) for r, g, b in colours(np.linspace(0, 1, _RAMP)))
 
 
-_VIRIDIS = _ramp(_viridis)
+_VIRIDIS = _ramp(ramp_colours)
 _GRAYS = _ramp(lambda level: np.repeat(np.rint(18 + 227 * level).astype(np.uint8)[:, None], 3, axis=1))
 
 

@@ -121,7 +121,6 @@ def pick_residuals(
     by_pick: dict[str, list[int]] = {}
     for k, name in enumerate(matches.pick_ids):
         by_pick.setdefault(name, []).append(k)
-    assert matches.fractions is not None
     ends = np.rint(matches.fractions).astype(int).tolist()
     found = {}
     for pick in picks:

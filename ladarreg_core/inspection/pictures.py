@@ -16,14 +16,15 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.views import viewing_directions
+from ladarreg_core.palette import ACCENT
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
 from ladarreg_core.surface.render import render_scan_colors
 from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture
+from ladarreg_core.validation import require_choice
 
 Show = Literal["intensity", "raw", "range", "normals", "edges", "color"]
 OverlayShow = Literal["intensity", "edges", "range"]
-_EDGE_COLOUR = (92, 200, 255)
 _STRONG = 150.0
 _WIDEST_PX = 2048
 _MOST_PIXELS = 8_000_000
@@ -192,8 +193,7 @@ def scan_over_photo(scan: Scan, camera: Camera, camera_from_scanner: Rigid, show
     Raises:
         OptionError: if there is no such overlay.
     """
-    if show not in get_args(OverlayShow):
-        raise OptionError(f"the overlay is {show!r}; it must be one of {', '.join(get_args(OverlayShow))}")
+    require_choice(show, get_args(OverlayShow), "the overlay")
     if camera.width > _WIDEST_PX:
         camera = camera.resized(_WIDEST_PX, max(1, round(camera.height * _WIDEST_PX / camera.width)))
     picture = _range_picture(scan) if show == "range" else intensity_picture(scan)
@@ -203,7 +203,7 @@ def scan_over_photo(scan: Scan, camera: Camera, camera_from_scanner: Rigid, show
     depth, _ = render_scan_colors(scan, camera, camera_from_scanner, picture=_range_picture(scan), supersample=1)
     strength = np.maximum(_magnitude(colour[..., 0]), _magnitude(depth[..., 0]))
     edge = np.zeros_like(colour)
-    edge[:] = _EDGE_COLOUR
+    edge[:] = ACCENT
     inside = cv2.erode(covered.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     return _with_alpha(edge, np.where(inside, np.clip(255 * strength / _STRONG, 0, 255), 0))
 

@@ -9,7 +9,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner, Candidate
 from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum
@@ -24,6 +23,7 @@ from ladarreg_core.matching.views import rolled_view, scan_density, viewing_dire
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
+from ladarreg_core.validation import require_choice
 
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
@@ -53,8 +53,7 @@ class AutoOptions:
 
     def __post_init__(self) -> None:
         check_free_camera(self.intrinsics)
-        if self.reach not in get_args(Reach):
-            raise OptionError(f"the reach is {self.reach!r}; it must be one of {', '.join(get_args(Reach))}")
+        require_choice(self.reach, get_args(Reach), "the reach")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

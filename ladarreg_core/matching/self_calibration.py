@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError, OptionError
+from ladarreg_core.errors import CameraError
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
@@ -19,6 +19,7 @@ from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_ca
 from ladarreg_core.matching.verification import Verification, verify
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import perspective_view
+from ladarreg_core.validation import require_choice
 
 FreeCamera = Literal["auto", "fixed", "focal", "focal_k1"]
 """Intrinsics estimated with the pose: automatic; none; the focal length; the focal length and k1."""
@@ -49,8 +50,7 @@ def check_free_camera(value: object) -> None:
     Raises:
         OptionError: if it is not a `FreeCamera`.
     """
-    if value not in get_args(FreeCamera):
-        raise OptionError(f"the option intrinsics is {value!r}; it must be one of {', '.join(get_args(FreeCamera))}")
+    require_choice(value, get_args(FreeCamera), "the option intrinsics")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

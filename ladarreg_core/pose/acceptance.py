@@ -14,7 +14,7 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.formatting import length_in_words
+from ladarreg_core.formatting import format_length
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
@@ -90,7 +90,7 @@ def decide_acceptance(
     reach = float(np.median(matches.ranges))
     if not (angle <= MOST_ANGLE_RAD and position <= MOST_POSITION_OF_RANGE * reach):
         against.append(
-            f"the matches barely determine the pose (1 sigma: {length_in_words(position)}, "
+            f"the matches barely determine the pose (1 sigma: {format_length(position)}, "
             f"{np.degrees(angle):.2g} deg); spread them over the photo and over near and far surfaces"
         )
     if _collinear(matches.uv[inliers]):
@@ -106,7 +106,7 @@ def decide_acceptance(
         )
     if second_pose is not None:
         against.append(
-            f"a second pose, {length_in_words(pose.distance_to(second_pose))} and "
+            f"a second pose, {format_length(pose.distance_to(second_pose))} and "
             f"{np.degrees(pose.angle_to(second_pose)):.1f} deg away, explains the matches as well; add matches off "
             "their common plane"
         )
@@ -114,7 +114,7 @@ def decide_acceptance(
         return False, tuple(against)
     return True, (
         f"{np.count_nonzero(inliers)} of {count} inliers (chi^2/dof {chi2_per_dof:.2f})",
-        f"uncertainty (1 sigma): position {length_in_words(position)}, orientation {np.degrees(angle):.2g} deg",
+        f"uncertainty (1 sigma): position {format_length(position)}, orientation {np.degrees(angle):.2g} deg",
         "no second pose explains the matches",
     )
 

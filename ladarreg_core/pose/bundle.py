@@ -70,9 +70,6 @@ class Measurements:
 
         A line end known only across the line has the information of a point-to-line distance, which is of rank 1.
         """
-        assert matches.weights is not None
-        assert matches.range_weights is not None
-        assert matches.across is not None
         rays_camera = camera.unproject(matches.uv)
         ideal = rays_camera / rays_camera[:, 2:]
         _, d_uv = camera.project_with_jacobian(ideal)
@@ -82,7 +79,6 @@ class Measurements:
         diagonal = (D * D).sum(axis=0)
         cross = (D[:, 0] * D[:, 1]).sum(axis=0, keepdims=True)
         if matches.across.any():
-            assert matches.directions is not None
             u, v = matches.directions.T
             normal = -v * D[0] + u * D[1]  # (2, N) d (distance across the line) / d xy
             diagonal = np.where(matches.across, normal * normal, diagonal)

@@ -125,7 +125,6 @@ def simplex_covariance(
         step_m,
     )
     spread = np.stack([*(k * sigma_px for k in by_pixel), by_range * sigma_range_m])  # (3, 2, N)
-    assert used.weights is not None
     known = np.isfinite(J).all(axis=(0, 1)) & np.isfinite(spread).all(axis=(0, 1))
     if np.count_nonzero(known) < 3:
         return huge

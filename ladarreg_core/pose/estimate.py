@@ -112,7 +112,6 @@ def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions, _: Rig
     pose = linear_pose(matches.points, xy)
     state, seen = adjust_ranges(measured, States.of([pose], measured))
     fit = Fit(measured, state, seen.s[0] <= options.gate_chi2, seen.s[0], True)
-    assert matches.weights is not None
     root = np.sqrt(matches.weights)
     covariance = linear_covariance(
         pose, matches.points, matches.rays, xy,

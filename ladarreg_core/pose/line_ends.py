@@ -72,8 +72,6 @@ def repair_ends(
         measured = Measurements.of(trial, camera, sigma_px=sigma_px, sigma_range_m=sigma_range_m)
         return np.asarray(adjust_ranges(measured, States.of([state.pose()], measured))[1].s[0])
 
-    assert matches.directions is not None
-    assert matches.across is not None
     swapped = matches.uv.copy(), matches.directions.copy()
     for values, sign in zip(swapped, (1, -1), strict=True):
         values[first], values[first + 1] = sign * values[first + 1], sign * values[first]
@@ -102,8 +100,6 @@ def repair_ends(
 
 def _lines(matches: Matches) -> IntArray:
     """Return the index of the first end of every line that has both ends."""
-    assert matches.directions is not None
-    assert matches.fractions is not None
     drawn = (matches.directions != 0).any(axis=1)
     if len(matches) < 2 or not drawn.any():
         return np.zeros(0, dtype=np.intp)

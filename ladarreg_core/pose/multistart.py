@@ -17,7 +17,7 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
-from ladarreg_core.formatting import length_in_words
+from ladarreg_core.formatting import format_length
 from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.pose.ambiguity import (
     DISTINCT_SIGMA,
@@ -43,6 +43,7 @@ from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
 from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, graduate_merging, group_by_leader, narrow_scales, near_pairs
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
+from ladarreg_core.validation import require_int
 
 BasinVerdict = Literal["unique", "ambiguous", "failed"]
 
@@ -146,7 +147,7 @@ class Basin:
         """Return the verdict and the suggested action in words."""
         if self.other is not None:
             far, turned = self.pose.distance_to(self.other), np.degrees(self.pose.angle_to(self.other))
-            where = f"{length_in_words(far)} and {turned:.2g}"
+            where = f"{format_length(far)} and {turned:.2g}"
             if self.verdict == "ambiguous":
                 return (
                     f"Two poses explain the matches: the second is {where} deg away ({self.other_inliers} inliers, "
@@ -262,8 +263,7 @@ def confirm(result: PoseResult, *, starts: int = 32, seed: int = 0) -> Confirmat
 
 def _check(result: PoseResult, starts: int, seed: int, gate_chi2: float) -> None:
     for name, value, least, most in (("starts", starts, _LEAST_STARTS, _MOST_STARTS), ("seed", seed, 0, 2**31 - 1)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
-            raise OptionError(f"{name} is {value!r}; it must be a whole number from {least} to {most}")
+        require_int(value, f"{name}", least=least, most=most)
     if not 1e-3 <= gate_chi2 <= 1e6:
         raise OptionError(f"gate_chi2 is {gate_chi2!r}; it must be a number from 0.001 to 1e6")
     if len(result.matches) < LEAST_MATCHES:
@@ -426,4 +426,4 @@ def _decide(
 
 
 def _offset(level: BasinLevel) -> str:
-    return f"{np.degrees(level.angle_rad):.0f} deg and {length_in_words(level.distance_m)}"
+    return f"{np.degrees(level.angle_rad):.0f} deg and {format_length(level.distance_m)}"

@@ -48,8 +48,6 @@ def estimate_noise(
         fixed_px: pixel noise if known, px.
         fixed_range_m: range noise if known, m.
     """
-    assert inliers.weights is not None
-    assert inliers.range_weights is not None
     points = pose @ inliers.points
     uv, d_uv = camera.project_with_jacobian(points)
     e: FloatArray = (inliers.uv - uv) * np.sqrt(inliers.weights)[:, None]

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-import numpy as np
-
 from ladarreg_core.errors import OptionError
 from ladarreg_core.pose.gnc import DEFAULT_GNC, GncOptions
 from ladarreg_core.pose.intrinsics import Intrinsics
 from ladarreg_core.pose.ransac import Backend
 from ladarreg_core.pose.thesis.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
+from ladarreg_core.validation import LARGEST_INT, require_choice, require_int
 
 Method = Literal["robust", "linear", "stereo_simplex", "epipolar_simplex"]
 
@@ -61,8 +60,7 @@ class PoseOptions:
     """Random seed; equal seeds give equal results."""
 
     def __post_init__(self) -> None:
-        if self.method not in get_args(Method):
-            raise OptionError(f"the pose method is {self.method!r}; it must be one of {', '.join(get_args(Method))}")
+        require_choice(self.method, get_args(Method), "the pose method")
         for name, unit in (("sigma_px", "pixels"), ("sigma_range_m", "metres")):
             sigma = getattr(self, name)
             if sigma is not None and not _between(sigma, _LEAST_SIGMA, _MOST_SIGMA):
@@ -79,8 +77,7 @@ class PoseOptions:
             raise OptionError(f"intrinsics is {self.intrinsics!r}; it must be one of {known}")
         for name in ("ransac_iterations", "seed"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value < 2**31:
-                raise OptionError(f"{name} is {value!r}; it must be a whole number of at least 0")
+            require_int(value, f"{name}", least=0, most=LARGEST_INT)
 
 
 def _between(value: Any, low: float, high: float) -> bool:

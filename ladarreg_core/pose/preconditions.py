@@ -12,6 +12,7 @@ from ladarreg_core.errors import CameraError, DegenerateGeometryError, OptionErr
 from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import count_distinct
+from ladarreg_core.validation import require_type
 
 LEAST_MATCHES = 4
 _UNIT_TOLERANCE = 1e-3
@@ -31,18 +32,14 @@ def check_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> Ma
     Raises:
         LadarregError: as `estimate_pose`.
     """
-    if not isinstance(camera, Camera):
-        raise CameraError(f"the camera is a {type(camera).__name__}; give a Camera")
+    require_type(camera, Camera, "the camera", error=CameraError)
     if initial is not None and not isinstance(initial, Rigid):
         raise OptionError(f"the initial pose is a {type(initial).__name__}; give a Rigid (camera_from_scanner)")
     if initial is not None and not np.abs(initial.centre).max() <= _MOST_RANGE_M:
         raise OptionError(f"the initial pose is more than {_MOST_RANGE_M:g} m from the scanner; check its unit")
-    assert matches.weights is not None
     count = len(matches)
     if count < LEAST_MATCHES:
         raise DegenerateGeometryError(f"{_count_phrase(matches)} and a pose needs {LEAST_MATCHES}; add matches")
-    assert matches.range_weights is not None
-    assert matches.directions is not None
     numbers = [matches.rays, matches.ranges, matches.uv, matches.weights, matches.range_weights, matches.directions]
     finite = np.isfinite(np.column_stack(numbers)).all(axis=1)
     if not finite.all():
@@ -60,7 +57,6 @@ def check_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> Ma
             f"{_subject(~good, matches)} a range that is not positive, or a range or pixel beyond "
             f"{_MOST_RANGE_M:g}; ranges are metres along the ray"
         )
-    assert matches.across is not None
     along = np.abs(np.linalg.norm(matches.directions, axis=1) - 1) <= _UNIT_TOLERANCE
     undirected = matches.across & ~along
     if undirected.any():

@@ -220,7 +220,6 @@ def _initial_poses(
     uv = (measured.xy * [[ideal.fx], [ideal.fy]] + [[ideal.cx], [ideal.cy]]).T
     threshold = options.ransac_sigma * sigma_px
     poses: list[Rigid] = []
-    assert matches.across is not None
     uv[matches.across] = np.nan  # sample points only
     for _ in range(2):
         pose = sample_pose(

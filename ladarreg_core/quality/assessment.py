@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import DegenerateGeometryError, LadarregError
+from ladarreg_core.formatting import format_number
 from ladarreg_core.quality.findings import Finding, findings
 from ladarreg_core.quality.influence import INFLUENTIAL_COOK, Influence, influence
 from ladarreg_core.quality.next_match import SuggestedMatch, part_of_photo, suggest_matches
@@ -51,8 +52,8 @@ class PictureUncertainty:
     def summary(self) -> str:
         """Return the uncertainty as a sentence."""
         return (
-            f"Median uncertainty {_px(self.median_px)} px, 95 % within {_px(self.p95_px)} px (1 sigma); largest near "
-            f"{self.worst_where} of the photo, {_px(self.worst_px)} px."
+            f"Median uncertainty {format_number(self.median_px)} px, 95 % within {format_number(self.p95_px)} px "
+            f"(1 sigma); largest near {self.worst_where} of the photo, {format_number(self.worst_px)} px."
         )
 
 
@@ -159,7 +160,3 @@ def _require_usable_pose(result: PoseResult) -> None:
         raise DegenerateGeometryError(
             "no match agrees with the pose, so its uncertainty cannot be computed; add matches"
         )
-
-
-def _px(value: float) -> str:
-    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"

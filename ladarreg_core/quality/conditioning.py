@@ -142,8 +142,6 @@ def _ideal_matches(matches: Matches, camera: Camera, pose: Rigid, reach: float) 
 
     It consists of many matches of little weight; the quality of a few random ones would depend on chance.
     """
-    assert matches.weights is not None
-    assert matches.range_weights is not None
     # Roberts' sequence for three dimensions: even, and the same at every call.
     even = np.mod(0.5 + np.arange(1, _IDEAL_COUNT + 1)[:, None] * _R3, 1)
     uv = even[:, :2] * camera.size - 0.5

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray
+from ladarreg_core.formatting import format_length, format_number
 from ladarreg_core.pose.acceptance import LEAST_INLIERS, LEAST_SHARE, MOST_CHI2_PER_DOF, count_distinct
 from ladarreg_core.pose.covariance import pose_jacobian
 from ladarreg_core.pose.diagnostics import diagnose
@@ -145,8 +146,8 @@ def _residuals(result: PoseResult) -> Finding | None:
     return Finding(
         "residuals",
         level,
-        f"The residuals are {np.sqrt(chi2):.2f} times the noise of {_number(result.sigma_px)} px and "
-        f"{_length(result.sigma_range_m)} (chi^2/dof {chi2:.2f}).",
+        f"The residuals are {np.sqrt(chi2):.2f} times the noise of {format_number(result.sigma_px)} px and "
+        f"{format_length(result.sigma_range_m)} (chi^2/dof {chi2:.2f}).",
         _unless_good(level, "Check the focal length and the lens distortion, or state a larger noise."),
         {"chi2_per_dof": chi2, "sigma_px": result.sigma_px, "sigma_range_m": result.sigma_range_m},
     )
@@ -243,8 +244,8 @@ def _baseline(result: PoseResult, figures: Mapping[str, Any]) -> Finding:
         advice = "Use the 'robust' method, or take the photo from further to the side."
         more = ", where stereo disparities vanish in the middle of the picture"
     words = (
-        f"Scanner and camera are {_length(length)} apart, {_length(across)} across and {_length(abs(along))} "
-        f"{'forward' if along >= 0 else 'back'}{more}."
+        f"Scanner and camera are {format_length(length)} apart, {format_length(across)} across and "
+        f"{format_length(abs(along))} {'forward' if along >= 0 else 'back'}{more}."
     )
     return Finding("baseline", level, words, advice, {"baseline_m": length, "across_m": across, "forward_m": along})
 
@@ -257,7 +258,7 @@ def _disparity(result: PoseResult, figures: Mapping[str, Any]) -> Finding | None
     values = {"median_px": median, "over_sigma": over, "stereo_sigma_z_over_z": uncertain}
     if has_usable_parallax(over, uncertain):
         return Finding("disparity", "good", f"The parallax of the matches is {median:.0f} px.", "", values)
-    words = f"The parallax of the matches is only {_number(median)} px"
+    words = f"The parallax of the matches is only {format_number(median)} px"
     if _method(result) not in _LEVEL_WITHOUT_PARALLAX:
         words += ": stereo methods would fail, but this pose uses the laser ranges and loses nothing."
         return Finding("disparity", "good", words, "", values)
@@ -272,7 +273,6 @@ def _disparity(result: PoseResult, figures: Mapping[str, Any]) -> Finding | None
 
 def _bias(result: PoseResult) -> Finding | None:
     """Return whether all matches share an offset from their predicted pixels beyond their scatter."""
-    assert result.matches.across is not None
     usable = result.inliers & ~result.matches.across & np.isfinite(result.residuals_px).all(axis=1)
     by_pick: dict[str, list[int]] = {}
     for k in np.flatnonzero(usable).tolist():
@@ -292,14 +292,15 @@ def _bias(result: PoseResult) -> Finding | None:
         level = "poor" if off > 2 * allowed else "fair" if off > allowed else "good"
     if level == "good":
         return Finding("bias", level, "The residuals have no significant common offset.", "", values)
-    way = f"{_number(abs(mean[0]))} px {'right' if mean[0] > 0 else 'left'} and {_number(abs(mean[1]))} px " + (
-        "down" if mean[1] > 0 else "up"
+    way = (
+        f"{format_number(abs(mean[0]))} px {'right' if mean[0] > 0 else 'left'} and {format_number(abs(mean[1]))} px "
+        + ("down" if mean[1] > 0 else "up")
     )
     return Finding(
         "bias",
         level,
-        f"All matches share an offset of {way} from their predicted pixels, {_number(off / max(allowed, 1e-12))} times "
-        "the uncertainty of these.",
+        f"All matches share an offset of {way} from their predicted pixels, "
+        f"{format_number(off / max(allowed, 1e-12))} times the uncertainty of these.",
         "Check the principal point of the camera, or use the 'robust' method, which leaves no common offset.",
         values,
     )
@@ -328,7 +329,7 @@ def _lens(result: PoseResult) -> Finding | None:
     return Finding(
         "lens",
         level,
-        f"{words}; that would shift the camera by {_number(check.shift_sigmas)} of its standard deviations.",
+        f"{words}; that would shift the camera by {format_number(check.shift_sigmas)} of its standard deviations.",
         "Give a calibrated camera file for the photo, or check its focal length: zooming and cropping change it.",
         values,
     )
@@ -365,11 +366,3 @@ def _capped_by_cost(level: Level, conditioning: Conditioning) -> Level:
 
 def _unless_good(level: Level, sentence: str) -> str:
     return "" if level == "good" else sentence
-
-
-def _number(value: float) -> str:
-    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
-
-
-def _length(metres: float) -> str:
-    return f"{metres * 1000:.0f} mm" if metres < 0.0995 else f"{metres:.2f} m"

@@ -18,7 +18,7 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.errors import DegenerateGeometryError
-from ladarreg_core.formatting import length_in_words
+from ladarreg_core.formatting import format_length
 from ladarreg_core.pose.bundle import (
     UNSEEN,
     Measurements,
@@ -75,9 +75,7 @@ class Influence:
         name = self.pick_ids[k]
         if not np.isfinite(self.cook[k]):
             return f"The pose depends on match {name}: without it the others do not determine a pose. Add matches."
-        shift = (
-            f"the camera by {length_in_words(float(self.position_m[k]))} and {np.degrees(self.angle_rad[k]):.2g} deg"
-        )
+        shift = f"the camera by {format_length(float(self.position_m[k]))} and {np.degrees(self.angle_rad[k]):.2g} deg"
         where = f"{self.pixels[k]:.2g} px in the photo"
         if self.cook[k] >= INFLUENTIAL_COOK:
             return f"Removing match {name} shifts {shift} ({where}): check it."

@@ -17,7 +17,7 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError
+from ladarreg_core.formatting import format_number
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.covariance import pose_jacobian
 from ladarreg_core.results import PoseResult
@@ -25,6 +25,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import surface_range
 from ladarreg_core.surface.uncertainty import covariance_factor
 from ladarreg_core.surface.visibility import project_scan
+from ladarreg_core.validation import require_int, require_number
 
 _CANDIDATES = 900
 _MOST_SUGGESTIONS = 100
@@ -64,8 +65,8 @@ class SuggestedMatch:
             effect = f"reduce the uncertainty there by {1 - remaining:.0%}"
         return (
             f"A match near {self.where} of the photo, around pixel ({self.uv[0]:.0f}, {self.uv[1]:.0f}), would "
-            f"{effect} ({_px(now)} to {_px(then)} px) and the median over the photo from {_px(self.median_px[0])} to "
-            f"{_px(self.median_px[1])} px."
+            f"{effect} ({format_number(now)} to {format_number(then)} px) and the median over the photo from "
+            f"{format_number(self.median_px[0])} to {format_number(self.median_px[1])} px."
         )
 
 
@@ -96,12 +97,8 @@ def suggest_matches(
 
     Source: Fedorov, Theory of optimal experiments (1972).
     """
-    whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
-    if not whole or not 1 <= count <= _MOST_SUGGESTIONS:
-        raise OptionError(f"count is {count!r}; it must be a whole number from 1 to {_MOST_SUGGESTIONS}")
-    number = isinstance(apart, int | float | np.floating | np.integer) and not isinstance(apart, bool)
-    if not number or not 0 <= apart <= 1:
-        raise OptionError(f"apart is {apart!r}; it must be a number from 0 to 1")
+    require_int(count, "count", least=1, most=_MOST_SUGGESTIONS)
+    require_number(apart, "apart", least=0, most=1)
     if pickable is not None:
         pickable = read_only(pickable, np.bool_, scan.shape, "the mask of cells to pick from")
     covariance = covariance_factor(result.covariance)
@@ -240,7 +237,3 @@ def _sigma(by_pose: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the semi-major axis (N,) of the one-sigma ellipses of the pixels, px."""
     predicted = by_pose @ covariance @ by_pose.swapaxes(1, 2)
     return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(predicted)[:, -1], 0)))
-
-
-def _px(value: float) -> str:
-    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"

@@ -30,6 +30,7 @@ from ladarreg_core.quality.limits import MOST_SIGMA_Z_OVER_Z
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
+from ladarreg_core.validation import require_positive, require_type
 
 _UNKNOWN_RANGE_SIGMA_M = 1e6  # so large that the pixel alone determines the range
 _MOST_FACTOR = 100.0  # larger than any scanner's error; without a baseline, rounding may yield any range
@@ -53,7 +54,7 @@ class SmoothOptions:
 
     def __post_init__(self) -> None:
         for name in ("sigma_px", "significance", "across_sigma"):
-            _check_positive(name, getattr(self, name))
+            require_positive(getattr(self, name), name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,13 +274,11 @@ def _quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:
 def _check_inputs(matches: object, camera: object, pose: object, options: object) -> None:
     if not isinstance(matches, Matches):
         raise ShapeError(f"the matches are a {type(matches).__name__}; give Matches")
-    if not isinstance(camera, Camera):
-        raise CameraError(f"the camera is a {type(camera).__name__}; give a Camera")
+    require_type(camera, Camera, "the camera", error=CameraError)
     if not isinstance(pose, Rigid):
         raise OptionError(f"the pose is a {type(pose).__name__}; give a Rigid (camera_from_scanner)")
     if not isinstance(options, SmoothOptions):
         raise OptionError(f"options is a {type(options).__name__}; give SmoothOptions")
-    assert matches.weights is not None
     values = np.column_stack([matches.rays, matches.ranges, matches.uv, matches.weights])
     with np.errstate(over="ignore", invalid="ignore"):
         unit = np.abs(np.linalg.norm(matches.rays, axis=1) - 1) <= _UNIT_TOLERANCE
@@ -298,7 +297,7 @@ def _checked_threshold(threshold: object, count: int) -> FloatArray:
         if not ((per_match > 0) & (per_match < np.inf)).all():
             raise OptionError("the thresholds contain values that are not positive numbers; give metres along the ray")
         return per_match
-    _check_positive("threshold_m", threshold)
+    require_positive(threshold, "threshold_m")
     return np.full(count, float(threshold))  # type: ignore[arg-type]
 
 
@@ -307,9 +306,3 @@ def _checked_covariance(covariance: ArrayLike | None) -> FloatArray:
     if not np.isfinite(matrix).all():
         raise ShapeError("the covariance of the pose is not finite; omit it, or estimate the pose from more matches")
     return matrix
-
-
-def _check_positive(name: str, value: object) -> None:
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not (number and 0 < float(value) < np.inf):  # type: ignore[arg-type]
-        raise OptionError(f"{name} is {value!r}; it must be a positive number")

@@ -10,7 +10,7 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError, OptionError
+from ladarreg_core.errors import CameraError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, principal_extents
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import LEAST_INLIERS, count_distinct
@@ -25,6 +25,7 @@ from ladarreg_core.quality.limits import (
     has_usable_parallax,
     is_forward_baseline,
 )
+from ladarreg_core.validation import require_positive, require_type
 
 _RANSAC_SIGMA, _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 6.0, 8, 0.3
 _MOST_SIGMA_PX = 1e6
@@ -52,14 +53,11 @@ def stereo_cautions(
         CameraError: if `camera` is not a `Camera`.
         OptionError: if `sigma_px` is not a positive number, or a pose is not a `Rigid`.
     """
-    if not isinstance(camera, Camera):
-        raise CameraError(f"the camera is a {type(camera).__name__}; give a Camera")
-    number = isinstance(sigma_px, int | float | np.floating | np.integer) and not isinstance(sigma_px, bool)
-    if not number or not 0 < sigma_px < _MOST_SIGMA_PX:
-        raise OptionError(f"sigma_px is {sigma_px!r}; it must be a positive number of pixels")
+    require_type(camera, Camera, "the camera", error=CameraError)
+    require_positive(sigma_px, "sigma_px", most=_MOST_SIGMA_PX, unit="pixels")
     for name, transform in (("pose", pose), ("view_from_scanner", view_from_scanner)):
-        if transform is not None and not isinstance(transform, Rigid):
-            raise OptionError(f"the {name} is a {type(transform).__name__}; give a Rigid")
+        if transform is not None:
+            require_type(transform, Rigid, f"the {name}")
     matches = matches.subset(
         np.isfinite(np.column_stack([matches.rays, matches.ranges, matches.uv])).all(axis=1) & (matches.ranges > 0)
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladarreg_core.camera import Camera
+from ladarreg_core.formatting import format_length
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.self_test.trials import START_LEVELS_DEG, SelfTestOptions, Trial, run_trials
@@ -68,7 +69,8 @@ class SelfTest:
         found = sum(t.right for t in right)
         if right and found:
             parts.append(
-                f"{_length(self.position_mm)}, {self.angle_deg:.2g} deg, {found} of {len(right)} photos registered"
+                f"{format_length(self.position_mm / 1000)}, {self.angle_deg:.2g} deg, "
+                f"{found} of {len(right)} photos registered"
             )
         elif right:
             parts.append(f"none of {len(right)} photos registered")
@@ -111,7 +113,3 @@ def self_test(
 
 def _median(values: Sequence[float]) -> float:
     return float(np.median(values)) if values else float("nan")
-
-
-def _length(mm: float) -> str:
-    return f"{mm:.2g} mm" if mm < 99.5 else f"{mm / 1000:.2g} m"

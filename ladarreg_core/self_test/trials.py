@@ -18,6 +18,7 @@ from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.scan import Scan
 from ladarreg_core.self_test.synthetic_photo import SyntheticPhoto, random_pose, render_photo, unrelated_photo
+from ladarreg_core.validation import LARGEST_INT, require_int
 
 TrialKind = Literal["right", "start", "wrong"]
 
@@ -48,12 +49,10 @@ class SelfTestOptions:
     def __post_init__(self) -> None:
         for name in ("photos", "starts", "wrong"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 10_000:
-                raise OptionError(f"{name} is {value!r}; it must be a whole number from 0 to 10,000")
+            require_int(value, f"{name}", least=0, most=10_000)
         if self.photos + self.starts + self.wrong == 0:
             raise OptionError("there are no trials; set photos, starts or wrong above 0")
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**31:
-            raise OptionError(f"the seed is {self.seed!r}; it must be a whole number of at least 0")
+        require_int(self.seed, "the seed", least=0, most=LARGEST_INT)
         try:
             sensible = 1 <= float(self.seconds) <= 1e6
         except (TypeError, ValueError):

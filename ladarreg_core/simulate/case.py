@@ -32,6 +32,7 @@ from ladarreg_core.simulate.scenes import SCENES, build_scene
 from ladarreg_core.simulate.thermal import THERMAL_CAMERA, take_thermal_image
 from ladarreg_core.simulate.world import World
 from ladarreg_core.thermal import CENTIKELVIN_K, centikelvin, thermal_photo
+from ladarreg_core.validation import require_int
 
 CAMERA = Camera.from_focal(768, 512, 974.0)
 """A 35 mm lens before a small frame."""
@@ -265,8 +266,7 @@ def _checked_set(scene: str, set_name: str, seed: int, lens: tuple[float, ...]) 
         raise OptionError(f"there is no scene {scene!r}; the scenes are {', '.join(SCENES)}")
     if set_name not in SETS:
         raise OptionError(f"there is no set {set_name!r}; the sets are {', '.join(SETS)}")
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise OptionError(f"the seed is {seed!r}; it must be a whole number of at least 0")
+    require_int(seed, "the seed", least=0)
     if not all(math.isfinite(v) and abs(v) <= 0.5 for v in lens):
         raise OptionError(f"k1, its error and the focal error are {lens}; each must lie within -0.5 to 0.5")
     return SETS[set_name]

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from ladarreg.gateway.viser_backend import close_server
-from ladarreg.scene.colours import BACKGROUND
 
 from ladarreg_core.export.glb import glb_bytes
+from ladarreg_core.palette import BACKGROUND
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.mesh import scan_mesh

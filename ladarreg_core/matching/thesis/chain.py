@@ -32,6 +32,7 @@ from ladarreg_core.quality.stereo_limits import stereo_cautions
 from ladarreg_core.results import PoseResult, Stage, StageName
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import perspective_view
+from ladarreg_core.validation import require_choice
 
 FirstPose = Literal["linear", "robust", "linear_only"]
 _CREDIBLE_FRACTION = 0.5
@@ -63,8 +64,7 @@ class ThesisOptions:
             if not isinstance(getattr(self, name), expected):
                 raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a {expected.__name__}")
         for name, value, kind in (("first_pose", self.first_pose, FirstPose), ("residual", self.residual, Residual)):
-            if value not in get_args(kind):
-                raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(get_args(kind))}")
+            require_choice(value, get_args(kind), f"{name}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

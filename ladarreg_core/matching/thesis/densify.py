@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.pyramid import ScanLevels
 from ladarreg_core.picks.lines import fraction_in_photo, kappa_of
 from ladarreg_core.surface.remap import look_up
+from ladarreg_core.validation import require_choice, require_int, require_number
 
 Kappa = Literal["equal", "by_pose"]
 _LINES_AT_A_TIME = 256
@@ -67,9 +67,7 @@ class DensifyOptions:
         )
         for name, least, most in spans:
             value = getattr(self, name)
-            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            if not (number and least <= value <= most):
-                raise OptionError(f"the lines' {name} is {value!r}; it must be a number from {least:g} to {most:g}")
+            require_number(value, f"the lines' {name}", least=least, most=most)
         counts = (
             ("neighbours", _MAX_NEIGHBOURS),
             ("lines_per_match", _MAX_NEIGHBOURS),
@@ -77,11 +75,8 @@ class DensifyOptions:
         )
         for name, most_whole in counts:
             value = getattr(self, name)
-            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-            if not (whole and 1 <= value <= most_whole):
-                raise OptionError(f"the lines' {name} is {value!r}; it must be a whole number from 1 to {most_whole}")
-        if self.kappa not in get_args(Kappa):
-            raise OptionError(f"the lines' kappa is {self.kappa!r}; it must be one of {', '.join(get_args(Kappa))}")
+            require_int(value, f"the lines' {name}", least=1, most=most_whole)
+        require_choice(self.kappa, get_args(Kappa), "the lines' kappa")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,6 +28,7 @@ from ladarreg_core.matching.thesis.search import (
     recentred,
     within_disparity,
 )
+from ladarreg_core.validation import require_choice
 
 DepthEdges = Literal["foreground", "left_out"]
 GuidedFilter = Literal["prediction", "disparity"]
@@ -88,8 +89,7 @@ class ThesisMatchOptions:
             if not (number and np.isfinite(value) and (value > 0 if in_pixels else 0 <= value <= 2)):
                 raise OptionError(f"{name} is {value!r}; it must be a number {_ALLOWED[in_pixels]}")
         for name, kind in (("depth_edges", DepthEdges), ("second_culling", GuidedFilter)):
-            if getattr(self, name) not in get_args(kind):
-                raise OptionError(f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(get_args(kind))}")
+            require_choice(getattr(self, name), get_args(kind), f"{name}")
 
 
 _MAX_CORNERS = 4000  # all pairs are correlated
@@ -211,8 +211,6 @@ class ThesisSearch:
         if not len(lines.ranges):
             return found
         m = found.matches
-        assert m.fractions is not None
-        assert m.weights is not None
         both = Matches(
             np.concatenate([m.rays, self.scan.view.rays_at(lines.scan_uv)]),
             np.concatenate([m.ranges, lines.ranges]),

@@ -17,6 +17,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.features.correlation import unique_matches
 from ladarreg_core.frames import Rigid
+from ladarreg_core.validation import require_choice
 
 FilterSide = Literal["two_sided", "one_sided"]
 _MIN_T2_PX, _MAX_T2_PX = 1e-3, 1e6
@@ -71,8 +72,7 @@ def check_filter(t2_px: float, side: str) -> None:
             f"the disparity threshold T2 is {t2_px!r}; it must be a number of pixels from {_MIN_T2_PX:g} to "
             f"{_MAX_T2_PX:g}"
         )
-    if side not in get_args(FilterSide):
-        raise OptionError(f"the option culling is {side!r}; it must be one of {', '.join(get_args(FilterSide))}")
+    require_choice(side, get_args(FilterSide), "the option culling")
 
 
 def predicted_pixels(points_scanner: FloatArray, camera: Camera, pose: Rigid, *, border_px: float = 0.0) -> FloatArray:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.validation import require_int
 
 Move = Literal["start", "reflect", "expand", "contract_outside", "contract_inside", "shrink"]
 Stopped = Literal["tolerance", "iterations", "evaluations"]
@@ -108,8 +109,7 @@ def nelder_mead(
         if not tolerance >= 0:
             raise OptionError(f"{name} is {tolerance!r}; it must be at least 0")
     for name, limit in (("most_iterations", most_iterations), ("most_evaluations", most_evaluations)):
-        if isinstance(limit, bool) or not isinstance(limit, int | np.integer) or limit < 1:
-            raise OptionError(f"{name} is {limit!r}; it must be a whole number of at least 1")
+        require_int(limit, f"{name}", least=1)
     return _iterate(_Counted(cost, most_evaluations), given, x_tolerance, cost_tolerance, most_iterations)
 
 

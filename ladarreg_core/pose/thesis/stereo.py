@@ -174,7 +174,6 @@ class StereoPairs:
             camera: the photo's camera, whose distortion is removed.
             frame_from_scanner: (3, 3), None: `stereo_frame` of the matches.
         """
-        assert matches.weights is not None
         frame = stereo_frame(matches.rays) if frame_from_scanner is None else np.asarray(frame_from_scanner)
         points = STEREO_AXES_FROM_SCANNER @ frame @ matches.points.T
         sight = camera.unproject(matches.uv).T

@@ -26,6 +26,7 @@ from ladarreg_core.pose.thesis.epipolar import epipolar_cost, epipolar_residuals
 from ladarreg_core.pose.thesis.nelder_mead import SimplexStep, nelder_mead, start_simplex
 from ladarreg_core.pose.thesis.starts import StartName, starting_poses
 from ladarreg_core.pose.thesis.stereo import StereoPairs, pose_of, stereo_cost
+from ladarreg_core.validation import LARGEST_INT, require_choice, require_int
 
 Residual = Literal["stereo", "epipolar"]
 RejectedBy = Literal["depth error", "pixel residual"]
@@ -80,8 +81,7 @@ class SimplexOptions:
     """Maximum number of rejections, each followed by a descent; 0: all matches count."""
 
     def __post_init__(self) -> None:
-        if self.residual not in get_args(Residual):
-            raise OptionError(f"the residual is {self.residual!r}; it must be one of {', '.join(get_args(Residual))}")
+        require_choice(self.residual, get_args(Residual), "the residual")
         for name in ("step_m", "step_rad", "tolerance", "stop_cost", "reject_depth_m", "reject_sigma"):
             value = getattr(self, name)
             may_be_none = name in ("step_m", "stop_cost", "reject_depth_m")
@@ -89,8 +89,7 @@ class SimplexOptions:
                 raise OptionError(f"{name} is {value!r}; it must be a positive number ({_LEAST:g} to {_MOST:g})")
         for name, least in (("most_iterations", 1), ("most_evaluations", 1), ("restarts", 0), ("reject_rounds", 0)):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value < 2**31:
-                raise OptionError(f"{name} is {value!r}; it must be a whole number of at least {least}")
+            require_int(value, f"{name}", least=least, most=LARGEST_INT)
 
 
 DEFAULT_SIMPLEX = SimplexOptions()

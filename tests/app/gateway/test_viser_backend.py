@@ -6,7 +6,8 @@ import socket
 
 from ladarreg.gateway.pages import static_folder, static_text
 from ladarreg.gateway.viser_backend import HOST, close_server, open_locked_server
-from ladarreg.scene.colours import MATCH_COLOURS
+
+from ladarreg_core.palette import MATCHES
 
 
 def test_it_listens_on_loopback_only() -> None:
@@ -33,7 +34,7 @@ def test_a_public_address_is_refused() -> None:
 
 def test_the_style_tokens_contain_the_scenes_colours() -> None:
     tokens = static_text("tokens.css")
-    for k, colour in enumerate(MATCH_COLOURS, start=1):
+    for k, colour in enumerate(MATCHES, start=1):
         assert f"--lr-match-{k}: #{bytes(colour).hex()};" in tokens
     assert "--lr-accent: #5cc8ff;" in tokens
     for name in ("tokens.css", "panel.css", "logo.svg", "index.html", "js/main.js", "css/base.css"):

@@ -15,7 +15,6 @@ import viser
 from ladarreg.gateway.pages import static_text
 from ladarreg.gateway.viser_backend import close_server
 from ladarreg.scene import Scene3D, SimplexFrame
-from ladarreg.scene.colours import ACCENT, BACKGROUND, MATCH_COLOURS, as_css
 from ladarreg.scene.draw_queue import DrawQueue
 from ladarreg.scene.legend import legend_html
 from ladarreg.scene.picks_layer import Picks
@@ -25,6 +24,7 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.inspection.model_textures import Legend, model_texture
 from ladarreg_core.matches import Matches
+from ladarreg_core.palette import ACCENT, BACKGROUND, MATCHES, as_css
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -263,7 +263,7 @@ def test_picks_have_their_colours_and_are_clickable(
 ) -> None:
     scene.show_registration(SCAN, PHOTO, None)
     points = np.array([[3, 0, 0], [np.nan, 0, 0], [3, 0.5, 0], [3, -0.5, 0]])
-    colours = np.array(MATCH_COLOURS[:4], np.uint8)
+    colours = np.array(MATCHES[:4], np.uint8)
     scene.show_picks(points, colours, [True, True, False, True], ["a", "b", "c", "d"])
     assert scene.settle()
     cloud: Any = nodes(server)["/matches/points"]
@@ -485,7 +485,7 @@ def test_picks_of_a_line_share_their_id() -> None:
 
 def test_the_colours_are_the_style_tokens() -> None:
     tokens = static_text("tokens.css")
-    for k, colour in enumerate(MATCH_COLOURS, start=1):
+    for k, colour in enumerate(MATCHES, start=1):
         assert f"--lr-match-{k}: {as_css(colour)};" in tokens
     assert f"--lr-accent: {as_css(ACCENT)};" in tokens
     assert f"--lr-background: {as_css(BACKGROUND)};" in tokens

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ladarreg_core import palette
 from ladarreg_core.camera import Camera
 from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.export import layout as look
 from ladarreg_core.export.contact_sheet import SHEET_WIDTH, contact_sheet, write_contact_sheet
 from ladarreg_core.export.detail import detail_window, edge_lines, seen_window, whole_window
 from ladarreg_core.export.layout import legible, shortened, text_block, text_width, wrapped
@@ -62,18 +62,10 @@ def test_the_ink_of_a_text_stays_inside_its_block() -> None:
     for text in ("jgÅy|Q_", "f"):
         for align in ("left", "centre", "right"):
             block = text_block(text, size=40, width=400, align=align, weight=0.8)
-            inked = (block != look.BACKGROUND).any(axis=-1)
+            inked = (block != palette.BACKGROUND).any(axis=-1)
             assert inked.any()
             assert not inked[0].any()
             assert not inked[-1].any()
-
-
-def test_the_colours_are_the_pages(checkout) -> None:
-    dark = (checkout / "static" / "tokens.css").read_text(encoding="utf-8").split("}")[0]
-    tokens = dict(re.findall(r"--lr-([\w-]+): #([0-9a-f]{6})", dark))
-    for name in ("background", "panel", "line", "ink", "dim", "accent", "ok", "ok-ground", "warn", "warn-ground",
-                 "bad", "bad-ground"):  # fmt: skip
-        assert getattr(look, name.replace("-", "_").upper()) == tuple(bytes.fromhex(tokens[name])), name
 
 
 # --- the sheet -------------------------------------------------------------------------------------------------------
@@ -115,7 +107,7 @@ def test_any_case_fits_the_sheet(case, stages, no_pose) -> None:
     assert sheet.shape[1:] == (SHEET_WIDTH, 3)
     assert 600 < sheet.shape[0] < 4000
     for margin in (sheet[:, :40], sheet[:, -40:], sheet[:30], sheet[-30:]):
-        assert (margin == look.BACKGROUND).all(), "something runs out of the sheet"
+        assert (margin == palette.BACKGROUND).all(), "something runs out of the sheet"
 
 
 def hostile(comparison: Comparison) -> Comparison:
@@ -162,7 +154,8 @@ def test_accepted_and_not_accepted_differ_in_colour(scan, photo) -> None:
         for names in ((), ("default",), ("simplex", "default"))
     ]
     accepted, refused = (
-        [int((sheet == colour).all(axis=-1).sum()) for sheet in sheets] for colour in (look.OK_GROUND, look.WARN_GROUND)
+        [int((sheet == colour).all(axis=-1).sum()) for sheet in sheets]
+        for colour in (palette.OK_GROUND, palette.WARN_GROUND)
     )
     assert accepted[0] < 50
     assert accepted[1] > 1000
@@ -265,11 +258,11 @@ def test_a_match_is_a_dot_with_a_line_to_where_the_pose_puts_it(scan, photo) -> 
     def colour(u: float, v: float) -> tuple[int, ...]:
         return tuple(panel[round((v + 0.5) * 4 - 0.5), round((u + 0.5) * 4 - 0.5)])
 
-    assert [colour(*at) for at in uv] == [look.OK, look.BAD, look.OK]
-    assert colour(24.0, 20.0) == look.OK  # observed minus predicted is -1 px, five times as long
-    assert colour(16.0, 20.0) != look.OK
+    assert [colour(*at) for at in uv] == [palette.OK, palette.BAD, palette.OK]
+    assert colour(24.0, 20.0) == palette.OK  # observed minus predicted is -1 px, five times as long
+    assert colour(16.0, 20.0) != palette.OK
     bare = match_panel(photo, None, (480, 360))
-    assert not (bare == look.OK).all(axis=-1).any()
+    assert not (bare == palette.OK).all(axis=-1).any()
 
 
 @cache

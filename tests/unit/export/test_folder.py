@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ladarreg_core.quality.smoothed_scan import SmoothedScan
 from PIL import Image
 
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export import staging
 from ladarreg_core.export.folder import FILE_NAMES, export_registration, write_folder
 from ladarreg_core.export.json import registration_document, write_document
-from ladarreg_core.quality.smoothed_scan import SmoothedScan
+from ladarreg_core.palette import UNKNOWN
 from tests.unit.export.samples import sample_registration
 
 
@@ -52,7 +53,7 @@ def test_the_uncertainty_is_on_the_scan_grid_like_the_labels(tmp_path, registrat
     points = registration.camera_from_scanner @ np.nan_to_num(scan.points, nan=-1.0)
     within = scan.valid & registration.camera.contains(registration.camera.project(points))
     assert within.any()
-    np.testing.assert_array_equal((picture == 48).all(axis=-1), ~within)
+    np.testing.assert_array_equal((picture == UNKNOWN).all(axis=-1), ~within)
 
 
 def test_a_smoothed_scan_is_what_the_models_show_and_nothing_else(tmp_path, registration, scan, photo):

@@ -174,7 +174,7 @@ def test_without_the_z_buffer_occluded_cells_are_coloured() -> None:
     c = the_case()
     honest = texture_scan(c.scan, c.photo, c.camera_from_scanner)
     pose = describe_pose(
-        c.camera_from_scanner, Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))), np.zeros(0, np.bool_),
+        c.camera_from_scanner, Matches.none(), np.zeros(0, np.bool_),
         c.true_camera, sigma_px=1, sigma_range_m=0.01, covariance=np.eye(6),
     )  # fmt: skip
     through = texture_without_z_buffer(c.scan, c.photo, pose)

@@ -14,8 +14,6 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.inspection.model_textures import (
-    LABEL_COLOURS,
-    NO_DATA_COLOUR,
     colored_points,
     model_texture,
     picture_without_z_buffer,
@@ -26,6 +24,7 @@ from ladarreg_core.inspection.model_textures import (
     usable_texture,
 )
 from ladarreg_core.matches import Matches
+from ladarreg_core.palette import UNKNOWN, VISIBILITY
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -85,12 +84,11 @@ def test_labels_have_exactly_their_colours_and_the_legend_names_those_present(
         room.scan, room.photo, room.camera_from_scanner, camera=result.camera, covariance=np.asarray(result.covariance)
     )
     texture = model_texture(room.scan, "label", photo=room.photo, result=result)
-    for label, colour in LABEL_COLOURS.items():
+    for label, colour in zip(Label, VISIBILITY, strict=True):
         assert (texture.image[registered.labels == label] == colour).all()
-    present = {LABEL_COLOURS[Label(code)] for code in np.unique(registered.labels) if code != Label.NO_RETURN}
+    present = {VISIBILITY[code] for code in np.unique(registered.labels) if code != Label.NO_RETURN}
     assert {colour for colour, _ in texture.legend.entries} == present
-    assert {LABEL_COLOURS[Label.OCCLUDED], LABEL_COLOURS[Label.SEEN]} <= present
-    assert len(set(LABEL_COLOURS.values())) == len(LABEL_COLOURS)
+    assert {VISIBILITY[Label.OCCLUDED], VISIBILITY[Label.SEEN]} <= present
 
 
 def test_without_the_z_buffer_occluded_cells_take_the_photo(room: PaintedRoom, result: PoseResult) -> None:
@@ -154,7 +152,7 @@ def test_the_field_follows_the_nearest_matches_and_ends_far_from_all(result: Pos
     none = dataclasses.replace(four, inliers=np.zeros(4, bool))
     assert np.isnan(residual_field(scan, none)).all()
     picture = model_texture(scan, "residual", result=outlier)
-    assert tuple(picture.image[10, 290]) == NO_DATA_COLOUR
+    assert tuple(picture.image[10, 290]) == UNKNOWN
 
 
 def test_a_less_certain_pose_is_never_darker(room: PaintedRoom, result: PoseResult) -> None:

@@ -507,7 +507,7 @@ def test_nothing_is_pickled() -> None:
 
 
 def test_a_photo_without_matches_keeps_its_result() -> None:
-    empty = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+    empty = Matches.none()
     from ladarreg_core.pose.result import describe_pose
 
     result = describe_pose(

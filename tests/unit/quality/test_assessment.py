@@ -62,7 +62,7 @@ def test_a_range_spike_is_not_the_worst_cell() -> None:
 def test_a_part_that_cannot_be_computed_has_a_reason() -> None:
     room, _, matches, good, _ = clustered(2, count=14)
     away = Rigid(rotation_from_rotvec([0, np.pi, 0]) @ good.camera_from_scanner.rotation, np.zeros(3))
-    none = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+    none = Matches.none()
     nothing = {
         "matches": none, "inliers": np.zeros(0, bool), "residuals_px": np.zeros((0, 2)), "residuals_m": np.zeros(0),
         "stereo_depth_error_m": np.zeros(0),

@@ -221,7 +221,7 @@ def test_outliers_are_named():
 def test_every_registration_has_findings_in_plain_words():
     case = room_case(3, count=30)
     behind = Rigid.from_centre(rotation_from_rotvec([0, np.pi, 0]) @ case.pose.rotation, case.pose.centre)
-    nothing = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+    nothing = Matches.none()
     same = Matches(np.tile(case.rays[:1], (20, 1)), np.tile(case.ranges[:1], 20), np.tile(case.uv[:1], (20, 1)))
     good = at_truth(case)
     odd = [

@@ -281,7 +281,7 @@ def test_hostile_arguments_are_refused_in_one_line() -> None:
             SmoothOptions(**{name: 0})
     with pytest.raises(OptionError):
         smooth_scan(None, matched(SPIKES))
-    none = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+    none = Matches.none()
     assert len(smooth_ranges(none, case.camera, case.pose, threshold_m=1.0).ranges) == 0
 
 

@@ -119,7 +119,7 @@ def test_few_clustered_and_flat_matches_are_reported():
 
 def test_empty_and_invalid_input():
     case = room_case(670, count=40)
-    empty = Matches(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
+    empty = Matches.none()
     assert "range: 0" in stereo_cautions(empty, case.camera)[0]
     ranges, uv = case.ranges.copy(), case.uv.copy()
     ranges[:3], uv[3:6] = [np.nan, -1.0, np.inf], np.nan
