@@ -1,4 +1,4 @@
-"""The way in, in a real browser: the token is left nowhere, and no other page can shut anybody out."""
+"""Login in a real browser: the token is left nowhere, and no other page can lock anyone out."""
 
 from __future__ import annotations
 
