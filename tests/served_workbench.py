@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from ladarreg.gateway.delta import changed
+from ladarreg.gateway.delta import apply_change
 from websockets.sync.client import ClientConnection, connect
 
 from ladarreg_core.simulate.sample import sample_folder
@@ -79,7 +79,7 @@ class Page:
     def take(self, message: dict[str, Any]) -> dict[str, Any]:
         self.slices.update(message.get("slices", {}))
         for name, change in message.get("changes", {}).items():
-            self.slices[name] = changed(self.slices[name], change)
+            self.slices[name] = apply_change(self.slices[name], change)
         return message
 
     def ask(self, do: str, **fields: Any) -> dict[str, Any]:

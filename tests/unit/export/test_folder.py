@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ladarreg_core.quality.smoothed_scan import SmoothedScan
 from PIL import Image
 
 from ladarreg_core.errors import Cancelled, ExportError
@@ -12,6 +11,7 @@ from ladarreg_core.export import staging
 from ladarreg_core.export.folder import FILE_NAMES, export_registration, write_folder
 from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.palette import UNKNOWN
+from ladarreg_core.quality.smoothing import SmoothedScan
 from tests.unit.export.samples import sample_registration
 
 

@@ -13,7 +13,7 @@ from ladarreg_core.export.images import (
     write_registered_png,
     write_uncertainty_png,
 )
-from ladarreg_core.palette import VISIBILITY
+from ladarreg_core.palette import UNKNOWN, VISIBILITY
 from ladarreg_core.surface.texture import Label, RegisteredTexture
 
 
@@ -46,7 +46,7 @@ def test_the_png_shows_every_cell_and_a_scale(tmp_path):
     read = cv2.imread(str(tmp_path / "u.png"))[..., ::-1]
     np.testing.assert_array_equal(read, uncertainty_picture(sigma, most_px=2.0))
     cells = read[:90, :300].astype(int)
-    assert (cells[10:20, 50:80] == 48).all()
+    assert (cells[10:20, 50:80] == UNKNOWN).all()
     light = cells[0].sum(axis=-1)
     assert (np.diff(light) >= -2).all()
     assert light[-1] > 2.5 * light[0]

@@ -88,7 +88,7 @@ def test_hostile_input_is_named():
     camera = Camera.from_focal(64, 48, 60)
     with pytest.raises(ShapeError, match="no colour"):
         render_scan_colors(bare, camera, Rigid.identity())
-    with pytest.raises(ShapeError, match="picture"):
+    with pytest.raises(ShapeError, match="image"):
         render_scan_colors(bare, camera, Rigid.identity(), picture=np.zeros((3, 3, 3), np.uint8))
     with pytest.raises(OptionError, match="supersample"):
         render_scan_colors(scan, camera, Rigid.identity(), supersample=0)
