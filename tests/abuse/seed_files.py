@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 from dataclasses import dataclass
@@ -19,11 +20,12 @@ from ladarreg_core.formats.pose_file import write_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.simulate.sample import sample_folder
-from tests.formats.conftest import depth_image, e57_fields, e57_file, make_scan, pcd_bytes
+from tests.formats.conftest import depth_image, e57_fields, e57_file, make_scan
 
 REFERENCE_SCAN = "reference-scan.npz"
 """The scan for matches files; it is valid and never damaged."""
 _LIST = "seeds.json"
+_FORMAT_TESTS = Path(__file__).resolve().parents[1] / "formats"
 _ROS = """\
 image_width: 1280
 image_height: 720
@@ -60,11 +62,12 @@ class Seed:
 def write_seeds(folder: Path) -> list[Seed]:
     """Write the files, each into a separate folder, and a list of them that `seeds_in` reads.
 
-    A new format takes part as soon as a sound file of it is written here.
+    A new format takes part as soon as its test module, `tests/formats/test_*.py`, has a function `seed_files(folder)`
+    that writes valid files into an empty folder and returns their paths.
     """
     wall = make_scan()
     write_npz_xyz(folder / REFERENCE_SCAN, wall)
-    made = [*_scans(folder, wall), *_pictures(folder), *_texts(folder)]
+    made = [*_scans(folder, wall), *_pictures(folder), *_texts(folder), *_from_format_tests(folder)]
     seeds = [Seed(recognise(file).name, file, damaged) for file, damaged in made]
     rows = [
         [seed.format, seed.file.relative_to(folder).as_posix(), seed.damaged.relative_to(folder).as_posix()]
@@ -85,8 +88,17 @@ def _place(folder: Path, name: str) -> Path:
     return folder / name
 
 
+def _from_format_tests(folder: Path) -> list[tuple[Path, Path]]:
+    """Write the files of the test modules that provide them."""
+    made: list[tuple[Path, Path]] = []
+    for source in sorted(_FORMAT_TESTS.glob("test_*.py")):
+        if "\ndef seed_files(" in source.read_text(encoding="utf-8"):
+            module = importlib.import_module(f"tests.formats.{source.stem}")
+            made += [(file, file) for file in module.seed_files(_place(folder, source.stem.removeprefix("test_")))]
+    return made
+
+
 def _scans(folder: Path, wall: Any) -> list[tuple[Path, Path]]:
-    points, intensity = wall.points.reshape(-1, 3), wall.intensity.ravel()
     here = _place(folder, "scans")
     files = [here / "points.npz", here / "counts.npz"]
     write_npz_xyz(files[0], wall)
@@ -94,11 +106,6 @@ def _scans(folder: Path, wall: Any) -> list[tuple[Path, Path]]:
     write_npz_counts(
         files[1], counts=counts, intensity=wall.intensity, geometry=wall.geometry, r0_m=1.0, dr_m=0.002,
     )  # fmt: skip
-    for encoding in ("ascii", "binary", "binary_compressed"):
-        files.append(here / f"{encoding}.pcd")
-        files[-1].write_bytes(
-            pcd_bytes(points, intensity, encoding=encoding, width=wall.shape[1], height=wall.shape[0])
-        )
     if importlib.util.find_spec("pye57") is not None:
         from tests.formats.test_e57 import picture_e57
 

@@ -26,7 +26,7 @@ def test_damaged_files_only_cause_errors(seeds: tuple[Path, list[Seed]], name: s
     folder, known = seeds
     if name == "E57" and importlib.util.find_spec("pye57") is None:
         pytest.skip("pye57 is not installed")
-    assert any(seed.format == name for seed in known), f"write a sound file of the format {name} in seed_files.py"
+    assert any(seed.format == name for seed in known), f"add seed_files(folder) to the tests of {name}"
     found = read_damaged(folder, name, 0, _MUTATIONS)
     assert found.faults == []
     assert found.files == _MUTATIONS

@@ -16,8 +16,19 @@ from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.formats.pcd import lzf_decompress, read_pcd
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.scan import Scan
+from tests.formats.conftest import make_scan, pcd_bytes
 
 ENCODINGS = ("ascii", "binary", "binary_compressed")
+
+
+def seed_files(folder: Path) -> list[Path]:
+    """Write a valid file of each encoding; `tests/abuse` reads damaged copies of them."""
+    wall = make_scan()
+    width, height = wall.shape[1], wall.shape[0]
+    return [
+        write(folder / f"{encoding}.pcd", pcd_bytes(*cloud_of(wall), encoding=encoding, width=width, height=height))
+        for encoding in ENCODINGS
+    ]
 
 
 def cloud_of(scan: Scan) -> tuple[np.ndarray, np.ndarray]:
