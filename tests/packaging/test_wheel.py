@@ -49,7 +49,7 @@ def installed(wheel: Path) -> Path:
 
 @pytest.fixture
 def own_app(tmp_path: Path) -> Path:
-    """A folder of somebody who has a package called `app`."""
+    """A folder that contains another package called `app`."""
     (tmp_path / "app").mkdir()
     (tmp_path / "app" / "__init__.py").write_text("raise SystemExit('the wrong app was imported')\n")
     return tmp_path
@@ -108,6 +108,15 @@ def test_the_editable_install_works_in_a_folder_with_an_app_of_its_own(own_app: 
         pytest.skip("the tests do not run in an environment with the package installed")
     for words in ([str(command)], [sys.executable, "-m", "ladarreg"]):
         assert run([*words, "--version"], cwd=own_app).startswith("ladarreg ")
+
+
+def test_the_package_page_states_the_authors_of_the_licence_and_the_versions_of_python(checkout: Path) -> None:
+    project = tomllib.loads((checkout / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    (author,) = project["authors"]
+    assert f"Copyright (c) 2026 {author['name']}\n" in (checkout / "LICENSE").read_text(encoding="utf-8")
+    named = {int(name.rpartition(".")[2]) for name in project["classifiers"] if ":: Python :: 3." in name}
+    assert project["requires-python"] == f">=3.{min(named)},<3.{max(named) + 1}"
+    assert "Typing :: Typed" in project["classifiers"]
 
 
 def test_every_folder_of_modules_is_a_package_of_the_wheel(checkout: Path) -> None:
