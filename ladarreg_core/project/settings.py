@@ -138,13 +138,14 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
             OptionError: if there is no such setting, or a value is invalid.
         """
         from ladarreg_core.errors import OptionError
+        from ladarreg_core.formats.untrusted import one_line  # values are of any length
 
         unknown = sorted(set(values) - set(self.__struct_fields__))
         if unknown:
-            raise OptionError(f"there is no setting {', '.join(map(repr, unknown))}")
+            raise OptionError(one_line(f"there is no setting {', '.join(map(repr, unknown))}"))
         try:
             found = msgspec.convert({**msgspec.to_builtins(self), **values}, Settings)
         except msgspec.ValidationError as error:
-            raise OptionError(f"the setting is invalid: {error}") from None
+            raise OptionError(one_line(f"the setting is invalid: {error}")) from None
         _ = found.register_options  # validates
         return found

@@ -141,6 +141,13 @@ def test_invalid_settings_are_refused(values: dict[str, object]) -> None:
         Settings().changed(values)
 
 
+@pytest.mark.parametrize("values", [{"intrinsics": "x" * 3000}, {"no such setting " * 200: 1}])
+def test_an_invalid_setting_of_any_length_is_refused_in_one_short_sentence(values: dict[str, object]) -> None:
+    with pytest.raises(OptionError) as found:
+        Settings().changed(values)
+    assert len(str(found.value)) < 300
+
+
 def test_settings_reach_the_options() -> None:
     found = Settings().changed({"t1": 0.3, "residual": "stereo", "reject_sigma": 3.0, "seed": 4, "intrinsics": "focal"})
     options = found.register_options
