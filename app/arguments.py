@@ -85,7 +85,7 @@ class InputArguments:
     seed: int = 0
     """Random seed; equal seeds give equal results."""
     force: bool = False
-    """Replace OUT if it holds results of an earlier run and nothing else; any other folder is never touched."""
+    """Replace OUT if it contains results of an earlier run and nothing else; any other folder is never touched."""
     quiet: bool = False
     """Print no progress, and the verdict in one line."""
     debug: bool = False

@@ -95,7 +95,7 @@ def _peers_section(rows: Sequence[Row]) -> Section | None:
         "Rooms by the simulator: a scan of 1000 x 700 cells and a photo of 768 x 512 pixels, nothing else given. "
         "Errors are of what was accepted; px: median displacement of the cells that the photo sees. A method without "
         "a verdict accepts whatever it finds. Both forms of the thesis's chain and the information distance (from the "
-        "scanner's own place) are asked a third of the cases. Sigmas: RMS error of the pose in its own standard "
+        "scanner's own position) run on a third of the cases. Sigmas: RMS error of the pose in its own standard "
         "deviations. s: the processor's seconds, all threads together."
     )
     return Section("sets", "Without a first guess, beside other methods", note, tuple(tables), tuple(bars),

@@ -45,7 +45,7 @@ def main() -> None:
     error = float(np.abs(exact[..., ::-1] - view.cells).max())
     print(f"perspective view of {camera.width * camera.height / 1e6:.2f} Mpixel, 1000 x 700 cells, median of {ROUNDS}")
     print(f"  cv2.remap alone      {bare:7.2f} ms")
-    print(f"  perspective_view     {whole:7.2f} ms   {whole / bare:.2f}x (asked: <= {BUDGET:g}x)")
+    print(f"  perspective_view     {whole:7.2f} ms   {whole / bare:.2f}x (required: <= {BUDGET:g}x)")
     print(f"  largest map error    {error:7.4f} cell (cv2.remap rounds to {1 / 32:.4f})")
 
 

@@ -81,7 +81,7 @@ def mismatches_section(seeds: Sequence[int]) -> Section:
         "Success: within 6 sigmas of the truth, by the Cramer-Rao bound of the true matches. Efficiency: the bound's "
         "variance over the empirical one, mean of the six parameters, over the successes, with its standard error. "
         "Consistency: RMS Mahalanobis distance / sqrt 6 by the reported covariance. The peers know the pixels' "
-        "noise (their threshold is 6 sigma) and not the ranges'; where it says so, they are told the true inliers.",
+        "noise (their threshold is 6 sigma) and not the ranges'; where stated, they are given the true inliers.",
         tuple(tables),
         tuple(bars),
         {"peers": figures, "backends_apart_sigmas": apart},
@@ -190,7 +190,7 @@ def placement_section(seeds: Sequence[int]) -> Section:
         "placement",
         "Placement (room, n = 150, no mismatches)",
         "Median error of the camera's position, mm, by the distance between scanner and camera. The simplices begin "
-        f"where they would without a hint and are asked the first {fewer} cases only, since they are slow.",
+        f"where they would without a hint and run on the first {fewer} cases only, since they are slow.",
         (("", table(tuple(BASELINES), [(name, *(number(mm, 1) for mm in row)) for name, row in found.items()])),),
         (Bar("identical placement: median mm", found["default"][0], most=2.5),),
         {name: dict(zip(BASELINES, row, strict=True)) for name, row in found.items()},

@@ -63,10 +63,10 @@ def basins_section(seeds: Sequence[int]) -> Section:
     bars.append(Bar("from 40 deg, 2 m without RANSAC, no mismatches: success, %", 100 * success, least=98, digits=1))
     return Section(
         "basins",
-        "Basins: who comes home without RANSAC (room, n = 200)",
+        "Basins: convergence without RANSAC (room, n = 200)",
         f"Share of starts so far away, any way, that end within {100 * HOME_M:g} cm of the truth. The simplices reject "
-        "mismatches as they do by default; with other starts (their default) they go on from the linear pose where "
-        "they doubt what they found. They are slow and asked the first third of the cases only. OpenCV's Levenberg-"
+        "mismatches as they do by default; with other starts (their default) they continue from the linear pose "
+        "where the result is doubtful. They are slow and run on the first third of the cases only. OpenCV's Levenberg-"
         "Marquardt has no defence against mismatches and is not meant to.",
         tuple(tables),
         tuple(bars),

@@ -124,7 +124,7 @@ _HEAD = """\
 M. D. Elstrom, *A Stereo-Based Technique for the Registration of Color and LADAR Images* (1998), chapter 3, repeated
 and compared with the methods that replaced it.
 `python -m benchmarks.thesis --seeds {seeds} --scene-seeds {scene_seeds}`
-writes this page and its pictures, always the same. Equations and their places in the code:
+writes this page and its pictures reproducibly. Where the equations are in the code:
 [thesis.md](thesis.md)."""
 
 _APPLE = """\

@@ -47,7 +47,7 @@ def main() -> None:
     arguments = parser.parse_args()
     seeds = range(arguments.seed_offset, arguments.seed_offset + arguments.seeds)
     rows = [distances(simulate_case(scene, seed=seed)) for scene in SCENES for seed in seeds]
-    print(f"distance from the default's pose, px, {len(rows)} standard cases   median     max   (asked of both: <= .1)")
+    print(f"distance from the default's pose, px, {len(rows)} standard cases   median     max   (required: <= .1)")
     for name in dict.fromkeys(name for row in rows for name in row):
         values = [row[name] for row in rows if name in row]
         print(f"  {name:58} {np.median(values):6.3f}  {np.max(values):6.3f}")

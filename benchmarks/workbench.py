@@ -150,7 +150,7 @@ def main() -> None:
         figures["growth in the second half, MB"] = half[-1] - half[0]
     for name, value in figures.items():
         asked = ASKED.get(name)
-        verdict = "" if asked is None else f"   asked <= {asked:g}: {'met' if value <= asked else 'MISSED'}"
+        verdict = "" if asked is None else f"   required <= {asked:g}: {'met' if value <= asked else 'MISSED'}"
         print(f"{name:42} {value:10.2f}{verdict}")
     if arguments.json:
         arguments.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")

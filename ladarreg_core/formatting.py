@@ -1,4 +1,4 @@
-"""Numbers, lengths, angles and shares as text for people, with the digits that mean something."""
+"""Numbers, lengths, angles and shares as display text, with significant digits only."""
 
 from __future__ import annotations
 

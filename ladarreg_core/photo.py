@@ -27,7 +27,7 @@ class Photo:
     camera: Camera
     """Intrinsics, valid for these pixels."""
     name: str = "photo"
-    """Name for people."""
+    """Display name."""
     notes: tuple[str, ...] = field(default=())
     """Remarks on the file for the operator, e.g. the source of the focal length."""
     calibrated: bool = False

@@ -22,7 +22,7 @@ class Progress:
     total: int
     """Total units; 0 if unknown."""
     label: str
-    """The current activity, for people."""
+    """The current activity, as shown to users."""
 
 
 @dataclass(frozen=True, slots=True)

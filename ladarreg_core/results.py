@@ -19,9 +19,9 @@ Evidence = Literal["image", "statistics", "none"]
 ThesisStage = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
 """The columns of thesis Tables 3.2-3.5."""
 StageName = Literal[ThesisStage, "default"]
-"""The columns of a comparison: those of the thesis, and the default method beside them."""
+"""The columns of a comparison: those of the thesis, and the default method."""
 StageId = Literal[ThesisStage, "robust", "auto", "thesis", "carried"]
-"""The poses that a project keeps of a photograph."""
+"""The poses that a project stores for a photograph."""
 STAGE_LABELS: dict[StageId | StageName, str] = {
     "linear": "Linear",
     "constrained_linear": "Constrained linear",

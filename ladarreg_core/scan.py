@@ -42,7 +42,7 @@ class Scan:
     world_from_scanner: Rigid | None = None
     """The scanner's pose in the file, if it has one."""
     name: str = "scan"
-    """Name for people."""
+    """Display name."""
     notes: tuple[str, ...] = field(default=())
     """Remarks on the file for the operator, e.g. that its unit may be millimetres."""
 

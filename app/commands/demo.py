@@ -67,7 +67,7 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _begin(workbench: Workbench, *, fresh: bool) -> None:
-    """Register the sample unless the project already holds work on it."""
+    """Register the sample unless the project already contains work on it."""
     shown = workbench.selection.photo
     assert shown is not None, "the sample has a photograph"
     if fresh:

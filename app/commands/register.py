@@ -34,7 +34,7 @@ class Arguments(RegisterArguments):
     carry: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Carry the pose over from this registration.json of another camera on the same mount; needs --offset."""
     offset: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Pose JSON of this camera relative to the other one; may hold sigma_angle_rad and sigma_position_m."""
+    """Pose JSON of this camera relative to the other one; may contain sigma_angle_rad and sigma_position_m."""
 
 
 def run(arguments: Arguments) -> ExitCode:

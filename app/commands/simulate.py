@@ -30,7 +30,7 @@ class Arguments:
     focal_error: float = 0.0
     """Relative error added to the focal length in camera.json; .05 is 5 percent."""
     force: bool = False
-    """Replace DIR if it holds results of an earlier run and nothing else; any other folder is never touched."""
+    """Replace DIR if it contains results of an earlier run and nothing else; any other folder is never touched."""
     debug: bool = False
     """Print a log, and a traceback on failure."""
 

@@ -27,7 +27,7 @@ _MAX_REASON_BYTES = 123
 """Longest reason that a websocket can be closed with."""
 _MAX_EVENTS = 200
 _LATEST_ONLY = frozenset({"simplex", "hover"})
-"""Events of which only the latest is worth sending."""
+"""Events of which only the latest needs to be sent."""
 _NOT_JSON = "The message is not a JSON object: page and program are of different versions; reload the page."
 _INTERNAL_ERROR = "Internal error: the command may or may not have taken effect; restart with --debug for details."
 

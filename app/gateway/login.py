@@ -48,7 +48,7 @@ _STYLE = (
     "button{background:transparent;border:1px solid var(--accent);color:var(--accent);cursor:pointer}"
     "input:focus-visible,button:focus-visible{outline:2px solid var(--accent);outline-offset:2px}"
 )
-# A URL that contains a token, even a wrong one, must not remain in the history that the Back button walks.
+# A URL that contains a token, even a wrong one, must not remain in the history of the Back button.
 _CONTINUE_SCRIPT = 'location.replace("./")'
 _FORGET_SCRIPT = 'history.replaceState(null, "", "./")'
 

@@ -40,7 +40,7 @@ def _thousand(count: int, *, seed: int) -> ProtocolFindings:
             try:
                 before = _state(server)
             except (ServerGone, TimeoutError) as error:
-                found.faults.append(f"nobody can join any more: {error}")
+                found.faults.append(f"no client can join any more: {error}")
                 return found
             server.kill()
         try:

@@ -121,7 +121,7 @@ def _disks(rows: list[Row]) -> str:
 
 _ENDS = {
     "torn": "room at once, five edits, killed", "kill": "five refused, room, five edits, killed",
-    "wait": "room, nobody edits, killed", "stop": "stopped while full",
+    "wait": "room, no edits, killed", "stop": "stopped while full",
 }  # fmt: skip
 
 

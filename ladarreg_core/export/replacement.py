@@ -99,9 +99,9 @@ def require_replaceable(
         )
     if force or (content.refused and len(content.names) == 1):
         return
-    holds = f"contains earlier results ({_listed(content.names)})" if content.names else "exists and is empty"
+    state = f"contains earlier results ({_listed(content.names)})" if content.names else "exists and is empty"
     raise ExportError(
-        f"the folder {called} {holds}; give another folder, or allow it to be replaced (--force; in the page, "
+        f"the folder {called} {state}; give another folder, or allow it to be replaced (--force; in the page, "
         "'replace earlier results')"
     )
 

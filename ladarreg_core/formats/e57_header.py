@@ -160,7 +160,7 @@ def _check_xml(xml: bytes) -> None:
             )
         if children[-1] > _MOST_CHILDREN:
             raise FormatError(
-                f"an element of the E57's XML holds more than {_MOST_CHILDREN:,} others; it is malicious or damaged"
+                f"an element of the E57's XML contains more than {_MOST_CHILDREN:,} others; it is malicious or damaged"
             )
         children.append(0)
 

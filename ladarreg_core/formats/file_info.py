@@ -54,7 +54,7 @@ class FileInfo:
     color: bool | None = None
     """Whether the scanner recorded colour."""
     scans: tuple[str, ...] = ()
-    """Scans of a file that can hold several."""
+    """Scans of a file that can contain several."""
     images: tuple[str, ...] = ()
     """Embedded images."""
     camera: Mapping[str, Any] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class FileInfo:
 
 
 def scan_describer(read: Callable[[Path], Scan], format_name: str) -> Callable[[Path], FileInfo]:
-    """Return the `describe` function of a format that holds one scan."""
+    """Return the `describe` function of a format with one scan a file."""
     return lambda path: _describe_scan(path, read(path), format_name)
 
 
@@ -96,7 +96,7 @@ def _describe_scan(path: Path, scan: Scan, format_name: str, **more: Any) -> Fil
 
 
 def describe_e57(path: Path) -> FileInfo:
-    """Describe an E57 file: all its scans and images, and its scan in detail where it holds just one."""
+    """Describe an E57 file: all its scans and images, and its scan in detail if there is only one."""
     with reading(path) as file:
         info = read_e57_info(file)
     lists: dict[str, Any] = {

@@ -198,7 +198,7 @@ def read_scan(
 
     Args:
         path: an E57, NPZ, PCD or descriptor file.
-        scan_index: index of the scan in files that hold several.
+        scan_index: index of the scan in files that contain several.
         memory_bytes: memory that the read may use at its peak, bytes; None: 1 GB, or 64 times the file's size if that
             is more.
         report: receives the progress.
@@ -211,7 +211,7 @@ def read_scan(
     with parsed_once():
         found = recognise(path, kinds=("scan",))
         if scan_index != 0 and found.name != "E57":
-            raise OptionError(f"scan_index is {scan_index}, but a {found.name} file holds one scan; leave it out")
+            raise OptionError(f"scan_index is {scan_index}, but a {found.name} file contains one scan; leave it out")
         assert found.read_scan is not None, "every scan format has a reader"
         return found.read_scan(Path(path), scan_index, memory_bytes, report)
 

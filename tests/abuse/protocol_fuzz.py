@@ -71,7 +71,7 @@ def fuzz_protocol(server: Server, count: int, *, seed: int) -> ProtocolFindings:
             try:
                 page = server.page()
             except ServerGone as error:
-                found.faults.append(f"nobody can join after {_shown(frame)}: {error}")
+                found.faults.append(f"no client can join after {_shown(frame)}: {error}")
                 break
             if len(frame) < 1_000_000:
                 found.faults.append(f"the connection ended by {_shown(frame)}")

@@ -1,7 +1,7 @@
 """A process that reads damaged files and reports the cost of each.
 
-`python -m tests.abuse.reader_child FOLDER FORMAT FIRST LAST ...` prints one JSON line per damaged file. Whoever starts
-it concludes from a missing line that the file killed it.
+`python -m tests.abuse.reader_child FOLDER FORMAT FIRST LAST ...` prints one JSON line per damaged file. Its
+parent concludes from a missing line that the file killed it.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def main(folder: str, name: str, first: str, last: str, patience_s: str, keep: s
     """Read the damaged files of a range of numbers.
 
     Args:
-        folder: holds the seeds.
+        folder: contains the seeds.
         name: of the format.
         first: number of the first damaged file.
         last: number after the last.

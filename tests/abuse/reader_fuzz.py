@@ -35,7 +35,7 @@ def read_damaged(
     """Read damaged files in a child process; if it dies, another continues with the next file.
 
     Args:
-        folder: holds the seeds.
+        folder: contains the seeds.
         name: of the format.
         first: number of the first damaged file.
         last: number after the last.

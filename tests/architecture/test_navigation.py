@@ -1,6 +1,6 @@
 """Questions a newcomer asks of the folder tree, each with the files that answer it: all of them exist.
 
-Whether the tree alone leads a reader there is tried by showing somebody the list of files and the questions without
+Whether the tree alone leads a reader there is tried by showing a reader the list of files and the questions without
 the answers; a rename that moves an answer has to say where it went.
 """
 

@@ -79,7 +79,7 @@ def test_every_module_is_reached_from_main() -> None:
         if path not in reached:
             reached.add(path)
             left.extend(graph()[path])
-    assert set(graph()) - reached == {PAGE / "first_paint.js"}, "a module that nobody imports"
+    assert set(graph()) - reached == {PAGE / "first_paint.js"}, "a module that is never imported"
 
 
 @pytest.mark.parametrize("room", sorted(ROOMS))

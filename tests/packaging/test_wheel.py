@@ -35,7 +35,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory, checkout: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path) -> Path:
-    """The scripts folder of an environment that holds the wheel; its dependencies are this environment's."""
+    """The scripts folder of an environment with the wheel; its dependencies are this environment's."""
     home = wheel.parent / "fresh"
     venv.create(home, with_pip=False, symlinks=os.name != "nt")
     scripts = home / ("Scripts" if os.name == "nt" else "bin")

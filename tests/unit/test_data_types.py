@@ -129,7 +129,7 @@ def test_a_result_tells_its_spread_and_the_thesis_numbers() -> None:
 
 
 def test_sigmas_of_the_thesis_parameters_are_the_spread_of_the_poses() -> None:
-    """Poses drawn by the covariance's own definition scatter as told; alpha's is larger where the camera looks down."""
+    """Poses drawn by the covariance scatter as reported; alpha's sigma is larger where the camera looks down."""
     truth = ThesisParameters(0.4, 0.1, -0.2, 0.2, 0.6, 0.1)
     A = np.random.default_rng(5).normal(size=(6, 6)) * np.array([[1, 1, 1, 3, 3, 3]]).T * 1e-3
     sigmas = registration(truth.pose, A @ A.T).thesis_sigmas

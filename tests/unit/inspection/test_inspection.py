@@ -276,7 +276,7 @@ def test_every_pick_has_residuals_whether_on_or_off() -> None:
         if pick.id in by_id:
             expected = np.linalg.norm(result.residuals_px[by_id[pick.id]])
             assert residuals[pick.id].px == pytest.approx(expected, rel=1e-6, abs=1e-9)
-    # asked again, the same, from what was kept
+    # a second request returns the same, from the cache
     assert pick_residuals(measured, [*picks, wrong], result)["wrong"].px == residuals["wrong"].px
 
 

@@ -87,7 +87,7 @@ def test_an_outline_belongs_to_the_nearer_surface(offset_cells: float, behind: f
     scene = np.where(COLUMN < 150, near, plane(4.5) if behind == 4.5 else np.nan)
     errors, refused = outcomes(scene, upright(offset_cells), near, seeds=12)
     assert refused == 0
-    # The doubt about spots that both surfaces share makes what is told wider than the noise, never narrower.
+    # Cells that both surfaces share make the reported uncertainty larger than the noise, never smaller.
     assert 0.3 < np.sqrt(np.mean(errors**2)) < 1.1
     assert abs(errors.mean()) < 4 * 1.1 / np.sqrt(errors.size)
 

@@ -1,4 +1,4 @@
-"""A range's quality against its error: what is worth half has twice the variance, on scans with known truth."""
+"""A range's quality against its error: half the quality is twice the variance, on scans with known truth."""
 
 from __future__ import annotations
 

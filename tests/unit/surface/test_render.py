@@ -56,7 +56,7 @@ def test_a_rendered_pattern_lies_where_the_camera_projects_it(turn, centre, offs
 
 
 def test_a_border_between_two_colours_lies_at_its_sub_pixel():
-    """The mean of each row across a black and white border tells its place, which is known."""
+    """The mean of each row across a black and white border gives its position, which is known."""
     scan = wall_scan(lambda y, z: 255.0 * (y > 0.0), columns=400, step=0.002, lean=0.0)
     camera = Camera(200, 40, 500.0, 500.0, 99.5, 19.5)
     first = np.argmax(scan.points[80, :, 1] <= 0)  # colours change half way between two cells
