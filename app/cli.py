@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from .exit_codes import ExitCode
-from .stop_signals import interrupt_on_stop_signals
+from .stop_signals import forget_interrupt, interrupt_on_stop_signals
 
 COMMANDS = {
     "register": "Register a scan with a photo: pose, registered image, textured model.",
@@ -66,6 +66,7 @@ def entry_point() -> NoReturn:
         # The interpreter flushes once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = ExitCode.ACCEPTED
+    forget_interrupt()
     sys.exit(code)
 
 

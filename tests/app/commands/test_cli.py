@@ -325,6 +325,24 @@ def test_an_interruption_leaves_no_files(after: str, signum: int, tmp_path: Path
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
+def test_an_interruption_of_evaluated_text_has_its_exit_code(tmp_path: Path) -> None:
+    (tmp_path / "interrupted.py").write_text(
+        "import sys\n"
+        "import ladarreg.messages, ladarreg_core.errors\n"  # later, these would evaluate texts of their own
+        "from ladarreg import cli\n"
+        "def interrupt():\n"
+        "    raise KeyboardInterrupt\n"
+        "cli._run = lambda *words, **options: eval('interrupt()')\n"
+        "sys.argv[1:] = ['info', 'x']\n"
+        "cli.entry_point()\n"
+    )
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    result = subprocess.run([sys.executable, "-m", "interrupted"], capture_output=True, text=True, env=env)
+    assert result.returncode == ExitCode.INTERRUPTED
+    assert result.stderr.startswith("ladarreg: interrupted")
+
+
 # --- complete runs ---------------------------------------------------------------------------------------------------
 
 
