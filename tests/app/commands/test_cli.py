@@ -280,6 +280,16 @@ def fails_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.commands.info.run", run)
 
 
+def test_an_error_raised_from_an_interruption_is_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrapped = RuntimeError("Error calling __set_name__")  # of an import that was interrupted
+    wrapped.__cause__ = KeyboardInterrupt()
+    fails_with(wrapped, monkeypatch)
+    assert main(["info", "x"]) == ExitCode.INTERRUPTED
+    assert "interrupted" in complaint(capsys)
+
+
 def test_an_internal_error_is_one_line_too(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     fails_with(ZeroDivisionError("a\nb"), monkeypatch)
     assert main(["info", "x"]) == ExitCode.FAILED
