@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from .exit_codes import ExitCode
-from .stop_signals import interrupt_on_stop_signals
+from .stop_signals import forget_interrupt, interrupt_on_stop_signals
 
 COMMANDS = {
     "register": "Register a scan with a photo: pose, registered image, textured model.",
@@ -25,6 +25,7 @@ COMMANDS = {
 }
 """Summary of each command; its code is `commands/<name>.py`."""
 
+_INTERRUPTED = "interrupted; no incomplete files are left"
 _EXIT_CODES = "Exit codes: 0 success, accepted; 1 failure; 2 bad input; 3 not accepted; 130 interrupted."
 
 
@@ -66,6 +67,7 @@ def entry_point() -> NoReturn:
         # The interpreter flushes once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = ExitCode.ACCEPTED
+    forget_interrupt()
     sys.exit(code)
 
 
@@ -83,7 +85,7 @@ def _explain(error: BaseException) -> tuple[str, ExitCode]:
     from ladarreg_core.errors import Cancelled, LadarregError, UnsavedError
 
     if isinstance(error, KeyboardInterrupt | Cancelled):
-        return "interrupted; no incomplete files are left", ExitCode.INTERRUPTED
+        return _INTERRUPTED, ExitCode.INTERRUPTED
     if isinstance(error, UnsavedError):
         return str(error), ExitCode.FAILED
     if isinstance(error, LadarregError):
@@ -95,8 +97,17 @@ def _explain(error: BaseException) -> tuple[str, ExitCode]:
         return f"{where}{error.strerror or error}; check the path, its permissions and the space", ExitCode.BAD_INPUT
     if isinstance(error, MemoryError):
         return "not enough memory; use a smaller scan or photo, or a machine with more", ExitCode.FAILED
+    if _stems_from_interrupt(error):
+        return _INTERRUPTED, ExitCode.INTERRUPTED
     what = f"internal error ({type(error).__name__}: {error})"
     return f"{what}; run again with --debug for a traceback", ExitCode.FAILED
+
+
+def _stems_from_interrupt(error: BaseException | None) -> bool:
+    """Return whether an error was raised from a KeyboardInterrupt, as Python 3.11 does for one in `__set_name__`."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _fail(text: str, code: ExitCode) -> ExitCode:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Protocol, TextIO
 
+from ladarreg_core.matching.step_labels import step_label
+
 if TYPE_CHECKING:
     from types import TracebackType
 
     from ladarreg_core.progress import Progress, Step
 
 _MILESTONES = {
-    "read scan": 0.08,
-    "read photo": 0.1,
+    "Read scan": 0.08,
+    "Read photo": 0.1,
     "photo": 0.01,
     "channels": 0.4,
     "hypothesis": 0.35,
@@ -34,11 +36,12 @@ _MILESTONES = {
     "pose": 0.58,
     "starts": 0.59,
     "result": 0.6,
-    "assess": 0.6,
-    "smooth": 0.6,
+    "Assess": 0.6,
+    "Smooth": 0.6,
 }
 """Share of the usual time that has passed after each step; some steps may occur several times."""
 _EXPORTS_FROM = 0.6
+_LABEL_WIDTH = 28
 
 
 class ProgressBar(Protocol):
@@ -95,7 +98,8 @@ class _Lines(_Silent):
             for key, value in step.detail.items()
             if isinstance(value, str | int | float) and not isinstance(value, bool)
         )
-        print(f"{step.name:<16} {step.seconds:6.2f} s  {detail}".rstrip(), file=self._out, flush=True)
+        label = f"{step_label(step.name):<{_LABEL_WIDTH}}"
+        print(f"{label} {step.seconds:6.2f} s  {detail}".rstrip(), file=self._out, flush=True)
 
     def progress(self, progress: Progress) -> None:
         """Print each new label once."""
@@ -111,7 +115,7 @@ class _Bar(_Silent):
         from rich.progress import Progress as RichProgress
 
         self._bar = RichProgress(
-            TextColumn("{task.description:<18}"),
+            TextColumn(f"{{task.description:<{_LABEL_WIDTH}}}"),
             BarColumn(complete_style="#5cc8ff", finished_style="#5cc8ff"),
             TimeElapsedColumn(),
             TextColumn("[dim]{task.fields[note]}"),
@@ -131,7 +135,7 @@ class _Bar(_Silent):
     def step(self, step: Step) -> None:
         """Advance the bar to the step's milestone."""
         self._steps += 1
-        self._show(step.name, _MILESTONES.get(step.name, 0.0), f"{self._steps} steps")
+        self._show(step_label(step.name), _MILESTONES.get(step.name, 0.0), f"{self._steps} steps")
 
     def progress(self, progress: Progress) -> None:
         """Advance the bar within the exports."""

@@ -112,6 +112,15 @@ def interrupt_on_stop_signals() -> None:
         _handle(interrupt)
 
 
+def forget_interrupt() -> None:
+    """Let the exit code of the program count after a KeyboardInterrupt that has been handled.
+
+    If one was raised inside `exec` or `eval` of a text, as many imports use them, `python -m` would end by SIGINT
+    whatever the exit code: the interpreter notes it there, and forgets it only when the next text is executed.
+    """
+    exec("")
+
+
 def exit_now(code: int) -> None:
     """End the process without waiting for its threads."""
     for stream in (sys.stdout, sys.stderr):

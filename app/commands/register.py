@@ -49,7 +49,7 @@ def run(arguments: Arguments) -> ExitCode:
     with progress_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
         result = _register(arguments, scan, photo, bar)
-        assessment = timed("assess", bar, lambda: assess(scan, result))
+        assessment = timed("Assess", bar, lambda: assess(scan, result))
         smoothed = _smooth(arguments, result, scan, bar)
         names = _export(arguments, result, scan, photo, bar, assessment=assessment, smoothed=smoothed)
     if arguments.quiet:
@@ -88,7 +88,7 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) 
         from ladarreg_core.formats.registration_file import read_offset, read_registration
 
         first, offset = read_registration(arguments.carry), read_offset(arguments.offset)
-        return timed("carry over", bar, lambda: carry_over(first, offset, photo))
+        return timed("Carry over", bar, lambda: carry_over(first, offset, photo))
     picks, initial = read_start(arguments, scan)
     return lr.register(
         scan,
@@ -107,7 +107,7 @@ def _smooth(arguments: Arguments, result: Registration, scan: Scan, bar: Progres
 
     if not arguments.smooth or not result.accepted:
         return None
-    return timed("smooth", bar, lambda: smooth_with_report(scan, result))
+    return timed("Smooth", bar, lambda: smooth_with_report(scan, result))
 
 
 def _export(

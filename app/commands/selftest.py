@@ -58,7 +58,7 @@ def run(arguments: Arguments) -> ExitCode:
     )
     with progress_bar(quiet=arguments.quiet) as bar:
         camera = _camera(arguments.camera)
-        scan = timed("read scan", bar, lambda: lr.read_scan(arguments.scan, scan_index=arguments.scan_index))
+        scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, scan_index=arguments.scan_index))
         found = self_test(scan, camera, options, report=bar.progress)
     print(found.summary() if arguments.quiet else self_test_report(found))
     return ExitCode.NOT_ACCEPTED if found.accepted_wrongly else ExitCode.ACCEPTED

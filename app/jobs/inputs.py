@@ -124,7 +124,7 @@ class Workspace:
             same = document.scan == inputs.document.scan and now.source == was.source and now.camera == was.camera
             if not same or (of_picks and now.picks != was.picks):
                 what = "matches" if same else "scan or the photograph"
-                raise OptionError(f"the {what} changed while this ran, and its result was discarded; run it again")
+                raise OptionError(f"the {what} changed while the job ran, so its result was discarded; run it again")
             return edited_photo(document, was.id, edit)
 
         self.session.commit(label, apply, author=author)

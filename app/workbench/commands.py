@@ -404,7 +404,7 @@ def _name(value: object) -> str:
 
 def _boolean(value: object) -> bool:
     if not isinstance(value, bool):
-        raise OptionError("a match is on or off: give true or false")
+        raise OptionError("a match is enabled with true and disabled with false")
     return value
 
 

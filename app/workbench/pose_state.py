@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.inspection.figures import figures, parameters
+from ladarreg_core.matching.step_labels import step_label
 from ladarreg_core.project.results import pose_of
 from ladarreg_core.results import STAGE_LABELS
 
@@ -119,7 +120,7 @@ def _stage(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
         "camera_sigmas": dict(registration.camera_sigmas),
         "seconds": pose.seconds,
         "regions": [list(region) for region in pose.diagnostics.get("verification", {}).get("regions", [])],
-        "steps": [{"name": step.name, "seconds": step.seconds} for step in pose.steps],
+        "steps": [{"name": step.name, "label": step_label(step.name), "seconds": step.seconds} for step in pose.steps],
         **_assessment_fields(loader.known_assessment(pose)),
     }
 

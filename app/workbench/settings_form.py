@@ -35,21 +35,21 @@ FIELDS: dict[str, Field] = {
     "mutual": Field("Mutual best match", "match", "Keep a match only if each corner is the other's best match."),
     "depth_edges": Field("At depth edges", "corners", "Treatment of corners at the edge of a surface."),
     "t2_px": Field("T2", "cull", "Maximum deviation of a disparity from the median.", 1, 500, 1, "px"),
-    "culling": Field("Filter", "cull", "One-sided is Step 5 of the thesis to the letter."),
+    "culling": Field("Filter", "cull", "One-sided: exactly Step 5 of the thesis."),
     "search_px": Field(
         "Search radius", "constrained", "Half the side of the search window around the prediction.", 2, 200, 1, "px"
     ),
     "constrained_t1": Field("T1", "constrained", "T1 of guided matching, with fewer candidates.", 0, 1, 0.01),
-    "lines": Field("Line constraint", "lines", "Ends: with ranges of the whole line. Equal, kappa: sample points."),
+    "lines": Field("Line constraint", "lines", "Ends: with the ranges of the whole line. Equal, kappa: samples."),
     "samples_per_line": Field("Samples", "lines", "Sample points per line.", 2, 200, 1),
-    "residual": Field("Residual", "simplex", "Stereo is Eq 2.21 of the thesis; epipolar has none of its poles."),
+    "residual": Field("Residual", "simplex", "Stereo: Eq 2.21 of the thesis. Epipolar: without its singularities."),
     "start_from": Field("Starting pose", "simplex", "Starting pose of the simplex."),
     "step_m": Field(
         "Side, T", "simplex", "Side of the initial simplex; empty: a tenth of the depth.", 0.001, 10, 0.01, "m"
     ),
     "step_rad": Field("Side, angles", "simplex", "Side of the initial simplex.", 0.001, 1, 0.01, "rad"),
     "restarts": Field("Restarts", "simplex", "Restarts from other poses if the convergence is doubtful.", 0, 10, 1),
-    "reject_sigma": Field("Outlier threshold", "reject", "Robust standard deviations.", 0.5, 10, 0.1, "sigma"),
+    "reject_sigma": Field("Outlier threshold", "reject", "In robust standard deviations.", 0.5, 10, 0.1, "sigma"),
     "intrinsics": Field("Camera", "robust", "Camera parameters to estimate."),
     "sigma_px": Field("Pixel noise", "robust", "Empty: estimated from the data.", 0.01, 50, 0.05, "px"),
     "sigma_range_m": Field("Range noise", "robust", "Empty: estimated from the data.", 0.0001, 1, 0.001, "m"),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct, json
 
 from ladarreg_core.errors import CameraError, LadarregError
+from ladarreg_core.matching.step_labels import step_label
 
 from ..session.loader import Loader
 from ..session.session import Session
@@ -165,7 +166,12 @@ def job_slice(job: Job | None) -> dict[str, Any] | None:
         "can": list(job.can) if job.runs else [],
         "speed": job.speed,
         "steps": [
-            {"name": step.name, "seconds": round(step.seconds, 3), "said": describe_detail(step.detail)}
+            {
+                "name": step.name,
+                "label": step_label(step.name),
+                "seconds": round(step.seconds, 3),
+                "said": describe_detail(step.detail),
+            }
             for step in list(job.steps)
         ],
     }

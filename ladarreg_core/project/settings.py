@@ -36,7 +36,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     t2_px: float = _MATCHING.t2_px
     """Largest deviation of a disparity from the median, px."""
     culling: Literal["one_sided", "two_sided"] = _MATCHING.culling
-    """Filter of disparities; one-sided is Step 5 of the thesis to the letter."""
+    """Filter of disparities; one-sided is exactly Step 5 of the thesis."""
     search_px: float = _MATCHING.search_px
     """Half the side of the search area of guided matching, px."""
     constrained_t1: float = _MATCHING.constrained_t1

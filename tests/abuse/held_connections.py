@@ -22,6 +22,8 @@ class HeldConnections:
     """Connections that are held open, and reopened where the server closes them."""
 
     def __init__(self, kind: str, count: int, host: str, port: int, cookie: str) -> None:
+        if kind not in KINDS:
+            raise ValueError(f"there is no kind of connection {kind!r}")
         self.kind, self.count, self.address, self.cookie = kind, count, (host, port), cookie
         self.selector = selectors.DefaultSelector()
         self.open: set[socket.socket] = set()
@@ -123,10 +125,10 @@ def edits_until(page: Page, end: float) -> tuple[list[float], int]:
     return spent, unsaved
 
 
-def newcomers_until(found: Served, end: float) -> list[float]:
-    """Return the time in which new clients got the page, s; inf where they timed out."""
-    spent = []
-    while time.monotonic() < end:
+def newcomers_until(found: Served, end: float, *, least: int) -> list[float]:
+    """Return the time in which new clients, so many at least, got the page, s; inf where they timed out."""
+    spent: list[float] = []
+    while time.monotonic() < end or len(spent) < least:
         begun = time.perf_counter()
         try:
             line = http.client.HTTPConnection(found.host, found.port, timeout=_NEWCOMER_S)
@@ -138,6 +140,29 @@ def newcomers_until(found: Served, end: float) -> list[float]:
         spent.append(time.perf_counter() - begun if ok else float("inf"))
         time.sleep(0.25)
     return spent
+
+
+class Starvation:
+    """How much longer a process took than it would have on idle processors, by the kernel's account of its threads."""
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
+        self._begun = self._spent()
+
+    def factor(self) -> float:
+        """Return (running + waiting for a processor) / running, since the start; 1 on idle processors."""
+        running, waiting = (now - then for now, then in zip(self._spent(), self._begun, strict=True))
+        return 1 + max(0, waiting) / running if running > 0 else 1.0
+
+    def _spent(self) -> tuple[int, int]:
+        running = waiting = 0
+        for thread in Path(f"/proc/{self._pid}/task").iterdir():
+            try:
+                account = (thread / "schedstat").read_text().split()
+            except OSError:  # the thread has ended, or the kernel keeps no account
+                continue
+            running, waiting = running + int(account[0]), waiting + int(account[1])
+        return running, waiting
 
 
 def descriptors(found: Served) -> int:

@@ -15,12 +15,17 @@ from urllib.parse import urlsplit
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.abuse.held_connections import HeldConnections, descriptors, edits_until, newcomers_until
+from tests.abuse.held_connections import HeldConnections, Starvation, descriptors, edits_until, newcomers_until
 from tests.served_workbench import Page, Served, with_camera_and_picks
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 DESCRIPTORS = 256
 EDITED_S = 1.5
+LEAST_NEWCOMERS = 3
+LONGEST_WAIT_S, MEDIAN_EDIT_MS = 3.0, 250.0
+"""On idle processors; more where other programs starve the server and this test of them."""
+FLOOD_S = 20.0
+"""Time in which the flood comes, at most."""
 
 
 def few_descriptors() -> None:
@@ -75,7 +80,10 @@ def flooded(found: Served, kind: str, count: int) -> Iterator[HeldConnections]:
     holding = threading.Thread(target=hold)
     holding.start()
     try:
+        end = time.monotonic() + FLOOD_S
         time.sleep(0.5)
+        while held.opened < count and time.monotonic() < end:
+            time.sleep(0.05)
         yield held
     finally:
         over.set()
@@ -84,25 +92,27 @@ def flooded(found: Served, kind: str, count: int) -> Iterator[HeldConnections]:
             line.close()
 
 
-@pytest.mark.parametrize(("kind", "count"), [("idle", 400), ("loris", 300), ("cookie", 100), ("document", 100)])
+@pytest.mark.parametrize(("kind", "count"), [("idle", 400), ("slow", 300), ("cookie", 100), ("document", 100)])
 def test_a_flood_neither_locks_out_new_clients_nor_stops_saving(
     found: Served, page: Page, project: Path, kind: str, count: int
 ) -> None:
     saved = (project / "history.jsonl").read_bytes().count(b"\n")
     with flooded(found, kind, count) as held:
+        starved = [Starvation(pid) for pid in (found.process.pid, os.getpid())]
         end = time.monotonic() + EDITED_S
         waits: list[float] = []
-        coming = threading.Thread(target=lambda: waits.extend(newcomers_until(found, end)))
+        coming = threading.Thread(target=lambda: waits.extend(newcomers_until(found, end, least=LEAST_NEWCOMERS)))
         coming.start()
         spent, unsaved = edits_until(page, end)
         coming.join()
+        slower = max(each.factor() for each in starved)
         assert held.opened >= count, "the flood came"
         assert descriptors(found) < DESCRIPTORS - 30
     assert unsaved == 0
     assert (project / "history.jsonl").read_bytes().count(b"\n") >= saved + len(spent)
-    assert len(waits) >= 3
-    assert max(waits) < 3
-    assert sorted(spent)[len(spent) // 2] < 250
+    assert len(waits) >= LEAST_NEWCOMERS
+    assert max(waits) < LONGEST_WAIT_S * slower, slower
+    assert sorted(spent)[len(spent) // 2] < MEDIAN_EDIT_MS * slower, slower
 
 
 def test_idle_views_are_limited_and_release_their_memory(found: Served, page: Page) -> None:

@@ -7,8 +7,12 @@ import { button } from "../ui/controls.js";
 import { element, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 
-/** Iterations per second; 0 is unlimited. */
-const SPEEDS = [[2, "2 per second"], [10, "10 per second"], [60, "60 per second"], [240, "240 per second"], [0, "full speed"]];
+/** The speed that is unlimited, as the server names it. */
+const FULL_SPEED = 0;
+/** Speed of a job that does not state its own, iterations per second. */
+const DEFAULT_SPEED = 60;
+const LIMITED_SPEEDS = [2, 10, DEFAULT_SPEED, 240];
+const SPEEDS = [...LIMITED_SPEEDS.map((speed) => [speed, `${speed} per second`]), [FULL_SPEED, "full speed"]];
 const KEEPS_BEST = new Set(["simplex", "reject_outliers"]);
 
 /**
@@ -36,7 +40,7 @@ export const jobControls = ({ kinds = null } = {}) => {
     },
     ...SPEEDS.map(([value, label]) => element("option", { value }, label)),
   );
-  speed.value = "60";
+  speed.value = String(DEFAULT_SPEED);
   const box = element("span", { class: "job-controls" }, pause, step, speed, stop);
   let job = null;
   const show = () => {
@@ -45,7 +49,7 @@ export const jobControls = ({ kinds = null } = {}) => {
     if (box.hidden) return;
     if (now.id !== job) {
       job = now.id;
-      speed.value = String(now.speed ?? 60);
+      speed.value = String(now.speed ?? DEFAULT_SPEED);
     }
     const can = now.can ?? [];
     pause.hidden = !can.includes("pause");

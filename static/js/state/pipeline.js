@@ -28,7 +28,7 @@ export const PIPELINE = [
   },
   {
     job: "cull",
-    label: "Filter",
+    label: "Filter by disparity",
     description: "Removes matches whose disparity differs from their neighbours' (2.3.2, T2)",
     parts: ["cull"],
     in: "match",
@@ -51,7 +51,7 @@ export const PIPELINE = [
   },
   {
     job: "densify",
-    label: "Densify lines",
+    label: "Lines between matches",
     description: "Adds lines between matches on planes",
     parts: ["densify", "lines"],
     origin: "between corners",

@@ -60,7 +60,7 @@ def test_the_table_is_printed_and_the_files_are_written(
     assert calls[0]["picks"] is None
     shown = capsys.readouterr()
     assert "Caution  Little baseline." in shown.out
-    assert "linear" in shown.err
+    assert "Linear pose" in shown.err
     lines = shown.out.splitlines()
     assert max(map(len, lines[:20])) <= 120
     (verdict,) = (line for line in lines if line.startswith("verdict"))

@@ -127,7 +127,7 @@ def test_only_changed_slices_are_published(bench: WorkbenchDriver) -> None:
         ("set_pick", {"photo": "p1", "pick": "77", "on": True}, "no longer exists"),
         ("set_pick", {"photo": "p1", "pick": "1", "weight": -1}, "positive"),
         ("remove_picks", {"photo": "p1", "picks": []}, "no matches are selected"),
-        ("switch_picks", {"photo": "p1", "picks": ["1"], "on": "yes"}, "on or off"),
+        ("switch_picks", {"photo": "p1", "picks": ["1"], "on": "yes"}, "enabled with true"),
         ("reject", {"photo": "p1", "by": "depth", "above": 0.1}, "solve first"),
         ("reject", {"photo": "p1", "by": "taste", "above": 0.1}, "'depth' or to 'px'"),
         ("set_camera", {"photo": "p1"}, "focal length"),
@@ -275,7 +275,7 @@ def test_a_result_is_discarded_if_its_inputs_have_changed(registered: WorkbenchD
     job = registered.workbench.runner.job
     assert job is not None
     assert job.state == "failed"
-    assert "changed while this ran" in job.message
+    assert "changed while the job ran" in job.message
     registered.do("undo")
     assert pick not in [entry["id"] for entry in registered.slice("picks:p1")]
 
