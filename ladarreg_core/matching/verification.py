@@ -71,7 +71,7 @@ class GateOptions:
     second_peak: float = 0.4
     """Minimum correlation of the shifted image, relative to no shift, for a second pose to be sought there."""
     second_overlap: float = 0.4
-    """Minimum share of the compared points inside the photo after the shift."""
+    """Minimum share of the compared points inside the photo after that shift."""
     sure_fraction: float = 0.6
     """With an initial pose: with at least this fraction of agreeing regions no second pose is sought."""
 

@@ -44,7 +44,7 @@ class AcceptanceOptions:
     least_aspect: float = 0.02
     """Minimum width of the inliers in the photo over their length; below it they are collinear."""
     plane_tolerance: float = 0.05
-    """Maximum distance from a plane seen from behind, as a share of the points' extent, for a point to lie on it."""
+    """Half of the maximum distance of a point on a plane from it, as a share of the points' middle extent."""
     plane_share: float = 0.7
     """Minimum share of the inliers on one plane for a pose that sees this plane from behind to be refused."""
     critical_leverage: float = 0.9
@@ -62,7 +62,7 @@ class AcceptanceOptions:
     planar_relief: float = 0.3
     """Maximum relief, smallest over middle extent, of points that count as planar and may have a mirrored pose."""
     many_inliers: int = 40
-    """Without a test from many starting poses: as many inliers that are not planar need no search for a second pose."""
+    """Number of inliers from which, unless they are planar, the quick search for a second pose is left out."""
     least_return_share: float = 0.25
     """Minimum share of the nearest starting poses that return to the pose."""
 
