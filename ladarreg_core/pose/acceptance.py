@@ -81,6 +81,7 @@ def decide_acceptance(
     log10_chance: float,
     second_pose: Rigid | None = None,
     critical_match: str | None = None,
+    second_pose_sought: bool = True,
     options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
 ) -> tuple[bool, tuple[str, ...]]:
     """Return whether a pose is accepted on match statistics, and the reasons.
@@ -94,6 +95,7 @@ def decide_acceptance(
         log10_chance: `log10_false_alarms` of the inliers.
         second_pose: another pose that explains the matches as well; None if none was found.
         critical_match: the pick without which the other matches barely determine the pose; None if there is none.
+        second_pose_sought: whether a second pose was sought; the reasons then state that there is none.
         options: the thresholds.
     """
     # a line end known only across the line counts as half a match
@@ -148,7 +150,7 @@ def decide_acceptance(
     return True, (
         f"{np.count_nonzero(inliers)} of {count} inliers (chi^2/dof {chi2_per_dof:.2f})",
         f"uncertainty (1 sigma): position {format_length(position)}, orientation {np.degrees(angle):.2g} deg",
-        "no second pose explains the matches",
+        *(("no second pose explains the matches",) if second_pose_sought else ()),
     )
 
 

@@ -226,9 +226,14 @@ def second_pose_of_outliers(
     pose = pose_of_outliers(matches, measured, ~inliers, camera, sigma_px=sigma_px, options=options)
     if pose is None:
         return None
-    _, seen = adjust_ranges(measured, States.of([pose], measured))
-    agree = int(np.count_nonzero((seen.s[0] <= gate) & ~inliers))
+    agree = count_rivals(pose, measured, inliers, gate=gate)
     return pose if agree >= least_support(int(np.count_nonzero(inliers)), options) else None
+
+
+def count_rivals(pose: Rigid, measured: Measurements, inliers: BoolArray, *, gate: float) -> int:
+    """Return the number of matches that agree with a pose and are not inliers (M,) of the first one."""
+    _, seen = adjust_ranges(measured, States.of([pose], measured))
+    return int(np.count_nonzero((seen.s[0] <= gate) & ~inliers))
 
 
 def is_planar(points: FloatArray, options: AcceptanceOptions = DEFAULT_ACCEPTANCE) -> bool:

@@ -21,6 +21,7 @@ from ladarreg_core.formatting import format_length
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
 from ladarreg_core.pose.ambiguity import (
+    count_rivals,
     is_planar,
     least_support,
     likelihood_scores,
@@ -41,6 +42,7 @@ from ladarreg_core.pose.bundle import (
 )
 from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
 from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, graduate_merging, group_by_leader, narrow_scales, near_pairs
+from ladarreg_core.pose.options import PoseOptions
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 from ladarreg_core.validation import require_int
@@ -233,6 +235,7 @@ def probe_basin(
         options=options,
     )  # fmt: skip
     candidates = [pose] if another is None else [pose, another]
+    rivals = 0 if another is None else count_rivals(another, measured, agree, gate=gate)
     settled = _refined_on_all(measured, candidates, ends.subset(promising), members, gate=gate, options=options)
     found = _cluster(measured, settled, gate=gate, reach=reach, options=options)
     cluster_of_end = np.full(len(ends.centres), -1)
@@ -240,25 +243,29 @@ def probe_basin(
     return _decide(
         result, found, cluster_of_end[end_of[:starts]], level_of,
         score=float(likelihood_scores(measured, given, gate)[0]), inliers=int(np.count_nonzero(agree)), reach=reach,
-        options=options,
+        rivals=rivals, options=options,
     )  # fmt: skip
 
 
-def confirm(result: PoseResult, *, starts: int = 32, seed: int = 0) -> Confirmation:
+def confirm(result: PoseResult, options: PoseOptions | None = None, *, starts: int = 32) -> Confirmation:
     """Test an accepted pose from many starting poses, and withdraw the acceptance if another pose explains its matches.
+
+    The test contains the quick search for a second pose that `PoseOptions.check_ambiguity` leaves out.
 
     Args:
         result: a pose with its matches; returned unchanged if it is not accepted.
+        options: seed and thresholds, as of the result.
         starts: number of starting poses.
-        seed: random seed; equal seeds give equal results.
 
     Raises:
-        OptionError: if the number of starts or the seed is invalid.
+        OptionError: if the number of starts is invalid.
     """
     if not result.accepted:
         return Confirmation(result, None)
-    basin = probe_basin(result, starts=starts, seed=seed)
-    diagnostics = {**result.diagnostics, "basin": basin.as_dict()}
+    o = options or PoseOptions()
+    basin = probe_basin(result, starts=starts, seed=o.seed, gate_chi2=o.gate_chi2, options=o.acceptance)
+    second = basin.verdict == "ambiguous"
+    diagnostics = {**result.diagnostics, "second_minimum": second, "basin": basin.as_dict()}
     if basin.verdict == "unique":
         confirmed = replace(result, reasons=(*result.reasons, basin.describe()), diagnostics=diagnostics)
         return Confirmation(confirmed, basin.verdict)
@@ -382,6 +389,7 @@ def _decide(
     *,
     score: float,
     inliers: int,
+    rivals: int,
     reach: float,
     options: AcceptanceOptions,
 ) -> Basin:
@@ -394,6 +402,7 @@ def _decide(
         level_of: (starts,) the level of each start.
         score: score of the pose as given.
         inliers: number of inliers of the pose as given.
+        rivals: number of outliers that agree on another pose before its refinement, which was the second refined state.
         reach: distance of the matches from the camera, m.
         options: thresholds of a second pose.
     """
@@ -406,6 +415,8 @@ def _decide(
         verdict, other = "failed", own
     else:
         beside = np.count_nonzero(found.inliers & ~found.inliers[own], axis=1)
+        if rivals:  # refinement on all matches may lose one
+            beside[found.cluster_of[1]] = max(beside[found.cluster_of[1]], rivals)
         second = (found.scores < found.scores[own] + margin) | (
             beside >= least_support(int(np.count_nonzero(found.inliers[own])), options)
         )

@@ -92,7 +92,7 @@ def build_result(
     chance = log10_false_alarms(measured, matches, fit.state, inliers, camera, gate=options.gate_chi2)
     verdict: dict[str, Any] = {
         "pose": pose, "matches": matches, "inliers": inliers, "chi2_per_dof": chi2, "covariance": covariance,
-        "log10_chance": chance, "options": options.acceptance,
+        "log10_chance": chance, "second_pose_sought": options.check_ambiguity, "options": options.acceptance,
     }  # fmt: skip
     accepted, reasons = decide_acceptance(**verdict)
     second_pose = None
