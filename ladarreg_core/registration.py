@@ -152,7 +152,8 @@ def _manual_result(
         note.update(picks=len(picks), matches=len(matches), left_out=list(losses))
         steps.matches = matches
     with steps.step("pose") as note:
-        how = replace(options.pose, seed=options.seed)
+        # the test from many starting poses below contains the quick search for a second pose
+        how = replace(options.pose, seed=options.seed, check_ambiguity=False)
         try:
             # a given starting pose was not fitted to these matches, so they can be used to test it
             result = solve_pose(matches, photo.camera, replace(how, keep_better_start=True), initial=initial)
@@ -170,10 +171,10 @@ def _manual_result(
 def _confirmed(result: PoseResult, steps: StepLog, how: PoseOptions, photo: Photo) -> PoseResult:
     """Return the result checked from many starting poses; if one of them leads to a better pose, solve from there."""
     with steps.step("starts") as note:
-        confirmed = confirm(result, seed=how.seed)
+        confirmed = confirm(result, how)
         if confirmed.better is not None:
             again = solve_pose(result.matches, photo.camera, how, initial=confirmed.better)
-            confirmed = confirm(again, seed=how.seed)
+            confirmed = confirm(again, how)
         note.update(verdict=confirmed.verdict)
         steps.matches, steps.pose = confirmed.result.matches, confirmed.result.camera_from_scanner
     return confirmed.result

@@ -22,11 +22,7 @@ from ladarreg_core.matching.zbuffer import Occluder
 
 _MIN_POINTS = 12
 _MIN_NEIGHBOURS = 5
-MIN_WINDOWS = 12
-"""Least number of windows that a verdict can rest on."""
-_NEAR_PX, _FAR_PX = 3.0, 7.0
 _TINY = 1e-9
-_MIN_CHANCE = 0.25  # largest fraction of blocks that agreed at refined wrong poses; by area it would be 9 of 169
 _CHANNEL_IDENTITY = np.eye(CHANNELS, dtype=np.float32)
 
 
@@ -82,12 +78,13 @@ class Agreement:
         """Return a mask (W,) of the windows that peak within `tolerance_px` working pixels of zero shift."""
         return np.asarray(self._peak_distances(self.maps) <= tolerance_px * self._scale + 1e-9)
 
-    def false_alarm(self, tolerance_px: float) -> float:
+    def false_alarm(self, tolerance_px: float, *, least_chance: float) -> float:
         """Return a bound on the probability that so many blocks agree by chance.
 
         Single blocks are counted, because they share no pixels. The probability for one block is estimated from the
         pair itself, since a repeated pattern agrees at many shifts: it is the largest fraction of blocks that agree
-        with any one far shift. It is at least 0.25, because refinement pulls some blocks to zero shift at any pose.
+        with any one far shift. It is at least `least_chance`, because refinement pulls some blocks to zero
+        shift at any pose.
 
         Source: the binomial distribution's upper tail.
         """
@@ -100,7 +97,7 @@ class Agreement:
         best = self.block_maps.reshape(count, -1).argmax(axis=1)
         far = np.hypot(u, v) > 2 * near
         apart = np.hypot(u[far, None] - u[best], v[far, None] - v[best])
-        p = max(_MIN_CHANCE, float((apart <= near).mean(axis=1).max(initial=0.0)))
+        p = max(least_chance, float((apart <= near).mean(axis=1).max(initial=0.0)))
         return float(sum(comb(count, k) * p**k * (1 - p) ** (count - k) for k in range(agreeing, count + 1)))
 
     def _peak_distances(self, maps: FloatArray) -> FloatArray:
@@ -110,12 +107,12 @@ class Agreement:
         u, v = self._shifts()
         return np.asarray(np.hypot(u, v).reshape(-1)[maps.reshape(len(maps), -1).argmax(axis=1)])
 
-    def contrast(self) -> float:
+    def contrast(self, *, near_px: float, far_px: float) -> float:
         """Return zb: peak at near shifts above the mean of far ones, in standard deviations; mean over windows."""
         if not len(self.maps):
             return 0.0
         distance = np.hypot(*self._shifts()) / self._scale
-        near, far = distance <= _NEAR_PX, distance > _FAR_PX
+        near, far = distance <= near_px, distance > far_px
         if not far.any():
             return 0.0
         away = self.maps[:, far]

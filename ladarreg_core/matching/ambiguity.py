@@ -18,24 +18,18 @@ from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.blocks import project_visible
 from ladarreg_core.matching.ecc import RefineOptions, refine_pose
 from ladarreg_core.matching.pyramid import LEVELS
-from ladarreg_core.matching.verification import Verification
+from ladarreg_core.matching.verification import GateOptions, Verification
 from ladarreg_core.pose.ambiguity import mirrored
 from ladarreg_core.scan import Scan
 
 _COARSEST = LEVELS[-1]
 _REFINEMENT = RefineOptions(tau_px=8, iterations=8)
 _MIN_SHIFT_PX = 3.0  # level pixels; smaller shifts lie in the same basin
-_MIN_OVERLAP = 0.4
-_PEAK_OF_ZERO = 0.4
 _MAX_PEAKS = 2
-_MIN_RELATIVE_CORRELATION = 0.8
-_MIN_RELATIVE_FRACTION, _MIN_RELATIVE_COUNT = 0.8, 0.6
 _MAX_REFINED = 2
-_DIFFERENT_ANGLE_RAD = np.deg2rad(3.0)
 _MIN_POINTS = 30
 _SAMPLES = 10_000
 _SAME_START_PX = 40.0  # radius of the basin of refinement
-_SAME_POSE_PX = 8.0
 
 
 class KnownPoses:
@@ -44,13 +38,15 @@ class KnownPoses:
     Args:
         scan: the scan.
         camera: the photo's camera.
+        gate: thresholds of verification; None: the default ones.
     """
 
-    def __init__(self, scan: Scan, camera: Camera) -> None:
+    def __init__(self, scan: Scan, camera: Camera, gate: GateOptions | None = None) -> None:
         stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLES)))
         points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
         self._points = points[np.isfinite(points).all(axis=-1)]
         self._camera = camera
+        self._same_px = (gate or GateOptions()).same_pose_px
         self._poses: list[Rigid] = []
 
     def __len__(self) -> int:
@@ -66,11 +62,11 @@ class KnownPoses:
 
     def different_from(self, pose: Rigid) -> Rigid | None:
         """Return a known pose that differs from this one; None if there is none."""
-        return next((other for other in self._poses if self._distance_px(other, pose) > _SAME_POSE_PX), None)
+        return next((other for other in self._poses if self._distance_px(other, pose) > self._same_px), None)
 
     def differ(self, first: Rigid, second: Rigid) -> bool:
         """Return whether two poses project the scan to different places in the photo."""
-        return self._distance_px(first, second) > _SAME_POSE_PX
+        return self._distance_px(first, second) > self._same_px
 
     def _distance_px(self, first: Rigid, second: Rigid) -> float:
         """Return the median displacement in the photo of the points that the first pose sees; inf if it sees none."""
@@ -103,6 +99,7 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: Know
         own: its verdict.
         known: decides which poses are different.
     """
+    gate = aligner.gate
     ends = []
     for start in (pose, *_starts(aligner, pose)):
         end = refine_pose(aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder, start, _REFINEMENT)
@@ -111,32 +108,32 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: Know
         elif start is pose:
             return None
     first, *others = ends
-    others = [e for e in others if e.correlation >= _MIN_RELATIVE_CORRELATION * first.correlation]
+    others = [e for e in others if e.correlation >= gate.second_correlation * first.correlation]
     others.sort(key=lambda e: -e.correlation)
-    elsewhere = [e for e in others if _differ(known, pose, e.camera_from_scanner)]
+    elsewhere = [e for e in others if _differ(known, pose, e.camera_from_scanner, gate)]
     for end in elsewhere[:_MAX_REFINED]:
         candidate = aligner.refine(end.camera_from_scanner)
-        if candidate is None or not _competes(candidate.coarse_verdict, own):
+        if candidate is None or not _competes(candidate.coarse_verdict, own, gate):
             continue
-        if not _differ(known, pose, candidate.camera_from_scanner):
+        if not _differ(known, pose, candidate.camera_from_scanner, gate):
             continue
         second = aligner.finish(candidate.camera_from_scanner)
-        if _differ(known, pose, second) and _competes(aligner.verify(second)[0], own):
+        if _differ(known, pose, second, gate) and _competes(aligner.verify(second)[0], own, gate):
             return second
     return None
 
 
-def _competes(other: Verification, own: Verification) -> bool:
+def _competes(other: Verification, own: Verification, gate: GateOptions) -> bool:
     """Return whether another pose is verified, or agrees with nearly as much of the image as the verified one."""
     nearly = (
-        other.fraction >= _MIN_RELATIVE_FRACTION * own.fraction and other.agreeing >= _MIN_RELATIVE_COUNT * own.agreeing
+        other.fraction >= gate.second_fraction * own.fraction and other.agreeing >= gate.second_count * own.agreeing
     )
     return other.accepted or nearly
 
 
-def _differ(known: KnownPoses, first: Rigid, second: Rigid) -> bool:
+def _differ(known: KnownPoses, first: Rigid, second: Rigid, gate: GateOptions) -> bool:
     """Return whether two poses differ in the image, or in camera orientation."""
-    return known.differ(first, second) or first.angle_to(second) > _DIFFERENT_ANGLE_RAD
+    return known.differ(first, second) or first.angle_to(second) > gate.same_angle_rad
 
 
 def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
@@ -149,7 +146,7 @@ def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
     seen = points.points[visible].astype(np.float64)
     yield mirrored(pose, seen)
     depth, camera = float(np.median(in_camera[visible, 2])), target.camera
-    for du, dv in _peaks(points.channels[visible], uv[visible], target.channels):
+    for du, dv in _peaks(points.channels[visible], uv[visible], target.channels, aligner.gate):
         # An image shift is either a translation, at the median depth, or a rotation, which does not depend on depth.
         shift = np.array([du / camera.fx, dv / camera.fy, 0.0]) * depth
         yield Rigid(pose.rotation, pose.translation + shift)
@@ -157,13 +154,14 @@ def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
         yield Rigid(turn, np.zeros(3)) @ pose
 
 
-def _peaks(channels: FloatArray, uv: FloatArray, image: FloatArray) -> list[tuple[int, int]]:
+def _peaks(channels: FloatArray, uv: FloatArray, image: FloatArray, gate: GateOptions) -> list[tuple[int, int]]:
     """Return the far shifts (du, dv), level pixels, at which points agree with the image nearly as well, best first.
 
     Args:
         channels: (N, 8) of the points.
         uv: (N, 2) their pixels in the image.
         image: (h, w, 8) its channels.
+        gate: thresholds of a second pose.
     """
     height, width = image.shape[:2]
     shape = (2 * height, 2 * width)
@@ -180,12 +178,12 @@ def _peaks(channels: FloatArray, uv: FloatArray, image: FloatArray) -> list[tupl
     energy = np.fft.irfft2(seen * np.fft.rfft2((centred**2).sum(axis=-1), shape), shape)
     overlap = np.fft.irfft2(seen * np.fft.rfft2(np.ones_like(mask), shape), shape) / mask.sum()
     score = np.fft.irfft2(product, shape) / np.sqrt(np.maximum(energy, 1e-6 * float(energy.max()) + 1e-12))
-    score = np.fft.fftshift(np.where(overlap >= _MIN_OVERLAP, score, -np.inf))
+    score = np.fft.fftshift(np.where(overlap >= gate.second_overlap, score, -np.inf))
     at_zero = float(score[height, width])
     v, u = np.mgrid[-height:height, -width:width]
     near = int(2 * _MIN_SHIFT_PX) | 1
     highest = score >= cv2.dilate(score, np.ones((near, near)))
-    peak = highest & (np.hypot(u, v) > _MIN_SHIFT_PX) & (score > _PEAK_OF_ZERO * at_zero)
+    peak = highest & (np.hypot(u, v) > _MIN_SHIFT_PX) & (score > gate.second_peak * at_zero)
     rows, columns = np.nonzero(peak)
     best = np.argsort(-score[rows, columns], kind="stable")[:_MAX_PEAKS]
     return [(int(columns[k]) - width, int(rows[k]) - height) for k in best]

@@ -27,7 +27,6 @@ from ladarreg_core.validation import require_choice
 
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
-_SUFFICIENT_FRACTION = 0.6
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
 _ADVICE = "Draw a few matches by hand, or give an initial pose."
 
@@ -129,7 +128,7 @@ def register_auto(
         seed=o.seed,
         channel_set=o.channel_set,
     )
-    found = CandidateSet(search, photo, KnownPoses(scan, photo.camera), steps, o)
+    found = CandidateSet(search, photo, KnownPoses(scan, photo.camera, o.gate), steps, o)
     directions = viewing_directions(scan, working, initial=initial)
     if initial is not None and o.reach == "near_start":
         _search_near(search, found, directions[0], initial)
@@ -186,7 +185,8 @@ class CandidateSet:
         """Return the accepted result, else the best refused one."""
         if self._accepted is not None:
             # A given pose decides which of several similar places is meant, but only if most regions agree there.
-            if self._ambiguous_poses is None and (initial is None or _fraction(self._accepted) < _SUFFICIENT_FRACTION):
+            sure = initial is not None and _fraction(self._accepted) >= self._options.gate.sure_fraction
+            if self._ambiguous_poses is None and not sure:
                 self._ambiguous_poses = self._second_minimum()
             if self._ambiguous_poses is not None:
                 return _refused_as_ambiguous(self._accepted, *self._ambiguous_poses)
@@ -326,8 +326,10 @@ def _finish(
         blocks = aligner.block_matches(pose)
         steps.pose, steps.matches = pose, blocks.matches if blocks else None
     points = aligner.verification_points.points[found.fine.visible]
-    verification = check_precision(found.verification, points, camera, pose, evidence.covariance)
-    verification = replace(verification, regions=region_markers(found.fine, aligner.photo.cameras[0], camera))
+    verification = check_precision(found.verification, points, camera, pose, evidence.covariance, aligner.gate)
+    verification = replace(
+        verification, regions=region_markers(found.fine, aligner.photo.cameras[0], camera, aligner.gate)
+    )
     reasons: tuple[Any, ...] = verification.reasons
     advice = () if verification.accepted else (_ADVICE,)
     return AutoResult(

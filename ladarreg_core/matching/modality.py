@@ -15,15 +15,10 @@ import numpy as np
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
-from ladarreg_core.matching.verification import GateOptions, Verification
+from ladarreg_core.matching.verification import COARSE_GATE, Verification
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
-
-COARSE_GATE = GateOptions(
-    contrast=2.1, many=35, few=35, few_contrast=2.1, few_fraction=0.5, fine_fraction=0.30, false_alarm=0.0
-)
-"""Thresholds for thermal images: fewer regions than for colour, since the images are small; poses are called coarse."""
 
 _CHANNEL_LABELS: dict[ChannelSet, str] = {
     "both": "intensity and geometry together",

@@ -21,6 +21,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, native_focal_px, perspective_view
+from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.spikes import fill_from_nearest, gate_spikes, median_range
 from ladarreg_core.thermal import thermal_gray
@@ -225,7 +226,7 @@ def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> 
     valid = np.isfinite(ranges)
     median = median_range(ranges)
     low, high = cv2.erode(median, np.ones((5, 5))), cv2.dilate(median, np.ones((5, 5)))
-    jump = high - low > 0.04 * median
+    jump = high - low > EDGE_FRACTION * median
     surface = np.where(jump, low, median)  # the foreground owns the contour
     jump |= ~valid
     edge = cv2.dilate(jump.astype(np.uint8), np.ones((3, 3))) > 0  # the 5 x 5 window already reaches two pixels

@@ -1,5 +1,6 @@
 """Image verification: the verdict on a finished pose, from the agreement of image regions.
 
+`GateOptions` holds every threshold that decides acceptance on the image, including those of a second pose.
 A region of this module is a window of `matching.agreement`: a block pooled with its neighbours.
 """
 
@@ -13,12 +14,9 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.agreement import MIN_WINDOWS, Agreement
+from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.surface.uncertainty import pixel_sigma
 
-NEAR_PX = {1: 3.0, 0: 1.5}
-"""Working pixels within which a region's correlation peak counts as agreeing, by level."""
-_MAX_SIGMA_PX = 1.0  # two sigma: accepted poses are correct to 2 px
 _STANDARD_PIXELS = 1_000_000
 _MAX_REGIONS = 250
 _SAMPLE = 500
@@ -28,6 +26,14 @@ _SAMPLE = 500
 class GateOptions:
     """Thresholds of image verification. A lower `fraction` accepts poses that are several pixels off."""
 
+    least_regions: int = 12
+    """Minimum number of regions that could be compared, unless agreement by chance is ruled out."""
+    near_px: float = 3.0
+    """Maximum distance of a region's correlation peak from zero shift at level 1 to agree, working pixels."""
+    fine_near_px: float = 1.5
+    """Maximum distance of the peak at level 0 to agree, working pixels."""
+    far_px: float = 7.0
+    """Shifts farther than this count as far for `contrast`, working pixels; those within `near_px` count as near."""
     fraction: float = 0.50
     """Minimum fraction of regions that agree at level 1."""
     contrast: float = 1.9
@@ -42,12 +48,38 @@ class GateOptions:
     """Minimum contrast with at least `few` but fewer than `many` agreeing regions."""
     false_alarm: float = 1e-6
     """With still fewer regions: maximum bound on the probability of agreement by chance, levels 1 and 0 jointly."""
+    least_chance: float = 0.25
+    """Minimum probability assumed for one block to agree by chance: the most that agreed at refined wrong poses."""
     fewest_fraction: float = 0.8
     """Minimum fraction with fewer than `few` agreeing regions."""
     fewest_contrast: float = 2.5
     """Minimum contrast with fewer than `few` agreeing regions."""
     fine_fraction: float = 0.35
     """Minimum fraction of regions that agree at level 0, where the tolerance is half as large."""
+    most_sigma_px: float = 1.0
+    """Maximum median uncertainty of a pose accepted on few regions, px of a 1-megapixel photo; larger photos: more."""
+    same_pose_px: float = 8.0
+    """Maximum median displacement in the photo of two poses that count as the same, px."""
+    same_angle_rad: float = float(np.deg2rad(3.0))
+    """Maximum angle between the pose and a second one that count as the same, rad."""
+    second_fraction: float = 0.8
+    """Minimum fraction of agreeing regions of a second pose that competes, relative to the first pose."""
+    second_count: float = 0.6
+    """Minimum number of agreeing regions of a second pose that competes, relative to the first pose."""
+    second_correlation: float = 0.8
+    """Minimum correlation of a second pose at the coarsest level, relative to the first pose."""
+    second_peak: float = 0.4
+    """Minimum correlation of the shifted image, relative to no shift, for a second pose to be sought there."""
+    second_overlap: float = 0.4
+    """Minimum share of the compared points inside the photo after that shift."""
+    sure_fraction: float = 0.6
+    """With an initial pose: with at least this fraction of agreeing regions no second pose is sought."""
+
+
+COARSE_GATE = GateOptions(
+    contrast=2.1, many=35, few=35, few_contrast=2.1, few_fraction=0.5, fine_fraction=0.30, false_alarm=0.0
+)
+"""Thresholds for thermal images: fewer regions than for colour, since the images are small; poses are called coarse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,19 +130,21 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
     """
     o = options or GateOptions()
     n = coarse.windows
-    a = int(coarse.agreeing(NEAR_PX[1]).sum())
-    f, zb = a / max(n, 1), coarse.contrast()
-    f0 = None if fine is None else float(fine.agreeing(NEAR_PX[0]).sum() / max(fine.windows, 1))
+    a = int(coarse.agreeing(o.near_px).sum())
+    f, zb = a / max(n, 1), coarse.contrast(near_px=o.near_px, far_px=o.far_px)
+    f0 = None if fine is None else float(fine.agreeing(o.fine_near_px).sum() / max(fine.windows, 1))
     # Level 0 contributes half of the digits of the bound and is missing from a preliminary verdict.
-    alarm = coarse.false_alarm(NEAR_PX[1]) * (1.0 if fine is None else fine.false_alarm(NEAR_PX[0]))
+    alarm = coarse.false_alarm(o.near_px, least_chance=o.least_chance)
+    if fine is not None:
+        alarm *= fine.false_alarm(o.fine_near_px, least_chance=o.least_chance)
     bound = o.false_alarm if fine is not None else o.false_alarm**0.5
     beyond_accident = alarm <= bound and f >= o.fewest_fraction and zb >= o.fewest_contrast
-    enough = n >= MIN_WINDOWS and (a >= o.many or (a >= o.few and f >= o.few_fraction and zb >= o.few_contrast))
+    enough = n >= o.least_regions and (a >= o.many or (a >= o.few and f >= o.few_fraction and zb >= o.few_contrast))
     reasons = []
-    if n < MIN_WINDOWS and not (n and beyond_accident):
+    if n < o.least_regions and not (n and beyond_accident):
         reasons.append(
-            f"Only {n} image regions have enough structure in the scan for a comparison; at least {MIN_WINDOWS} are "
-            "needed, or fewer if nearly all of them agree."
+            f"Only {n} image regions have enough structure in the scan for a comparison; at least "
+            f"{o.least_regions} are needed, or fewer if nearly all of them agree."
         )
     else:
         if f < o.fraction:
@@ -128,7 +162,7 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
             )
         if f0 is not None and f0 < o.fine_fraction:
             reasons.append(
-                f"At full resolution only {f0:.0%} of the image regions agree within {NEAR_PX[0]:g} px; at least "
+                f"At full resolution only {f0:.0%} of the image regions agree within {o.fine_near_px:g} px; at least "
                 f"{o.fine_fraction:.0%} is needed."
             )
     accepted = not reasons
@@ -138,7 +172,12 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
 
 
 def check_precision(
-    verdict: Verification, points: FloatArray, camera: Camera, pose: Rigid, covariance: FloatArray
+    verdict: Verification,
+    points: FloatArray,
+    camera: Camera,
+    pose: Rigid,
+    covariance: FloatArray,
+    options: GateOptions | None = None,
 ) -> Verification:
     """Return the verdict, refused if it rests on few regions and the pose is too uncertain.
 
@@ -151,12 +190,15 @@ def check_precision(
         camera: the photo's own camera.
         pose: `camera_from_scanner`.
         covariance: (6, 6) of the pose.
+        options: the thresholds.
     """
     if not verdict.by_few or not len(points):
         return verdict
     some = points[:: max(1, len(points) // _SAMPLE)].astype(np.float64)
     sigma_px = float(np.nanmedian(pixel_sigma(pose @ some, camera, pose.rotation, covariance)))
-    most = _MAX_SIGMA_PX * max(1.0, float(np.sqrt(camera.width * camera.height / _STANDARD_PIXELS)))
+    most = (options or GateOptions()).most_sigma_px * max(
+        1.0, float(np.sqrt(camera.width * camera.height / _STANDARD_PIXELS))
+    )
     if sigma_px <= most:
         return verdict
     reason = (
@@ -166,19 +208,22 @@ def check_precision(
     return replace(verdict, accepted=False, reasons=(reason,))
 
 
-def region_markers(fine: Agreement, working: Camera, camera: Camera) -> tuple[tuple[float, float, bool], ...]:
+def region_markers(
+    fine: Agreement, working: Camera, camera: Camera, options: GateOptions | None = None
+) -> tuple[tuple[float, float, bool], ...]:
     """Return (u, v, agrees) of at most 250 compared regions, in the photo's own pixels.
 
     Args:
         fine: agreement at level 0.
         working: the ideal camera of that level.
         camera: the photo's own camera.
+        options: the thresholds.
     """
     if not fine.windows:
         return ()
     middle = np.array([fine.uv[members].mean(axis=0) for members in fine.members])
     uv = camera.project(working.unproject(middle))
-    agrees = fine.agreeing(NEAR_PX[0])
+    agrees = fine.agreeing((options or GateOptions()).fine_near_px)
     every = -(-fine.windows // _MAX_REGIONS)
     shown = np.flatnonzero(np.isfinite(uv).all(axis=-1))
     shown = shown[fine.grid[shown].sum(axis=1) % every == 0]

@@ -1,13 +1,14 @@
 """Acceptance of a pose on match statistics alone, with reasons.
 
-A pose is accepted with evidence `statistics` if it has at least 12 inliers, these are at least half of the matches,
-chi^2/dof <= 3, and no second pose explains the matches. Further rules cover cases that meet these by default: agreement
-by chance, duplicated matches, a pose that the matches do not determine or that hinges on a single match, and a camera
-that would see the scene from behind.
+A pose is accepted with evidence `statistics` if it has enough inliers, these are a large enough share of the matches,
+the residuals agree with the noise, and no second pose explains the matches. Further rules cover cases that meet these
+by default: agreement by chance, duplicated matches, a pose that the matches do not determine or that hinges on a single
+match, and a camera that would see the scene from behind. `AcceptanceOptions` holds every threshold.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import lgamma, log, log10
 
 import numpy as np
@@ -20,24 +21,54 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
 from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
 
-LEAST_INLIERS = 12
-"""Fewest distinct inliers."""
-LEAST_SHARE = 0.5
-"""Smallest share of the matches that must be inliers."""
-MOST_CHI2_PER_DOF = 3.0
-"""Largest chi^2/dof of the inliers."""
-MOST_ANGLE_RAD = np.deg2rad(2.0)
-"""Largest standard deviation of the camera orientation, rad."""
-MOST_POSITION_OF_RANGE = 0.1
-"""Largest standard deviation of the camera position, as a share of the matches' median range."""
-_MOST_LOG10_FALSE_ALARMS = -3.0
-_PLANE_TOLERANCE = 0.05  # distance from a plane, relative to the points' extent
-_PLANE_SHARE = 0.7
 _PLANE_SAMPLES = 80  # of three points each: the chance (1 - .7^3)^80 of missing a plane of 70 % is negligible
-_LEAST_ASPECT = 0.02  # of the matches in the photo, width over length: below it they are collinear
 _HASH_WEIGHTS = np.sqrt([2.0, 3.0, 5.0])
-_LEAST_LEVERAGE = 0.9
-_MOST_GROWTH = 6.0  # of a standard deviation when the pick is removed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AcceptanceOptions:
+    """Thresholds of acceptance on match statistics."""
+
+    least_inliers: int = 12
+    """Minimum number of distinct inliers."""
+    least_share: float = 0.5
+    """Minimum share of the matches that are inliers."""
+    most_chi2_per_dof: float = 3.0
+    """Maximum chi^2/dof of the inliers."""
+    most_log10_chance: float = -3.0
+    """Maximum log10 of the expected number of poses with as many inliers among random matches."""
+    most_angle_rad: float = float(np.deg2rad(2.0))
+    """Maximum standard deviation of the camera orientation, rad."""
+    most_position_of_range: float = 0.1
+    """Maximum standard deviation of the camera position, as a share of the matches' median range."""
+    least_aspect: float = 0.02
+    """Minimum width of the inliers in the photo over their length; below it they are collinear."""
+    plane_tolerance: float = 0.05
+    """Half of the maximum distance of a point on a plane from it, as a share of the points' middle extent."""
+    plane_share: float = 0.7
+    """Minimum share of the inliers on one plane for a pose that sees this plane from behind to be refused."""
+    critical_leverage: float = 0.9
+    """Minimum leverage of a match for its removal to be tested."""
+    most_growth: float = 6.0
+    """Maximum growth of the standard deviation of position or orientation when one match is removed."""
+    second_pose_margin: float = 16.0
+    """A second pose competes if its -2 log likelihood, over chi^2/dof, exceeds the first one's by less than this."""
+    second_pose_sigmas: float = 6.0
+    """Minimum distance of a second pose from the first, in standard deviations; closer poses count as the same."""
+    rival_share: float = 0.5
+    """Outliers that agree on another pose compete if they are at least this share of the inliers."""
+    least_rivals: int = 5
+    """Minimum number of outliers that compete by agreeing on another pose."""
+    planar_relief: float = 0.3
+    """Maximum relief, smallest over middle extent, of points that count as planar and may have a mirrored pose."""
+    many_inliers: int = 40
+    """Number of inliers from which, unless they are planar, the quick search for a second pose is left out."""
+    least_return_share: float = 0.25
+    """Minimum share of the nearest starting poses that return to the pose."""
+
+
+DEFAULT_ACCEPTANCE = AcceptanceOptions()
+"""The default thresholds."""
 
 
 def decide_acceptance(
@@ -50,6 +81,8 @@ def decide_acceptance(
     log10_chance: float,
     second_pose: Rigid | None = None,
     critical_match: str | None = None,
+    second_pose_sought: bool = True,
+    options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
 ) -> tuple[bool, tuple[str, ...]]:
     """Return whether a pose is accepted on match statistics, and the reasons.
 
@@ -62,6 +95,8 @@ def decide_acceptance(
         log10_chance: `log10_false_alarms` of the inliers.
         second_pose: another pose that explains the matches as well; None if none was found.
         critical_match: the pick without which the other matches barely determine the pose; None if there is none.
+        second_pose_sought: whether a second pose was sought; the reasons then state that there is none.
+        options: the thresholds.
     """
     # a line end known only across the line counts as half a match
     halves = int(np.count_nonzero(matches.dimensions[inliers] == 1))
@@ -69,33 +104,33 @@ def decide_acceptance(
     # a line end known only across the line is an inlier more easily, so it does not count towards the share
     share = np.count_nonzero(inliers & (matches.dimensions == 2)) / count
     against = []
-    if agree < LEAST_INLIERS:
-        against.append(f"only {agree} distinct inliers, {LEAST_INLIERS} are needed; add or correct matches")
-    if share < LEAST_SHARE:
+    if agree < options.least_inliers:
+        against.append(f"only {agree} distinct inliers, {options.least_inliers} are needed; add or correct matches")
+    if share < options.least_share:
         against.append(
-            f"only {share:.0%} of {count} matches are inliers, {LEAST_SHARE:.0%} are needed; "
+            f"only {share:.0%} of {count} matches are inliers, {options.least_share:.0%} are needed; "
             "correct or remove the outliers"
         )
-    if not chi2_per_dof <= MOST_CHI2_PER_DOF:
+    if not chi2_per_dof <= options.most_chi2_per_dof:
         against.append(
-            f"the residuals exceed the stated noise (chi^2/dof {chi2_per_dof:.1f}, at most {MOST_CHI2_PER_DOF:g}); "
-            "check the focal length and lens distortion, or state larger noise"
+            f"the residuals exceed the stated noise (chi^2/dof {chi2_per_dof:.1f}, at most "
+            f"{options.most_chi2_per_dof:g}); check the focal length and lens distortion, or state larger noise"
         )
-    if log10_chance > _MOST_LOG10_FALSE_ALARMS:
+    if log10_chance > options.most_log10_chance:
         against.append(
             "with noise this large, random matches would give as many inliers; state smaller noise or add matches"
         )
     angle = float(np.sqrt(np.trace(covariance[:3, :3])))
     position = float(np.sqrt(np.trace(covariance[3:, 3:])))
     reach = float(np.median(matches.ranges))
-    if not (angle <= MOST_ANGLE_RAD and position <= MOST_POSITION_OF_RANGE * reach):
+    if not (angle <= options.most_angle_rad and position <= options.most_position_of_range * reach):
         against.append(
             f"the matches barely determine the pose (1 sigma: {format_length(position)}, "
             f"{np.degrees(angle):.2g} deg); spread them over the photo and over near and far surfaces"
         )
-    if _collinear(matches.uv[inliers]):
+    if _collinear(matches.uv[inliers], options):
         against.append("the inliers are collinear in the photo; add matches off that line")
-    if _sees_plane_from_behind(pose, matches.points[inliers]):
+    if _sees_plane_from_behind(pose, matches.points[inliers], options):
         against.append(
             "the camera would see the matches' plane from behind; check whether the photo or the scan is mirrored"
         )
@@ -115,34 +150,34 @@ def decide_acceptance(
     return True, (
         f"{np.count_nonzero(inliers)} of {count} inliers (chi^2/dof {chi2_per_dof:.2f})",
         f"uncertainty (1 sigma): position {format_length(position)}, orientation {np.degrees(angle):.2g} deg",
-        "no second pose explains the matches",
+        *(("no second pose explains the matches",) if second_pose_sought else ()),
     )
 
 
-def _collinear(uv: FloatArray) -> bool:
+def _collinear(uv: FloatArray, options: AcceptanceOptions) -> bool:
     """Return whether pixels (N, 2) lie on one line, about which only their noise would fix the camera's rotation."""
     if len(uv) < 3:
         return False
     centred = uv - uv.mean(axis=0)
     squared = np.linalg.eigvalsh(centred.T @ centred)
-    return bool(squared[0] <= _LEAST_ASPECT**2 * squared[1])
+    return bool(squared[0] <= options.least_aspect**2 * squared[1])
 
 
-def _sees_plane_from_behind(pose: Rigid, points: FloatArray) -> bool:
+def _sees_plane_from_behind(pose: Rigid, points: FloatArray, options: AcceptanceOptions) -> bool:
     """Return whether most points (N, 3) lie on a plane between scanner and camera, as for a mirrored photo.
 
     A few points off the plane do not rule this out: near the image centre they project alike from either side.
     """
     if len(points) < 3:
         return False
-    plane = _common_plane(points)
+    plane = _common_plane(points, options)
     if plane is None:
         return False
     centroid, normal = plane
     return bool((centroid @ normal) * ((centroid - pose.centre) @ normal) < 0)
 
 
-def _common_plane(points: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+def _common_plane(points: FloatArray, options: AcceptanceOptions) -> tuple[FloatArray, FloatArray] | None:
     """Return a point and the normal of the plane that contains most of the points (N, 3), or None."""
     rng = np.random.default_rng(0)
     a, b, c = points[rng.integers(0, len(points), (3, _PLANE_SAMPLES))]
@@ -151,10 +186,10 @@ def _common_plane(points: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
     off = np.where(length > 0, np.abs(points @ normals.T - (a * normals).sum(axis=1)).T, np.inf)
     width = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T, bias=True))[1], 0))
-    on_plane = off <= 2 * _PLANE_TOLERANCE * width
+    on_plane = off <= 2 * options.plane_tolerance * width
     best = int(np.argmax(np.count_nonzero(on_plane, axis=1)))
     members = points[on_plane[best]]
-    if len(members) < max(3, _PLANE_SHARE * len(points)):
+    if len(members) < max(3, options.plane_share * len(points)):
         return None
     centroid = members.mean(axis=0)
     centred = members - centroid
@@ -207,9 +242,7 @@ def find_critical_match(
     matches: Matches,
     state: States,
     inliers: BoolArray,
-    *,
-    most_angle_rad: float,
-    most_position_m: float,
+    options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
 ) -> str | None:
     """Return the pick on which the pose hinges, or None: a pick that nothing else checks has no residual to show.
 
@@ -220,8 +253,7 @@ def find_critical_match(
         matches: the same matches.
         state: the pose (B = 1).
         inliers: (M,) bool.
-        most_angle_rad: largest acceptable standard deviation of the rotation without the pick, rad.
-        most_position_m: largest acceptable standard deviation of the camera centre without the pick, m.
+        options: the thresholds.
 
     Source: Cook and Weisberg, Residuals and influence in regression (1982), for deletion.
     """
@@ -241,17 +273,18 @@ def find_critical_match(
     inverse = guarded_inverse(H * np.outer(unit, unit))
     # a standard deviation grows noticeably only if a pick provides nearly all the information in some direction
     leverage = np.einsum("kab,ab->k", parts * np.outer(unit, unit), inverse)
-    heavy = np.flatnonzero(leverage > _LEAST_LEVERAGE)
+    heavy = np.flatnonzero(leverage > options.critical_leverage)
     if not len(heavy):
         return None
     values, vectors = np.linalg.eigh((H - parts[heavy]) * np.outer(unit, unit))
     variance = np.einsum("kab,kb->ka", vectors**2, 1 / np.maximum(values, LEAST_EIGENVALUE)) * unit**2
     angle, position = np.sqrt(variance[:, :3].sum(axis=1)), np.sqrt(variance[:, 3:].sum(axis=1))
-    beyond = np.maximum(angle / most_angle_rad, position / most_position_m)
+    most_position_m = options.most_position_of_range * float(np.median(matches.ranges))
+    beyond = np.maximum(angle / options.most_angle_rad, position / most_position_m)
     with_all = np.diag(inverse) * unit**2
     grown = np.maximum(angle / np.sqrt(with_all[:3].sum()), position / np.sqrt(with_all[3:].sum()))
-    worst = int(np.argmax(np.maximum(beyond, grown / _MOST_GROWTH)))
-    return str(names[heavy[worst]]) if max(beyond[worst], grown[worst] / _MOST_GROWTH) > 1 else None
+    worst = int(np.argmax(np.maximum(beyond, grown / options.most_growth)))
+    return str(names[heavy[worst]]) if max(beyond[worst], grown[worst] / options.most_growth) > 1 else None
 
 
 def _log10_choose(n: int, k: int) -> float:

@@ -12,8 +12,9 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation
+from ladarreg_core.frames import Rigid, principal_extents, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.matches import Matches
+from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
 from ladarreg_core.pose.bundle import (
     Descent,
     Measurements,
@@ -28,10 +29,6 @@ from ladarreg_core.pose.bundle import (
 from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score
 from ladarreg_core.pose.ransac import sample_pose
 
-SCORE_MARGIN = 16.0
-"""Difference of scores beyond which one pose is clearly worse than another: four sigma."""
-DISTINCT_SIGMA = 6.0
-"""Poses further apart than this many standard deviations are distinct."""
 _ORBIT_RAD = np.deg2rad(20.0)
 _ORBITS = 3
 _SAMPLE = 20
@@ -40,11 +37,17 @@ _FRACTIONS_TO_MIRRORED = (0.25, 0.5, 0.75, 1.0)
 _GENERALISED_STEPS, _MOST_ROTATION_RAD = 6, 0.3
 _RANSAC_SIGMA = 6.0
 _RANSAC_ITERATIONS = 500
-_SUPPORT_SHARE, _LEAST_SUPPORT = 0.5, 5
 
 
 def find_second_pose(
-    measured: Measurements, best: States, inliers: BoolArray, *, s: FloatArray, gate: float, chi2_per_dof: float
+    measured: Measurements,
+    best: States,
+    inliers: BoolArray,
+    *,
+    s: FloatArray,
+    gate: float,
+    chi2_per_dof: float,
+    options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
 ) -> Rigid | None:
     """Return a distinct pose whose likelihood is not clearly worse, or None.
 
@@ -55,8 +58,9 @@ def find_second_pose(
         s: (N,) cost of each match at that pose.
         gate: largest cost s of an inlier.
         chi2_per_dof: scale of score differences, if it exceeds 1.
+        options: thresholds of a second pose.
     """
-    pose = best.pose()
+    pose, margin = best.pose(), options.second_pose_margin
     H = information_matrix(measured, best, members=inliers)[0]
     members = np.flatnonzero(inliers)
     sample = members[np.unique(np.linspace(0, len(members) - 1, _SAMPLE).astype(np.intp))]
@@ -66,17 +70,17 @@ def find_second_pose(
     descent = Descent.start(few, States.of([mirrored(pose, points), *orbiting_poses(pose, points)], few))
     for _ in range(_STEPS):
         descent.step(np.ones_like, _sum)
-    # a second pose may score worse by SCORE_MARGIN on all matches, and by chance on a sample
+    # a second pose may score worse by the margin on all matches, and by chance on a sample
     promising = truncated_score(descent.residuals.s, gate) < truncated_score(s[sample], gate) + (
-        SCORE_MARGIN * noise + 4 * np.sqrt(4 * len(sample))
+        margin * noise + 4 * np.sqrt(4 * len(sample))
     )
-    promising &= _distinct(pose, descent.states, H * (len(sample) / len(members)))
+    promising &= _distinct(pose, descent.states, H * (len(sample) / len(members)), options)
     if not promising.any():
         return None
     full = descent.states.subset(promising).with_ranges_of(measured)
     others, _ = graduate(measured, full, narrow_scales(full, gate), gate)
     scores = likelihood_scores(measured, others, gate)
-    second = _distinct(pose, others, H) & (scores < likelihood_scores(measured, best, gate) + SCORE_MARGIN * noise)
+    second = _distinct(pose, others, H, options) & (scores < likelihood_scores(measured, best, gate) + margin * noise)
     return others.pose(int(np.argmin(np.where(second, scores, np.inf)))) if second.any() else None
 
 
@@ -165,7 +169,14 @@ def refine_generalised(measured: Measurements, states: States, gate: float) -> S
 
 
 def pose_of_outliers(
-    matches: Matches, measured: Measurements, others: BoolArray, camera: Camera, *, sigma_px: float, seed: int = 0
+    matches: Matches,
+    measured: Measurements,
+    others: BoolArray,
+    camera: Camera,
+    *,
+    sigma_px: float,
+    seed: int = 0,
+    options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
 ) -> Rigid | None:
     """Return a pose on which some of the outliers of another pose agree; None if they are too few to matter.
 
@@ -178,9 +189,10 @@ def pose_of_outliers(
         camera: intrinsics.
         sigma_px: pixel noise, px.
         seed: random seed.
+        options: thresholds of a second pose.
     """
     count = int(np.count_nonzero(others))
-    if count < least_support(len(others) - count):
+    if count < least_support(len(others) - count, options):
         return None
     ideal = camera.without_distortion()
     uv = (measured.xy[:, others] * [[ideal.fx], [ideal.fy]] + [[ideal.cx], [ideal.cy]]).T
@@ -191,7 +203,14 @@ def pose_of_outliers(
 
 
 def second_pose_of_outliers(
-    matches: Matches, measured: Measurements, inliers: BoolArray, camera: Camera, *, sigma_px: float, gate: float
+    matches: Matches,
+    measured: Measurements,
+    inliers: BoolArray,
+    camera: Camera,
+    *,
+    sigma_px: float,
+    gate: float,
+    options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
 ) -> Rigid | None:
     """Return a pose supported by at least `least_support` of the outliers, or None.
 
@@ -202,18 +221,30 @@ def second_pose_of_outliers(
         camera: intrinsics.
         sigma_px: pixel noise, px.
         gate: largest cost s of an inlier.
+        options: thresholds of a second pose.
     """
-    pose = pose_of_outliers(matches, measured, ~inliers, camera, sigma_px=sigma_px)
+    pose = pose_of_outliers(matches, measured, ~inliers, camera, sigma_px=sigma_px, options=options)
     if pose is None:
         return None
+    agree = count_rivals(pose, measured, inliers, gate=gate)
+    return pose if agree >= least_support(int(np.count_nonzero(inliers)), options) else None
+
+
+def count_rivals(pose: Rigid, measured: Measurements, inliers: BoolArray, *, gate: float) -> int:
+    """Return the number of matches that agree with a pose and are not inliers (M,) of the first one."""
     _, seen = adjust_ranges(measured, States.of([pose], measured))
-    agree = int(np.count_nonzero((seen.s[0] <= gate) & ~inliers))
-    return pose if agree >= least_support(int(np.count_nonzero(inliers))) else None
+    return int(np.count_nonzero((seen.s[0] <= gate) & ~inliers))
 
 
-def least_support(inliers: int) -> int:
+def is_planar(points: FloatArray, options: AcceptanceOptions = DEFAULT_ACCEPTANCE) -> bool:
+    """Return whether points (N, 3) have so little relief that a mirrored pose may explain them."""
+    extents = principal_extents(points)
+    return bool(extents[2] <= options.planar_relief * extents[1])
+
+
+def least_support(inliers: int, options: AcceptanceOptions = DEFAULT_ACCEPTANCE) -> int:
     """Return the number of outliers that must agree on a second pose, given the inliers of the first."""
-    return max(_LEAST_SUPPORT, int(np.ceil(_SUPPORT_SHARE * inliers)))
+    return max(options.least_rivals, int(np.ceil(options.rival_share * inliers)))
 
 
 def pose_differences(pose: Rigid, states: States) -> tuple[FloatArray, FloatArray]:
@@ -234,9 +265,9 @@ def pose_differences(pose: Rigid, states: States) -> tuple[FloatArray, FloatArra
     return np.concatenate([w, states.centres - pose.centre], axis=1), np.arctan2(np.linalg.norm(w, axis=1), cosine)
 
 
-def _distinct(pose: Rigid, states: States, H: FloatArray) -> BoolArray:
+def _distinct(pose: Rigid, states: States, H: FloatArray, options: AcceptanceOptions) -> BoolArray:
     step, angle = pose_differences(pose, states)
-    far = np.einsum("bi,ij,bj->b", step, H, step) > DISTINCT_SIGMA**2
+    far = np.einsum("bi,ij,bj->b", step, H, step) > options.second_pose_sigmas**2
     return np.asarray(far | (angle > np.pi / 2))
 
 

@@ -18,10 +18,11 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.formatting import format_length
-from ladarreg_core.frames import Rigid, principal_extents
+from ladarreg_core.frames import Rigid
+from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
 from ladarreg_core.pose.ambiguity import (
-    DISTINCT_SIGMA,
-    SCORE_MARGIN,
+    count_rivals,
+    is_planar,
     least_support,
     likelihood_scores,
     mirrored,
@@ -41,6 +42,7 @@ from ladarreg_core.pose.bundle import (
 )
 from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
 from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, graduate_merging, group_by_leader, narrow_scales, near_pairs
+from ladarreg_core.pose.options import PoseOptions
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 from ladarreg_core.validation import require_int
@@ -52,12 +54,10 @@ RETURN_SHARE = 0.9
 _LEVELS_DEG = (5.0, 10.0, 20.0, 40.0)
 _LEVELS_OF_DISTANCE = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # .25, .5, 1 and 2 m for matches at 4 m
 _LEAST_STARTS, _MOST_STARTS = 8, 4096
-_LEAST_RETURN_SHARE = 0.25  # of the nearest starts
 _SAMPLE, _MOST_SAMPLE = 40, 160  # inliers, and all matches
 _SAME_RAD, _SAME_OF_DISTANCE = np.deg2rad(4.0), 0.1  # bounds of a cluster, however weak the matches
 _MOST_REFINED = 8
 _ON_ALL_MATCHES = replace(DEFAULT_GNC, last_steps=8)
-_PLANAR_RELIEF = 0.3  # smallest over middle extent of points that may have a mirrored pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,14 @@ class Confirmation:
     """A pose that explains the matches better, from which to solve again."""
 
 
-def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi2: float = 9.21) -> Basin:
+def probe_basin(
+    result: PoseResult,
+    *,
+    starts: int = 32,
+    seed: int = 0,
+    gate_chi2: float = 9.21,
+    options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
+) -> Basin:
     """Determine the basin of attraction of a pose, and whether another pose explains its matches.
 
     The starting poses lie up to 40 degrees and half of the matches' distance away, in random directions. The cost is
@@ -199,6 +206,7 @@ def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi
         starts: number of starting poses, at least 8.
         seed: random seed; equal seeds give equal results.
         gate_chi2: largest cost s of an inlier, as `PoseOptions.gate_chi2`.
+        options: thresholds of a second pose.
 
     Raises:
         OptionError: if the number of starts, the seed or the gate is invalid.
@@ -220,37 +228,44 @@ def probe_basin(result: PoseResult, *, starts: int = 32, seed: int = 0, gate_chi
     perturbed = _perturbed(pose, few, level_of, reach=reach, rng=rng)
     around = States.of(orbiting_poses(pose, members), few)
     ends, end_of = graduate_merging(few, perturbed.joined(around), gate=gate, reach=reach)
-    promising = _promising_ends(few, ends, gate=gate)
+    promising = _promising_ends(few, ends, gate=gate, options=options)
 
     another = pose_of_outliers(
-        result.matches, measured, ~agree, result.camera, sigma_px=result.sigma_px, seed=seed
+        result.matches, measured, ~agree, result.camera, sigma_px=result.sigma_px, seed=seed,
+        options=options,
     )  # fmt: skip
     candidates = [pose] if another is None else [pose, another]
-    settled = _refined_on_all(measured, candidates, ends.subset(promising), members, gate=gate)
-    found = _cluster(measured, settled, gate=gate, reach=reach)
+    rivals = 0 if another is None else count_rivals(another, measured, agree, gate=gate)
+    settled = _refined_on_all(measured, candidates, ends.subset(promising), members, gate=gate, options=options)
+    found = _cluster(measured, settled, gate=gate, reach=reach, options=options)
     cluster_of_end = np.full(len(ends.centres), -1)
     cluster_of_end[promising] = found.cluster_of[len(candidates) : len(candidates) + len(promising)]
     return _decide(
         result, found, cluster_of_end[end_of[:starts]], level_of,
         score=float(likelihood_scores(measured, given, gate)[0]), inliers=int(np.count_nonzero(agree)), reach=reach,
+        rivals=rivals, options=options,
     )  # fmt: skip
 
 
-def confirm(result: PoseResult, *, starts: int = 32, seed: int = 0) -> Confirmation:
+def confirm(result: PoseResult, options: PoseOptions | None = None, *, starts: int = 32) -> Confirmation:
     """Test an accepted pose from many starting poses, and withdraw the acceptance if another pose explains its matches.
+
+    The test contains the quick search for a second pose that `PoseOptions.check_ambiguity` leaves out.
 
     Args:
         result: a pose with its matches; returned unchanged if it is not accepted.
+        options: seed and thresholds, as of the result.
         starts: number of starting poses.
-        seed: random seed; equal seeds give equal results.
 
     Raises:
-        OptionError: if the number of starts or the seed is invalid.
+        OptionError: if the number of starts is invalid.
     """
     if not result.accepted:
         return Confirmation(result, None)
-    basin = probe_basin(result, starts=starts, seed=seed)
-    diagnostics = {**result.diagnostics, "basin": basin.as_dict()}
+    o = options or PoseOptions()
+    basin = probe_basin(result, starts=starts, seed=o.seed, gate_chi2=o.gate_chi2, options=o.acceptance)
+    second = basin.verdict == "ambiguous"
+    diagnostics = {**result.diagnostics, "second_minimum": second, "basin": basin.as_dict()}
     if basin.verdict == "unique":
         confirmed = replace(result, reasons=(*result.reasons, basin.describe()), diagnostics=diagnostics)
         return Confirmation(confirmed, basin.verdict)
@@ -283,11 +298,16 @@ def _perturbed(pose: Rigid, few: Measurements, level_of: IntArray, *, reach: flo
 
 
 def _refined_on_all(
-    measured: Measurements, candidates: list[Rigid], ends: States, members: FloatArray, *, gate: float
+    measured: Measurements,
+    candidates: list[Rigid],
+    ends: States,
+    members: FloatArray,
+    *,
+    gate: float,
+    options: AcceptanceOptions,
 ) -> States:
     """Refine candidates and ends on all matches, in this order; for planar inliers (N, 3) add their second poses."""
-    extents = principal_extents(members)
-    flat = bool(extents[2] <= _PLANAR_RELIEF * extents[1])
+    flat = is_planar(members, options)
     poses = [*candidates, *(ends.pose(k) for k in range(len(ends.centres)))]
     if flat:
         poses.append(mirrored(candidates[0], members))
@@ -299,13 +319,13 @@ def _refined_on_all(
     return settled.joined(refine_generalised(measured, settled, gate)).joined(valley)
 
 
-def _promising_ends(few: Measurements, ends: States, *, gate: float) -> IntArray:
+def _promising_ends(few: Measurements, ends: States, *, gate: float, options: AcceptanceOptions) -> IntArray:
     """Return the indices of ends on a sample that may explain all matches, the best first."""
     s = residuals(few, ends).s
     scores = likelihood_scores(few, ends, gate)
     order = np.argsort(scores, kind="stable")[:_MOST_REFINED]
-    # a second pose may score worse by SCORE_MARGIN on all matches, and by chance on a sample
-    most = scores[order[0]] + SCORE_MARGIN * _noise(s[order[0]], gate) + 4 * np.sqrt(4 * len(few))
+    # a second pose may score worse by the margin on all matches, and by chance on a sample
+    most = scores[order[0]] + options.second_pose_margin * _noise(s[order[0]], gate) + 4 * np.sqrt(4 * len(few))
     return np.asarray(order[scores[order] <= most])
 
 
@@ -333,7 +353,9 @@ class _Clusters:
     """The cluster of each refined state."""
 
 
-def _cluster(measured: Measurements, settled: States, *, gate: float, reach: float) -> _Clusters:
+def _cluster(
+    measured: Measurements, settled: States, *, gate: float, reach: float, options: AcceptanceOptions
+) -> _Clusters:
     """Group refined states into clusters."""
     s, scores = residuals(measured, settled).s, likelihood_scores(measured, settled, gate)
     best = np.array([int(np.argmin(scores))])
@@ -341,12 +363,12 @@ def _cluster(measured: Measurements, settled: States, *, gate: float, reach: flo
     noise = _noise(s[best[0]], gate)
     step = np.stack([pose_differences(settled.pose(k), settled)[0] for k in range(len(scores))])
     near = near_pairs(settled, _SAME_RAD, _SAME_OF_DISTANCE * reach)
-    near &= ((step @ H) * step).sum(axis=-1) <= DISTINCT_SIGMA**2 * noise
+    near &= ((step @ H) * step).sum(axis=-1) <= options.second_pose_sigmas**2 * noise
     cluster_of, leaders = group_by_leader(near, scores)
     return _Clusters(settled.subset(leaders), scores[leaders], s[leaders] <= gate, H, noise, cluster_of)
 
 
-def _differs_from_minimum(result: PoseResult, found: _Clusters, cluster: int) -> bool:
+def _differs_from_minimum(result: PoseResult, found: _Clusters, cluster: int, options: AcceptanceOptions) -> bool:
     """Return whether a pose is further from the minimum of its cluster than the noise of both explains."""
     step = pose_differences(result.camera_from_scanner, found.states.subset(np.array([cluster])))[0][0]
     unit = 1 / np.sqrt(np.maximum(np.diag(found.information), 1e-300))
@@ -356,7 +378,7 @@ def _differs_from_minimum(result: PoseResult, found: _Clusters, cluster: int) ->
         C = C + own
     values, vectors = np.linalg.eigh((C + C.T) / 2)
     along = (step / unit) @ vectors
-    return bool((along * along / np.maximum(values, LEAST_EIGENVALUE)).sum() > DISTINCT_SIGMA**2)
+    return bool((along * along / np.maximum(values, LEAST_EIGENVALUE)).sum() > options.second_pose_sigmas**2)
 
 
 def _decide(
@@ -367,7 +389,9 @@ def _decide(
     *,
     score: float,
     inliers: int,
+    rivals: int,
     reach: float,
+    options: AcceptanceOptions,
 ) -> Basin:
     """Compare the clusters and return the verdict.
 
@@ -378,19 +402,23 @@ def _decide(
         level_of: (starts,) the level of each start.
         score: score of the pose as given.
         inliers: number of inliers of the pose as given.
+        rivals: number of outliers that agree on another pose before its refinement, which was the second refined state.
         reach: distance of the matches from the camera, m.
+        options: thresholds of a second pose.
     """
-    own, margin = int(found.cluster_of[0]), SCORE_MARGIN * found.noise
+    own, margin = int(found.cluster_of[0]), options.second_pose_margin * found.noise
     other: int | None = None
     verdict: BasinVerdict = "unique"
     if found.scores[0] < found.scores[own] - margin:
         verdict, own, other = "failed", 0, 0
-    elif score > found.scores[own] + margin and _differs_from_minimum(result, found, own):
+    elif score > found.scores[own] + margin and _differs_from_minimum(result, found, own, options):
         verdict, other = "failed", own
     else:
         beside = np.count_nonzero(found.inliers & ~found.inliers[own], axis=1)
+        if rivals:  # refinement on all matches may lose one
+            beside[found.cluster_of[1]] = max(beside[found.cluster_of[1]], rivals)
         second = (found.scores < found.scores[own] + margin) | (
-            beside >= least_support(int(np.count_nonzero(found.inliers[own])))
+            beside >= least_support(int(np.count_nonzero(found.inliers[own])), options)
         )
         second[own] = False
         if second.any():
@@ -405,7 +433,7 @@ def _decide(
         )
         for k, (degrees, of_distance) in enumerate(zip(_LEVELS_DEG, _LEVELS_OF_DISTANCE, strict=True))
     )
-    if verdict == "unique" and levels[0].share < _LEAST_RETURN_SHARE:
+    if verdict == "unique" and levels[0].share < options.least_return_share:
         verdict = "failed"
     counts = np.count_nonzero(found.inliers, axis=1).tolist()
     clusters = tuple(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
 from ladarreg_core.pose.gnc import DEFAULT_GNC, GncOptions
 from ladarreg_core.pose.intrinsics import Intrinsics
 from ladarreg_core.pose.ransac import Backend
@@ -56,6 +57,10 @@ class PoseOptions:
     """Intrinsics that `robust` estimates; `auto`: those that improve the prediction of held-out matches."""
     keep_better_start: bool = False
     """If true, `robust` keeps an initial pose that predicts held-out matches better than the fitted pose."""
+    acceptance: AcceptanceOptions = DEFAULT_ACCEPTANCE
+    """Thresholds of acceptance."""
+    check_ambiguity: bool = True
+    """If true, the verdict includes a quick search for a second pose; a test from many starting poses replaces it."""
     seed: int = 0
     """Random seed; equal seeds give equal results."""
 
@@ -72,6 +77,8 @@ class PoseOptions:
                 raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a positive number")
         if not isinstance(self.simplex, SimplexOptions):
             raise OptionError(f"simplex is a {type(self.simplex).__name__}; give SimplexOptions")
+        if not isinstance(self.acceptance, AcceptanceOptions):
+            raise OptionError(f"acceptance is a {type(self.acceptance).__name__}; give AcceptanceOptions")
         if self.intrinsics not in ("auto", *get_args(Intrinsics)):
             known = ", ".join(("auto", *get_args(Intrinsics)))
             raise OptionError(f"intrinsics is {self.intrinsics!r}; it must be one of {known}")

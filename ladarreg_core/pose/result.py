@@ -9,24 +9,20 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.frames import Rigid, principal_extents
+from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, across_lines
 from ladarreg_core.pose.acceptance import (
-    MOST_ANGLE_RAD,
-    MOST_POSITION_OF_RANGE,
+    AcceptanceOptions,
     decide_acceptance,
     find_critical_match,
     log10_false_alarms,
 )
-from ladarreg_core.pose.ambiguity import find_second_pose, second_pose_of_outliers
+from ladarreg_core.pose.ambiguity import find_second_pose, is_planar, second_pose_of_outliers
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, adjust_ranges
 from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error, stereo_disparities
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.results import PoseResult
-
-_MANY = 40
-_PLANAR_RELIEF = 0.3  # smallest over middle extent
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,25 +92,16 @@ def build_result(
     chance = log10_false_alarms(measured, matches, fit.state, inliers, camera, gate=options.gate_chi2)
     verdict: dict[str, Any] = {
         "pose": pose, "matches": matches, "inliers": inliers, "chi2_per_dof": chi2, "covariance": covariance,
-        "log10_chance": chance,
+        "log10_chance": chance, "second_pose_sought": options.check_ambiguity, "options": options.acceptance,
     }  # fmt: skip
     accepted, reasons = decide_acceptance(**verdict)
     second_pose = None
     if accepted:
-        critical_match = find_critical_match(
-            measured, matches, fit.state, inliers,
-            most_angle_rad=MOST_ANGLE_RAD, most_position_m=MOST_POSITION_OF_RANGE * float(np.median(matches.ranges)),
-        )  # fmt: skip
+        critical_match = find_critical_match(measured, matches, fit.state, inliers, options.acceptance)
         if critical_match is not None:
             accepted, reasons = decide_acceptance(**verdict, critical_match=critical_match)
-    if accepted:  # the search is costly and cannot change a refusal
-        second_pose = second_pose_of_outliers(
-            matches, measured, inliers, camera, sigma_px=sigma[0], gate=options.gate_chi2
-        )
-        if second_pose is None and _may_be_ambiguous(matches.points[inliers]):
-            second_pose = find_second_pose(
-                measured, fit.state, inliers, s=fit.s, gate=options.gate_chi2, chi2_per_dof=chi2
-            )
+    if accepted and options.check_ambiguity:  # the search is costly and cannot change a refusal
+        second_pose = _second_pose(fit, matches, camera, options, sigma_px=sigma[0])
         if second_pose is not None:
             accepted, reasons = decide_acceptance(**verdict, second_pose=second_pose)
     disparities = stereo_disparities(pose, matches, camera)
@@ -140,13 +127,26 @@ def build_result(
     )
 
 
-def _may_be_ambiguous(points: FloatArray) -> bool:
+def _second_pose(fit: Fit, matches: Matches, camera: Camera, options: PoseOptions, *, sigma_px: float) -> Rigid | None:
+    """Return a second pose that explains the matches, by the quick search, or None."""
+    acceptance, gate = options.acceptance, options.gate_chi2
+    found = second_pose_of_outliers(
+        matches, fit.measured, fit.inliers, camera, sigma_px=sigma_px, gate=gate, options=acceptance
+    )
+    if found is not None or not _may_be_ambiguous(matches.points[fit.inliers], acceptance):
+        return found
+    return find_second_pose(
+        fit.measured, fit.state, fit.inliers,
+        s=fit.s, gate=gate, chi2_per_dof=fit.chi2_per_dof(matches), options=acceptance,
+    )  # fmt: skip
+
+
+def _may_be_ambiguous(points: FloatArray, options: AcceptanceOptions) -> bool:
     """Return whether inliers (N, 3) are so few or so planar that a second pose may explain them.
 
     Many points with relief leave a calibrated camera no second pose; with few points noise may.
     """
-    extent = principal_extents(points)
-    return len(points) < _MANY or bool(extent[2] <= _PLANAR_RELIEF * extent[1])
+    return len(points) < options.many_inliers or is_planar(points, options)
 
 
 def describe_pose(

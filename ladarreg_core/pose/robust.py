@@ -18,10 +18,9 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
-from ladarreg_core.frames import Rigid, principal_extents
+from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.acceptance import LEAST_INLIERS
-from ladarreg_core.pose.ambiguity import likelihood_scores, mirrored
+from ladarreg_core.pose.ambiguity import is_planar, likelihood_scores, mirrored
 from ladarreg_core.pose.bundle import (
     UNSEEN,
     Measurements,
@@ -46,7 +45,6 @@ from ladarreg_core.results import PoseResult
 _GATE_ROUNDS = 5
 _CLEAR_SHARE = 0.5
 _NOISE_ROUNDS = 3
-_PLANAR_RELIEF = 0.25  # smallest over middle extent; with more relief a plane's second pose no longer exists
 _SETTLED_NOISE = 1.1  # a smaller change of the noise changes neither inliers nor pose
 
 
@@ -126,7 +124,9 @@ def _with_repaired_ends(solution: _Solution, options: PoseOptions) -> _Solution:
 
 def _with_estimated_noise(solution: _Solution, options: PoseOptions) -> _Solution:
     """Alternate between estimating unstated noise and selecting inliers until both are stable."""
-    while (options.sigma_px is None or options.sigma_range_m is None) and solution.fit.count >= LEAST_INLIERS:
+    while (
+        options.sigma_px is None or options.sigma_range_m is None
+    ) and solution.fit.count >= options.acceptance.least_inliers:
         sigma = noise_of_inliers(solution.fit, solution.matches, solution.camera, options)
         change = max(max(a / b, b / a) for a, b in zip(sigma, solution.sigma, strict=True))
         measured, rounds = solution.measured_by(sigma), solution.noise_rounds + 1
@@ -148,7 +148,7 @@ def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
     unknown = options.sigma_px is None or options.sigma_range_m is None
 
     def noise(pose: Rigid, of: Camera, inliers: BoolArray) -> tuple[float, float]:
-        if np.count_nonzero(inliers) < LEAST_INLIERS:
+        if np.count_nonzero(inliers) < options.acceptance.least_inliers:
             return solution.sigma
         there = replace(solution.fit, state=States.of([pose], solution.fit.measured), inliers=inliers)
         return noise_of_inliers(there, solution.matches, of, options)
@@ -199,8 +199,7 @@ def _likelier_of_mirrored(measured: Measurements, fit: Fit, options: PoseOptions
     if fit.count < LEAST_MATCHES:
         return fit
     points = (measured.rays * fit.state.rho[0])[:, fit.inliers].T
-    extent = principal_extents(points)
-    if extent[2] > _PLANAR_RELIEF * extent[1]:
+    if not is_planar(points, options.acceptance):
         return fit
     start = States.of([mirrored(fit.state.pose(), points)], measured)
     gate = options.gate_chi2

@@ -8,7 +8,6 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.acceptance import LEAST_INLIERS
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, adjust_ranges
 from ladarreg_core.pose.covariance import simplex_covariance
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
@@ -31,7 +30,9 @@ def build_simplex_result(found: SimplexFit, matches: Matches, camera: Camera, op
     measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_m)
     state, seen = adjust_ranges(measured, States.of([pose], measured))
     inliers = found.after.inliers & (seen.s[0] < UNSEEN)
-    if (options.sigma_px is None or options.sigma_range_m is None) and np.count_nonzero(inliers) >= LEAST_INLIERS:
+    if (options.sigma_px is None or options.sigma_range_m is None) and np.count_nonzero(
+        inliers
+    ) >= options.acceptance.least_inliers:
         fit = Fit(measured, state, inliers, seen.s[0], True)
         sigma_px, sigma_m = noise_of_inliers(fit, matches, camera, options)
         measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_m)

@@ -18,7 +18,7 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray
 from ladarreg_core.formatting import format_length, format_number
-from ladarreg_core.pose.acceptance import LEAST_INLIERS, LEAST_SHARE, MOST_CHI2_PER_DOF, count_distinct
+from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct
 from ladarreg_core.pose.covariance import pose_jacobian
 from ladarreg_core.pose.diagnostics import diagnose
 from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
@@ -39,16 +39,16 @@ LEVELS: tuple[Level, ...] = ("good", "fair", "poor")
 
 COST = (1.4, 2.0)
 """Factors on the standard deviation from which a finding is fair, and poor."""
-FEW_MATCHES = (24, LEAST_INLIERS)
+FEW_MATCHES = (24, DEFAULT_ACCEPTANCE.least_inliers)
 """Numbers of matches below which the standard deviation is 1.43 and 2.1 times that of 48 matches."""
 LITTLE_DEPTH = (1.8, 1.4)
 """Ratio of far to near ranges below which the standard deviation is 1.4 and 2 times as large."""
 LITTLE_RELIEF = 0.15
 """Depth across the best plane over its width; below it the cost is 1.35 on a slanted plane and 4.6 on a frontal one."""
-FEW_INLIERS = (0.8, LEAST_SHARE)
+FEW_INLIERS = (0.8, DEFAULT_ACCEPTANCE.least_share)
 """Share of inliers: rejection loses 1 % of correct matches, so that 20 % are no accident; below half the others may be
 the correct ones."""
-LARGE_CHI2 = (1.69, MOST_CHI2_PER_DOF)
+LARGE_CHI2 = (1.69, DEFAULT_ACCEPTANCE.most_chi2_per_dof)
 """Chi-squared per degree of freedom: residuals of 1.3 times the noise, and the limit of acceptance."""
 _CHI2_SPREAD = 3.0  # standard deviations by which chi^2/dof of few residuals may exceed 1
 LENS_SIGNIFICANCE = 4.0
@@ -278,7 +278,7 @@ def _bias(result: PoseResult) -> Finding | None:
     for k in np.flatnonzero(usable).tolist():
         by_pick.setdefault(result.matches.pick_ids[k], []).append(k)
     count = len(by_pick)
-    if count < LEAST_INLIERS:
+    if count < DEFAULT_ACCEPTANCE.least_inliers:
         return None
     # The errors of the samples of one line are correlated.
     residuals = np.array([result.residuals_px[members].mean(axis=0) for members in by_pick.values()])

@@ -13,7 +13,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, principal_extents
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.acceptance import LEAST_INLIERS, count_distinct
+from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct
 from ladarreg_core.pose.ransac import ransac_pose
 from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
 from ladarreg_core.pose.thesis.starts import picture_roll
@@ -78,10 +78,11 @@ def stereo_cautions(
 
 def _count(matches: Matches) -> str:
     count = count_distinct(matches.points, matches.uv) if len(matches) else 0
-    if count >= LEAST_INLIERS:
+    least = DEFAULT_ACCEPTANCE.least_inliers
+    if count >= least:
         return ""
     return (
-        f"Distinct matches with a usable range: {count}. With fewer than {LEAST_INLIERS}, outliers cannot be "
+        f"Distinct matches with a usable range: {count}. With fewer than {least}, outliers cannot be "
         "recognised; add matches by hand or detect more corners."
     )
 

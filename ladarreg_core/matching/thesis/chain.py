@@ -24,7 +24,7 @@ from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE, matches_from_picks
-from ladarreg_core.pose.acceptance import LEAST_INLIERS, count_distinct
+from ladarreg_core.pose.acceptance import count_distinct
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, Method, PoseOptions, solve_pose
 from ladarreg_core.pose.thesis.stereo_simplex import Residual
 from ladarreg_core.progress import StepLog, StepReport
@@ -372,7 +372,8 @@ def _predicted_cautions(
     view = search.scan.view.view_from_scanner if search is not None else None
     sigma = options.pose.sigma_px or STATED_SIGMA_PX
     found = stereo_cautions(matches, camera, pose=pose, sigma_px=sigma, view_from_scanner=view)
-    turn = search.detect_roll() if search is not None and len(matches) < LEAST_INLIERS else None
+    few = len(matches) < options.pose.acceptance.least_inliers
+    turn = search.detect_roll() if search is not None and few else None
     return found if turn is None else (*found, turn.summary())
 
 

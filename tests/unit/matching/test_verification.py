@@ -57,7 +57,7 @@ def test_the_false_alarm_decreases_with_the_number_of_agreeing_blocks(count: int
     for agreeing in range(count + 1):
         shifts = far.copy()
         shifts[order[:agreeing]] = 0
-        alarms.append(maps_with_peaks(shifts).false_alarm(1.5))
+        alarms.append(maps_with_peaks(shifts).false_alarm(1.5, least_chance=0.25))
     assert alarms[0] == pytest.approx(1)
     assert alarms[-1] == pytest.approx(0.25**count)
     assert all(0 <= after <= before * (1 + 1e-9) for before, after in pairwise(alarms))
@@ -70,13 +70,13 @@ def test_the_false_alarm_decreases_with_the_number_of_agreeing_blocks(count: int
 def test_agreement_at_another_shift_raises_the_false_alarm() -> None:
     shifts = np.zeros((40, 2), np.int64)
     shifts[:18] = (5, 0)
-    rival = maps_with_peaks(shifts).false_alarm(1.5)
+    rival = maps_with_peaks(shifts).false_alarm(1.5, least_chance=0.25)
     shifts[:18] = np.random.default_rng(0).permutation([(u, v) for u in range(-6, 7) for v in (-6, -4, 4, 6)])[:18]
-    assert maps_with_peaks(shifts).false_alarm(1.5) < 1e-4 < 0.1 < rival
+    assert maps_with_peaks(shifts).false_alarm(1.5, least_chance=0.25) < 1e-4 < 0.1 < rival
 
 
 def test_without_blocks_the_false_alarm_is_one() -> None:
-    assert maps_with_peaks(np.zeros((0, 2), np.int64)).false_alarm(1.5) == 1
+    assert maps_with_peaks(np.zeros((0, 2), np.int64)).false_alarm(1.5, least_chance=0.25) == 1
 
 
 def test_a_coarse_scan_is_accepted_by_few_regions(room: PaintedRoom) -> None:
@@ -112,7 +112,7 @@ def test_refined_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRo
 def test_the_preliminary_verdict_uses_the_square_root_of_the_bound(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
     _, coarse, fine = aligner.verify(room.camera_from_scanner)
-    alarm = coarse.false_alarm(3.0)
+    alarm = coarse.false_alarm(3.0, least_chance=0.25)
     just, short = (GateOptions(false_alarm=(factor * alarm) ** 2) for factor in (1.01, 0.99))
     assert verify(coarse, None, just).accepted
     assert not verify(coarse, None, short).accepted
