@@ -59,7 +59,7 @@ def sample(*more: str) -> list[str]:
     [
         (("--t1", ".1"), "--t1 can only be used with --method thesis"),
         (("--method", "thesis", "--t1", "3"), "from 0 to 2"),
-        (("--method", "thesis", "--t2-px", "-4"), "must be a number of pixels"),
+        (("--method", "thesis", "--t2-px", "-4"), "number of pixels from"),
         (("--method", "thesis", "--reject-depth-m", "nan"), "reject_depth_m"),
         (("--method", "thesis", "--samples-per-line", "1"), "whole number from 2 to 1000"),
     ],
