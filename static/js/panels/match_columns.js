@@ -83,7 +83,7 @@ export const COLUMNS = [
     title: "Number and colour",
     value: (row) => row.number,
     control: numberCell,
-    width: "minmax(3.4rem, 1.3fr)",
+    width: "minmax(3.4rem, 1.05fr)",
   },
   {
     id: "kind",
@@ -146,7 +146,7 @@ export const COLUMNS = [
     title: "Influence: how far the projection shifts without this match, pixels",
     value: (row) => row.influence,
     text: (row) => short(row.influence),
-    width: "minmax(0, 1fr)",
+    width: "minmax(0, 1.25fr)",
     figures: true,
     hidden: "narrowest",
   },
