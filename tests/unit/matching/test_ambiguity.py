@@ -11,7 +11,9 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, look_along, rotation_about, rotation_from_rotvec
 from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence
-from ladarreg_core.registration import register
+from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.verification import GateOptions
+from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.remap import look_up
 from tests.scenes.painted_room import PaintedRoom, painted_room, paintings
@@ -88,6 +90,16 @@ def test_an_initial_pose_selects_the_repetition() -> None:
     result = register(made.scan, made.photo, initial=lr.Rigid(truth.rotation, truth.translation + 0.02))
     assert result.accepted, result.reasons
     assert made.error_px(result.camera_from_scanner) < 1
+
+
+def test_thresholds_of_the_search_for_a_second_pose_decide() -> None:
+    made = wall(1, period_m=0.7)
+    unlike = RegisterOptions(auto=AutoOptions(gate=GateOptions(second_correlation=10.0)))
+    assert register(made.scan, made.photo, options=unlike).accepted
+    truth = made.camera_from_scanner
+    near = lr.Rigid(truth.rotation, truth.translation + 0.02)
+    never_sure = RegisterOptions(auto=AutoOptions(gate=GateOptions(sure_fraction=1.1)))
+    assert not register(made.scan, made.photo, initial=near, options=never_sure).accepted
 
 
 def test_a_wall_that_does_not_repeat_has_no_second_minimum() -> None:
