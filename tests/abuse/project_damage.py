@@ -57,7 +57,7 @@ def make_project(folder: Path, *, picks: int = 20) -> Reference:
     session = Session(kept, history)
 
     def commit(label: str, edit: Callable[[Document], Document], merge_key: str = "") -> None:
-        session.commit(label, edit, author="somebody", merge_key=merge_key)
+        session.commit(label, edit, author="Operator 1", merge_key=merge_key)
 
     for name in ("first.png", "second.png"):
         source = Source(path=f"inputs/{name}", name=name, size=(kept.inputs / name).stat().st_size)

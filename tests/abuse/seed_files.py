@@ -21,24 +21,12 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.simulate.sample import sample_folder
 from tests.formats.conftest import depth_image, e57_fields, e57_file, make_scan
+from tests.formats.test_camera_files import ROS
 
 REFERENCE_SCAN = "reference-scan.npz"
 """The scan for matches files; it is valid and never damaged."""
 _LIST = "seeds.json"
 _FORMAT_TESTS = Path(__file__).resolve().parents[1] / "formats"
-_ROS = """\
-image_width: 1280
-image_height: 720
-camera_name: "front: left"
-camera_matrix:
-  rows: 3
-  cols: 3
-  data: [611.8, 0.0, 639.3,
-         0.0, 611.9, 365.9,
-         0.0, 0.0, 1.0]
-distortion_model: plumb_bob
-distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.001, 0.002, 0.05]}
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +145,7 @@ def _texts(folder: Path) -> list[tuple[Path, Path]]:
     here = _place(folder, "texts")
     camera = read_camera(sample_folder() / "camera.json")
     write_camera(here / "camera.json", camera)
-    (here / "ros.yaml").write_text(_ROS, encoding="utf-8")
+    (here / "ros.yaml").write_text(ROS, encoding="utf-8")
     k = camera.matrix
     opencv = (
         "%YAML:1.0\n---\nimage_width: {}\nimage_height: {}\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n"

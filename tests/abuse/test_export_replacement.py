@@ -179,7 +179,7 @@ def test_names_of_ours_that_are_no_files_are_not_ours(tmp_path: Path, odd: str) 
         elif odd == "folder":
             photographs(folder / name)
         elif not hasattr(os, "mkfifo"):
-            pytest.skip("this system has no pipes with names")
+            pytest.skip("this system has no named pipes")
         else:
             os.mkfifo(folder / name)
         assert f"contains {name}" in refused(folder)

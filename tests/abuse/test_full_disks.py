@@ -122,8 +122,8 @@ def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path) -> 
 def test_queued_edits_are_saved_once_the_disk_has_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.session.session.RETRY_S", 0.1)
     session = begin(tmp_path / "p")
-    told = []
-    session.subscribe(lambda change: told.append(session.unsaved))
+    reported = []
+    session.subscribe(lambda change: reported.append(session.unsaved))
     assert draw(session, 0)
     with largest_file((tmp_path / "p" / "history.jsonl").stat().st_size + 30):
         assert [draw(session, k) for k in range(1, 5)] == [False] * 4
@@ -135,7 +135,7 @@ def test_queued_edits_are_saved_once_the_disk_has_space(tmp_path: Path, monkeypa
     while session.unsaved and time.monotonic() < end:
         time.sleep(0.02)
     assert not session.unsaved, "nobody did anything"
-    assert told[-1] == "", "and the pages are told"
+    assert reported[-1] == "", "listeners are notified once the disk has everything"
     shutil.copytree(tmp_path / "p", tmp_path / "copy")
     assert drawn(tmp_path / "copy") == list(range(5))
     session.close()
