@@ -29,6 +29,16 @@ class ExportJobs:
         """Return the path of a photograph's zip."""
         return self._workspace.session.folder.exports / f"{photo}.zip"
 
+    def require_current(self, entry: PhotoEntry, *, last_solved: bool) -> None:
+        """Refuse to export a pose that is out of date, unless its state when it was solved is wanted.
+
+        Raises:
+            OptionError: stating what changed.
+        """
+        stale = "" if entry.pose is None else self._workspace.loader.stale(entry, entry.pose)
+        if stale and not last_solved:
+            raise OptionError(f"{stale}, or choose 'export the last solved state'")
+
     def export(self, inputs: Inputs, context: JobContext) -> str:
         """Write a zip."""
         from ladarreg_core.export.zip_file import write_zip
@@ -70,17 +80,20 @@ class ExportJobs:
         from ladarreg_core.export.folder import registration_files
         from ladarreg_core.export.replacement import MATCHES_FILE
         from ladarreg_core.formats.matches_file import write_matches
+        from ladarreg_core.project.staleness import rests_on
 
         pose = self._pose(inputs.entry)
         loader, folder = self._workspace.loader, self._workspace.session.folder
         sources = [inputs.document.scan, inputs.entry.source, inputs.entry.camera.file]
-        picks = [pick.as_pick() for pick in inputs.entry.picks]
+        stale, then = loader.stale(inputs.entry, pose), loader.solved_on(pose)
+        picks = [pick.as_pick() for pick in (then if stale and then is not None else inputs.entry.picks)]
         files = registration_files(
             loader.registration(pose),
             inputs.scan,
             inputs.photo,
             inputs=[folder.source_path(source.path) for source in sources if source is not None],
             assessment=loader.assessment(inputs.scan, pose),
+            rests_on=None if then is None else rests_on(inputs.entry, pose, then),
         )
         return [*files, (MATCHES_FILE, lambda path: write_matches(path, picks))] if picks else files
 

@@ -67,6 +67,7 @@ class RegistrationJobs:
             pose_entry(
                 names.get(column.stage.name, column.stage.name),  # type: ignore[arg-type]
                 column.stage.result,
+                picks=inputs.entry.picks if picks else None,
                 method="thesis",
                 seconds=column.seconds,
                 note=column.stage.note,
@@ -76,13 +77,18 @@ class RegistrationJobs:
         ]
 
         def kept(photo: PhotoEntry) -> PhotoEntry:
+            chosen = photo.pose
             for entry in entries:
-                photo = with_pose(photo, entry)
+                if chosen is None or entry.stage != chosen.stage:
+                    photo = with_pose(photo, entry, shown=chosen is None)
             return photo
 
         self._workspace.commit(inputs, "Compare all stages", kept, author=context.job.author, of_picks=bool(picks))
         missing = [f"{STAGE_LABELS[c.stage.name]}: {c.stage.note}" for c in found.columns if c.stage.result is None]
-        return " ".join([f"{len(entries)} of {len(found.columns)} stages found a pose.", *missing, *found.cautions])
+        said = f"{len(entries)} of {len(found.columns)} stages found a pose."
+        chosen = inputs.entry.pose
+        kept_pose = "" if chosen is None else f"The chosen pose ({STAGE_LABELS[chosen.stage]}) is still in use."
+        return " ".join(filter(None, [said, kept_pose, *missing, *found.cautions]))
 
     def self_test(self, inputs: Inputs, context: JobContext) -> str:
         """Estimate how well the scan and the camera will register, on photos rendered from the scan."""
@@ -107,7 +113,8 @@ class RegistrationJobs:
         def kept(photo: PhotoEntry) -> PhotoEntry:
             photo, ids = with_picks(without_origin(photo, {FOUND, "corner", "between corners"}), new)
             with_ids = replace(result, matches=replace(result.matches, pick_ids=ids))
-            return with_pose(photo, pose_entry(stage, with_ids))
+            made = [pick for pick in photo.picks if pick.id in set(ids)]
+            return with_pose(photo, pose_entry(stage, with_ids, picks=made))
 
         label = f"Register automatically: {len(new)} matches"
         self._workspace.commit(inputs, label, kept, author=context.job.author)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.project.edits import require_photo
 
 from .export import ExportJobs, download_name
 from .inputs import Inputs, Workspace
@@ -73,8 +74,8 @@ class JobRegistry:
             "export": JobKind("Export", self._export_zip),
         }
 
-    def run(self, name: str, photo: object, author: str) -> str:
-        """Start a job and return its id.
+    def run(self, name: str, photo: object, author: str, *, last_solved: bool = False) -> str:
+        """Start a job and return its id; `last_solved` lets an export write a pose that is out of date.
 
         Raises:
             LadarregError: if there is no such job, an input is missing, or another job is running.
@@ -82,10 +83,13 @@ class JobRegistry:
         kind = self._kinds.get(name)
         if kind is None:
             raise OptionError(f"there is no job {name[:40]!r}")
+        if name == "export":
+            self._require_current(photo, last_solved=last_solved)
         return self._start(name, kind, photo, author)
 
-    def run_export(self, folder: Path, photo: object, author: str, *, force: bool) -> str:
+    def run_export(self, folder: Path, photo: object, author: str, *, force: bool, last_solved: bool) -> str:
         """Start an export into a folder; raises as `run`."""
+        self._require_current(photo, last_solved=last_solved)
         self._exports.check_folder(folder, self._workspace.session.document, force=force)
         kind = JobKind(f"Export into {folder.name}", self._exports.into_folder(folder, force=force))
         return self._start("export", kind, photo, author)
@@ -106,6 +110,10 @@ class JobRegistry:
             return None
         path = self._exports.zip_path(entry.id)
         return (path, download_name(document.name, Path(entry.source.name).stem)) if path.is_file() else None
+
+    def _require_current(self, photo: object, *, last_solved: bool) -> None:
+        entry = require_photo(self._workspace.session.document, photo)
+        self._exports.require_current(entry, last_solved=last_solved)
 
     def _start(self, name: str, kind: JobKind, photo: object, author: str) -> str:
         inputs = self._workspace.inputs(photo)  # raises at once if an input is missing

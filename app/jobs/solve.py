@@ -77,7 +77,13 @@ class SolveJobs:
             reasons=(*found.reasons, *result.reasons),
             diagnostics={**result.diagnostics, "verification": figures},
         )
-        self.commit(inputs, pose.stage, verified, context, of_picks=False)
+        entry = pose_entry(pose.stage, verified, picks=self._workspace.loader.solved_on(pose))
+        self._workspace.commit(
+            inputs,
+            f"Verify: {STAGE_LABELS[pose.stage].lower()}",
+            lambda photo: with_pose(photo, entry, shown=False),
+            author=context.job.author,
+        )
         return f"The images confirm this pose. {reasons}"
 
     def commit(
@@ -92,8 +98,9 @@ class SolveJobs:
         note: str = "",
         of_picks: bool = True,
     ) -> str:
-        """Commit a result and return a summary."""
-        entry = pose_entry(stage, result, method=method, seconds=seconds, note=note)
+        """Commit a result, show its stage, and return a summary; `of_picks`: whether it was solved on the picks."""
+        picks = inputs.entry.picks if of_picks else None
+        entry = pose_entry(stage, result, picks=picks, method=method, seconds=seconds, note=note)
         self._workspace.commit(
             inputs,
             f"Solve: {STAGE_LABELS[stage].lower()}",

@@ -31,6 +31,8 @@ _LIMITS = {
     "photo": (8, 600_000_000),
     "views": (1, 1),
     "registration": (64, 100_000_000),
+    "solved_on": (64, 50_000_000),
+    "stale": (128, 1_000_000),
     "assessment": (32, 200_000_000),
     "partners": (3, 400_000_000),
     "measured": (8, 200_000_000),
@@ -171,6 +173,19 @@ class Loader:
         from ladarreg_core.project.results import registration_of
 
         return self.cached("registration", id(pose), lambda: (pose, registration_of(pose)))[1]
+
+    def solved_on(self, pose: PoseEntry) -> tuple[PickEntry, ...] | None:
+        """Return the enabled picks that a pose was solved on; None if they are not known."""
+        from ladarreg_core.project.results import solved_on
+
+        return self.cached("solved_on", id(pose), lambda: (pose, solved_on(pose)))[1]
+
+    def stale(self, entry: PhotoEntry, pose: PoseEntry) -> str:
+        """Return why a photograph's pose is out of date; empty if it is current."""
+        from ladarreg_core.project.staleness import stale
+
+        key = (id(entry.picks), id(pose))
+        return self.cached("stale", key, lambda: ((entry, pose), stale(entry, pose, self.solved_on(pose))))[1]
 
     def assessment(self, scan: Scan, pose: PoseEntry) -> Assessment:
         """Return the quality assessment of a pose."""

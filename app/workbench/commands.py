@@ -322,7 +322,8 @@ def run(context: Context, client: Client, fields: Fields) -> Reply:
     job = fields.get("job")
     if not isinstance(job, str):
         raise OptionError("give the name of a job")
-    return {"job": context.jobs.run(job, fields.get("photo"), client.name)}
+    last_solved = fields.get("last_solved") is True
+    return {"job": context.jobs.run(job, fields.get("photo"), client.name, last_solved=last_solved)}
 
 
 def job_control(context: Context, client: Client, fields: Fields) -> Reply:
@@ -337,8 +338,9 @@ def job_control(context: Context, client: Client, fields: Fields) -> Reply:
 def export_folder(context: Context, client: Client, fields: Fields) -> Reply:
     """Export the results into a folder of the server."""
     folder = _folder(fields.get("folder"))
-    force = fields.get("force") is True
-    return {"job": context.jobs.run_export(folder, fields.get("photo"), client.name, force=force)}
+    force, last_solved = fields.get("force") is True, fields.get("last_solved") is True
+    photo = fields.get("photo")
+    return {"job": context.jobs.run_export(folder, photo, client.name, force=force, last_solved=last_solved)}
 
 
 COMMANDS: dict[str, Command] = {

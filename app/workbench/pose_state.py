@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.inspection.figures import figures, parameters
 from ladarreg_core.matching.step_labels import step_label
 from ladarreg_core.project.results import pose_of
+from ladarreg_core.project.staleness import changed_since
 from ladarreg_core.results import STAGE_LABELS
 
 from ..messages import verdict
@@ -55,13 +57,15 @@ def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEn
         registration = loader.registration(entry.pose)
     except LadarregError:  # its matches are missing, which the verdict of its stage states
         return found
+    changed = changed_since(entry, loader.solved_on(entry.pose))
     for name, judged in pick_residuals(measured, picks, registration).items():
+        known = name not in changed  # what the solver found of a match does not hold for what it has become
         found["by_pick"][name] = {
             "px": number(judged.px),
             "mm": number(judged.mm),
             "depth_m": number(judged.depth_m),
-            "inlier": judged.inlier,
-            "influence": number(judged.influence_px),
+            "inlier": judged.inlier if known else None,
+            "influence": number(judged.influence_px) if known else None,
         }
         found["predicted"][name] = [None if math.isnan(at[0]) else at for at in judged.photo.tolist()]
     return found
@@ -92,12 +96,14 @@ def sampled_line(loader: Loader, scan: Scan, ends: Any) -> dict[str, Any]:
     return {"scan_samples": samples, "sampled": line.sampled, "used": line.used}
 
 
-def poses_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
-    """Return the slice `poses`: every stage with its verdict and, once computed, its assessment."""
-    return {"shown": entry.shown_stage, "stages": [_stage(loader, pose) for pose in entry.poses]}
+def poses_slice(loader: Loader, entry: PhotoEntry, stage_of: Callable[[PoseEntry], dict[str, Any]]) -> dict[str, Any]:
+    """Return the slice `poses`: every stage as `stage_of` describes it, and whether it is out of date."""
+    stages = [{**stage_of(pose), "stale": loader.stale(entry, pose)} for pose in entry.poses]
+    return {"shown": entry.shown_stage, "stages": stages}
 
 
-def _stage(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
+def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
+    """Return a stage with its verdict and, once computed, its assessment."""
     try:
         registration = loader.registration(pose)
     except LadarregError as error:

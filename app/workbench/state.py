@@ -130,7 +130,9 @@ def photo_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
     found.update(width=width, height=height, thermal=photo.temperature_k is not None, notes=list(photo.notes))
     pose = entry.pose
     if pose is not None:
-        found["state"] = "accepted" if pose.accepted else "refused" if pose.evidence == "none" else "solved"
+        found["stale"] = loader.stale(entry, pose)
+        current = "accepted" if pose.accepted else "refused" if pose.evidence == "none" else "solved"
+        found["state"] = "stale" if found["stale"] else current
     return found
 
 

@@ -25,7 +25,7 @@ from .clients import Client, Clients
 from .commands import answer
 from .files import Files
 from .images import Images
-from .pose_state import judged_slice, poses_slice
+from .pose_state import judged_slice, poses_slice, stage_state
 from .publisher import Publisher
 from .queries import Queries
 from .scene_sync import SceneSync
@@ -42,7 +42,7 @@ from .state import (
 )
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import PhotoEntry
+    from ladarreg_core.project.document import PhotoEntry, PoseEntry
     from ladarreg_core.results import PoseResult
 
     from ..gateway.protocol import Picture
@@ -256,9 +256,13 @@ class Workbench:
         return found
 
     def _poses_slice(self, entry: PhotoEntry) -> dict[str, Any]:
+        def stage_of(pose: PoseEntry) -> dict[str, Any]:
+            assessed = self.loader.known_assessment(pose) is not None
+            return self._slices.get(("stage", str(assessed), pose), partial(stage_state, self.loader, pose))
+
         assessed = ",".join(str(k) for k, pose in enumerate(entry.poses) if self.loader.known_assessment(pose))
-        key = (entry.shown_stage, assessed, *entry.poses)
-        return self._slices.get(key, partial(poses_slice, self.loader, entry))
+        key = (entry.shown_stage, assessed, entry.picks, *entry.poses)
+        return self._slices.get(key, partial(poses_slice, self.loader, entry, stage_of))
 
     def _assess(self) -> None:
         """Assess the shown poses that are not assessed yet."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import cannot_write, sync_folder
@@ -220,12 +221,17 @@ def registration_files(
     inputs: Sequence[str | Path] = (),
     assessment: Assessment | None = None,
     smoothed: SmoothedScan | None = None,
+    rests_on: Mapping[str, Any] | None = None,
 ) -> list[FileJob]:
-    """Return the names and writers of a registration's files; the arguments are those of `export_registration`."""
+    """Return the names and writers of a registration's files; the arguments are those of `export_registration`.
+
+    `rests_on` states the matches that the pose was solved on, where they are known.
+    """
     found = assess(scan, registration) if assessment is None else assessment
 
     def write_json(path: Path) -> None:
-        write_document(path, registration_document(registration, assessment=found, smoothed=smoothed, inputs=inputs))
+        document = registration_document(registration, assessment=found, smoothed=smoothed, inputs=inputs)
+        write_document(path, document if rests_on is None else {**document, "rests_on": rests_on})
 
     jobs: list[FileJob] = [("registration.json", write_json)]
     if not registration.accepted:

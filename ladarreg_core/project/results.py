@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, LadarregError
@@ -13,22 +15,31 @@ from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
-from ladarreg_core.project.document import PoseEntry, StepEntry
+from ladarreg_core.project.document import PickEntry, PoseEntry, StepEntry
 from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.results import PoseResult, Registration, StageId
 
 _MATCH_ARRAYS = ("rays", "ranges", "uv", "fractions", "weights", "range_weights", "directions", "across")
 _RESULT_ARRAYS = ("inliers", "residuals_px", "residuals_m", "stereo_depth_error_m")
+_SOLVED_ON = "solved_on"
+"""Name of the array with the picks, as JSON; in an array because the document is written at every edit."""
 
 
 def pose_entry(
-    stage: StageId, result: PoseResult, *, method: str = "manual", seconds: float = 0.0, note: str = ""
+    stage: StageId,
+    result: PoseResult,
+    *,
+    picks: Iterable[PickEntry] | None = None,
+    method: str = "manual",
+    seconds: float = 0.0,
+    note: str = "",
 ) -> PoseEntry:
     """Return the document entry of a result.
 
     Args:
         stage: stage of the estimator.
         result: the result.
+        picks: the picks that it was solved on, of which the enabled ones are kept; None: not known.
         method: registration method, for results that do not carry it.
         seconds: wall time, for results without steps.
         note: remark of the estimator.
@@ -42,6 +53,9 @@ def pose_entry(
     arrays: dict[str, Any] = {name: getattr(result.matches, name) for name in _MATCH_ARRAYS}
     arrays |= {name: getattr(result, name) for name in _RESULT_ARRAYS}
     arrays["pick_ids"] = np.array(result.matches.pick_ids, dtype=np.str_)
+    if picks is not None:
+        kept = msgspec.json.encode([pick for pick in picks if pick.on])
+        arrays[_SOLVED_ON] = np.frombuffer(kept, np.uint8)
     steps: tuple[Step, ...] = result.steps if isinstance(result, Registration) else ()
     return PoseEntry(
         stage=stage,
@@ -76,6 +90,18 @@ def pose_of(entry: PoseEntry) -> Rigid:
         return Rigid.from_matrix(np.array(entry.camera_from_scanner))
     except LadarregError as error:
         raise FormatError(f"the pose of the stage '{entry.stage}' is damaged ({error}); solve again") from None
+
+
+def solved_on(entry: PoseEntry) -> tuple[PickEntry, ...] | None:
+    """Return the enabled picks as they were when the pose was solved; None if that is not known.
+
+    Poses of older versions of the program do not know it, nor do poses whose arrays are missing.
+    """
+    try:
+        kept = entry.arrays.arrays().get(_SOLVED_ON)
+        return None if kept is None else msgspec.json.decode(kept.tobytes(), type=tuple[PickEntry, ...])
+    except (FormatError, msgspec.DecodeError):
+        return None
 
 
 def registration_of(entry: PoseEntry) -> Registration:

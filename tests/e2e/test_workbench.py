@@ -76,7 +76,7 @@ class Operator:
 
     def step(self, name: str) -> None:
         """Go to one of the four steps."""
-        self.page.get_by_role("tab", name=name).click()
+        self.page.get_by_role("tab", name=name, exact=True).click()
 
     def place(self, side: str, uv: tuple[float, float]) -> tuple[float, float]:
         """Return the window position of a pixel while the whole picture is shown."""

@@ -20,9 +20,9 @@ const FILES = [
 ];
 const FOLDER_KEY = "ladarreg-folder";
 
-const listed = (accepted) =>
+const listed = (accepted, any) =>
   FILES.map(([name, description, needsAcceptance]) => {
-    const written = accepted || !needsAcceptance;
+    const written = any && (accepted || !needsAcceptance);
     return element(
       "li",
       { class: written ? "" : "left-out" },
@@ -65,6 +65,13 @@ export const mountExport = () => {
     icon("folder"),
     element("span", {}, "Write to folder"),
   );
+  const last = element("input", { type: "checkbox" });
+  const lastRow = element(
+    "label",
+    { class: "inline", title: "The files then state on which matches they rest", hidden: true },
+    last,
+    "export the last solved state",
+  );
   const wrong = element("p", { class: "form-wrong", role: "alert", hidden: true });
   const form = element(
     "form",
@@ -84,7 +91,7 @@ export const mountExport = () => {
     "section",
     { class: "dock-part export-part", "aria-label": "Export" },
     element("div", { class: "part-head" }, element("h2", {}, "Export")),
-    element("div", { class: "part-body" }, verdict, element("div", { class: "row" }, zip, ready), form),
+    element("div", { class: "part-body" }, verdict, lastRow, element("div", { class: "row" }, zip, ready), form),
   );
   const files = element("ul", { class: "export-list" });
   const right = element(
@@ -97,7 +104,7 @@ export const mountExport = () => {
   const download = async () => {
     ready.hidden = true;
     requested = store.shown();
-    if (!(await requestForPhoto("run", { job: "export" }))) requested = null;
+    if (!(await requestForPhoto("run", { job: "export", last_solved: last.checked }))) requested = null;
   };
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
@@ -110,7 +117,8 @@ export const mountExport = () => {
     } catch {
       // storage is disabled: it has to be entered again next time
     }
-    if (await requestForPhoto("export_folder", { folder: name, force: force.checked })) notice(`Writing to ${name}.`);
+    const asked = { folder: name, force: force.checked, last_solved: last.checked };
+    if (await requestForPhoto("export_folder", asked)) notice(`Writing to ${name}.`);
   });
   store.onEvent("export_ready", ({ photo, url }) => {
     if (photo !== store.shown()) return;
@@ -122,15 +130,22 @@ export const mountExport = () => {
   store.on("shown", () => {
     ready.hidden = true;
   });
+  last.addEventListener("change", () => show());
 
   const show = () => {
     const stage = store.stageOf();
     const accepted = Boolean(stage?.accepted);
     const busy = isRunning(store.get("job"));
-    zip.disabled = write.disabled = !stage || busy;
-    zip.title = stage ? (busy ? "A job is running" : "") : "Solve first";
+    const stale = stage?.stale ?? "";
+    lastRow.hidden = !stale;
+    if (!stale) last.checked = false;
+    const outdated = stale && !last.checked;
+    zip.disabled = write.disabled = !stage || busy || Boolean(outdated);
+    zip.title = stage ? (busy ? "A job is running" : outdated ? "Solve again first" : "") : "Solve first";
     const text = !stage
       ? "There is no pose yet: solve first, or register automatically."
+      : stale
+        ? `${stage.label}: out of date. ${stale}, or export the last solved state.`
       : accepted
         ? `${stage.label}: accepted. All files are written.`
         : `${stage.label}: not accepted. Only the data files are written, with the reasons; no coloured output.`;
@@ -138,12 +153,12 @@ export const mountExport = () => {
       verdict,
       element(
         "div",
-        { class: `verdict ${accepted ? "ok" : stage ? "bad" : "none"}` },
-        icon(accepted ? "tick" : stage ? "bad" : "info"),
-        element("p", {}, text, stage && !accepted ? ` ${sentences(stage.reasons ?? [])}` : ""),
+        { class: `verdict ${stale ? "warn" : accepted ? "ok" : stage ? "bad" : "none"}` },
+        icon(stale ? "warn" : accepted ? "tick" : stage ? "bad" : "info"),
+        element("p", {}, text, stage && !accepted && !stale ? ` ${sentences(stage.reasons ?? [])}` : ""),
       ),
     );
-    setChildren(files, ...listed(accepted));
+    setChildren(files, ...listed(accepted, !outdated));
   };
   store.watch(["poses:*", "shown", "job"], show);
   show();

@@ -10,13 +10,13 @@ import { markChosen, navigateByArrows } from "../ui/tablist.js";
 import { mountCameraForm } from "./camera_form.js";
 import { openFiles } from "./files.js";
 
-const ICONS = { empty: "dot", solved: "target", accepted: "tick", refused: "bad" };
-const STATES = { empty: "not solved yet", solved: "solved", accepted: "accepted", refused: "not accepted" };
+const ICONS = { empty: "dot", solved: "target", accepted: "tick", refused: "bad", stale: "warn" };
+const STATES = { empty: "not solved yet", solved: "solved", accepted: "accepted", refused: "not accepted", stale: "out of date" };
 
 const stateOf = (photo) => {
   if (photo.error) return { sign: "bad", word: photo.error, level: "bad" };
   if (!photo.camera) return { sign: "warn", word: "focal length unknown", level: "warn" };
-  const level = { accepted: "ok", refused: "bad", solved: "accent" }[photo.state] ?? "dim";
+  const level = { accepted: "ok", refused: "bad", solved: "accent", stale: "warn" }[photo.state] ?? "dim";
   return { sign: ICONS[photo.state] ?? "dot", word: STATES[photo.state] ?? photo.state, level };
 };
 
@@ -61,7 +61,7 @@ export const mountPhotoTabs = () => {
         class: "chip photo-tab",
         role: "tab",
         "aria-controls": "photo-pane",
-        title: `${photo.name}: ${word}${photo.thermal ? ", thermal" : ""}\n` +
+        title: `${photo.name}: ${word}${photo.stale ? ` (${photo.stale})` : ""}${photo.thermal ? ", thermal" : ""}\n` +
           `${photo.camera ? [photo.camera.said, ...(photo.notes ?? [])].filter(Boolean).join("\n") : ""}`,
       },
       element("span", { class: `sign ${level}` }, icon(sign)),

@@ -8,8 +8,8 @@ import { element, setAttribute, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { settingsForm } from "./settings_form.js";
 
-const ICONS = { none: "dot", running: "running", paused: "pause", done: "tick", failed: "bad", stopped: "stop" };
-const LEVELS = { none: "dim", running: "accent", paused: "warn", done: "ok", failed: "bad", stopped: "warn" };
+const ICONS = { none: "dot", running: "running", paused: "pause", done: "tick", failed: "bad", stopped: "stop", stale: "warn" };
+const LEVELS = { none: "dim", running: "accent", paused: "warn", done: "ok", failed: "bad", stopped: "warn", stale: "warn" };
 const STATES = {
   none: "not run",
   running: "running",
@@ -17,6 +17,7 @@ const STATES = {
   done: "done",
   failed: "failed",
   stopped: "stopped",
+  stale: "out of date",
 };
 
 /** The newest finished job of each kind and photograph; slice `job` contains only the last one of all. */

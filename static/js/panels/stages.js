@@ -31,7 +31,8 @@ const parameterRows = (stages) => {
 const table = (stages, shown) => {
   const heads = stages.map((stage) => {
     const present = stage.stage === shown;
-    const word = stage.accepted ? "accepted" : "not accepted";
+    const word = stage.stale ? `out of date: ${stage.stale}` : stage.accepted ? "accepted" : "not accepted";
+    const [sign, level] = stage.stale ? ["warn", "warn"] : stage.accepted ? ["tick", "ok"] : ["cross", "bad"];
     const opener = button({
       label: stage.label,
       kind: "stage plain",
@@ -41,7 +42,7 @@ const table = (stages, shown) => {
     });
     setChildren(
       opener,
-      element("span", { class: `sign ${stage.accepted ? "ok" : "bad"}` }, icon(stage.accepted ? "tick" : "cross")),
+      element("span", { class: `sign ${level}` }, icon(sign)),
       element("span", {}, stage.label),
       element("span", { class: "visually-hidden" }, `, ${word}`),
     );

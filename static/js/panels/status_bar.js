@@ -42,10 +42,11 @@ const jobBar = () => {
     if (!job) return;
     const busy = isRunning(job);
     const share = shareDone(job);
+    const stale = !busy && job.photo === store.shown() ? store.stageOf()?.stale : "";
     const [shape, level] = busy ? [
       job.state === "paused" ? "pause" : "running",
       "accent",
-    ] : (ENDS[job.state] ?? ENDS.done);
+    ] : stale ? ["warn", "warn"] : (ENDS[job.state] ?? ENDS.done);
     if (sign.dataset.shape !== shape) setChildren(sign, icon(shape));
     sign.dataset.shape = shape;
     sign.className = `sign ${level}`;
@@ -53,7 +54,7 @@ const jobBar = () => {
     const named = job.said?.startsWith(job.label); // the text already contains the label
     setText(
       text,
-      [
+      stale ? `Out of date: ${stale}` : [
         named ? "" : job.label,
         job.state === "paused" ? "paused" : "",
         job.said || (busy ? (job.steps?.at(-1)?.name ?? "") : job.state),
@@ -72,7 +73,7 @@ const jobBar = () => {
     setAttribute(bar, "aria-label", `${job.label}, progress`);
     setText(announcement, busy ? `${job.label} started` : `${job.label}: ${job.state}. ${job.said ?? ""}`);
   };
-  store.watch(["job"], show);
+  store.watch(["job", "poses:*", "shown"], show);
   show();
   return [box, announcement];
 };

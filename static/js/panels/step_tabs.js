@@ -7,7 +7,14 @@ import { element, newId, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { markChosen, navigateByArrows } from "../ui/tablist.js";
 
-const exported = new Set();
+/** The pose that was exported last, of each photograph. */
+const exported = new Map();
+
+/** @returns {string} identifies the shown pose of a photograph: a later pose of the same stage has not been exported */
+const poseNow = (photo) => {
+  const stage = store.stageOf(photo);
+  return JSON.stringify([stage?.stage, stage?.parameters, stage?.accepted]);
+};
 
 /** @returns {import("../state/progress.js").WorkStep[]} of the shown photograph */
 export const stepsNow = () =>
@@ -16,7 +23,7 @@ export const stepsNow = () =>
     photo: store.photo(),
     picks: store.picksOf(),
     poses: store.posesOf(),
-    exported: exported.has(store.shown()),
+    exported: exported.get(store.shown()) === poseNow(store.shown()),
   });
 
 /** @returns {HTMLElement} */
@@ -57,7 +64,7 @@ export const mountStepTabs = () => {
   };
   store.watch(["scan", "photos", "shown", "picks:*", "poses:*"], show);
   store.onEvent("export_ready", ({ photo }) => {
-    exported.add(photo);
+    exported.set(photo, poseNow(photo));
     show();
   });
   view.on((_, changed) => changed.has("step") && show());

@@ -15,6 +15,12 @@ const EMPTY =
 const WORST_FIRST = ["poor", "fair", "good"];
 
 const head = (stage) => {
+  if (stage.stale) return element(
+    "div",
+    { class: "verdict warn", role: "status" },
+    icon("warn"),
+    element("p", {}, element("strong", {}, "Out of date: "), `${stage.stale}. What follows is the last solved state.`),
+  );
   const level = stage.accepted ? "ok" : "bad";
   const [first, ...rest] = (stage.verdict ?? "").split(/(?<=[.:]) /);
   return element(
@@ -48,8 +54,8 @@ const six = (parameters) =>
     ),
   );
 
-const finding = ({ level, sentence, what_to_do: advice }) => {
-  const [sign, word, kind] = LEVELS[level] ?? LEVELS.fair;
+const finding = (stale) => ({ level, sentence, what_to_do: advice }) => {
+  const [sign, word, kind] = stale ? ["dot", "Before", "dim"] : (LEVELS[level] ?? LEVELS.fair);
   return element(
     "li",
     { class: `finding ${kind}` },
@@ -121,10 +127,11 @@ export const mountVerdict = () => {
     setChildren(
       body,
       head(stage),
+      stage.stale ? element("p", { class: "dim" }, sentences([stage.verdict, ...(stage.reasons ?? [])])) : null,
       stage.note ? element("p", { class: "dim" }, stage.note) : null,
       stage.parameters?.length ? six(stage.parameters) : null,
       stage.uncertainty ? element("p", { class: "dim" }, stage.uncertainty) : null,
-      element("ul", { class: "findings" }, ...advices(stage), check(stage), ...findings.map(finding)),
+      element("ul", { class: "findings" }, ...advices(stage), check(stage), ...findings.map(finding(stage.stale))),
       ...warnings(limits),
     );
   };

@@ -110,7 +110,7 @@ export const settingsOf = (settings, step) =>
  * @param {PipelineStep} step
  * @param {{job: any, last: any, stages: any[], corners: any, picks: any[]}} context `last` is the newest finished job
  *   of this kind
- * @returns {{state: "none" | "running" | "paused" | "done" | "failed" | "stopped", text: string}}
+ * @returns {{state: "none" | "running" | "paused" | "done" | "failed" | "stopped" | "stale", text: string}}
  */
 export const stepState = (step, { job, last, stages, corners, picks }) => {
   if (job?.kind === step.job && (job.state === "running" || job.state === "paused")) return {
@@ -119,6 +119,7 @@ export const stepState = (step, { job, last, stages, corners, picks }) => {
   };
   if (last?.state === "failed") return { state: "failed", text: last.said };
   const stage = step.stage && stages.find((each) => each.stage === step.stage);
+  if (stage?.stale) return { state: "stale", text: `Out of date: ${stage.stale}` };
   if (stage) return { state: "done", text: stageSummary(stage) };
   if (last?.state === "stopped") return { state: "stopped", text: last.said || "stopped" };
   if (last) return { state: "done", text: last.said };

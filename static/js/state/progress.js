@@ -19,7 +19,8 @@ const missingFiles = (scan, photo) => {
 };
 
 /**
- * @param {{scan: any, photo: any, picks: any[], poses: any, exported: boolean}} slices of the shown photograph
+ * @param {{scan: any, photo: any, picks: any[], poses: any, exported: boolean}} slices of the shown photograph;
+ *   `exported`: the shown pose has been exported
  * @returns {WorkStep[]}
  */
 export const workSteps = ({ scan, photo, picks, poses, exported }) => {
@@ -30,6 +31,7 @@ export const workSteps = ({ scan, photo, picks, poses, exported }) => {
   const shown = stages.find(({ stage }) => stage === poses?.shown) ?? null;
   const matched = points >= LEAST_POINTS;
   const solved = stages.length > 0;
+  const stale = shown?.stale ? `${shown.stale}.` : "";
   const lines = Math.ceil((LEAST_POINTS - points) / POINTS_OF_LINE);
   const more = `${counted(lines, "more line")}, or ${counted(LEAST_POINTS - points, "more point")}`;
   const allDisabled = picks.length > 0 && enabled.length === 0;
@@ -49,29 +51,29 @@ export const workSteps = ({ scan, photo, picks, poses, exported }) => {
     {
       name: "solve",
       label: "Solve",
-      done: solved,
+      done: solved && !stale,
       missing: solved
-        ? ""
+        ? stale
         : files || (matched ? "Run a solver, or register automatically." : `${matches} Or register automatically.`),
       status: shown ? `Shown: ${shown.label}.` : "Not solved yet.",
     },
     {
       name: "judge",
       label: "Judge",
-      done: Boolean(shown?.accepted),
-      missing: shown
+      done: Boolean(shown?.accepted) && !stale,
+      missing: stale || (shown
         ? (shown.accepted ? "" : "The shown pose is not accepted: see the reasons and suggestions.")
-        : "Solve first.",
-      status: shown ? shown.verdict : "No pose yet.",
+        : "Solve first."),
+      status: shown ? (stale ? "The verdict is out of date." : shown.verdict) : "No pose yet.",
     },
     {
       name: "export",
       label: "Export",
-      done: exported,
-      missing: shown
+      done: exported && !stale,
+      missing: stale || (shown
         ? (shown.accepted ? "" : "Only registration data can be exported: no coloured output is written from a pose that is not " +
           "accepted.")
-        : "Solve first.",
+        : "Solve first."),
       status: exported ? "Exported." : "Not exported yet.",
     },
   ];

@@ -27,8 +27,9 @@ from ladarreg_core.project.delta import apply_change, change_between, check_read
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
-from ladarreg_core.project.results import pose_entry, registration_of
+from ladarreg_core.project.results import pose_entry, registration_of, solved_on
 from ladarreg_core.project.settings import Settings
+from ladarreg_core.project.staleness import changed_since, stale
 from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.results import PoseResult
 
@@ -524,3 +525,25 @@ def test_a_photo_without_matches_keeps_its_result() -> None:
     assert len(registration_of(pose_entry("carried", result)).matches) == 0
     photo = edits.with_pose(PhotoEntry(id="p1", source=SOURCE), pose_entry("carried", result))
     assert photo.pose is not None
+
+
+def test_a_pose_knows_the_picks_that_it_was_solved_on() -> None:
+    document = a_document(4)
+    photo = edits.switched(document.photos[0], {"2": False})
+    entry = pose_entry("robust", a_result(), picks=photo.picks)
+    photo = edits.with_pose(photo, entry)
+    assert [pick.id for pick in solved_on(entry) or ()] == ["1", "3", "4"]
+    assert stale(photo, entry, solved_on(entry)) == ""
+    moved = edits.changed_pick(photo, "1", {"photo": [[5, 5]]})
+    moved = edits.switched(moved, {"2": True, "3": False})
+    assert changed_since(moved, solved_on(entry)) == {"1", "2", "3"}
+    assert stale(moved, entry, solved_on(entry)) == "3 matches changed since: solve again"
+    found = msgspec.structs.replace(entry, stage="auto")
+    assert stale(moved, found, solved_on(entry)) == "", "it was found in the images"
+
+
+def test_a_pose_of_an_older_version_counts_as_current() -> None:
+    entry = pose_entry("robust", a_result())
+    photo = edits.with_pose(a_document(2).photos[0], entry)
+    assert solved_on(entry) is None
+    assert stale(edits.without_picks(photo, {"1"}), entry, solved_on(entry)) == ""

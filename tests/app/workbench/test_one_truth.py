@@ -1,0 +1,130 @@
+"""The verdict belongs to the matches on the screen: after an edit it is out of date, everywhere."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.app.workbench_driver import WorkbenchDriver, sample_bench
+from tests.true_matches import true_points
+
+
+@pytest.fixture
+def solved(tmp_path: Path) -> Iterator[WorkbenchDriver]:
+    """A workbench whose photograph was solved from 16 right points, with one wrong one."""
+    bench = sample_bench(tmp_path / "project")
+    for point in true_points(16):
+        bench.do("add_pick", photo="p1", **point)
+    wrong = true_points(17)[-1]
+    wrong["photo_uv"] = [[wrong["photo_uv"][0][0] + 60, wrong["photo_uv"][0][1]]]
+    bench.do("add_pick", photo="p1", **wrong)
+    job = bench.job("robust")
+    assert job.state == "done", job.message
+    yield bench
+    bench.workbench.close()
+
+
+def stage(bench: WorkbenchDriver, name: str = "robust") -> dict[str, Any]:
+    return next(stage for stage in bench.slice("poses:p1")["stages"] if stage["stage"] == name)
+
+
+def ids(bench: WorkbenchDriver) -> list[str]:
+    return [pick["id"] for pick in bench.slice("picks:p1")]
+
+
+def state(bench: WorkbenchDriver) -> str:
+    return str(bench.slice("photos")[0]["state"])
+
+
+def test_an_edit_makes_the_verdict_out_of_date_and_undoing_it_makes_it_current_again(solved: WorkbenchDriver) -> None:
+    assert stage(solved)["accepted"]
+    assert (stage(solved)["stale"], state(solved)) == ("", "accepted")
+    names = ids(solved)
+    solved.do("set_pick", photo="p1", pick=names[0], photo_uv=[[100, 100]])
+    assert stage(solved)["stale"] == "1 match changed since: solve again"
+    assert state(solved) == "stale"
+    solved.do("set_pick", photo="p1", pick=names[1], on=False)
+    solved.do("set_pick", photo="p1", pick=names[2], weight=2)
+    solved.do("remove_picks", photo="p1", picks=[names[3]])
+    assert stage(solved)["stale"] == "4 matches changed since: solve again"
+    for _ in range(4):
+        solved.do("undo")
+    assert (stage(solved)["stale"], state(solved)) == ("", "accepted")
+
+
+def test_a_new_match_and_the_removal_of_all_leave_no_accepted_pose(solved: WorkbenchDriver) -> None:
+    solved.do("add_pick", photo="p1", **true_points(18)[-1])
+    assert stage(solved)["stale"] == "1 match changed since: solve again"
+    solved.do("remove_picks", photo="p1", picks=ids(solved))
+    assert stage(solved)["stale"] == "17 matches changed since: solve again"
+    assert state(solved) == "stale"
+
+
+def test_a_match_that_was_disabled_when_solving_may_change(solved: WorkbenchDriver) -> None:
+    last = ids(solved)[-1]
+    solved.do("set_pick", photo="p1", pick=last, on=False)
+    assert solved.job("robust").state == "done"
+    solved.do("set_pick", photo="p1", pick=last, photo_uv=[[50, 50]])
+    assert stage(solved)["stale"] == ""
+    solved.do("set_pick", photo="p1", pick=last, on=True)
+    assert stage(solved)["stale"] == "1 match changed since: solve again"
+
+
+def test_a_corrected_match_is_no_longer_an_outlier(solved: WorkbenchDriver) -> None:
+    wrong = ids(solved)[-1]
+
+    def inlier() -> Any:
+        judged = solved.eventually(lambda: solved.slice("judged:p1"))
+        return judged["by_pick"].get(wrong, {}).get("inlier", "unknown")
+
+    solved.eventually(lambda: inlier() is False)
+    right = true_points(17)[-1]
+    solved.do("set_pick", photo="p1", pick=wrong, photo_uv=right["photo_uv"])
+    solved.eventually(lambda: inlier() is None)
+    assert solved.job("robust").state == "done"
+    solved.eventually(lambda: inlier() is True)
+
+
+def exported(bench: WorkbenchDriver) -> dict[str, Any]:
+    path, _ = bench.workbench.export_file("p1") or (Path(), "")
+    with zipfile.ZipFile(path) as file:
+        return {name: json.loads(file.read(f"{name}.json")) for name in ("registration", "matches")}
+
+
+def test_a_stale_pose_is_exported_only_on_request_with_the_matches_it_rests_on(
+    solved: WorkbenchDriver, tmp_path: Path
+) -> None:
+    before = solved.slice("picks:p1")
+    assert solved.job("export").state == "done"
+    rests_on = exported(solved)["registration"]["rests_on"]
+    assert (rests_on["current"], rests_on["matches"]) == (True, [pick["id"] for pick in before])
+    solved.do("remove_picks", photo="p1", picks=ids(solved)[:9])
+    said = solved.refused("run", photo="p1", job="export")
+    assert "9 matches changed since: solve again" in said
+    assert "export the last solved state" in said
+    assert said == solved.refused("export_folder", photo="p1", folder=str(tmp_path / "results"))
+    solved.do("run", photo="p1", job="export", last_solved=True)
+    solved.workbench.runner.wait(120)
+    files = exported(solved)
+    rests_on = files["registration"]["rests_on"]
+    assert (rests_on["current"], rests_on["matches"]) == (False, [pick["id"] for pick in before])
+    assert "9 matches of the project changed" in rests_on["sentence"]
+    assert [match["id"] for match in files["matches"]["matches"]] == [pick["id"] for pick in before]
+
+
+def test_a_comparison_does_not_change_the_chosen_pose(solved: WorkbenchDriver) -> None:
+    assert solved.job("linear").state == "done"
+    solved.do("use_stage", photo="p1", stage="robust")
+    before = stage(solved)
+    job = solved.job("compare")
+    assert job.state == "done", job.message
+    poses = solved.slice("poses:p1")
+    assert poses["shown"] == "robust"
+    assert len(poses["stages"]) > 2
+    assert (stage(solved)["parameters"], stage(solved)["seconds"]) == (before["parameters"], before["seconds"])
+    assert "The chosen pose (Robust) is still in use." in job.message
