@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import re
 import threading
 from collections import defaultdict, deque
 from collections.abc import Callable, Coroutine
@@ -17,7 +18,7 @@ from ladarreg_core.errors import LadarregError
 
 from ..process_resources import return_memory_soon
 from .encoding import InvalidMessageError, SharedEncoder, decode_object, encode
-from .protocol import Client, Message, Workbench
+from .protocol import Client, Message, Visitor, Workbench
 
 log = logging.getLogger(__name__)
 MAX_MESSAGE_CHARACTERS = 1_000_000
@@ -26,6 +27,8 @@ _TOO_LONG, _FAULT, _FULL = 1009, 1011, 1013
 _MAX_REASON_BYTES = 123
 """Longest reason that a websocket can be closed with."""
 _MAX_EVENTS = 200
+_SECRET = re.compile(r"[A-Za-z0-9_-]{16,64}")
+_MAX_FIELD = 100
 _LATEST_ONLY = frozenset({"simplex", "hover"})
 """Events of which only the latest needs to be sent."""
 _NOT_JSON = "The message is not a JSON object: page and program are of different versions; reload the page."
@@ -49,7 +52,7 @@ class DocumentSocket:
         browser = websocket.state.browser
         await websocket.accept()
         try:
-            client = await run_in_threadpool(self._workbench.join, websocket.state.address)
+            client = await run_in_threadpool(self._workbench.join, _visitor(websocket))
         except LadarregError as refusal:
             await websocket.close(_FULL, str(refusal).encode()[:_MAX_REASON_BYTES].decode(errors="ignore"))
             return
@@ -76,10 +79,10 @@ class DocumentSocket:
 
         outbox = Outbox(wake)
         # Subscribe first: changes made while the slices are gathered are then sent after them.
-        unsubscribe = self._workbench.subscribe(outbox.put)
+        unsubscribe = self._workbench.subscribe(outbox.put, client)
         try:
             slices = await run_in_threadpool(self._workbench.slices, client)
-            state = ClientState(client, self._encoder)
+            state = ClientState(self._encoder)
             await websocket.send_text(state.encode({"slices": slices}))
             await _until_one_ends(
                 _send_pending(websocket, state, outbox, pending, replied),
@@ -116,12 +119,11 @@ class ClientState:
     """The slices as one client has them; encodes messages relative to these and numbers them.
 
     Args:
-        client: the open page.
         encoder: shared by all clients.
     """
 
-    def __init__(self, client: Client, encoder: SharedEncoder) -> None:
-        self._client, self._encoder = client, encoder
+    def __init__(self, encoder: SharedEncoder) -> None:
+        self._encoder = encoder
         self._slices: dict[str, Any] = {}
         self._version = 0
 
@@ -134,9 +136,6 @@ class ClientState:
         whole: dict[str, Any] = {}
         changes: dict[str, Any] = {}
         for name, value in slices.items():
-            if name == "people" and value:  # the only slice that differs between clients
-                whole[name] = value | {"you": self._client.name}
-                continue
             before = self._slices.get(name)
             change = None if before is None or value is None else self._encoder.change(before, value)
             if change is None:
@@ -214,14 +213,28 @@ class ClientRegistry:
 
     def remove(self, browser: str, client: Client) -> None:
         """Remove a page that a browser has closed."""
-        self._clients[browser] = [other for other in self._clients[browser] if other is not client]
+        self._clients[browser].remove(client)  # once: a page that reconnects is there twice for a moment
         if not self._clients[browser]:
             del self._clients[browser]
 
-    def newest(self, browser: str) -> Client | None:
-        """Return the open page that a browser opened last."""
-        clients = self._clients.get(browser)
-        return clients[-1] if clients else None
+    def find(self, browser: str, client_id: str) -> Client | None:
+        """Return the open page of a browser by its id; without one, the page that it opened last."""
+        clients = self._clients.get(browser, [])
+        named = (client for client in reversed(clients) if client.id == client_id)
+        return next(named, clients[-1] if clients else None)
+
+
+def _visitor(websocket: WebSocket) -> Visitor:
+    """Return what a page says of itself in its address; the tab's secret counts for its browser only."""
+    query = websocket.query_params
+    secret = query.get("tab", "")
+    return Visitor(
+        websocket.state.address,
+        tab=f"{websocket.state.browser} {secret}" if _SECRET.fullmatch(secret) else "",
+        page=query.get("page", "")[:_MAX_FIELD],
+        name=query.get("name", "")[:_MAX_FIELD],
+        photo=query.get("photo", "")[:_MAX_FIELD],
+    )
 
 
 async def _send_pending(

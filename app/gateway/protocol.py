@@ -11,8 +11,30 @@ Message = dict[str, Any]
 """A message to the clients: `{"slices": {...}, "version": 12}` or `{"event": name, ...}` (docs/workbench.md)."""
 
 
+@dataclass(frozen=True, slots=True)
+class Visitor:
+    """A page that connects, by what it says of itself; everything but the address may be empty."""
+
+    address: str
+    """Network address."""
+    tab: str = ""
+    """Secret of the browser tab, by which it is recognised when it returns."""
+    page: str = ""
+    """Distinguishes two pages that present the same secret: a browser copies it with the tab."""
+    name: str = ""
+    """Name that the person had before."""
+    photo: str = ""
+    """Id of the photograph that the person saw before."""
+    read_only: bool = False
+    """True if its token only permits looking."""
+
+
 class Client(Protocol):
-    """One open page."""
+    """The person at an open page."""
+
+    @property
+    def id(self) -> str:
+        """Public id, stable for a browser tab."""
 
     @property
     def name(self) -> str:
@@ -49,10 +71,10 @@ class Workbench(Protocol):
     def slices(self, client: Any) -> dict[str, Any]:
         """Return all slices of the state, as this client sees them."""
 
-    def subscribe(self, listener: Callable[[Message], None]) -> Callable[[], None]:
-        """Call the listener, from any thread, with every change; return the function that ends this."""
+    def subscribe(self, listener: Callable[[Message], None], client: Any) -> Callable[[], None]:
+        """Call the listener, from any thread, with every change that this client sees; return what ends this."""
 
-    def join(self, address: str) -> Client:
+    def join(self, visitor: Visitor) -> Client:
         """Connect a client; raises `LadarregError` if there are too many."""
 
     def leave(self, client: Any) -> None:

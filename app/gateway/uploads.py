@@ -103,7 +103,7 @@ class Uploads:
             _remove(part, path)
             raise
         try:
-            client = self._clients.newest(browser)
+            client = self._clients.find(browser, request.query_params.get("client", ""))
             opened = await run_in_threadpool(self._workbench.take_upload, path, name, what, photo, client)
         except Exception as error:  # the workbench has removed the file, unless it is in the project
             if not isinstance(error, LadarregError):

@@ -1,4 +1,4 @@
-"""Display settings of the model in the 3-D scene; shared by all clients."""
+"""Display settings of the model in the 3-D scene."""
 
 from __future__ import annotations
 

@@ -1,24 +1,59 @@
-"""The clients: open pages with their names."""
+"""The clients: the people at open pages, and what each of them looks at."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import secrets
 import threading
+from collections import Counter, OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from ladarreg_core.errors import OptionError
 
+from ..gateway.protocol import Visitor
+from ..scene.model_view import ModelChoice
+
 MAX_CLIENTS = 64
+COLOURS = 6
+"""Number of colours that tell people apart."""
+_MAX_NAME = 80
+_REMEMBERED = 256
+"""Clients that are recognised when they return."""
+_RELOAD_S = 1.0
+"""Time within which the old connection of a reloaded page ends."""
+_ID_BYTES = 9
 
 
 @dataclass(slots=True, eq=False)
 class Client:
-    """An open page."""
+    """A person at an open page; the same one when the page reconnects or is reloaded."""
 
+    id: str
+    """Random and URL-safe; stable for a browser tab."""
     name: str
-    """Its display name, which is also the author of its edits."""
+    """Display name, which is also the author of the edits."""
     address: str
-    """Its network address."""
+    """Network address."""
+    colour: int = 1
+    """Number of the colour that others see, from 1 to `COLOURS`."""
+    photo: str | None = None
+    """Id of the photograph that this person sees."""
+    model: ModelChoice = field(default_factory=ModelChoice)
+    """Display of the model in this person's 3-D view."""
+    follows: str | None = None
+    """Id of the client whose view this person follows."""
+    read_only: bool = False
+    """True if this person may look, but not edit."""
+
+
+@dataclass(slots=True)
+class _Seat:
+    client: Client
+    page: str
+    connections: int
 
 
 class Clients:
@@ -30,41 +65,121 @@ class Clients:
 
     def __init__(self, on_change: Callable[[], None]) -> None:
         self._on_change = on_change
-        self._lock = threading.Lock()
-        self._clients: list[Client] = []
+        self._changed = threading.Condition()
+        self._seats: dict[str, _Seat] = {}
+        self._known: OrderedDict[str, Client] = OrderedDict()
         self._joined = 0
 
     @property
-    def names(self) -> list[str]:
-        """The names of all clients, in the order in which they joined."""
-        with self._lock:
-            return [client.name for client in self._clients]
+    def present(self) -> list[Client]:
+        """All clients, in the order in which they joined."""
+        with self._changed:
+            return [seat.client for seat in self._seats.values()]
 
-    def join(self, address: str) -> Client:
-        """Connect a client.
+    def find(self, client_id: object) -> Client | None:
+        """Return the connected client of an id; None if there is none."""
+        with self._changed:
+            seat = self._seats.get(client_id) if isinstance(client_id, str) else None
+            return seat.client if seat else None
+
+    def join(self, visitor: Visitor) -> Client:
+        """Connect a page.
+
+        A page that reconnects takes its former place, even before its broken connection is noticed. A tab that a
+        browser has copied presents the same secret while the original is open: it becomes a client of its own.
 
         Raises:
             OptionError: if there are too many.
         """
-        with self._lock:
-            if len(self._clients) >= MAX_CLIENTS:
-                raise OptionError(f"{MAX_CLIENTS} pages are open, which is the maximum; close one to open this one")
-            self._joined += 1
-            client = Client(f"Operator {self._joined}", address)
-            self._clients.append(client)
+        with self._changed:
+            client_id = _id_of(visitor.tab)
+            seat = self._seats.get(client_id)
+            if seat is not None and seat.page != visitor.page:
+                left = self._changed.wait_for(lambda: client_id not in self._seats, _RELOAD_S)
+                client_id = client_id if left else _id_of(f"{visitor.tab} {visitor.page}")
+                seat = self._seats.get(client_id)
+            if seat is None:
+                if len(self._seats) >= MAX_CLIENTS:
+                    raise OptionError(f"{MAX_CLIENTS} pages are open, which is the maximum; close one to open this one")
+                seat = self._seats[client_id] = _Seat(self._returning(client_id, visitor), visitor.page, 0)
+            seat.connections += 1
+            client = seat.client
+            client.address, client.read_only = visitor.address, visitor.read_only
         self._on_change()
         return client
 
     def leave(self, client: Client) -> None:
-        """Disconnect a client."""
-        with self._lock:
-            if client in self._clients:
-                self._clients.remove(client)
+        """End a connection of a client."""
+        with self._changed:
+            seat = self._seats.get(client.id)
+            if seat is not None and seat.client is client:
+                seat.connections -= 1
+                if seat.connections == 0:
+                    del self._seats[client.id]
+                    self._remember(client)
+                    self._changed.notify_all()
         self._on_change()
 
     def rename(self, client: Client, name: str) -> None:
         """Change a client's name; a name that another client has gets a number."""
-        with self._lock:
-            taken = {other.name for other in self._clients if other is not client}
-            client.name = name if name not in taken else f"{name} ({sum(n.startswith(name) for n in taken) + 1})"
+        with self._changed:
+            client.name = self._free_name(name, client)
         self._on_change()
+
+    def slice(self, client: Client) -> dict[str, Any]:
+        """Return the slice `people` of a client."""
+        people = self.present
+        return {
+            "count": len(people),
+            "you": client.id,
+            "clients": [
+                {
+                    "id": each.id,
+                    "name": each.name,
+                    "colour": each.colour,
+                    "photo": each.photo,
+                    "follows": each.follows,
+                    "read_only": each.read_only,
+                }
+                for each in people
+            ],
+        }
+
+    def _returning(self, client_id: str, visitor: Visitor) -> Client:
+        """Return the client of an id, new or as it left."""
+        client = self._known.pop(client_id, None)
+        if client is None:
+            self._joined += 1
+            client = Client(client_id, f"Operator {self._joined}", visitor.address, photo=visitor.photo or None)
+            name = visitor.name and valid_name(visitor.name)
+            client.name = name or client.name
+        client.name = self._free_name(client.name, client)
+        used = Counter(seat.client.colour for seat in self._seats.values())
+        client.colour = min(range(1, COLOURS + 1), key=lambda colour: (used[colour], colour != client.colour))
+        return client
+
+    def _free_name(self, name: str, client: Client) -> str:
+        taken = {seat.client.name for seat in self._seats.values() if seat.client is not client}
+        free, number = name, 1
+        while free in taken:
+            number += 1
+            free = f"{name} ({number})"
+        return free
+
+    def _remember(self, client: Client) -> None:
+        self._known[client.id] = client
+        while len(self._known) > _REMEMBERED:
+            self._known.popitem(last=False)
+
+
+def valid_name(text: str) -> str:
+    """Return a name without line breaks and invisible characters, of limited length; empty if nothing is left."""
+    return "".join(character for character in " ".join(text.split()) if character.isprintable())[:_MAX_NAME].strip()
+
+
+def _id_of(tab: str) -> str:
+    """Return the public id of a tab's secret, the same after a restart; a random one if the page has none."""
+    if not tab:
+        return secrets.token_urlsafe(_ID_BYTES)
+    digest = hashlib.blake2b(tab.encode(), digest_size=_ID_BYTES, person=b"ladarreg client")
+    return base64.urlsafe_b64encode(digest.digest()).decode()

@@ -19,14 +19,14 @@ from ..jobs.registry import JobRegistry
 from ..jobs.runner import JobRunner
 from ..session.loader import Loader
 from ..session.session import Session
-from .clients import Client, Clients
+from .clients import Client, Clients, valid_name
 from .files import Files
 from .queries import Queries
 from .selection import Selection
 from .settings_form import check_bounds
 
 log = logging.getLogger(__name__)
-_MAX_NAME = 80
+_MAX_ACTION = 80
 _MAX_PATH, _MAX_PATH_PART = 4000, 255
 _MAX_QUOTE, _MAX_SENTENCE = 40, 600
 _FOCALS = {
@@ -49,8 +49,8 @@ class Context(Protocol):
     runner: JobRunner
     jobs: JobRegistry
 
-    def set_model(self, wanted: Mapping[str, Any]) -> None:
-        """Change the display of the model in the 3-D scene."""
+    def set_model(self, client: Client | None, wanted: Mapping[str, Any]) -> None:
+        """Change the display of the model for a client."""
 
     def highlight(self, pick_id: str | None) -> None:
         """Highlight a match in the 3-D scene."""
@@ -243,14 +243,14 @@ def go_to(context: Context, client: Client, fields: Fields) -> Reply:
 
 
 def show_photo(context: Context, client: Client, fields: Fields) -> Reply:
-    """Show another photograph to all clients."""
-    context.selection.show(_photo(context, fields).id)
+    """Show another photograph to the client."""
+    context.selection.show(client, _photo(context, fields).id)
     return {}
 
 
 def set_model(context: Context, client: Client, fields: Fields) -> Reply:
-    """Change the display of the model in the 3-D scene."""
-    context.set_model({name: value for name, value in fields.items() if name not in ("id", "do")})
+    """Change the display of the model for the client."""
+    context.set_model(client, {name: value for name, value in fields.items() if name not in ("id", "do")})
     return {}
 
 
@@ -271,7 +271,7 @@ def open_served(context: Context, client: Client, fields: Fields) -> Reply:
     path, what, photo = fields.get("path"), fields.get("what"), fields.get("photo")
     if not isinstance(path, str) or not isinstance(what, str):
         raise OptionError("give the file to open and its kind")
-    opened = context.files.open_served(path, what, photo if isinstance(photo, str) else None, client.name)
+    opened = context.files.open_served(path, what, photo if isinstance(photo, str) else None, client)
     return {"opened": opened}
 
 
@@ -331,7 +331,7 @@ def job_control(context: Context, client: Client, fields: Fields) -> Reply:
     action = fields.get("action")
     if not isinstance(action, str):
         raise OptionError("give an action: pause, resume, stop, step or speed")
-    context.runner.control(action[:_MAX_NAME], fields.get("value"))
+    context.runner.control(action[:_MAX_ACTION], fields.get("value"))
     return {}
 
 
@@ -397,8 +397,7 @@ def _folder(value: object) -> Path:
 
 
 def _name(value: object) -> str:
-    words = " ".join(str(value).split()) if isinstance(value, str) else ""
-    words = "".join(c for c in words if c.isprintable())[:_MAX_NAME]
+    words = valid_name(value) if isinstance(value, str) else ""
     if not words:
         raise OptionError("give a name")
     return words

@@ -17,6 +17,7 @@ from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, So
 
 from ..session.loader import Loader
 from ..session.session import Session
+from .clients import Client
 from .queries import Queries
 from .selection import Selection
 
@@ -32,7 +33,7 @@ class Files:
         session: the session.
         loader: its loader.
         queries: checks cameras.
-        selection: the photograph that all clients see.
+        selection: the photograph that each client sees.
         served: a folder whose files clients may open; None: none.
     """
 
@@ -47,20 +48,20 @@ class Files:
         self._listed: list[dict[str, Any]] = []
         self.list_served()
 
-    def take(self, path: Path, name: str, what: str, photo: str | None, author: str) -> str:
+    def take(self, path: Path, name: str, what: str, photo: str | None, client: Client | None) -> str:
         """Open an uploaded file; one that is refused is deleted, unless the project already uses it.
 
         Raises:
             LadarregError: if it is not of the stated kind.
         """
         try:
-            return self.open(path, name, what, photo, author)
+            return self.open(path, name, what, photo, client)
         except BaseException:
             if not self._is_in_project(path):
                 path.unlink(missing_ok=True)
             raise
 
-    def open_served(self, path: str, what: str, photo: str | None, author: str) -> str:
+    def open_served(self, path: str, what: str, photo: str | None, client: Client | None) -> str:
         """Open a file of the served folder.
 
         Raises:
@@ -72,9 +73,9 @@ class Files:
         if offered is None:  # files that are not listed must not be read: errors of the readers quote contents
             raise OptionError("there is no such file in the served folder; refresh the list")
         wanted, _ = offered
-        return self.open(wanted, wanted.name, what, photo, author)
+        return self.open(wanted, wanted.name, what, photo, client)
 
-    def open(self, path: Path, name: str, what: str, photo: str | None, author: str) -> str:
+    def open(self, path: Path, name: str, what: str, photo: str | None, client: Client | None) -> str:
         """Add a file to the project; return `scan` or the id of its photograph.
 
         Raises:
@@ -90,18 +91,18 @@ class Files:
             raise OptionError(f"the file cannot be read: {error.strerror or error}; choose another") from None
         source = Source(path=self._session.folder.relative(path), name=name, size=size)
         if what == "scan":
-            return self._scan(source, author)
+            return self._scan(source, client)
         if what == "photo":
-            return self._photo(source, author)
-        entry = self._target_photo(photo)
+            return self._photo(source, client)
+        entry = self._target_photo(photo, client)
         if what == "camera":
             camera = CameraGiven(file=source)
             self._queries.check_camera(entry, camera)
-            self._edit(entry, f"Camera file {name}", lambda p: edits.with_camera(p, camera), author)
+            self._edit(entry, f"Camera file {name}", lambda p: edits.with_camera(p, camera), client)
             return entry.id
-        return self._matches(path, name, entry, author)
+        return self._matches(path, name, entry, client)
 
-    def _scan(self, source: Source, author: str) -> str:
+    def _scan(self, source: Source, client: Client | None) -> str:
         session = self._session
         self._loader.preload_scan(source)  # before the commit: a scan without views would keep all clients from joining
         name = session.document.name
@@ -110,10 +111,10 @@ class Files:
             found = edits.with_scan(document, source)
             return found if name != "untitled" else msgspec.structs.replace(found, name=Path(source.name).stem)
 
-        session.commit(f"Open scan {source.name}", edit, author=author)
+        session.commit(f"Open scan {source.name}", edit, author=_author(client))
         return "scan"
 
-    def _photo(self, source: Source, author: str) -> str:
+    def _photo(self, source: Source, client: Client | None) -> str:
         # A photograph without a camera is accepted: the page then requests the focal length.
         self._loader.preload_photo(PhotoEntry(id="trial", source=source))
         made = ""
@@ -123,16 +124,16 @@ class Files:
             document, made = edits.with_photo(document, source)
             return document
 
-        self._session.commit(f"Open photo {source.name}", edit, author=author)
-        self._selection.show(made)
+        self._session.commit(f"Open photo {source.name}", edit, author=_author(client))
+        self._selection.show(client, made)
         return made
 
-    def _matches(self, path: Path, name: str, entry: PhotoEntry, author: str) -> str:
+    def _matches(self, path: Path, name: str, entry: PhotoEntry, client: Client | None) -> str:
         scan = self._loader.scan(self._session.document)
         if scan is None:
             raise OptionError("matches need a scan; open the scan first")
         picks = [replace(pick, origin="file") for pick in self._loader.read_matches(path, scan)]
-        self._edit(entry, f"Read {len(picks)} matches from {name}", lambda p: edits.with_picks(p, picks)[0], author)
+        self._edit(entry, f"Read {len(picks)} matches from {name}", lambda p: edits.with_picks(p, picks)[0], client)
         return entry.id
 
     def _is_in_project(self, path: Path) -> bool:
@@ -145,16 +146,18 @@ class Files:
                 return True
         return False
 
-    def _target_photo(self, photo: str | None) -> PhotoEntry:
+    def _target_photo(self, photo: str | None, client: Client | None) -> PhotoEntry:
         if photo:
             return edits.require_photo(self._session.document, photo)
-        shown = self._selection.photo
+        shown = self._selection.photo_of(client)
         if shown is None:
             raise OptionError("this file belongs to a photograph; open the photograph first")
         return shown
 
-    def _edit(self, entry: PhotoEntry, label: str, edit: Callable[[PhotoEntry], PhotoEntry], author: str) -> None:
-        self._session.commit(label, lambda d: edits.edited_photo(d, entry.id, edit), author=author)
+    def _edit(
+        self, entry: PhotoEntry, label: str, edit: Callable[[PhotoEntry], PhotoEntry], client: Client | None
+    ) -> None:
+        self._session.commit(label, lambda d: edits.edited_photo(d, entry.id, edit), author=_author(client))
 
     def list_served(self) -> None:
         """List the served folder again."""
@@ -204,6 +207,10 @@ class Files:
     def served_slice(self) -> dict[str, Any] | None:
         """Return the served files; None where no folder is served."""
         return None if self._served is None else {"label": self._served.name, "files": self._listed}
+
+
+def _author(client: Client | None) -> str:
+    return client.name if client else ""
 
 
 def _is_hidden(path: Path) -> bool:

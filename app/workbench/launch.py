@@ -188,14 +188,14 @@ def _add_files(workbench: Workbench, files: Sequence[Path], camera: Path | None,
     document, folder = workbench.session.document, workbench.session.folder
     scan, *photos = files
     if document.scan is None or folder.source_path(document.scan.path) != scan:
-        workbench.files.open(scan, scan.name, "scan", None, "")
+        workbench.files.open(scan, scan.name, "scan", None, None)
     there = {folder.source_path(photo.source.path) for photo in workbench.session.document.photos}
     for photo in photos:
         check()
         if photo not in there:
-            made = workbench.files.open(photo, photo.name, "photo", None, "")
+            made = workbench.files.open(photo, photo.name, "photo", None, None)
             if camera is not None:
-                workbench.files.open(camera, camera.name, "camera", made, "")
+                workbench.files.open(camera, camera.name, "camera", made, None)
 
 
 def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
@@ -205,7 +205,7 @@ def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
         """Actions of the controls in the 3-D scene."""
 
         def set_model(self, **wanted: Any) -> None:
-            workbench.set_model({name: value for name, value in wanted.items() if value is not None})
+            workbench.set_model(None, {name: value for name, value in wanted.items() if value is not None})
 
         def job_control(self, action: str, value: float | None = None) -> None:
             try:

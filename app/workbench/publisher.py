@@ -1,10 +1,11 @@
-"""The publisher: sends changed slices of the state to all clients."""
+"""The publisher: sends changed slices of the state to the clients."""
 
 from __future__ import annotations
 
 import logging
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from ..session.debounce import Debouncer
@@ -12,7 +13,15 @@ from ..session.debounce import Debouncer
 log = logging.getLogger(__name__)
 Message = dict[str, Any]
 Slices = Callable[[], dict[str, Any]]
+Listener = Callable[[Message], None]
 _SLOW_SLICES = "judged:"
+
+
+@dataclass(slots=True, eq=False)
+class _Subscriber:
+    listener: Listener
+    own: Slices
+    published: dict[str, Any]
 
 
 class Publisher:
@@ -29,25 +38,31 @@ class Publisher:
         self._lock = threading.RLock()
         self._published: dict[str, Any] = {}
         self._version = 0
-        self._listeners: list[Callable[[Message], None]] = []
+        self._subscribers: list[_Subscriber] = []
         self._debouncer = Debouncer()
         self._thread = threading.Thread(target=self._work, name="publisher", daemon=True)
         self._thread.start()
 
-    def subscribe(self, listener: Callable[[Message], None]) -> Callable[[], None]:
-        """Send every message to a listener; return a function that ends the subscription."""
+    def subscribe(self, listener: Listener, own: Slices) -> Callable[[], None]:
+        """Send every message to a listener; return a function that ends the subscription.
+
+        Args:
+            listener: receives the messages of one client.
+            own: returns the slices that differ between the clients, as this one sees them.
+        """
         with self._lock:
-            self._listeners.append(listener)
+            subscriber = _Subscriber(listener, own, own())
+            self._subscribers.append(subscriber)
 
         def unsubscribe() -> None:
             with self._lock:
-                if listener in self._listeners:
-                    self._listeners.remove(listener)
+                if subscriber in self._subscribers:
+                    self._subscribers.remove(subscriber)
 
         return unsubscribe
 
     def all_slices(self) -> dict[str, Any]:
-        """Return all slices."""
+        """Return all slices that the clients share."""
         with self._lock:
             self.publish()
             return dict(self._published)
@@ -68,8 +83,9 @@ class Publisher:
     def publish_event(self, event: Message) -> None:
         """Send an event, which is not part of the state."""
         with self._lock:
-            listeners = list(self._listeners)
-        _send(listeners, event)
+            subscribers = list(self._subscribers)
+        for subscriber in subscribers:
+            _send(subscriber.listener, event)
 
     def close(self) -> None:
         """End the thread."""
@@ -87,10 +103,12 @@ class Publisher:
         self._published.update(changed)
         for name in gone:
             del self._published[name]
-        if changed or gone:
-            self._version += 1
-            message = {"slices": {**changed, **dict.fromkeys(gone)}, "version": self._version}
-            _send(list(self._listeners), message)
+        self._version += bool(changed or gone)
+        shared = {**changed, **dict.fromkeys(gone)}
+        for subscriber in list(self._subscribers):
+            slices = shared if slow else {**shared, **_own_difference(subscriber)}
+            if slices:
+                _send(subscriber.listener, {"slices": slices, "version": self._version})
 
     def _work(self) -> None:
         while self._debouncer.wait():
@@ -105,9 +123,14 @@ class Publisher:
                 log.exception("slices could not be computed")
 
 
-def _send(listeners: list[Callable[[Message], None]], message: Message) -> None:
-    for listener in listeners:
-        try:
-            listener(message)
-        except Exception:
-            log.exception("a listener failed at %s", message.get("event", "slices"))
+def _own_difference(subscriber: _Subscriber) -> dict[str, Any]:
+    before, own = subscriber.published, subscriber.own()
+    subscriber.published = own
+    return {name: value for name, value in own.items() if before[name] is not value and before[name] != value}
+
+
+def _send(listener: Listener, message: Message) -> None:
+    try:
+        listener(message)
+    except Exception:
+        log.exception("a listener failed at %s", message.get("event", "slices"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +29,7 @@ class SceneSync:
     Args:
         session: the session.
         loader: its loader.
-        selection: the photograph to show.
+        selection: the client whose photograph and model are shown.
     """
 
     def __init__(self, session: Session, loader: Loader, selection: Selection) -> None:
@@ -38,9 +37,7 @@ class SceneSync:
         self._loader = loader
         self._selection = selection
         self._scene: Scene3D | None = None
-        self.model = ModelChoice()
-        """The display of the model, which all clients share."""
-        self._model_lock = threading.Lock()
+        self._model = ModelChoice()
         self._debouncer = Debouncer()
         self._shown: Any = None
         self._simplex_runs = False
@@ -52,23 +49,12 @@ class SceneSync:
     def attach(self, scene: Scene3D) -> None:
         """Update this scene from now on."""
         self._scene = scene
-        scene.set_model(**asdict(self.model))
+        scene.set_model(**asdict(self._model))
         self.refresh()
 
     def refresh(self) -> None:
         """Update the scene soon."""
         self._debouncer.request()
-
-    def set_model(self, wanted: Mapping[str, Any]) -> None:
-        """Change the display of the model.
-
-        Raises:
-            OptionError: if there is no such choice.
-        """
-        with self._model_lock:
-            self.model = self.model.changed(wanted)
-        if self._scene is not None:
-            self._scene.set_model(**asdict(self.model))
 
     def highlight(self, pick_id: str | None) -> None:
         """Highlight a match; None: no match."""
@@ -128,6 +114,10 @@ class SceneSync:
 
         from ladarreg_core.palette import MATCHES
 
+        active = self._selection.active
+        if active is not None and active.model != self._model:
+            self._model = active.model
+            scene.set_model(**asdict(self._model))
         loader = self._loader
         scan, entry = loader.scan(self._session.document), self._selection.photo
         pose = entry.pose if entry is not None else None

@@ -1,4 +1,4 @@
-"""The selection: the photograph that all clients see."""
+"""The selection: which photograph each client sees."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ..session.session import Session
+from .clients import Client
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import PhotoEntry
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Selection:
-    """The photograph that all clients see; at first the one that was edited last.
+    """The photograph that each client sees; at first the one that somebody selected last.
 
     Args:
         session: the session.
@@ -23,19 +24,42 @@ class Selection:
     def __init__(self, session: Session, on_change: Callable[[], None]) -> None:
         self._session = session
         self._on_change = on_change
-        self._photo_id = _last_edited(session.history)
+        self._latest = _last_edited(session.history)
+        self._active: Client | None = None
 
     @property
     def photo(self) -> PhotoEntry | None:
-        """The selected photograph; without one the first, None if there is none."""
-        document = self._session.document
-        found = document.photo(self._photo_id or "")
-        return found or (document.photos[0] if document.photos else None)
+        """The photograph that was selected last."""
+        return self._entry(self._active.photo if self._active else self._latest)
 
-    def show(self, photo_id: str) -> None:
-        """Select a photograph."""
-        self._photo_id = photo_id
+    @property
+    def active(self) -> Client | None:
+        """The client whose photograph and model the shared 3-D scene shows."""
+        return self._active
+
+    def photo_of(self, client: Client | None) -> PhotoEntry | None:
+        """Return the photograph that a client sees; without one the first, None if there is none."""
+        if client is None:
+            return self.photo
+        if client.photo is None:
+            client.photo = self._latest
+        return self._entry(client.photo)
+
+    def show(self, client: Client | None, photo_id: str) -> None:
+        """Select a photograph, for one client only."""
+        self._latest = photo_id
+        if client is not None:
+            client.photo = photo_id
+        self.activate(client)
+
+    def activate(self, client: Client | None) -> None:
+        """Let the shared 3-D scene follow a client."""
+        self._active = client
         self._on_change()
+
+    def _entry(self, photo_id: str | None) -> PhotoEntry | None:
+        document = self._session.document
+        return document.photo(photo_id or "") or (document.photos[0] if document.photos else None)
 
 
 def _last_edited(history: History) -> str | None:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from ladarreg_core.project.document import PhotoEntry, PoseEntry
     from ladarreg_core.results import PoseResult
 
-    from ..gateway.protocol import Picture
+    from ..gateway.protocol import Picture, Visitor
     from ..scene import Scene3D
 
 log = logging.getLogger(__name__)
@@ -93,22 +93,24 @@ class Workbench:
 
     # for the gateway
 
-    def subscribe(self, listener: Callable[[Message], None]) -> Callable[[], None]:
-        """Send every message for the clients to a listener; return a function that ends the subscription."""
-        return self.publisher.subscribe(listener)
+    def subscribe(self, listener: Callable[[Message], None], client: Client) -> Callable[[], None]:
+        """Send every message for a client to a listener; return a function that ends the subscription."""
+        return self.publisher.subscribe(listener, partial(self._own_slices, client))
 
     def slices(self, client: Client) -> dict[str, Any]:
         """Return all slices for a client that has just connected."""
-        found = self.publisher.all_slices()
-        return {**found, "people": {**found.get("people", {}), "you": client.name}}
+        return {**self.publisher.all_slices(), **self._own_slices(client)}
 
-    def join(self, address: str) -> Client:
+    def join(self, visitor: Visitor) -> Client:
         """Connect a client.
 
         Raises:
             OptionError: if there are too many.
         """
-        return self.clients.join(address)
+        client = self.clients.join(visitor)
+        if self.selection.active is None:
+            self.selection.activate(client)
+        return client
 
     def leave(self, client: Client) -> None:
         """Disconnect a client."""
@@ -137,7 +139,7 @@ class Workbench:
         Raises:
             LadarregError: if it is not of the stated kind; it is deleted then.
         """
-        return self.files.take(path, name, what, photo, client.name if client else "")
+        return self.files.take(path, name, what, photo, client)
 
     def export_file(self, photo: str) -> tuple[Path, str] | None:
         """Return the last zip of a photograph and its download name; None before there is one."""
@@ -157,14 +159,16 @@ class Workbench:
 
     # for commands, the 3-D scene and the command line
 
-    def set_model(self, wanted: Mapping[str, Any]) -> None:
-        """Change the display of the model in the 3-D scene.
+    def set_model(self, client: Client | None, wanted: Mapping[str, Any]) -> None:
+        """Change the display of the model for a client; None: for the one that the shared 3-D scene follows.
 
         Raises:
             OptionError: if there is no such choice.
         """
-        self.scene_sync.set_model(wanted)
-        self._publish()
+        client = client or self.selection.active
+        if client is not None:
+            client.model = client.model.changed(wanted)
+            self.selection.activate(client)
 
     def highlight(self, pick_id: str | None) -> None:
         """Highlight a match in the 3-D scene."""
@@ -199,21 +203,16 @@ class Workbench:
     def _quick_slices(self) -> dict[str, Any]:
         session, loader = self.session, self.loader
         document = session.document
-        shown = self.selection.photo
         scan = loader.cached("picture", ("scan slice", document.scan), lambda: scan_slice(loader, document))
-        names = self.clients.names
         found: dict[str, Any] = {
             "project": {**project_slice(session), "opened": self._opening_message(scan)},
             "history": history_slice(session.history, self._history_entries),
             "scan": scan,
             "photos": [photo_slice(loader, entry) for entry in document.photos],
-            "shown": shown.id if shown else None,
             "settings": self._slices.get(document.settings, lambda: settings_slice(document.settings)),
             "job": job_slice(self.runner.job),
             "served": self.files.served_slice(),
-            "people": {"count": len(names), "names": names},
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MOST_PHOTOS},
-            "model": self.scene_sync.model.slice(self._shown_registration()),
         }
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self._pick_entries.get(entry.id, entry.picks)
@@ -222,14 +221,22 @@ class Workbench:
             found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
         return found
 
+    def _own_slices(self, client: Client) -> dict[str, Any]:
+        """Return the slices that differ between the clients."""
+        shown = self.selection.photo_of(client)
+        return {
+            "shown": shown.id if shown else None,
+            "people": self.clients.slice(client),
+            "model": client.model.slice(self._registration(shown)),
+        }
+
     def _opening_message(self, scan: Mapping[str, Any] | None) -> str:
         error = None if scan is None else scan.get("error")
         if not error:
             return self.opening_message
         return f"{self.opening_message} The scan cannot be shown: {error}.".strip()
 
-    def _shown_registration(self) -> PoseResult | None:
-        shown = self.selection.photo
+    def _registration(self, shown: PhotoEntry | None) -> PoseResult | None:
         if shown is None or shown.pose is None:
             return None
         try:

@@ -5,6 +5,7 @@ import { mountDock } from "./layout/dock.js";
 import { mountMaximise } from "./layout/maximise.js";
 import { listenToShortcuts } from "./layout/shortcuts.js";
 import { ask, connect, connectionState, fullReason, onConnection } from "./net/connection.js";
+import { rememberPhoto } from "./net/identity.js";
 import { store } from "./net/store.js";
 import { acceptDrops } from "./panels/drop.js";
 import { openFiles } from "./panels/files.js";
@@ -45,6 +46,7 @@ listenToShortcuts();
 linkHovering();
 acceptDrops(floating);
 
+store.on("shown", rememberPhoto);
 store.onEvent("notice", ({ text, level }) => notice(text, level));
 
 /** A running job disappears only if the workbench has stopped. */

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg.gateway.options import GatewayOptions
-from ladarreg.gateway.protocol import Message, Picture
+from ladarreg.gateway.protocol import Message, Picture, Visitor
 from ladarreg.gateway.routes import build_site
 from ladarreg.gateway.server import Gateway
 from ladarreg.gateway.viser_backend import ViserAddress
@@ -30,7 +30,11 @@ PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(256))
 @dataclass
 class Page:
     name: str
-    address: str
+    visitor: Visitor
+
+    @property
+    def id(self) -> str:
+        return self.name
 
 
 @dataclass
@@ -50,9 +54,9 @@ class CountingWorkbench:
         self.taken: list[tuple[str, str, str | None, bytes, Page | None]] = []
 
     def slices(self, client: Page) -> dict[str, Any]:
-        return {"number": self.number, "people": {"count": len(self.pages), "you": "?", "names": []}, "scan": None}
+        return {"number": self.number, "people": {"count": len(self.pages), "you": client.id}, "scan": None}
 
-    def subscribe(self, listener: Callable[[Message], None]) -> Callable[[], None]:
+    def subscribe(self, listener: Callable[[Message], None], client: Page) -> Callable[[], None]:
         with self.lock:
             self.listeners.append(listener)
 
@@ -68,12 +72,12 @@ class CountingWorkbench:
         for listener in listeners:
             listener(message)
 
-    def join(self, address: str) -> Page:
+    def join(self, visitor: Visitor) -> Page:
         with self.lock:
             if len(self.pages) >= self.most:
                 raise OptionError(f"{self.most} page is open, the most: close it.")
             self.joined += 1
-            page = Page(f"Operator {self.joined}", address)
+            page = Page(f"Operator {self.joined}", visitor)
             self.pages.append(page)
         return page
 
@@ -87,7 +91,7 @@ class CountingWorkbench:
         if message.get("do") == "set":
             with self.lock:
                 self.number, self.version = message["number"], self.version + 1
-            self.tell({"slices": {"number": self.number, "people": {"you": "?"}}, "version": self.version})
+            self.tell({"slices": {"number": self.number}, "version": self.version})
         return {"ok": True, "number": self.number, "nan": float("nan"), "you": client.name}
 
     def picture(self, path: str, query: Mapping[str, str]) -> Picture:

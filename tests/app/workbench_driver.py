@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ladarreg.gateway.protocol import Visitor
 from ladarreg.workbench.clients import Client
 from ladarreg.workbench.launch import open_workbench
 from ladarreg.workbench.workbench import Workbench
@@ -71,8 +72,8 @@ class WorkbenchDriver:
 def open_bench(home: Path, *inputs: Path, camera: Path | None = None, **options: Any) -> WorkbenchDriver:
     """Open a workbench whose project lies in `home`."""
     workbench = open_workbench(inputs, project=home, camera=camera, **options)
-    bench = WorkbenchDriver(workbench, workbench.join("test"))
-    workbench.subscribe(bench.received.append)
+    bench = WorkbenchDriver(workbench, workbench.join(Visitor("test")))
+    workbench.subscribe(bench.received.append, bench.client)
     return bench
 
 

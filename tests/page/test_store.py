@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -30,11 +29,6 @@ FOLLOWING = """async ([texts, names]) => {
 }"""
 
 
-@dataclass
-class Someone:
-    name: str = "Operator 1"
-
-
 @pytest.fixture
 def blank(page: Page, modules: str) -> Page:
     """An empty page of the same origin."""
@@ -44,7 +38,7 @@ def blank(page: Page, modules: str) -> Page:
 
 def texts_of(states: list[dict[str, Any]]) -> list[str]:
     """Return the messages to a page that is connected from the first state on."""
-    state = ClientState(Someone(), SharedEncoder())
+    state = ClientState(SharedEncoder())
     found = [state.encode({"slices": states[0]})]
     for before, after in pairwise(states):
         found.append(state.encode({"slices": {name: after[name] for name in after if after[name] is not before[name]}}))

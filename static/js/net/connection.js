@@ -1,5 +1,6 @@
 /** The websocket `document`: commands up, slices and events down; it reconnects when the connection is lost. */
 
+import { introduction } from "./identity.js";
 import { store } from "./store.js";
 
 const FIRST_WAIT_MS = 300;
@@ -53,7 +54,7 @@ export const onConnection = (listen) => {
 export const socketAddress = (page = location.href) => {
   const address = new URL("document", page);
   address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
-  address.search = "";
+  address.search = introduction().toString();
   address.hash = "";
   return address;
 };

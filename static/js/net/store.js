@@ -113,7 +113,13 @@ export class Store {
     }
   }
 
-  /** @returns {string | null} id of the photograph that all clients see */
+  /** @returns {any} this page's own entry of slice `people`, or null before the first message */
+  me() {
+    const people = this.get("people");
+    return people?.clients.find(({ id }) => id === people.you) ?? null;
+  }
+
+  /** @returns {string | null} id of the photograph that this page shows */
   shown() {
     return this.get("shown");
   }

@@ -41,6 +41,7 @@ export const sendFile = (file, { what, photo = null, progress = () => {} }) => {
   const address = new URL("upload", document.baseURI);
   address.searchParams.set("what", what);
   if (photo) address.searchParams.set("photo", photo);
+  address.searchParams.set("client", store.get("people")?.you ?? "");
   const finished = new Promise((resolve, reject) => {
     request.upload.addEventListener(
       "progress",

@@ -1,5 +1,6 @@
 /** The list of connected clients, and the name under which one's own edits appear in the history. */
 
+import { rememberName } from "../net/identity.js";
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
 import { element, newId, setChildren } from "../ui/dom.js";
@@ -21,19 +22,21 @@ export const mountClients = (opener) => {
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     const name = input.value.trim();
-    if (name && (await request("call_me", { name }))) panel.hidePopover();
+    const answer = name && (await request("call_me", { name }));
+    if (!answer) return;
+    rememberName(answer.you);
+    panel.hidePopover();
   });
   const show = () => {
-    const clients = store.get("people") ?? { names: [] };
-    const you = clients.you ?? store.get("you");
+    const { clients, you } = store.get("people") ?? { clients: [] };
     setChildren(
       list,
-      ...(clients.names ?? []).map(
-        (name) => element("li", {}, name, name === you ? element("span", { class: "dim" }, " · you") : null),
+      ...clients.map(
+        ({ id, name }) => element("li", {}, name, id === you ? element("span", { class: "dim" }, " · you") : null),
       ),
     );
-    if (document.activeElement !== input) input.value = you ?? "";
+    if (document.activeElement !== input) input.value = store.me()?.name ?? "";
   };
-  store.watch(["people", "you"], show);
+  store.watch(["people"], show);
   panel.addEventListener("toggle", show);
 };

@@ -1,4 +1,4 @@
-/** The 3-D model: viser's page in a frame, with the display options that all clients share. */
+/** The 3-D model: viser's page in a frame, with the display options. */
 
 import { connectionState, onConnection } from "../net/connection.js";
 import { request } from "../net/requests.js";

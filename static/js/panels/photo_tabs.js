@@ -1,4 +1,4 @@
-/** The photographs as tabs; all clients see the chosen one. */
+/** The photographs as tabs; each person sees the one that he or she chose. */
 
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";

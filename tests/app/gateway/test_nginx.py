@@ -110,7 +110,7 @@ def test_the_documented_recipe_works(front: tuple[Running, int]) -> None:
 
     with websocket(port, "document", cookie) as page:
         assert "number" in json.loads(page.recv(timeout=10))["slices"]
-        assert [page.address for page in run.bench.pages] == ["127.0.0.1"]
+        assert [page.visitor.address for page in run.bench.pages] == ["127.0.0.1"]
         page.send('{"id": 1, "do": "set", "number": 5}')
         assert json.loads(page.recv(timeout=10))["slices"]["number"] == 5
         data = bytes(range(256)) * 1000

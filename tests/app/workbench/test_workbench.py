@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ladarreg.gateway.protocol import Visitor
 from ladarreg.workbench.commands import COMMANDS
 from ladarreg.workbench.launch import open_workbench
 from PIL import Image
@@ -61,7 +62,7 @@ def test_a_new_client_receives_all_slices(bench: WorkbenchDriver) -> None:
         slices
     )
     json.dumps(slices, allow_nan=False)
-    assert slices["people"]["you"] == bench.client.name
+    assert slices["people"]["you"] == bench.client.id
     view = slices["scan"]["views"][0]
     assert view["width"] > 100
     assert slices["photos"][0]["camera"]["fx"] > 100
@@ -413,8 +414,7 @@ def test_invalid_uploads_are_refused_and_deleted(bench: WorkbenchDriver, tmp_pat
 
     second = upload(picture, "second.png", "photo")
     assert second == "p2"
-    assert bench.workbench.selection.photo is not None
-    assert bench.workbench.selection.photo.id == "p2"
+    assert bench.slice("shown") == "p2"
 
 
 def unviewable_scan(path: Path) -> Path:
@@ -433,7 +433,7 @@ def test_a_scan_without_views_is_refused_and_clients_can_still_join(bench: Workb
     assert "\n" not in str(caught.value)
     assert not path.exists()
     assert bench.workbench.session.document is before
-    bench.workbench.leave(bench.workbench.join("somebody else"))
+    bench.workbench.leave(bench.workbench.join(Visitor("somebody else")))
     assert bench.slice("scan")["views"]
 
 
@@ -461,7 +461,7 @@ def test_a_project_whose_scan_has_no_views_opens_with_a_message(tmp_path: Path) 
         assert bench.slice("scan")["views"] == []
         with pytest.raises(LadarregError, match="no single image resolves"):
             bench.workbench.picture("scan", {})
-        bench.workbench.leave(bench.workbench.join("somebody else"))
+        bench.workbench.leave(bench.workbench.join(Visitor("somebody else")))
         matches = len(bench.slice("picks:p1"))
         bench.do("add_pick", photo="p1", **LINE)
         bench.do("run", photo="p1", job="export", last_solved=True)
@@ -499,7 +499,7 @@ def test_a_failing_listener_affects_neither_commits_nor_other_listeners(bench: W
         raise RuntimeError("a faulty listener")
 
     bench.workbench.session._listeners.insert(0, fails)
-    bench.workbench.publisher._listeners.insert(0, fails)
+    bench.workbench.subscribe(fails, bench.client)
     path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
     bench.received.clear()
@@ -507,7 +507,7 @@ def test_a_failing_listener_affects_neither_commits_nor_other_listeners(bench: W
     assert path.exists()
     assert any("photos" in message.get("slices", {}) for message in bench.received), "other listeners are notified"
     bench.do("add_pick", photo="p2", **LINE)
-    bench.workbench.leave(bench.workbench.join("somebody else"))
+    bench.workbench.leave(bench.workbench.join(Visitor("somebody else")))
 
 
 def test_a_file_of_the_project_is_never_deleted(bench: WorkbenchDriver) -> None:
@@ -614,7 +614,7 @@ def test_hidden_files_of_a_served_folder_are_neither_listed_nor_opened(tmp_path:
 
 
 def test_client_names_are_unique(bench: WorkbenchDriver) -> None:
-    other = bench.workbench.join("elsewhere")
+    other = bench.workbench.join(Visitor("elsewhere"))
     assert other.name != bench.client.name
     bench.do("call_me", name="Ann")
     reply = bench.workbench.answer(other, {"id": 1, "do": "call_me", "name": "Ann"})
