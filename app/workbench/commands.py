@@ -19,6 +19,7 @@ from ..jobs.registry import JobRegistry
 from ..jobs.runner import JobRunner
 from ..session.loader import Loader
 from ..session.session import Session
+from .batches import Batches
 from .clients import Client, Clients, valid_name
 from .files import Files
 from .queries import Queries
@@ -46,6 +47,7 @@ class Context(Protocol):
     clients: Clients
     queries: Queries
     files: Files
+    batches: Batches
     runner: JobRunner
     jobs: JobRegistry
 
@@ -281,6 +283,21 @@ def list_served(context: Context, client: Client, fields: Fields) -> Reply:
     return {}
 
 
+def open_files(context: Context, client: Client, fields: Fields) -> Reply:
+    """Open uploaded files together."""
+    photo = fields.get("photo")
+    if photo is not None:
+        photo = edits.require_photo(context.session.document, photo).id
+    replaces = fields.get("scan") == "replace"
+    return context.batches.open(_file_ids(fields), replace_scan=replaces, photo=photo, client=client)
+
+
+def discard_files(context: Context, client: Client, fields: Fields) -> Reply:
+    """Delete uploaded files that are not open."""
+    context.batches.discard(_file_ids(fields))
+    return {}
+
+
 def predict(context: Context, client: Client, fields: Fields) -> Reply:
     """Predict the other side of a match under the shown pose."""
     partners = context.queries.partners(_photo(context, fields))
@@ -347,8 +364,8 @@ COMMANDS: dict[str, Command] = {
     command.__name__: command
     for command in (
         add_pick, set_pick, remove_picks, switch_picks, reject, set_camera, set_settings, rename, remove_photo,
-        use_stage, undo, redo, go_to, show_photo, set_model, call_me, hover_pick, open_served, list_served, predict,
-        where, snap, sample_line, probe, run, job_control, export_folder,
+        use_stage, undo, redo, go_to, show_photo, set_model, call_me, hover_pick, open_served, list_served, open_files,
+        discard_files, predict, where, snap, sample_line, probe, run, job_control, export_folder,
     )
 }  # fmt: skip
 
@@ -375,6 +392,13 @@ def _edit_photo(
 def _pick_ids(value: object) -> list[str]:
     if not isinstance(value, list) or not value or not all(isinstance(name, str) for name in value):
         raise OptionError("no matches are selected; select some")
+    return value
+
+
+def _file_ids(fields: Fields) -> list[str]:
+    value = fields.get("files")
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise OptionError("no files are given; drop some")
     return value
 
 

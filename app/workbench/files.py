@@ -57,7 +57,7 @@ class Files:
         try:
             return self.open(path, name, what, photo, client)
         except BaseException:
-            if not self._is_in_project(path):
+            if not self.is_in_project(path):
                 path.unlink(missing_ok=True)
             raise
 
@@ -136,7 +136,7 @@ class Files:
         self._edit(entry, f"Read {len(picks)} matches from {name}", lambda p: edits.with_picks(p, picks)[0], client)
         return entry.id
 
-    def _is_in_project(self, path: Path) -> bool:
+    def is_in_project(self, path: Path) -> bool:
         """Return whether any step of the history refers to a file."""
         session = self._session
         name = session.folder.relative(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from functools import cache
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
@@ -192,6 +193,20 @@ def describe_detail(detail: Any) -> str:
         elif isinstance(value, float):
             parts.append(f"{name.replace('_', ' ')} {value:.3g}")
     return ", ".join(parts[:5])
+
+
+@cache
+def formats_slice() -> list[dict[str, Any]]:
+    """Return the slice `formats`: what the workbench opens, by kind."""
+    from ladarreg_core.formats import FORMATS
+
+    found = []
+    for kind, label in (("scan", "Scan"), ("photo", "Photograph"), ("camera", "Camera"), ("matches", "Matches")):
+        formats = [each for each in FORMATS if each.kind == kind]
+        names = [name for each in formats for name in (each.examples or (each.name,))]
+        extensions = dict.fromkeys(extension for each in formats for extension in each.extensions)
+        found.append({"kind": kind, "label": label, "names": names, "extensions": list(extensions)})
+    return found
 
 
 def clock(when: str) -> str:

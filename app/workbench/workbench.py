@@ -21,6 +21,7 @@ from ..process_resources import return_memory_soon
 from ..session.cache import IdentityCache, ListCache
 from ..session.loader import Loader
 from ..session.session import RETRY_S, Change, Session
+from .batches import ANY, Batches
 from .clients import Client, Clients
 from .commands import answer
 from .files import Files
@@ -32,6 +33,7 @@ from .scene_sync import SceneSync
 from .selection import Selection
 from .settings_form import settings_slice
 from .state import (
+    formats_slice,
     history_entry,
     history_slice,
     job_slice,
@@ -81,6 +83,7 @@ class Workbench:
         self.queries = Queries(session, loader)
         self.scene_sync = SceneSync(session, loader, self.selection)
         self.files = Files(session, loader, self.queries, self.selection, served)
+        self.batches = Batches(session, loader, self.files, self.selection, self._publish)
         self.runner = JobRunner(self._job_changed)
         workspace = Workspace(session, loader)
         self.jobs = JobRegistry(workspace, self.runner, self.scene_sync.watch_simplex, self.publish_event)
@@ -139,6 +142,8 @@ class Workbench:
         Raises:
             LadarregError: if it is not of the stated kind; it is deleted then.
         """
+        if what == ANY:
+            return self.batches.take(path, name)
         return self.files.take(path, name, what, photo, client)
 
     def export_file(self, photo: str) -> tuple[Path, str] | None:
@@ -212,6 +217,8 @@ class Workbench:
             "settings": self._slices.get(document.settings, lambda: settings_slice(document.settings)),
             "job": job_slice(self.runner.job),
             "served": self.files.served_slice(),
+            "waiting": self.batches.slice(),
+            "formats": formats_slice(),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MOST_PHOTOS},
         }
         for entry in document.photos:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ladarreg_core.formats.registry import listed_kind as listed_kind
     from ladarreg_core.formats.registry import read_scan as read_scan
     from ladarreg_core.formats.registry import recognise as recognise
+    from ladarreg_core.formats.survey import survey_file as survey_file
 
 _MODULE_OF = {
     "FORMATS": "registry",
@@ -27,6 +28,7 @@ _MODULE_OF = {
     "read_photo": "photo_file",
     "read_scan": "registry",
     "recognise": "registry",
+    "survey_file": "survey",
 }
 __all__ = sorted(_MODULE_OF)
 

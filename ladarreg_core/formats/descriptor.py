@@ -65,6 +65,22 @@ def read_descriptor(path: PathLike, *, memory_bytes: int | None = None, report: 
         return reader(file, fields, memory_bytes, report)
 
 
+def named_files(fields: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the files that a descriptor names, as paths relative to its folder; none that would lead out of it."""
+    wanted = ("depth", "intensity") if fields.get("kind") == "depth-image" else ("file", "intensity_file")
+    names = [fields[name] for name in wanted if isinstance(fields.get(name), str)]
+    return tuple(dict.fromkeys(name for name in names if _is_plain(name)))
+
+
+def _is_plain(name: str) -> bool:
+    """Return whether every system takes a name for a path inside the folder."""
+    parts = name.split("/")
+    return name.isprintable() and not any(
+        not part or part.startswith((".", " ")) or part.endswith((".", " ")) or set(part) & set('<>:"|?*\\')
+        for part in parts
+    )
+
+
 def _intensity_is(fields: Mapping[str, Any]) -> IntensityKind:
     word = choice(fields, "intensity_is", ("raw", "range_normalised"), "raw")
     return "raw" if word == "raw" else "range_normalised"

@@ -69,6 +69,8 @@ class FileFormat:
     """Reads the scan: path, scan index, memory that may be used (None: the default), report. Scan formats only."""
     is_generic_text: bool = False
     """Whether files of other programs commonly have the same extensions, so that a listing must check the content."""
+    examples: tuple[str, ...] = ()
+    """Names of the file types that it comprises, for users; empty: its name is enough."""
 
 
 def _json_kind(head: bytes, file: Path) -> FileKind | None:
@@ -123,6 +125,7 @@ FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "image", "photo", (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"),
         lambda head, _: image_format(head) is not None, describe_photo,
+        examples=("PNG", "JPEG", "TIFF", "WebP", "BMP"),
     ),
     FileFormat(
         "camera JSON", "camera", (".json",), _sniff_json("camera"), describe_camera_file, is_generic_text=True

@@ -82,6 +82,12 @@ const welcome = () => {
   if (welcomed || !store.get("project")) return;
   welcomed = true;
   if (store.get("project").amiss) notice(store.get("project").amiss, "warn");
+  const left = store.get("waiting") ?? [];
+  if (left.length) notice(
+    left.length === 1 ? `${left[0].name} is not open yet: ${left[0].said}.` : `${left.length} files are not open yet.`,
+    "warn",
+    { label: "Show", act: () => openFiles() },
+  );
   const nothing = !store.get("scan") && !(store.get("photos") ?? []).length;
   if (nothing && !document.querySelector("dialog[open]")) openFiles();
   else noticeOnce(store.get("project").opened);

@@ -24,7 +24,7 @@ export const acceptDrops = (floating) => {
       element(
         "p",
         { class: "dim" },
-        "A scan replaces the open one, photographs are added. Each step can be undone.",
+        "Files that belong together are opened together; names and endings do not matter. Each step can be undone.",
       ),
     ),
   );

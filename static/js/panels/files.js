@@ -9,38 +9,20 @@ import { element, newId, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { notice } from "../ui/notices.js";
 import { bytes } from "../ui/numbers.js";
-import { ACCEPTED, inOrder, kindOf, KINDS } from "./file_kinds.js";
+import { accepted, labelOf, readable } from "./file_kinds.js";
+import { waitingList } from "./waiting_files.js";
 
 const OPENABLE = new Set(["scan", "photo", "camera", "matches"]);
-const LABELS = {
-  scan: "scan",
-  photo: "photograph",
-  camera: "camera",
-  matches: "matches",
-  project: "project",
-  other: "file",
-};
 const NEEDS_PHOTO = new Set(["camera", "matches"]);
-const UNKNOWN = "Unknown type: choose one.";
 
-const isLeft = ({ state }) => state === "waiting" || state === "refused";
+const isLeft = ({ state }) => state !== "opened" && state !== "kept";
 
 let files = null; // the dialog
 
-/** One file of the list: waiting, due, being sent, opened or refused. */
+/** One file of a drop: due, being sent, sent, opened or refused. */
 class FileEntry {
-  constructor(file, changed, removed) {
-    const { kind, sure } = kindOf(file.name);
-    Object.assign(this, { file, kind, sure, state: "waiting", abort: () => {} });
-    this.choice = element(
-      "select",
-      {
-        "aria-label": `Type of ${file.name}`,
-        on: { change: () => (this.#chosen(), changed()) },
-      },
-      sure ? null : element("option", { value: "", selected: true, disabled: true }, "Choose a type"),
-      ...KINDS.map((each) => element("option", { value: each.kind, selected: sure && each.kind === kind }, each.label)),
-    );
+  constructor(file, removed) {
+    Object.assign(this, { file, state: "due", id: null, abort: () => {} });
     this.progress = element("progress", { max: 1, value: 0, hidden: true, "aria-label": `Upload of ${file.name}` });
     this.status = element("span", { class: "file-status", role: "status" });
     this.discard = button({
@@ -56,18 +38,11 @@ class FileEntry {
       icon("file"),
       element("span", { class: "clip", title: file.name }, file.name),
       element("span", { class: "dim figures" }, bytes(file.size)),
-      this.choice,
-      this.progress,
       this.discard,
+      this.progress,
       this.status,
     );
-    if (!sure) this.setStatus(UNKNOWN, "warn");
-  }
-
-  #chosen() {
-    this.kind = this.choice.value;
-    this.sure = true;
-    if (this.status.textContent === UNKNOWN) this.setStatus("");
+    this.setStatus("Waiting …");
   }
 
   setStatus(text, level = "") {
@@ -75,20 +50,19 @@ class FileEntry {
     this.row.dataset.level = level;
   }
 
-  wait() {
-    this.state = "due";
-    this.setStatus("Waiting …");
+  refuse(error) {
+    this.state = "refused";
+    this.setStatus(error.message, error.name === "AbortError" ? "warn" : "bad");
+    if (!files.dialog.open && error.name !== "AbortError") notice(error.message, "bad");
   }
 
+  /** Upload the file; what it becomes is decided when all are there. */
   async send() {
     this.state = "sending";
-    this.choice.disabled = true;
     this.progress.hidden = false;
-    const photo = NEEDS_PHOTO.has(this.kind) ? store.shown() : null;
     this.setStatus("Uploading …");
     const sending = sendFile(this.file, {
-      what: this.kind,
-      photo,
+      what: "any",
       progress: (share) => {
         this.progress.value = share;
         this.setStatus(share < 1 ? `${Math.round(100 * share)} %` : "Uploaded; reading …");
@@ -96,18 +70,50 @@ class FileEntry {
     });
     this.abort = sending.abort;
     try {
-      await sending.finished;
-      this.state = "opened";
-      this.setStatus("Opened.", "ok");
+      this.id = await sending.finished;
+      this.state = "sent";
+      this.setStatus("Uploaded.");
     } catch (error) {
-      this.state = "refused";
-      this.choice.disabled = false;
-      this.setStatus(error.message, error.name === "AbortError" ? "warn" : "bad");
-      if (!files.dialog.open && error.name !== "AbortError") notice(error.message, "bad");
+      this.refuse(error);
     }
     this.progress.hidden = true;
   }
+
+  /** Show what became of the file. @param {any} answer reply to `open_files` */
+  settle({ opened, refused, waiting }) {
+    const error = refused.find(({ file }) => file === this.id)?.error;
+    const made = opened.find(({ file }) => file === this.id);
+    if (error) this.refuse(new Error(error));
+    else if (made) {
+      this.state = "opened";
+      this.setStatus(`Opened as ${labelOf(made.kind)}.`, "ok");
+    } else this.state = waiting.includes(this.id) ? "kept" : "opened"; // as part of another file
+  }
 }
+
+/** The question whether a second scan replaces the first. */
+const scanQuestion = (act) => {
+  const text = element("p", {});
+  const choose = (choice) => () => {
+    question.hidden = true;
+    act(choice);
+  };
+  const replace = button({ label: "Replace the scan of this project", act: choose("replace") });
+  const leave = button({ label: "Leave it for later", kind: "plain", act: choose(null) });
+  const question = element(
+    "section",
+    { class: "file-question", role: "group", "aria-label": "A second scan", hidden: true },
+    text,
+    element("div", { class: "row" }, replace, leave),
+  );
+  const ask = (name) => {
+    const present = store.get("scan")?.name ?? "another scan";
+    setText(text, `This project has a scan, ${present}, and the matches drawn on it. What is ${name}?`);
+    question.hidden = false;
+    replace.focus();
+  };
+  return { question, ask };
+};
 
 const servedList = () => {
   const list = element("ul", { class: "served-list" });
@@ -127,7 +133,7 @@ const servedList = () => {
     };
     const usable = OPENABLE.has(kind);
     const opener = button({
-      label: usable ? `Open as ${LABELS[kind]}` : "Cannot be opened",
+      label: usable ? `Open as ${labelOf(kind)}` : "Cannot be opened",
       kind: "small",
       disabled: !usable,
       act: open,
@@ -159,7 +165,7 @@ const build = () => {
   const list = element("ul", { class: "file-list", "aria-label": "Files to open" });
   const input = element(
     "input",
-    { type: "file", multiple: true, accept: ACCEPTED, class: "visually-hidden", tabIndex: -1, "aria-hidden": "true" },
+    { type: "file", multiple: true, class: "visually-hidden", tabIndex: -1, "aria-hidden": "true" },
   );
   const hint = element("p", { class: "dim", id: newId("hint") });
   const choose = button({
@@ -178,8 +184,35 @@ const build = () => {
     choose,
     input,
   );
-  const send = button({ label: "Open", kind: "primary", act: () => sendAll(waiting.filter(isLeft)) });
-  const foot = element("div", { class: "form-foot", hidden: true }, send);
+  let asked = [];
+  const { question, ask } = scanQuestion((choice) => {
+    if (choice) openTogether(asked, { scan: choice });
+  });
+
+  /** Open uploaded files; those that lack something stay in the list of waiting ones. */
+  const openTogether = async (ids, choice = {}) => {
+    const answer = await request("open_files", { files: ids, ...choice });
+    if (!answer) return;
+    if (answer.asks) {
+      asked = answer.waiting;
+      for (const one of waiting) if (asked.includes(one.id)) one.state = "kept";
+      ask(answer.scan);
+    } else {
+      for (const one of waiting) if (ids.includes(one.id) && one.state !== "opened") one.settle(answer);
+      for (const { name, error, file } of answer.refused) {
+        if (!waiting.some(({ id }) => id === file)) notice(error.startsWith(name) ? error : `${name}: ${error}`, "bad");
+      }
+    }
+    changed();
+    if (waiting.some(isLeft) || answer.waiting.length || answer.refused.length) {
+      if (answer.waiting.length) files.open();
+      return;
+    }
+    waiting.length = 0;
+    changed();
+    if (answer.opened.length) files.close();
+  };
+
   const sample = element(
     "p",
     { class: "dim" },
@@ -189,45 +222,37 @@ const build = () => {
     element("code", {}, "ladarreg simulate"),
     " generates more.",
   );
-  files = makeDialog("Open files", { kind: "files-dialog" }, zone, list, foot, servedList(), sample);
+  files = makeDialog(
+    "Open files",
+    { kind: "files-dialog" },
+    zone,
+    question,
+    list,
+    waitingList(openTogether),
+    servedList(),
+    sample,
+  );
 
-  const changed = () => {
-    const left = waiting.filter(isLeft);
-    setChildren(list, ...waiting.map(({ row }) => row));
-    foot.hidden = left.length === 0;
-    send.disabled = left.some(({ sure }) => !sure);
-    setText(send.querySelector("span"), left.length > 1 ? `Open ${left.length} files` : "Open");
-    send.title = send.disabled ? "Choose the type of each file first" : "";
-  };
+  const changed = () => setChildren(list, ...waiting.filter(({ state }) => state !== "kept").map(({ row }) => row));
   const removed = (one) => {
     waiting.splice(waiting.indexOf(one), 1);
     changed();
   };
   let sending = false;
-  /** Send the due files in sequence, including those added meanwhile. */
-  const sendAll = async (due) => {
-    for (const one of due) one.wait();
+  /** Send the due files in sequence, including those added meanwhile, and open them when all are there. */
+  const sendAll = async () => {
     changed();
     if (sending) return;
     sending = true;
-    for (let next; (next = inOrder(waiting.filter(({ state }) => state === "due"))[0]); ) {
-      const sent = next.send();
-      changed();
-      await sent;
-      changed();
-    }
+    for (let next; (next = waiting.find(({ state }) => state === "due")); ) await next.send();
     sending = false;
-    if (waiting.some(({ state }) => state !== "opened")) return;
-    waiting.length = 0;
-    changed();
-    files.close();
+    const ids = waiting.filter(({ state }) => state === "sent").map(({ id }) => id);
+    if (ids.length) await openTogether(ids);
   };
   files.add = (added) => {
-    for (const old of waiting.filter(({ state }) => state === "opened")) removed(old);
-    const entries = [...added].map((file) => new FileEntry(file, changed, removed));
-    waiting.push(...entries);
-    changed();
-    if (entries.length && entries.every(({ sure }) => sure)) sendAll(entries);
+    for (const old of waiting.filter((one) => !isLeft(one))) removed(old);
+    waiting.push(...[...added].map((file) => new FileEntry(file, removed)));
+    sendAll();
   };
   files.expect = (what) => {
     const limit = store.get("limits")?.upload_bytes;
@@ -240,10 +265,8 @@ const build = () => {
         ? "Drop a scan here"
         : "Drop a scan and its photographs here",
     );
-    setText(
-      hint,
-      `Scans: E57, NPZ, PCD, descriptor JSON. Photographs: PNG, JPEG, TIFF. Also camera files and matches.${most}`,
-    );
+    setText(hint, `${readable()}${most}`);
+    input.accept = accepted();
   };
   input.addEventListener("change", () => {
     files.add(input.files);

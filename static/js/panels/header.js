@@ -10,6 +10,7 @@ import { notice } from "../ui/notices.js";
 import { counted } from "../ui/numbers.js";
 import { chosenTheme, nextTheme, onTheme } from "../ui/theme.js";
 import { mountClients } from "./clients.js";
+import { namesOf } from "./file_kinds.js";
 import { openFiles } from "./files.js";
 import { mountHistory } from "./history.js";
 import { openKeys } from "./key_reference.js";
@@ -65,10 +66,10 @@ const scanChip = () => {
     const notes = scan?.notes?.length ? `\n${scan.notes.join("\n")}` : "";
     chip.title = scan
       ? `${scan.error ?? `${scan.name}, ${counted(scan.returns ?? 0, "return")}${notes}`}\nClick to open another scan.`
-      : "Open a scan: E57, NPZ, PCD or a descriptor";
+      : `Open a scan: ${namesOf("scan")}`;
     chip.classList.toggle("attention", !scan);
   };
-  store.watch(["scan"], show);
+  store.watch(["scan", "formats"], show);
   show();
   return chip;
 };

@@ -28,12 +28,15 @@ def document() -> str:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
-    """A workbench with a registered photograph and a drawn line."""
+    """A workbench with a registered photograph, a drawn line, and a file that waits for others."""
     found = sample_bench(tmp_path_factory.mktemp("registered") / "project")
     assert found.job("auto").state == "done"
     found.do("add_pick", photo="p1", kind="line", scan=[[1, 0, 0], [1, 0.1, 0.02]], photo_uv=[[300, 200], [410, 220]])
     found.eventually(lambda: found.slice("judged:p1"))
     found.eventually(lambda: "findings" in assessed(found))
+    incomplete = found.workbench.upload_folder() / "descriptor.json"
+    incomplete.write_text('{"kind": "depth-image", "depth": "depth.png", "intensity": "intensity.png"}')
+    found.do("open_files", files=[found.workbench.take_upload(incomplete, "kinect.json", "any", None, found.client)])
     yield found
     found.workbench.close()
 

@@ -1,0 +1,54 @@
+"""What is known of a file before it is opened: its kind, and what decides which other files it belongs to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.descriptor import named_files
+from ladarreg_core.formats.file_info import FileKind
+from ladarreg_core.formats.image_file import image_size
+from ladarreg_core.formats.json_file import parsed_once, read_json_object
+from ladarreg_core.formats.registry import recognise
+from ladarreg_core.formats.untrusted import PathLike
+
+
+@dataclass(frozen=True, slots=True)
+class FileSurvey:
+    """Kind of a file, and how it relates to others."""
+
+    kind: FileKind
+    """Kind of content."""
+    format: str
+    """Name of the file format."""
+    names: tuple[str, ...] = ()
+    """Files that it names and cannot be read without, relative to its folder."""
+    width: int = 0
+    """Width of a photograph, or of a camera's pictures, pixels; 0 where it is unknown."""
+    height: int = 0
+    """Height, likewise."""
+
+
+def survey_file(path: PathLike) -> FileSurvey:
+    """Survey a file of any format; its name does not matter.
+
+    Raises:
+        FormatError: if its format is unknown.
+    """
+    with parsed_once():
+        found = recognise(path)
+        file = Path(path)
+        try:
+            if found.name == "descriptor JSON":
+                return FileSurvey(found.kind, found.name, named_files(read_json_object(file, "a scan descriptor")))
+            if found.kind == "photo":
+                width, height, _ = image_size(file)
+                return FileSurvey(found.kind, found.name, (), width, height)
+            if found.kind == "camera":
+                camera = read_camera(file)
+                return FileSurvey(found.kind, found.name, (), camera.width, camera.height)
+        except LadarregError:  # it is damaged, which its reader says when it is opened
+            pass
+        return FileSurvey(found.kind, found.name)

@@ -1,0 +1,239 @@
+"""Files dropped together: what belongs together is found by content, in any order and under any name."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import random
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from ladarreg.workbench.batch_plan import BatchFile, PhotoTarget, Plan, plan_batch
+
+from ladarreg_core.formats.survey import FileSurvey
+from ladarreg_core.simulate.sample import sample_folder
+from tests.app.workbench_driver import WorkbenchDriver, open_bench
+
+PHOTO = next(sample_folder().glob("photo.*"))
+CAMERA = json.loads((sample_folder() / "camera.json").read_text())
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[WorkbenchDriver]:
+    """An empty project."""
+    found = open_bench(tmp_path / "project")
+    yield found
+    found.workbench.close()
+
+
+def upload(bench: WorkbenchDriver, name: str, data: bytes) -> str:
+    """Upload a file whose content decides its kind, and return its id."""
+    path = bench.workbench.upload_folder() / f"{random.getrandbits(128):032x}{Path(name).suffix}"
+    path.write_bytes(data)
+    return bench.workbench.take_upload(path, name, "any", None, bench.client)
+
+
+def drop(bench: WorkbenchDriver, files: dict[str, bytes], **choice: Any) -> dict[str, Any]:
+    """Upload files and open them together."""
+    return bench.do("open_files", files=[upload(bench, name, data) for name, data in files.items()], **choice)
+
+
+def waiting(bench: WorkbenchDriver) -> dict[str, str]:
+    """Return why files wait, by name."""
+    return {file["name"]: file["said"] for file in bench.slice("waiting")}
+
+
+def kinds(reply: dict[str, Any]) -> list[str]:
+    return [opened["kind"] for opened in reply["opened"]]
+
+
+def depth_scan() -> dict[str, bytes]:
+    """A scan of three files: a descriptor, its depth image and its intensity."""
+    rows, columns = 60, 80
+    depth = np.full((rows, columns), 2000, np.uint16)
+    depth[20:40, 30:50] = 1500
+    intensity = (np.indices((rows, columns)).sum(axis=0) % 9 * 25).astype(np.uint8)
+    camera = {"width": columns, "height": rows, "fx": 70.0, "fy": 70.0, "cx": 39.5, "cy": 29.5}
+    fields = {"kind": "depth-image", "depth": "depth.png", "intensity": "images/intensity.png", "depth_unit_m": 0.001,
+              "depth_is": "z", "camera": camera}  # fmt: skip
+    png = {name: cv2.imencode(".png", image)[1].tobytes() for name, image in (("d", depth), ("i", intensity))}
+    return {"kinect.json": json.dumps(fields).encode(), "depth.png": png["d"], "intensity.png": png["i"]}
+
+
+def matches_of_points() -> bytes:
+    return b"row,column,u,v\n10,10,5,5\n10,60,400,20\n50,60,420,300\n50,10,20,310\n"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_whole_batch_is_opened_in_any_order(bench: WorkbenchDriver, seed: int) -> None:
+    """Scan of three files, photograph, camera and matches, with extensions that say nothing or the wrong thing."""
+    descriptor, depth, intensity = depth_scan().items()
+    files = dict(
+        [
+            (descriptor[0].replace(".json", ".txt"), descriptor[1]),
+            depth,
+            ("Intensity.PNG", intensity[1]),
+            ("photo.npz", PHOTO.read_bytes()),
+            ("calibration.png", json.dumps(CAMERA).encode()),
+            ("list.dat", matches_of_points()),
+        ]
+    )
+    shuffled = list(files.items())
+    random.Random(seed).shuffle(shuffled)
+    reply = drop(bench, dict(shuffled))
+    assert kinds(reply) == ["scan", "photo", "camera", "matches"], reply
+    assert (reply["waiting"], reply["refused"], bench.slice("waiting")) == ([], [], [])
+    assert bench.slice("scan")["returns"] == 4800
+    photo = bench.slice("photos")[0]
+    assert photo["camera"]["fx"] == pytest.approx(CAMERA["fx"])
+    assert len(bench.slice("picks:p1")) == 4
+
+
+def test_the_project_opens_again_with_a_scan_of_several_files(tmp_path: Path) -> None:
+    bench = open_bench(tmp_path / "project")
+    drop(bench, depth_scan())
+    bench.workbench.close()
+    shutil.move(tmp_path / "project", tmp_path / "moved")
+    bench = open_bench(tmp_path / "moved")
+    assert bench.slice("scan")["returns"] == 4800
+    bench.workbench.close()
+
+
+def test_a_descriptor_waits_for_its_images_even_over_a_restart(tmp_path: Path) -> None:
+    files = depth_scan()
+    bench = open_bench(tmp_path / "project")
+    reply = drop(bench, {"kinect.json": files["kinect.json"], "intensity.png": files["intensity.png"]})
+    assert reply["opened"] == []
+    said = "the descriptor names depth.png, which was not among the files: drop it as well"
+    assert waiting(bench)["kinect.json"] == said
+    assert bench.slice("photos") == [], "the intensity image is not a photograph"
+    bench.workbench.close()
+
+    bench = open_bench(tmp_path / "project")
+    assert set(waiting(bench)) == {"kinect.json", "intensity.png"}
+    late = upload(bench, "depth.png", files["depth.png"])
+    again = [file["id"] for file in bench.slice("waiting") if file["kind"] == "scan"]
+    assert kinds(bench.do("open_files", files=[late, *again])) == ["scan"]
+    assert bench.slice("waiting") == []
+    bench.workbench.close()
+
+
+def test_the_missing_image_completes_what_waits(bench: WorkbenchDriver) -> None:
+    files = depth_scan()
+    drop(bench, {"kinect.json": files["kinect.json"]})
+    assert "names depth.png and images/intensity.png" in waiting(bench)["kinect.json"]
+    drop(bench, {"photo.jpg": PHOTO.read_bytes()})
+    assert set(waiting(bench)) == {"kinect.json"}
+    assert kinds(drop(bench, {name: files[name] for name in ("intensity.png", "depth.png")})) == ["scan"]
+    assert len(bench.slice("photos")) == 1
+
+
+def test_a_second_scan_is_a_question(bench: WorkbenchDriver) -> None:
+    scan = (sample_folder() / "scan.npz").read_bytes()
+    assert kinds(drop(bench, {"first.npz": scan})) == ["scan"]
+    reply = drop(bench, {"second.npz": scan, "photo.jpg": PHOTO.read_bytes()})
+    assert (reply["asks"], reply["opened"]) == ("scan", [])
+    assert bench.slice("scan")["name"] == "first.npz"
+    assert set(waiting(bench)) == {"second.npz", "photo.jpg"}, "nothing is lost"
+    reply = bench.do("open_files", files=reply["waiting"], scan="replace")
+    assert kinds(reply) == ["scan", "photo"]
+    assert bench.slice("scan")["name"] == "second.npz"
+
+
+def test_two_scans_wait_until_one_is_chosen(bench: WorkbenchDriver) -> None:
+    scan = (sample_folder() / "scan.npz").read_bytes()
+    reply = drop(bench, {"a.npz": scan, "b.npz": scan, "photo.jpg": PHOTO.read_bytes()})
+    assert kinds(reply) == ["photo"]
+    assert waiting(bench)["b.npz"] == "a project has one scan, and a.npz and b.npz are scans: open one of them"
+    chosen = next(file["id"] for file in bench.slice("waiting") if file["name"] == "b.npz")
+    assert kinds(bench.do("open_files", files=[chosen])) == ["scan"]
+    assert set(waiting(bench)) == {"a.npz"}
+    bench.do("discard_files", files=[file["id"] for file in bench.slice("waiting")])
+    assert bench.slice("waiting") == []
+    assert sum(path.is_file() for path in bench.workbench.upload_folder().rglob("*")) == 2
+
+
+def test_a_camera_waits_for_its_photograph(bench: WorkbenchDriver) -> None:
+    drop(bench, {"camera.json": json.dumps(CAMERA).encode()})
+    assert waiting(bench) == {"camera.json": "a camera belongs to a photograph: drop the photograph as well"}
+    assert kinds(drop(bench, {"photo.jpg": PHOTO.read_bytes()})) == ["photo", "camera"]
+    assert bench.slice("photos")[0]["camera"]["calibrated"]
+
+
+def test_matches_are_chosen_for_a_photograph(bench: WorkbenchDriver) -> None:
+    scan, photo = (sample_folder() / "scan.npz").read_bytes(), PHOTO.read_bytes()
+    drop(bench, {"scan.npz": scan, "left.jpg": photo, "right.jpg": photo, "list.csv": matches_of_points()})
+    assert waiting(bench) == {"list.csv": "it could belong to left.jpg or right.jpg: choose the photograph"}
+    ids = [file["id"] for file in bench.slice("waiting")]
+    assert bench.do("open_files", files=ids, photo="p2")["opened"][0]["photo"] == "p2"
+    assert len(bench.slice("picks:p2")) == 4
+    assert bench.slice("picks:p1") == []
+
+
+def test_what_cannot_be_read_is_refused_with_its_name(bench: WorkbenchDriver) -> None:
+    reply = drop(bench, {"cut.png": PHOTO.read_bytes()[:3000]})
+    assert reply["opened"] == []
+    assert reply["refused"][0]["error"].startswith("cut.png: ")
+    assert bench.slice("waiting") == []
+    with pytest.raises(Exception, match="PDF"):
+        upload(bench, "invoice.png", b"%PDF-1.7")
+    assert list(bench.workbench.upload_folder().iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["../depth.png", "/tmp/depth.png", "C:depth.png", "a\\b.png", "a/../../b.png"])
+def test_a_descriptor_cannot_name_a_file_outside_its_folder(bench: WorkbenchDriver, name: str) -> None:
+    files = depth_scan()
+    fields = json.loads(files["kinect.json"]) | {"depth": name}
+    before = {path for path in bench.workbench.session.folder.path.parent.rglob("*") if path.name == "depth.png"}
+    drop(bench, files | {"kinect.json": json.dumps(fields).encode(), "b.png": files["depth.png"]})
+    assert bench.slice("scan") is None
+    assert {p for p in bench.workbench.session.folder.path.parent.rglob("*") if p.name == "depth.png"} == before
+
+
+def batch(**surveys: FileSurvey) -> list[BatchFile]:
+    return [BatchFile(name, name.replace("__", "."), 1, survey) for name, survey in surveys.items()]
+
+
+def photo(width: int, height: int) -> FileSurvey:
+    return FileSurvey("photo", "image", (), width, height)
+
+
+def camera(width: int, height: int) -> FileSurvey:
+    return FileSurvey("camera", "camera JSON", (), width, height)
+
+
+def pairs(plan: Plan) -> dict[str, tuple[str, ...]]:
+    return {step.file.id: step.photos for step in plan.steps if step.file.survey.kind == "camera"}
+
+
+def test_cameras_find_their_photographs_by_name_then_by_size() -> None:
+    files = batch(
+        desk__jpg=photo(720, 540), wall__jpg=photo(720, 540), ir__tif=photo(320, 240),
+        desk_camera__yaml=camera(720, 540), colour__json=camera(720, 540), thermal__json=camera(240, 320),
+    )  # fmt: skip
+    found = set()
+    for order in itertools.permutations(files):
+        plan = plan_batch(order, (), shown=None, has_scan=False)
+        assert plan.waiting == {}
+        found.add(tuple(sorted(pairs(plan).items())))
+    wanted = {"colour__json": ("wall__jpg",), "desk_camera__yaml": ("desk__jpg",), "thermal__json": ("ir__tif",)}
+    assert found == {tuple(sorted(wanted.items()))}
+
+
+def test_rival_cameras_wait() -> None:
+    files = batch(a__jpg=photo(720, 540), one__json=camera(720, 540), two__json=camera(720, 540))
+    plan = plan_batch(files, (), shown=None, has_scan=False)
+    assert [step.file.id for step in plan.steps] == ["a__jpg"]
+    assert "two.json and one.json fit the same photograph" in plan.waiting["two__json"].said
+
+
+def test_a_camera_alone_belongs_to_the_shown_photograph_unless_it_fits_another() -> None:
+    photos = [PhotoTarget("p1", "a.jpg", 720, 540), PhotoTarget("p2", "b.jpg", 320, 240)]
+    for shown, size, owner in (("p1", (720, 540), "p1"), ("p1", (320, 240), "p2"), ("p2", (64, 64), "p2")):
+        plan = plan_batch(batch(k__json=camera(*size)), photos, shown=shown, has_scan=False)
+        assert pairs(plan) == {"k__json": (owner,)}
