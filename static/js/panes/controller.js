@@ -47,7 +47,8 @@ export class Controller {
     this.ask = ask;
     this.sides = { scan: new ScanSide(store, view), photo: new PhotoSide(store, view) };
     this.pendingMoves = new PendingMoves(
-      (id, side, ends) => this.#sendEnds(id, side, ends),
+      (photo, id, side, ends) => this.#sendEnds(photo, id, side, ends),
+      () => store.shown(),
       () => this.changed(),
     );
     this.snapping = new Snapping(
@@ -60,9 +61,9 @@ export class Controller {
     );
   }
 
-  async #sendEnds(id, side, ends) {
+  async #sendEnds(photo, id, side, ends) {
     try {
-      await this.ask("set_pick", { photo: this.store.shown(), pick: id, [side === "scan" ? "scan" : "photo_uv"]: ends });
+      await this.ask("set_pick", { photo, pick: id, [side === "scan" ? "scan" : "photo_uv"]: ends });
     } catch (error) {
       this.report(error);
       throw error;
@@ -212,6 +213,26 @@ export class Controller {
     return pair !== null;
   }
 
+  /** Turn to the shown scan and photograph: what was drawn stays with its own, and is never matched across. */
+  turnTo(scanReplaced) {
+    const { picking, store } = this;
+    this.pendingMoves.dropUnsent();
+    const name = store.photo(picking.subject)?.name;
+    const drawing = picking.turnTo(store.shown());
+    const photos = (store.get("photos") ?? []).map(({ id }) => id);
+    const lost = picking.forgetPhotosBut(photos);
+    if (scanReplaced && picking.forgetScan()) this.notify("The unfinished match was discarded: another scan was opened.");
+    else if (lost) this.notify("The unfinished match was discarded: its photograph was removed.");
+    else if (drawing === "kept") this.notify(`The unfinished match stays with ${name}: show that photograph to complete it.`);
+    else if (drawing === "discarded") this.notify("The unfinished stroke was discarded: another photograph is shown.");
+    if (picking.open) this.#opened();
+  }
+
+  /** Show a warning. */
+  notify(text) {
+    this.store.take({ event: "notice", level: "warn", text });
+  }
+
   /** Request the samples of a new first side, and the partner that the pose predicts for it. */
   #opened() {
     const { open } = this.picking;
@@ -233,7 +254,7 @@ export class Controller {
   async #predict(open) {
     const given = { [open.side === "scan" ? "scan" : "photo_uv"]: open.ends };
     try {
-      const answer = await this.ask("predict", { photo: this.store.shown(), side: open.side, ...given });
+      const answer = await this.ask("predict", { photo: this.picking.subject, side: open.side, ...given });
       this.picking.offer(open, answer[other(open.side) === "scan" ? "scan" : "photo_uv"]);
     } catch {
       return; // without a prediction the partner is drawn by hand
@@ -250,21 +271,27 @@ export class Controller {
       this.redraw("live");
     };
     try {
-      const { pick } = await this.ask("add_pick", { photo: this.store.shown(), kind: pair.kind, scan: pair.scan, photo_uv: pair.photo });
+      const { pick } = await this.ask("add_pick", { photo: pair.of, kind: pair.kind, scan: pair.scan, photo_uv: pair.photo });
       entry.id = typeof pick === "object" && pick ? pick.id : pick;
-      if (this.picking.idle) this.select([entry.id], pair[this.active].length - 1);
+      if (this.picking.idle && pair.of === this.store.shown()) this.select([entry.id], pair[this.active].length - 1);
       this.forgetArrived();
       setTimeout(forget, SENT_SHOWN_MS);
     } catch (error) {
       forget();
       this.report(error);
-      this.picking.reopen({ side: first, kind: pair.kind, ends: pair[first] });
+      this.picking.reopen({ side: first, kind: pair.kind, ends: pair[first] }, pair.of);
       this.handle("nothing");
     }
   }
 
+  /** @returns {(import("./picking.js").Pair & {id: string | null})[]} sent pairs of the shown photograph */
+  get sentHere() {
+    return this.sent.filter(({ of }) => of === this.store.shown());
+  }
+
   /** Forget sent pairs that the workbench shows by now. */
   forgetArrived() {
-    this.sent = this.sent.filter(({ id }) => id === null || !this.pick(id));
+    const shown = this.store.shown();
+    this.sent = this.sent.filter(({ id, of }) => id === null || (of === shown && !this.pick(id)));
   }
 }

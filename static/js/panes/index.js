@@ -51,15 +51,19 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
 
   const shownIds = {};
   const showSlices = () => {
+    const before = { ...shownIds };
     for (const side of SIDES) {
       const { id, extent } = controller.sides[side];
       if (id !== shownIds[side]) {
-        controller.picking.forget(side);
         controller.cursor = null;
+        tools.abandon();
       }
       controller.panes[side].setExtent(extent);
       shownIds[side] = id;
     }
+    const replaced = (side) => Boolean(before[side]) && before[side] !== shownIds[side];
+    if (replaced("photo")) view.set({ selected: new Set(), end: null, hovered: null }); // others have matches of the same ids
+    if (replaced("scan") || before.photo !== shownIds.photo) controller.turnTo(replaced("scan"));
     loadPictures();
     controller.changed();
     controller.hint();

@@ -102,7 +102,7 @@ export class Painting {
     const [side, look] = [this.#side, this.look];
     const colour = look.matches[controller.store.picksOf().length % look.matches.length];
     let pulses = false;
-    for (const { [side]: ends } of controller.sent) overlay.drawOpen(context, viewport, this.#sideOf.placed(ends), look, { colour });
+    for (const { [side]: ends } of controller.sentHere) overlay.drawOpen(context, viewport, this.#sideOf.placed(ends), look, { colour });
     for (const drawn of picking.unfinished()) {
       if (drawn.side !== side) continue;
       const waits = drawn === picking.open;

@@ -11,55 +11,71 @@ export class PendingMoves {
   #shown = new Map();
   #queues = new Map();
   #send;
+  #photo;
   #changed;
 
   /**
-   * @param {(id: string, side: "scan" | "photo", ends: number[][]) => Promise<any>} send
+   * @param {(photo: string, id: string, side: "scan" | "photo", ends: number[][]) => Promise<any>} send
+   * @param {() => string | null} photo id of the shown photograph: matches of others may have the same ids
    * @param {() => void} changed
    */
-  constructor(send, changed) {
+  constructor(send, photo, changed) {
     this.#send = send;
+    this.#photo = photo;
     this.#changed = changed;
+  }
+
+  #key(id, side) {
+    return `${this.#photo()} ${side} ${id}`;
   }
 
   /** @returns {number[][]} the ends of a match to show */
   endsOf(pick, side) {
-    return this.#shown.get(`${side} ${pick.id}`)?.ends ?? pick[side];
+    return this.#shown.get(this.#key(pick.id, side))?.ends ?? pick[side];
   }
 
   /** Show ends at a position without sending it. */
   show(id, side, ends) {
-    this.#shown.set(`${side} ${id}`, { ends });
+    this.#shown.set(this.#key(id, side), { ends });
     this.#changed();
   }
 
   /** Show the workbench's position again, unless a move is being sent. */
   drop(id, side) {
-    if (this.#queues.has(`${side} ${id}`)) return;
-    if (this.#shown.delete(`${side} ${id}`)) this.#changed();
+    this.#forget(this.#key(id, side));
+  }
+
+  /** Forget positions that were never sent: another photograph is shown. */
+  dropUnsent() {
+    for (const key of [...this.#shown.keys()]) this.#forget(key);
+  }
+
+  #forget(key) {
+    if (this.#queues.has(key)) return;
+    if (this.#shown.delete(key)) this.#changed();
   }
 
   /** Show ends at a position and send it; of several positions in quick succession the newest is sent. */
   commit(id, side, ends) {
-    const key = `${side} ${id}`;
+    const key = this.#key(id, side);
     this.show(id, side, ends);
     const busy = this.#queues.has(key);
     this.#queues.set(key, ends);
-    if (!busy) this.#transmit(id, side, key);
+    if (!busy) this.#transmit(this.#photo(), id, side, key);
   }
 
-  async #transmit(id, side, key) {
+  async #transmit(photo, id, side, key) {
     let sent;
     try {
       do {
         sent = this.#queues.get(key);
-        await this.#send(id, side, sent);
+        await this.#send(photo, id, side, sent);
       } while (this.#queues.get(key) !== sent);
     } catch {
       sent = null; // `send` has reported why; the old position is shown again at once
     }
     this.#queues.delete(key);
     const mine = this.#shown.get(key);
-    setTimeout(() => this.#shown.get(key) === mine && this.drop(id, side), sent ? SHOWN_AFTER_MS : 0);
+    setTimeout(() => this.#shown.get(key) === mine && this.#forget(key), sent ? SHOWN_AFTER_MS : 0);
   }
 }

@@ -4,7 +4,8 @@
  *     nothing ── press ──> drawing ── second end ──> open ── its partner, drawn or accepted ──> a pair
  *                             └──── Esc ────> nothing <──── Esc ────┘
  *
- * A line is made by a drag or by two clicks. A second line in the same pane replaces the first.
+ * A line is made by a drag or by two clicks. A second line in the same pane replaces the first. An open side belongs to
+ * the photograph that was shown when it was drawn: it waits while another is shown, and never gets a partner there.
  */
 
 /**
@@ -13,7 +14,7 @@
  * @typedef {{world: number[], uv: readonly number[], zoom: number, time_ms: number}} PickPosition `world`: a ray (scan)
  *   or pixel (photo); `uv`: the pixel; `zoom` at that moment
  * @typedef {{side: Side, kind: Kind, ends: number[][]}} Drawn `ends` are rays (scan) or pixels (photo)
- * @typedef {{kind: Kind, scan: number[][], photo: number[][]}} Pair
+ * @typedef {{kind: Kind, scan: number[][], photo: number[][], of: string | null}} Pair `of` is the id of its photograph
  */
 
 export const CLICK_PX = 6;
@@ -35,6 +36,10 @@ export class Picking {
   open = null;
   /** @type {(number[] | null)[] | null} ends of the predicted partner, on the missing side */
   predicted = null;
+  /** @type {string | null} id of the photograph to which everything here belongs */
+  subject = null;
+  /** @type {Map<string, Drawn>} open sides of other photographs */
+  waiting = new Map();
   #ended = null;
 
   /** @returns {Side | null} the side on which the partner is missing */
@@ -125,7 +130,7 @@ export class Picking {
   /** @returns {Pair} */
   #paired(ends) {
     const { side, kind } = this.open;
-    const pair = { kind, [side]: this.open.ends, [other(side)]: ends };
+    const pair = { kind, [side]: this.open.ends, [other(side)]: ends, of: this.subject };
     this.open = null;
     this.predicted = null;
     return pair;
@@ -146,9 +151,28 @@ export class Picking {
     return this.open && this.acceptable ? this.#paired(this.predicted) : null;
   }
 
-  /** Reopen the first side of a pair that was refused. */
-  reopen(first) {
-    if (this.idle) this.open = first;
+  /** Reopen the first side of a pair that was refused, in its own photograph. */
+  reopen(first, of) {
+    if (of !== this.subject) this.waiting.set(of, this.waiting.get(of) ?? first);
+    else if (this.idle) this.open = first;
+  }
+
+  /**
+   * Another photograph is shown: an open side waits for the return of its own, a stroke is discarded.
+   * @param {string | null} photo its id
+   * @returns {"kept" | "discarded" | "nothing"} what became of the drawing
+   */
+  turnTo(photo) {
+    const { drawing, open, subject } = this;
+    if (photo === subject) return "nothing";
+    this.subject = photo;
+    this.#ended = null;
+    if (subject === null) return "nothing"; // the first photograph: what was drawn in the scan may have a partner there
+    this.drawing = this.predicted = null;
+    if (open) this.waiting.set(subject, open);
+    this.open = this.waiting.get(photo) ?? null;
+    this.waiting.delete(photo);
+    return open ? "kept" : drawing ? "discarded" : "nothing";
   }
 
   /** Discard the stroke, or else the open side. @returns {boolean} whether there was either */
@@ -165,11 +189,21 @@ export class Picking {
     if (this.drawing?.side === side) this.drawing = null;
   }
 
-  /** Discard all that was drawn on a side whose scan or photograph is no longer shown. */
-  forget(side) {
-    if (this.drawing?.side === side) this.drawing = null;
-    if (this.open?.side === side) this.open = this.predicted = null;
-    else this.predicted = null;
+  /** Discard all that was drawn in a scan that has been replaced. @returns {boolean} whether there was anything */
+  forgetScan() {
+    const drawn = [this.drawing, this.open, ...this.waiting.values()].some((each) => each?.side === "scan");
+    if (this.drawing?.side === "scan") this.drawing = null;
+    if (this.open?.side === "scan") this.open = null;
+    this.predicted = null;
+    for (const [photo, { side }] of [...this.waiting]) if (side === "scan") this.waiting.delete(photo);
+    return drawn;
+  }
+
+  /** Discard the open sides of photographs that exist no longer. @returns {boolean} whether there were any */
+  forgetPhotosBut(photos) {
+    const gone = [...this.waiting.keys()].filter((photo) => !photos.includes(photo));
+    for (const photo of gone) this.waiting.delete(photo);
+    return gone.length > 0;
   }
 
   /** @returns {Drawn[]} what is to be drawn as unfinished */

@@ -1,0 +1,103 @@
+"""Two people at one workbench, each in a browser of his or her own."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from ladarreg_core.simulate.sample import sample_folder
+from tests.e2e.test_workbench import Operator, no_model
+from tests.served_workbench import Served, served
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from playwright.sync_api import Browser, Page
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="as in test_workbench")]
+SIZE: Any = {"width": 1366, "height": 768}
+SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(name))"
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    with served(tmp_path_factory.mktemp("two") / "project") as (found, _):
+        yield found
+
+
+class Person(Operator):
+    """A person in a browser of his or her own; without a websocket beside the page, since that would be a third."""
+
+    def __init__(self, browser: Browser, server: Served, name: str, *, token: str = "") -> None:
+        self.context = browser.new_context(viewport=SIZE, bypass_csp=True)
+        self.page, self.server = self.context.new_page(), server
+        self.page.route("**/viser/**", no_model)
+        self.errors: list[str] = []
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.goto(f"{server.address}?token={token or server.token}")
+        self.page.get_by_role("button", name="connected").wait_for()
+        self.page.locator(".clients-button").click()
+        self.page.get_by_label("Your name").fill(name)
+        self.page.get_by_role("button", name="Set name").click()
+        self.wait(lambda: self.slice("people")["count"] and name in str(self.slice("people")), "the name is known")
+
+    def slice(self, name: str) -> Any:
+        return self.page.evaluate(SLICE, name)
+
+    def add_photo(self, path: Path) -> None:
+        """Add a photograph with the dialog."""
+        self.page.get_by_role("button", name="Add photographs").click()
+        dialog = self.page.locator("dialog[open]")
+        dialog.locator("input[type=file]").first.set_input_files(str(path))
+        self.page.get_by_role("tab", name=path.name).wait_for()
+        if dialog.count():
+            self.page.keyboard.press("Escape")
+
+
+@pytest.fixture
+def ann(browser: Browser, server: Served) -> Iterator[Person]:
+    person = Person(browser, server, "Ann")
+    yield person
+    person.context.close()
+    assert not person.errors
+
+
+@pytest.fixture
+def ben(browser: Browser, server: Served) -> Iterator[Person]:
+    person = Person(browser, server, "Ben")
+    yield person
+    person.context.close()
+    assert not person.errors
+
+
+def shown_photo(page: Page) -> str:
+    return page.locator("[role=tab][aria-selected=true].photo-tab").inner_text().strip()
+
+
+def test_a_colleague_who_adds_a_photograph_does_not_disturb_a_line_that_is_being_drawn(
+    ann: Person, ben: Person, tmp_path: Path
+) -> None:
+    second = tmp_path / "second.png"
+    second.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
+    ann.draw("scan", [(420, 180), (760, 260)])
+    ann.page.get_by_text(re.compile("Draw the same line in the photograph")).first.wait_for()
+    before = len(ann.slice("picks:p1"))
+    ben.add_photo(second)
+    ben.wait(lambda: ben.slice("shown") == "p2", "the colleague sees the new photograph")
+    ann.page.get_by_role("tab", name="second.png").wait_for()
+    assert ann.slice("shown") == "p1"
+    ann.draw("photo", [(300, 200), (410, 220)])
+    ann.wait(lambda: len(ann.slice("picks:p1")) == before + 1, "the line is saved where it was drawn")
+    assert not ann.slice("picks:p2")
+
+    ann.page.reload()
+    ann.page.get_by_role("button", name="connected").wait_for()
+    assert ann.slice("shown") == "p1"
+    assert sorted(each["name"] for each in ann.slice("people")["clients"]) == ["Ann", "Ben"], "the same person"
+    ben.page.reload()
+    ben.page.get_by_role("button", name="connected").wait_for()
+    assert shown_photo(ben.page).startswith("second.png")
