@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 _PACKET = 1448
@@ -75,7 +76,7 @@ class _Bottleneck:
             stream.packets.popleft()
             if stream.packets:
                 self._queue.append(stream)
-            free_at = max(free_at, now - 0.01) + len(packet) / self._bytes_per_s
+            free_at = max(free_at, now - 0.01) + max(len(packet), 1) / self._bytes_per_s
             if free_at > now + 0.002:
                 await asyncio.sleep(free_at - now)
             stream.waiting -= len(packet)
@@ -88,8 +89,9 @@ class _Bottleneck:
         if packet:
             writer.write(packet)
             self._delivered(len(packet), request)
-        elif writer.can_write_eof():
-            writer.write_eof()
+        else:
+            with suppress(OSError):  # the other side is gone already
+                writer.write_eof()
 
 
 class ThrottlingProxy:

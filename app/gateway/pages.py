@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
 from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import Receive, Scope, Send
@@ -70,13 +69,3 @@ class Pages(StaticFiles):
         response = super().file_response(full_path, stat_result, scope, status_code)
         response.headers.update(_REVALIDATE)
         return response
-
-
-def front_page(folder: Path, request: Request) -> Response:
-    """Return `index.html`."""
-    path = folder / "index.html"
-    if not path.is_file():
-        raise HTTPException(404)
-    response = Pages(folder).file_response(path, path.stat(), request.scope)
-    response.headers["content-type"] = "text/html; charset=utf-8"
-    return response

@@ -54,7 +54,7 @@ class Picture:
     """An encoded picture."""
 
     data: bytes
-    """PNG or JPEG."""
+    """PNG, JPEG or WebP."""
     media_type: str
     """For example `image/png`."""
     etag: str
@@ -85,6 +85,12 @@ class Workbench(Protocol):
 
     def picture(self, path: str, query: Mapping[str, str]) -> Picture:
         """Draw a picture; raises `LadarregError`."""
+
+    def first_pictures(self) -> Mapping[str, str]:
+        """Return the URL, relative to the page, of the picture that each pane (`scan`, `photo`) shows first.
+
+        Those that are not known without reading a file are omitted.
+        """
 
     def upload_folder(self) -> Path:
         """Return the folder that uploads are written to before they are checked."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
@@ -16,7 +17,8 @@ from .document_socket import ClientRegistry, DocumentSocket
 from .downloads import Exports, Pictures
 from .login import Credentials
 from .options import GatewayOptions
-from .pages import Pages, front_page, static_folder
+from .page_files import PageFiles
+from .pages import Pages, static_folder
 from .protocol import Workbench
 from .security import Guard
 from .uploads import Uploads
@@ -46,10 +48,16 @@ def build_site(
     limits = options.limits.within(raise_descriptor_limit())
     clients, proxy = ClientRegistry(), ViserProxy(viser, most=limits.views)
     folder = folder or static_folder()
-    pages = Pages(folder)
+    pages, files = Pages(folder), PageFiles(folder)
 
     async def page(request: Request) -> Response:
-        return front_page(folder, request)
+        return await run_in_threadpool(lambda: files.front_page(workbench.first_pictures(), request.headers))
+
+    async def versioned(request: Request) -> Response:
+        return await run_in_threadpool(files.versioned, request)
+
+    async def unversioned(request: Request) -> Response:
+        return await run_in_threadpool(files.unversioned, request)
 
     async def to_viser(request: Request) -> Response:
         return RedirectResponse("viser/", status_code=307)  # relative: a proxy in front may add a prefix
@@ -57,6 +65,8 @@ def build_site(
     inner = Starlette(
         routes=[
             Route("/", page),
+            Route("/v/{version}/{path:path}", versioned),
+            Route("/js/{path:path}", unversioned),
             WebSocketRoute("/document", DocumentSocket(workbench, clients).serve),
             Route("/picture/{path:path}", Pictures(workbench).serve),
             Route("/upload", Uploads(workbench, clients).serve, methods=["POST"]),

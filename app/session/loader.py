@@ -57,6 +57,11 @@ class Loader:
         """Return the cached value of a key, or make it; other callers that need the same kind wait."""
         return self._cache.get(kind, key, make)
 
+    def known(self, kind: str, key: Hashable) -> Any:
+        """Return the cached value of a key; None if there is none."""
+        cached = self._cache[kind].get(key)
+        return None if cached is None else cached[0]
+
     def scan(self, document: Document) -> Scan | None:
         """Return the scan; None where none is open.
 
@@ -195,8 +200,8 @@ class Loader:
 
     def known_assessment(self, pose: PoseEntry) -> Assessment | None:
         """Return the assessment of a pose; None before it was computed."""
-        cached = self._cache["assessment"].get(id(pose))
-        return None if cached is None else cached[0][1]
+        cached = self.known("assessment", id(pose))
+        return None if cached is None else cached[1]
 
     def partners(self, scan: Scan, pose: PoseEntry) -> PickPredictor:
         """Return the prediction of picks from one image to the other under a pose."""

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import logging
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from ladarreg_core.errors import LadarregError, OptionError
 
 from ..gateway.protocol import Picture
 from ..session.loader import Loader
 from ..session.session import Session
+from .state import photo_revision
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ladarreg_core.inspection.picture_forms import EncodedPicture
     from ladarreg_core.project.document import PhotoEntry, PoseEntry
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.perspective import View
 
 log = logging.getLogger(__name__)
-_JPEG_ABOVE_PIXELS = 2_500_000
-_JPEG_QUALITY = 93
+_OF_NO_PIXEL = frozenset(("rev", "stage", "form", "part"))
+"""Parameters on which the pixels of an overlay do not depend."""
 _MAX_DIGITS = 9
 
 
@@ -51,28 +56,86 @@ class Images:
         if entry is None:
             raise OptionError("there is no such photograph")
         if kind == "photo":
-            key: Any = (entry.source, entry.camera.file)
-            return self._loader.cached("picture", ("photo", key), lambda: self._photo(entry))
+            key: Any = ("photo", entry.source, entry.camera.file)
+            return self._sent(key, lambda: self._loader.viewable_photo(entry).pixels, query, natural=True)
         pose = entry.stage(query["stage"]) if query.get("stage") else entry.pose
         if pose is None or kind not in ("overlay", "registered"):
             raise OptionError("there is no pose to overlay; solve first")
-        options = tuple(sorted((k, v) for k, v in query.items() if k not in ("rev", "stage")))
-        key = (kind, id(pose), options)
+        options = tuple(sorted((k, v) for k, v in query.items() if k not in _OF_NO_PIXEL))
         make = self._overlay if kind == "overlay" else self._registered
-        return self._loader.cached("picture", key, lambda: (pose, make(entry, pose, query)))[1]
+        return self._sent((kind, id(pose), options), lambda: make(entry, pose, query), query, keep=pose)
+
+    def first_pictures(self, shown: PhotoEntry | None) -> dict[str, str]:
+        """Return the URLs that a new page requests first (static/js/panes/sides.js), for a photograph that it shows.
+
+        Args:
+            shown: the photograph; None: there is none.
+        """
+        found = {}
+        scan = self._loader.known("picture", ("scan slice", self._session.document.scan))
+        if scan and scan["views"]:
+            show = "intensity" if scan["has_intensity"] else "range"
+            found["scan"] = (
+                f"picture/scan?view=0&show={show}&low=1&high=99.5&equalise=0&gamma=0.6&rev={scan['id']}&form=quick"
+            )
+        if shown is not None:
+            found["photo"] = f"picture/photo/{quote(shown.id)}?rev={photo_revision(shown)}&form=quick"
+        return found
 
     def prerender(self) -> None:
         """Render the scan in its default display, in a thread; it is the first image that a page requests."""
 
         def render() -> None:
             try:
-                self._scan({})
+                for form in ("quick", "exact"):
+                    self._scan({"form": form})
             except LadarregError as error:
                 log.debug("there is nothing to render: %s", error)
             except Exception:  # a page that requests the image gets the error
                 log.exception("the scan could not be rendered")
 
         threading.Thread(target=render, name="picture", daemon=True).start()
+
+    def _sent(
+        self,
+        key: tuple[Any, ...],
+        make: Callable[[], NDArray[np.uint8]],
+        query: Mapping[str, str],
+        *,
+        keep: object = None,
+        natural: bool = False,
+    ) -> Picture:
+        """Return an image in the form that the query asks for.
+
+        Args:
+            key: identifies its pixels.
+            make: renders them.
+            query: with `form` or `part`.
+            keep: the object whose id is part of the key.
+            natural: whether it is a photograph.
+        """
+        from ladarreg_core.inspection import picture_forms
+
+        form = query.get("form", "exact")
+        if form not in picture_forms.FORMS:
+            raise OptionError(f"a picture has no form {form[:20]!r}; choose one of {', '.join(picture_forms.FORMS)}")
+
+        def cached(what: object, value: Callable[[], Any]) -> Any:
+            return self._loader.cached("picture", (what, *key), lambda: (keep, value()))[1]
+
+        def pixels() -> NDArray[np.uint8]:
+            found: NDArray[np.uint8] = make() if natural else cached("pixels", make)
+            return found
+
+        if "part" in query:
+            level, column, row = picture_forms.level_column_row(query["part"])
+            of_level = cached(("level", level), lambda: picture_forms.reduced(pixels(), level)) if level else pixels()
+            return _with_etag(picture_forms.part(of_level, column, row))
+        if form == "quick":
+            found: Picture = cached("quick", lambda: _with_etag(picture_forms.quick(pixels())))
+        else:
+            found = cached("exact", lambda: _with_etag(picture_forms.exact(pixels(), natural=natural)))
+        return found
 
     def _scan(self, query: Mapping[str, str]) -> Picture:
         from ladarreg_core.inspection.pictures import Stretch, scan_picture
@@ -84,27 +147,18 @@ class Images:
             gamma=_number(query, "gamma", 0.6),
             equalise=query.get("equalise") == "1",
         )
-        key = ("scan", id(view), show, stretch)
-        return self._loader.cached("picture", key, lambda: (view, _png(scan_picture(view, show, stretch))))[1]
+        return self._sent(
+            ("scan", id(view), show, stretch), lambda: scan_picture(view, show, stretch), query, keep=view
+        )
 
-    def _photo(self, entry: PhotoEntry) -> Picture:
-        pixels = self._loader.viewable_photo(entry).pixels
-        if pixels.shape[0] * pixels.shape[1] <= _JPEG_ABOVE_PIXELS:
-            return _png(pixels)
-        from PIL import Image
-
-        buffer = io.BytesIO()
-        Image.fromarray(pixels).save(buffer, "JPEG", quality=_JPEG_QUALITY, subsampling=0)
-        return _picture(buffer.getvalue(), "image/jpeg")
-
-    def _overlay(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> Picture:
+    def _overlay(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> NDArray[np.uint8]:
         from ladarreg_core.inspection.pictures import scan_over_photo
 
         result = self._loader.registration(pose)
         show = query.get("show", "intensity")
-        return _png(scan_over_photo(self._scan_or_raise(), result.camera, result.camera_from_scanner, show))
+        return scan_over_photo(self._scan_or_raise(), result.camera, result.camera_from_scanner, show)
 
-    def _registered(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> Picture:
+    def _registered(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> NDArray[np.uint8]:
         from ladarreg_core.inspection.model_textures import texture_without_z_buffer
         from ladarreg_core.inspection.pictures import photo_over_scan
         from ladarreg_core.surface.texture import texture_scan
@@ -114,7 +168,7 @@ class Images:
             texture = texture_without_z_buffer(scan, photo, result)
         else:
             texture = texture_scan(scan, photo, result.camera_from_scanner, camera=result.camera)
-        return _png(photo_over_scan(self._view(query), texture))
+        return photo_over_scan(self._view(query), texture)
 
     def _scan_or_raise(self) -> Scan:
         scan = self._loader.scan(self._session.document)
@@ -139,13 +193,5 @@ def _number(query: Mapping[str, str], name: str, otherwise: float) -> float:
         raise OptionError(f"{name} is {query[name]!r}; it must be a number") from None
 
 
-def _png(pixels: Any) -> Picture:
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG", compress_level=1)
-    return _picture(buffer.getvalue(), "image/png")
-
-
-def _picture(data: bytes, media_type: str) -> Picture:
-    return Picture(data, media_type, hashlib.sha256(data).hexdigest()[:16])
+def _with_etag(picture: EncodedPicture) -> Picture:
+    return Picture(picture.data, picture.media_type, hashlib.sha256(picture.data).hexdigest()[:16])

@@ -33,6 +33,11 @@ class Selection:
         return self._entry(self._active.photo if self._active else self._latest)
 
     @property
+    def first(self) -> PhotoEntry | None:
+        """The photograph that a new client sees."""
+        return self._entry(self._latest)
+
+    @property
     def active(self) -> Client | None:
         """The client whose photograph and model the shared 3-D scene shows."""
         return self._active

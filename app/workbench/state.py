@@ -103,10 +103,15 @@ def _digest(*parts: Struct) -> str:
     return blake2b(json.encode(parts), digest_size=8).hexdigest()
 
 
+def photo_revision(entry: PhotoEntry) -> str:
+    """Return what changes with a photograph's picture or its camera."""
+    return _digest(entry.source, entry.camera)
+
+
 def photo_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
     """Return an entry of the slice `photos`; without a camera if its focal length is unknown."""
     found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
-    found["rev"] = _digest(entry.source, entry.camera)
+    found["rev"] = photo_revision(entry)
     photo: Photo | None = None
     try:
         try:

@@ -132,6 +132,10 @@ class Workbench:
         """
         return self.images.picture(path, query)
 
+    def first_pictures(self) -> Mapping[str, str]:
+        """Return the URL of the picture that each pane shows first; those not known yet are omitted."""
+        return self.images.first_pictures(self.selection.first)
+
     def upload_folder(self) -> Path:
         """Return the folder for uploads."""
         return self.session.folder.inputs

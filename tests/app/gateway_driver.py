@@ -101,6 +101,9 @@ class CountingWorkbench:
             raise OptionError("it can show intensity; choose that")
         return Picture(PNG, "image/png", f'"{query.get("rev", "none")}"\r\n')
 
+    def first_pictures(self) -> dict[str, str]:
+        return {"scan": "picture/scan?rev=1&form=quick"}
+
     def upload_folder(self) -> Path:
         return self.room
 

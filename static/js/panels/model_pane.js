@@ -5,6 +5,7 @@ import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
 import { button } from "../ui/controls.js";
 import { element, setChildren } from "../ui/dom.js";
+import { whenFirstPicturesArrived } from "../ui/first_pictures.js";
 import { mountSoftwareHint } from "./software_drawing.js";
 
 const SWITCHES = [
@@ -96,7 +97,8 @@ const forwardKeys = (frame) => {
 export const mountModelPane = (pane) => {
   pane.querySelector(".pane-controls").append(...controls());
   const body = pane.querySelector(".pane-body");
-  const frame = element("iframe", { class: "model-frame", src: "viser/", title: "3-D model", allow: "fullscreen" });
+  const frame = element("iframe", { class: "model-frame", title: "3-D model", allow: "fullscreen" });
+  whenFirstPicturesArrived().then(() => frame.setAttribute("src", "viser/"));
   frame.addEventListener("load", () => {
     try {
       forwardKeys(frame);

@@ -32,7 +32,9 @@ const swipeInLoupe = (pane, swipe_x, viewport) => ((swipe_x - pane.viewport.x) /
  */
 export const mountPane = (body, side, { controller, tools, preview, readout, space }) => {
   describe(body, side);
+  const first = body.querySelector(".first-picture");
   const changed = () => {
+    if (!slots.picture.picture && !slots.picture.loading) first?.remove();
     notes.show();
     pane.invalidate("picture", "compare", "live");
   };
@@ -40,7 +42,10 @@ export const mountPane = (body, side, { controller, tools, preview, readout, spa
   const painting = new Painting({ controller, side, slots, tools, preview });
   const swipe_x = () => controller.view.get().photo.swipe * pane.size[0];
   const pane = new Pane(body, side, {
-    picture: (context) => painting.picture(context, pane.viewport, pane.size),
+    picture: (context) => {
+      painting.picture(context, pane.viewport, pane.size);
+      if (slots.picture.picture) first?.remove();
+    },
     compare: (context) => painting.compare(context, pane.viewport, pane.size, swipe_x()),
     matches: (context) => painting.matches(context, pane.viewport, pane.size),
     live: (context) => layer.paint(context),

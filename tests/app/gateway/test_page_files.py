@@ -1,0 +1,121 @@
+"""The page as a browser loads it: compressed, versioned by content, and with its first pictures requested at once."""
+
+from __future__ import annotations
+
+import gzip
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from ladarreg.gateway.page_files import PageFiles
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.responses import Response
+
+from tests.app.gateway_driver import Running, running
+
+PACKED = {"Accept-Encoding": "gzip, br"}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with running(tmp_path_factory.mktemp("room")) as found:
+        yield found
+
+
+def linked(text: str, tag: str) -> list[str]:
+    return re.findall(rf'<{tag}[^>]* (?:href|src)="([^"]+)"', text)
+
+
+@pytest.fixture(scope="module")
+def front(run: Running) -> str:
+    return run.ask("GET", "/")[2].decode()
+
+
+def test_every_script_and_style_of_the_page_is_versioned_and_kept_for_ever(run: Running, front: str) -> None:
+    scripts, styles = linked(front, "script"), linked(front, 'link rel="stylesheet"')
+    assert scripts
+    assert styles
+    for path in scripts + styles:
+        assert re.match(r"v/[0-9a-f]{16}/", path), path
+        status, headers, body = run.ask("GET", f"/{path}", PACKED)
+        assert status == 200
+        assert "immutable" in headers["cache-control"]
+        assert headers["cache-control"].startswith("private")
+        assert headers["content-encoding"] == "gzip"
+        assert headers["vary"] == "accept-encoding"
+        plain = run.ask("GET", f"/{path}")
+        assert "content-encoding" not in plain[1]
+        assert gzip.decompress(body) == plain[2]
+
+
+def test_the_page_itself_is_compressed_and_revalidated(run: Running, front: str) -> None:
+    _, headers, body = run.ask("GET", "/", PACKED)
+    assert gzip.decompress(body).decode() == front
+    assert headers["content-encoding"] == "gzip"
+    assert headers["cache-control"] == "no-cache"
+    assert headers["content-type"] == "text/html; charset=utf-8"
+    assert run.ask("GET", "/", PACKED | {"If-None-Match": headers["etag"]})[0] == 304
+
+
+def test_every_module_is_preloaded(run: Running, front: str, checkout: Path) -> None:
+    preloaded = linked(front, 'link rel="modulepreload"')
+    version = preloaded[0].split("/")[1]
+    modules = {path.relative_to(checkout / "static").as_posix() for path in (checkout / "static/js").rglob("*.js")}
+    classic = {path.removeprefix(f"v/{version}/") for path in re.findall(r'<script src="([^"]+)"', front)}
+    assert {path.removeprefix(f"v/{version}/") for path in preloaded} == modules - classic
+    assert len(set(preloaded)) == len(preloaded)
+    for path in preloaded:
+        assert run.ask("GET", f"/{path}")[1]["content-type"].startswith("text/javascript")
+
+
+def test_the_first_pictures_come_before_all_scripts(front: str) -> None:
+    pictures = linked(front, 'link rel="preload" as="image"')
+    assert pictures == linked(front, "img") == ["picture/scan?rev=1&amp;form=quick"]
+    assert front.index(pictures[0]) < front.index("modulepreload")
+    assert "<!--" not in front, "everything is filled in"
+
+
+def test_the_version_in_a_path_must_exist_as_a_file(run: Running, front: str) -> None:
+    version = linked(front, "script")[0].split("/")[1]
+    for path in ("js/none.js", "../index.html", "index.html", "js/.hidden.js", ""):
+        assert run.ask("GET", f"/v/{version}/{path}")[0] == 404
+
+
+def test_a_script_by_its_plain_name_is_the_pages_own(run: Running, front: str) -> None:
+    version = linked(front, "script")[0].split("/")[1]
+    status, headers, body = run.ask("GET", "/js/net/store.js")
+    assert (status, body.decode()) == (200, f'export * from "../../v/{version}/js/net/store.js";\n')
+    assert headers["cache-control"] == "no-cache"
+    assert run.ask("GET", "/js/none.js")[0] == 404
+
+
+def test_an_edited_script_arrives_with_the_next_reload(tmp_path: Path, checkout: Path) -> None:
+    folder = tmp_path / "static"
+    shutil.copytree(checkout / "static", folder)
+    files = PageFiles(folder)
+
+    def fetched(path: str) -> Response:
+        _, version, rest = path.split("/", 2)
+        parameters = {"version": version, "path": rest}
+        return files.versioned(Request({"type": "http", "headers": [], "path_params": parameters}))
+
+    def main_script() -> str:
+        page = files.front_page({}, Headers()).body
+        return linked(bytes(page).decode(), 'script type="module"')[0]
+
+    before = main_script()
+    assert main_script() == before
+    with (folder / "js/main.js").open("a") as file:
+        file.write("\n// edited\n")
+    after = main_script()
+    assert after != before
+    new = fetched(after)
+    assert "immutable" in new.headers["cache-control"]
+    assert bytes(new.body).endswith(b"// edited\n")
+    old = fetched(before)
+    assert old.status_code == 200, "a page that is being loaded still gets its scripts"
+    assert old.body == new.body
+    assert old.headers["cache-control"] == "no-cache"
