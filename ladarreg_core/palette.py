@@ -13,6 +13,9 @@ from ladarreg_core.arrays import ByteArray
 
 Colour = tuple[int, int, int]
 """RGB, 0 to 255."""
+_SHARE_SHOWN = 98.0  # per cent; a few outlying cells must not compress the scale of all others
+_NICE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+_LEAST_END, _MOST_END = 1e-6, 1e8
 
 BACKGROUND: Colour = (15, 17, 21)
 PANEL: Colour = (22, 26, 33)
@@ -68,6 +71,19 @@ def ramp_colours(levels: NDArray[np.floating]) -> ByteArray:
     steps = np.rint(255 * np.clip(levels, 0, 1)).astype(np.uint8)
     coloured = np.asarray(cv2.applyColorMap(steps.reshape(-1, 1), cv2.COLORMAP_VIRIDIS), dtype=np.uint8)
     return coloured.reshape(*steps.shape, 3)[..., ::-1]
+
+
+def scale_end(values: NDArray[np.floating]) -> float:
+    """Return a round number that 98 % of the positive values do not exceed, as the end of a map's scale.
+
+    It is 1 if there is no positive value.
+    """
+    known = values[np.isfinite(values) & (values > 0)]
+    if not known.size:
+        return 1.0
+    high = float(np.clip(np.percentile(known.astype(np.float64), _SHARE_SHOWN), _LEAST_END, _MOST_END))
+    power = 10.0 ** np.floor(np.log10(high))
+    return float(power * next((n for n in _NICE if n * power >= high * (1 - 1e-6)), _NICE[-1]))
 
 
 def as_css(colour: Colour) -> str:

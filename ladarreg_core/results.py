@@ -15,7 +15,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
 from ladarreg_core.validation import require_number
 
-Evidence = Literal["image", "statistics", "none"]
+Evidence = Literal["image", "statistics", "given", "none"]
 ThesisStage = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
 """The columns of thesis Tables 3.2-3.5."""
 StageName = Literal[ThesisStage, "default"]
@@ -74,7 +74,8 @@ class PoseResult:
     accepted: bool = False
     """Whether the evidence suffices to present the pose as registered."""
     evidence: Evidence = "none"
-    """`image`: verified against the image; `statistics`: accepted on match statistics only; `none`."""
+    """`image`: verified against the image; `statistics`: accepted on match statistics only; `given`: applied, not
+    solved, and never accepted; `none`."""
     reasons: tuple[str, ...] = ()
     """Reasons of the verdict, as sentences."""
     diagnostics: Mapping[str, Any] = field(default_factory=dict)

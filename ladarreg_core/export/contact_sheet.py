@@ -26,7 +26,6 @@ from ladarreg_core.export.comparison_table import (
 from ladarreg_core.export.detail import (
     DETAIL_ASPECT,
     Window,
-    cell_aspect,
     detail_window,
     edge_lines,
     seen_window,
@@ -46,20 +45,18 @@ from ladarreg_core.export.layout import (
     shortened,
     stacked,
     text_block,
-    with_mark,
     wrapped,
 )
 from ladarreg_core.export.match_panels import best_enlargement, match_panel
+from ladarreg_core.export.panels import BADGES, marked, scan_panel, window_aspect, window_size, with_edges
 from ladarreg_core.palette import (
     ACCENT,
     BACKGROUND,
     BAD,
-    BAD_GROUND,
     DIM,
     INK,
     LINE,
     OK,
-    OK_GROUND,
     PANEL,
     WARN,
     WARN_GROUND,
@@ -80,11 +77,6 @@ _TALLEST = 560
 _TABLE_WIDTH, _WIDEST_TABLE = 940, 1500
 _UNSEEN = 0.22
 _REASON_LINES = 4
-_BADGES: dict[str, tuple[Colour, Colour]] = {
-    "accepted": (OK, OK_GROUND),
-    "not accepted": (WARN, WARN_GROUND),
-    "no pose": (BAD, BAD_GROUND),
-}
 
 
 def write_contact_sheet(path: str | Path, comparison: Comparison, scan: Scan, photo: Photo) -> None:
@@ -179,7 +171,7 @@ def _top(
     comparison: Comparison, scan: Scan, photo: Photo, tile: Window, detail: Window | None, inner: int
 ) -> NDArray[np.uint8]:
     """Return scan, photograph and table in one row; a wide scan is placed above the photograph."""
-    aspects = (_aspect(scan, whole_window(scan)), photo.camera.width / photo.camera.height)
+    aspects = (window_aspect(scan, whole_window(scan)), photo.camera.width / photo.camera.height)
     room = inner - _TABLE_WIDTH - _GAP
     height = min(_TALLEST, (room - _GAP) / sum(aspects))
     abreast = [fit_size(a, width=room, height=max(round(height), 1)) for a in aspects]
@@ -188,7 +180,10 @@ def _top(
     ]
     wide = _area(above) > _area(abreast)
     sizes = above if wide else abreast
-    pictures = (_scan_picture(scan, sizes[0], tile, detail), framed(resized(photo.pixels, sizes[1]), LINE))
+    pictures = (
+        scan_panel(scan, sizes[0], ((tile, DIM), (detail, ACCENT))),
+        framed(resized(photo.pixels, sizes[1]), LINE),
+    )
     blocks = [
         stacked([text_block(name, size=_SMALL, colour=DIM), picture], gap=6)
         for name, picture in zip(("Scan, intensity", "Photograph"), pictures, strict=True)
@@ -203,20 +198,6 @@ def _top(
 
 def _area(sizes: Sequence[tuple[int, int]]) -> int:
     return sum(width * height for width, height in sizes)
-
-
-def _scan_picture(scan: Scan, size: tuple[int, int], tile: Window, detail: Window | None) -> NDArray[np.uint8]:
-    """Return the intensity image with the outlines of the tiles' and the details' windows."""
-    picture = framed(resized(intensity_picture(scan), size), LINE)
-    for window, colour in ((tile, DIM), (detail, ACCENT)):
-        if window is None or window == whole_window(scan):
-            continue
-        x, y = size[0] / scan.shape[1], size[1] / scan.shape[0]
-        first = (round(window.left * x), round(window.top * y))
-        last = (round((window.left + window.width) * x) - 1, round((window.top + window.height) * y) - 1)
-        cv2.rectangle(picture, first, last, BACKGROUND, 5)
-        cv2.rectangle(picture, first, last, colour, 2)
-    return picture
 
 
 def _table_panel(comparison: Comparison, scan: Scan, full_width: int) -> NDArray[np.uint8]:
@@ -246,7 +227,7 @@ def _table_row(
     blocks = [text_block(cells[0], size=_SMALL, width=first, colour=colours[0], ground=PANEL)]
     for number, cell in enumerate(cells[1:], start=2):
         colour = colours[2] if number == len(cells) else colours[1]
-        colour = _BADGES[cell][0] if cell in _BADGES else DIM if cell == NOTHING else colour
+        colour = BADGES[cell][0] if cell in BADGES else DIM if cell == NOTHING else colour
         blocks.append(text_block(cell, size=_SMALL, width=width, colour=colour, ground=PANEL, align="right"))
     return beside(blocks, ground=PANEL)
 
@@ -259,9 +240,7 @@ def _cards(
 ) -> NDArray[np.uint8]:
     width = _column_width(comparison, inner)
     cards = [
-        _card(
-            column, apart, picture[tile.cells], _window_size(scan, tile, width - 2 * _PAD, _TALLEST), width - 2 * _PAD
-        )
+        _card(column, apart, picture[tile.cells], window_size(scan, tile, width - 2 * _PAD, _TALLEST), width - 2 * _PAD)
         for column, apart, picture in zip(comparison.columns, differences(comparison, scan), shown, strict=True)
     ]
     height = max(card.shape[0] for card in cards)
@@ -285,7 +264,7 @@ def _card(
     column: Column, apart: Difference | None, picture: ByteArray, size: tuple[int, int], width: int
 ) -> NDArray[np.uint8]:
     verdict = verdict_of(column)
-    colour, ground = _BADGES[verdict]
+    colour, ground = BADGES[verdict]
     badge = chip(verdict, size=_SMALL, colour=colour, ground=ground, under=PANEL)
     seconds = text_block(_seconds(column.seconds), size=_SMALL, colour=DIM, ground=PANEL)
     blocks = [
@@ -347,15 +326,12 @@ def _details(
     comparison: Comparison, shown: Sequence[ByteArray], scan: Scan, detail: Window, inner: int
 ) -> NDArray[np.uint8]:
     width = _column_width(comparison, inner)
-    size = _window_size(scan, detail, width, round(width / DETAIL_ASPECT * 1.2))
+    size = window_size(scan, detail, width, round(width / DETAIL_ASPECT * 1.2))
     edges = edge_lines(scan, detail, size)
-    halo = cv2.dilate(edges.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # keeps them visible
-    panels = []
-    for column, whole in zip(comparison.columns, shown, strict=True):
-        picture = resized(whole[detail.cells], size)
-        picture[halo] = picture[halo] // 3 * 2
-        picture[edges] = ACCENT
-        panels.append(_marked(framed(picture, LINE), verdict_of(column), width))
+    panels = [
+        _marked(framed(with_edges(resized(whole[detail.cells], size), edges), LINE), verdict_of(column), width)
+        for column, whole in zip(comparison.columns, shown, strict=True)
+    ]
     return beside(panels, gap=_GAP)
 
 
@@ -363,31 +339,13 @@ def _marked(picture: ByteArray, verdict: str, width: int, *, ground: Colour = BA
     """Return an image centred in its column, marked unless it is accepted."""
     if verdict == "accepted":
         return placed(picture, width=width, height=picture.shape[0], ground=ground)
-    colour, mark_ground = _BADGES[verdict]
-    words = text_block(verdict, size=_SMALL, colour=colour, ground=mark_ground, weight=0.4)
-    mark = padded(words, top=2, bottom=2, left=10, right=10, ground=mark_ground)
-    fits = picture.shape[1] >= mark.shape[1] + 20
-    if fits and picture.shape[0] >= mark.shape[0] + 20:
-        picture = with_mark(picture, mark)
-        return placed(picture, width=width, height=picture.shape[0], ground=ground)
-    # The image is too small for the mark, which is placed over the ground next to it or above.
-    height = max(picture.shape[0], mark.shape[0] + 20)
-    return with_mark(placed(picture, width=width, height=height, ground=ground), mark)
+    return marked(picture, verdict, BADGES[verdict], width=width, ground=ground)
 
 
 def _shown(column: Column, scan: Scan) -> ByteArray:
     if column.texture is None:
         return np.asarray(np.rint(intensity_picture(scan) * _UNSEEN), dtype=np.uint8)
     return model_picture(scan, column.texture)
-
-
-def _window_size(scan: Scan, window: Window, width: int, height: int) -> tuple[int, int]:
-    return fit_size(_aspect(scan, window), width=width, height=height)
-
-
-def _aspect(scan: Scan, window: Window) -> float:
-    """Return the angular aspect ratio, width / height."""
-    return window.width * cell_aspect(scan) / window.height
 
 
 # --- the matches -----------------------------------------------------------------------------------------------------

@@ -5,16 +5,29 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import cannot_write, sync_folder
 from ladarreg_core.export.glb import write_glb
-from ladarreg_core.export.images import write_labels_png, write_registered_png, write_uncertainty_png
+from ladarreg_core.export.images import (
+    write_labels_png,
+    write_registered_png,
+    write_uncertainty_png,
+    write_visibility_png,
+)
 from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.export.ply import write_ply
-from ladarreg_core.export.replacement import REGISTRATION_FILES, display_path, require_apart, require_replaceable
+from ladarreg_core.export.replacement import (
+    REGISTRATION_FILES,
+    REPORT_FILE,
+    display_path,
+    require_apart,
+    require_replaceable,
+)
+from ladarreg_core.export.report import write_report
 from ladarreg_core.export.staging import clear_leftovers, put_in_place, staging_folder
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
@@ -26,7 +39,7 @@ from ladarreg_core.surface.mesh import scan_mesh
 from ladarreg_core.surface.texture import RegisteredTexture, model_picture, texture_scan
 
 FILE_NAMES = REGISTRATION_FILES
-"""Files of a results folder; all but the first are only written for accepted registrations."""
+"""Files of a results folder; all but the first two are only written for accepted registrations."""
 FileJob = tuple[str, Callable[[Path], None]]
 """File name, and the function that writes the file to a path."""
 
@@ -47,8 +60,9 @@ def export_registration(
 ) -> None:
     """Write a registration into a new folder.
 
-    `registration.json` always; `registered.png`, `labels.png`, `uncertainty.png`, `model.glb` and `cloud.ply` only if
-    the registration is accepted. The folder is written atomically, see `write_folder`.
+    `registration.json` and `report.html` always; `registered.png`, `labels.png`, `visibility.png`, `uncertainty.png`,
+    `model.glb` and `cloud.ply` only if the registration is accepted. The folder is written atomically, see
+    `write_folder`.
 
     Args:
         folder: output folder; missing parents are created.
@@ -229,17 +243,22 @@ def registration_files(
     """
     found = assess(scan, registration) if assessment is None else assessment
 
-    def write_json(path: Path) -> None:
-        document = registration_document(registration, assessment=found, smoothed=smoothed, inputs=inputs)
-        write_document(path, document if rests_on is None else {**document, "rests_on": rests_on})
+    @cache  # hashing the inputs takes longest
+    def document() -> dict[str, Any]:
+        described = registration_document(registration, assessment=found, smoothed=smoothed, inputs=inputs)
+        return described if rests_on is None else {**described, "rests_on": rests_on}
 
-    jobs: list[FileJob] = [("registration.json", write_json)]
-    if not registration.accepted:
+    texture = _textured(registration, scan, photo) if registration.accepted else None
+    jobs: list[FileJob] = [
+        ("registration.json", lambda path: write_document(path, document())),
+        (REPORT_FILE, lambda path: write_report(path, registration, scan, photo, document(), texture=texture)),
+    ]
+    if texture is None:
         return jobs
-    texture = _textured(registration, scan, photo)
     jobs += [
         ("registered.png", lambda path: write_registered_png(path, texture)),
         ("labels.png", lambda path: write_labels_png(path, texture)),
+        ("visibility.png", lambda path: write_visibility_png(path, texture)),
     ]
     if (uncertainty := found.uncertainty) is not None:
         jobs.append(("uncertainty.png", lambda path: write_uncertainty_png(path, uncertainty.sigma_px)))

@@ -1,4 +1,4 @@
-"""PNG files on the scan's grid: the registered photograph, its labels and its uncertainty."""
+"""PNG files on the scan's grid: the registered photograph, its labels and its uncertainty, with their legends."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.export.atomic_write import write_bytes
-from ladarreg_core.export.layout import padded, stacked, text_block
-from ladarreg_core.palette import BACKGROUND, DIM, INK, UNKNOWN, VISIBILITY, ramp_colours
-from ladarreg_core.surface.texture import RegisteredTexture
+from ladarreg_core.export.layout import beside, padded, stacked, text_block
+from ladarreg_core.inspection.model_textures import Legend, visibility_texture
+from ladarreg_core.palette import BACKGROUND, DIM, INK, UNKNOWN, VISIBILITY, Colour, ramp_colours, scale_end
+from ladarreg_core.surface.texture import Label, RegisteredTexture
 from ladarreg_core.validation import require_positive
 
-_SHARE_SHOWN = 98.0  # per cent; a few outlying cells must not compress the scale of all others
-_NICE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-_LEAST_PX, _MOST_PX = 1e-6, 1e9
+_MOST_PX = 1e9
 _BAR_WIDTHS, _BAR_HEIGHT, _MARGIN, _TEXT = (200, 480), 14, 12, 13
 _TICKS = 4
 
@@ -47,19 +46,62 @@ def write_png(path: str | Path, picture: ByteArray) -> None:
 def write_labels_png(path: str | Path, texture: RegisteredTexture) -> None:
     """Write the labels as an indexed PNG: pixel values are the codes, the palette gives them colours.
 
+    A text chunk names the codes.
+
     Raises:
         ExportError: if the file cannot be written.
     """
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
     palette = np.zeros((256, 3), dtype=np.uint8)
     palette[: len(VISIBILITY)] = VISIBILITY
     image = Image.fromarray(texture.labels)
     image.putpalette(palette.tobytes())
-    stream = io.BytesIO()
+    stream, notes = io.BytesIO(), PngInfo()
+    notes.add_text("Legend", ", ".join(f"{label.value} {label.name.lower().replace('_', ' ')}" for label in Label))
     # Eight bits per pixel, so that readers that ignore palettes find one code per byte.
-    image.save(stream, format="PNG", bits=8)
+    image.save(stream, format="PNG", bits=8, pnginfo=notes)
     write_bytes(path, stream.getvalue())
+
+
+def visibility_picture(texture: RegisteredTexture) -> NDArray[np.uint8]:
+    """Return the visibility classes in their colours, above a legend of those that occur.
+
+    Returns:
+        (H + legend, at least W, 3) uint8 RGB; the scan's cells are its upper left H x W pixels.
+    """
+    drawn = visibility_texture(texture.labels)
+    return stacked([drawn.image, legend_strip(drawn.legend, room=texture.labels.shape[1])])
+
+
+def write_visibility_png(path: str | Path, texture: RegisteredTexture) -> None:
+    """Write the image returned by `visibility_picture`.
+
+    Raises:
+        ExportError: if the file cannot be written.
+    """
+    write_png(path, visibility_picture(texture))
+
+
+def legend_strip(legend: Legend, *, room: int) -> NDArray[np.uint8]:
+    """Return the single colours of a legend with their meanings, in as many columns as fit `room` pixels."""
+    entries = [
+        beside([_swatch(colour), text_block(words, size=_TEXT, colour=INK)], gap=8) for colour, words in legend.entries
+    ]
+    widest = max((entry.shape[1] for entry in entries), default=1) + _MARGIN
+    columns = max(1, (room - _MARGIN) // widest)
+    rows = [entries[k : k + columns] for k in range(0, len(entries), columns)]
+    lines = [beside([padded(one, right=widest - one.shape[1]) for one in row]) for row in rows]
+    if legend.title:
+        lines.insert(0, text_block(legend.title, size=_TEXT, colour=DIM))
+    return padded(stacked(lines, gap=4), top=_MARGIN, bottom=_MARGIN, left=_MARGIN)
+
+
+def _swatch(colour: Colour) -> NDArray[np.uint8]:
+    field = np.array(text_block("", size=_TEXT, width=_TEXT))
+    field[3 : 3 + _TEXT] = colour
+    return field
 
 
 def uncertainty_picture(sigma_px: FloatArray, *, most_px: float | None = None) -> NDArray[np.uint8]:
@@ -88,7 +130,11 @@ def uncertainty_picture(sigma_px: FloatArray, *, most_px: float | None = None) -
         exceeded = bool((sigma > most).any())
     picture = np.array(ramp_colours(level))
     picture[np.isnan(sigma)] = UNKNOWN
-    return stacked([picture, _scale(most, exceeded="+" if exceeded else "", room=picture.shape[1])])
+    parts = [picture, _scale(most, exceeded="+" if exceeded else "", room=picture.shape[1])]
+    if np.isnan(sigma).any():
+        key = Legend("", ((UNKNOWN, "no data: no return, or outside the photograph"),))
+        parts.append(legend_strip(key, room=picture.shape[1]))
+    return stacked(parts)
 
 
 def write_uncertainty_png(path: str | Path, sigma_px: FloatArray, *, most_px: float | None = None) -> None:
@@ -99,16 +145,6 @@ def write_uncertainty_png(path: str | Path, sigma_px: FloatArray, *, most_px: fl
         LadarregError: as `uncertainty_picture`.
     """
     write_png(path, uncertainty_picture(sigma_px, most_px=most_px))
-
-
-def scale_end(sigma_px: FloatArray) -> float:
-    """Return a round number, px, that 98 % of the cells (H, W) do not exceed; 1 if no cell has a value."""
-    known = sigma_px[np.isfinite(sigma_px) & (sigma_px > 0)]
-    if not known.size:
-        return 1.0
-    high = float(np.clip(np.percentile(known.astype(np.float64), _SHARE_SHOWN), _LEAST_PX, _MOST_PX / 10))
-    power = 10.0 ** np.floor(np.log10(high))
-    return float(power * next((n for n in _NICE if n * power >= high * (1 - 1e-6)), _NICE[-1]))
 
 
 def _scale(most: float, *, exceeded: str, room: int) -> NDArray[np.uint8]:

@@ -17,8 +17,13 @@ from typing import Any
 
 from ladarreg_core.errors import ExportError
 
-REGISTRATION_FILES = ("registration.json", "registered.png", "labels.png", "uncertainty.png", "model.glb", "cloud.ply")
-"""Files of a registration; all but the first are only written if it is accepted."""
+REPORT_FILE = "report.html"
+"""The report next to a registration, accepted or not."""
+REGISTRATION_FILES = (
+    "registration.json", REPORT_FILE,
+    "registered.png", "labels.png", "visibility.png", "uncertainty.png", "model.glb", "cloud.ply",
+)  # fmt: skip
+"""Files of a registration; all but the first two are only written if it is accepted."""
 MATCHES_FILE = "matches.json"
 """File of the picks next to a registration."""
 _COMPARISON_FILES = ("comparison.json", "table.md", "contact_sheet.png")
@@ -97,7 +102,7 @@ def require_replaceable(
             f"the folder {called} contains {_listed(content.others)}{beside}, which ladarreg did not write, so it is "
             "not replaced; give another folder, or move them away first"
         )
-    if force or (content.refused and len(content.names) == 1):
+    if force or (content.refused and {*content.names} <= {"registration.json", REPORT_FILE}):
         return
     state = f"contains earlier results ({_listed(content.names)})" if content.names else "exists and is empty"
     raise ExportError(

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.export.images import scale_end
-from ladarreg_core.palette import UNKNOWN, VISIBILITY, Colour, ramp_colours
+from ladarreg_core.palette import UNKNOWN, VISIBILITY, Colour, ramp_colours, scale_end
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -186,7 +185,7 @@ def model_texture(
         raise ShapeError(f"the texture has {registered.labels.shape} cells, the scan {scan.shape}; they must agree")
     if known == "colour":
         return ModelTexture(model_picture(scan, registered), _colour_legend("not seen by the camera"))
-    return _of_labels(registered.labels)
+    return visibility_texture(registered.labels)
 
 
 def registered_texture(scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
@@ -339,7 +338,8 @@ def _of_pixels(values: FloatArray, title: str) -> ModelTexture:
     return ModelTexture(picture, legend)
 
 
-def _of_labels(labels: ByteArray) -> ModelTexture:
+def visibility_texture(labels: ByteArray) -> ModelTexture:
+    """Return the visibility classes (H, W) in their colours; the legend lists those that occur."""
     table = np.zeros((256, 3), dtype=np.uint8)
     table[: len(VISIBILITY)] = VISIBILITY
     present = set(np.unique(labels).tolist())

@@ -12,7 +12,7 @@ import msgspec
 from ladarreg_core.matches import Pick
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.project.stored_arrays import StoredArrays
-from ladarreg_core.results import StageId
+from ladarreg_core.results import Evidence, StageId
 
 VERSION = 1
 STAGES: tuple[StageId, ...] = get_args(StageId)
@@ -101,7 +101,7 @@ class PoseEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Standard deviations of the estimated intrinsics."""
     accepted: bool = False
     """Whether the pose is accepted as registered."""
-    evidence: Literal["image", "statistics", "none"] = "none"
+    evidence: Evidence = "none"
     """Kind of evidence for it."""
     reasons: tuple[str, ...] = ()
     """Reasons of the verdict, in sentences."""

@@ -7,13 +7,12 @@ from PIL import Image
 
 from ladarreg_core.errors import ExportError, LadarregError, OptionError, ShapeError
 from ladarreg_core.export.images import (
-    scale_end,
     uncertainty_picture,
     write_labels_png,
     write_registered_png,
     write_uncertainty_png,
 )
-from ladarreg_core.palette import UNKNOWN, VISIBILITY
+from ladarreg_core.palette import UNKNOWN, VISIBILITY, scale_end
 from ladarreg_core.surface.texture import Label, RegisteredTexture
 
 

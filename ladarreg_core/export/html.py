@@ -1,0 +1,85 @@
+"""HTML and SVG in which every text is escaped: only `tag` makes markup, and it escapes whatever is not markup."""
+
+from __future__ import annotations
+
+import base64
+import html
+import unicodedata
+from collections.abc import Iterable
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+
+from ladarreg_core.arrays import ByteArray
+
+_VOID = frozenset({"br", "hr", "img", "meta", "link"})
+_JPEG_QUALITY = 88
+
+
+class Html(str):
+    """Markup, as opposed to text that has to be escaped."""
+
+    __slots__ = ()
+
+
+Content: TypeAlias = "Html | str | Iterable[Html | str]"
+
+
+def tag(name: str, /, *content: Content, **attributes: str | float | None) -> Html:
+    """Return an element.
+
+    Args:
+        name: its name.
+        content: markup, texts (which are escaped), or sequences of both.
+        attributes: its attributes; `_` stands for `-`, a trailing one is dropped (`class_`), and None leaves one out.
+    """
+    opening = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{_escaped(_number(value))}"'
+        for key, value in attributes.items()
+        if value is not None
+    )
+    if name in _VOID:
+        return Html(f"<{name}{opening}>")
+    return Html(f"<{name}{opening}>{joined(*content)}</{name}>")
+
+
+def joined(*content: Content) -> Html:
+    """Return markup and texts, or sequences of both, as markup."""
+    parts = []
+    for one in content:
+        if isinstance(one, Html):
+            parts.append(str(one))
+        elif isinstance(one, str):
+            parts.append(_escaped(one))
+        else:
+            parts.append(str(joined(*one)))
+    return Html("".join(parts))
+
+
+def photograph_uri(picture: ByteArray) -> str:
+    """Return an image (H, W, 3) as the data URI of a JPEG."""
+    done, encoded = cv2.imencode(
+        ".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    )
+    assert done, "an 8-bit image can always be encoded"
+    return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"
+
+
+def map_uri(picture: ByteArray) -> str:
+    """Return an image (H, W, 3), whose exact colours matter, as the data URI of a PNG."""
+    done, encoded = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    assert done, "an 8-bit image can always be encoded"
+    return f"data:image/png;base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"
+
+
+def _number(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:.6g}"
+
+
+def _escaped(text: str) -> str:
+    """Return a text for content and quoted attributes; control and direction marks become visible."""
+    if text.isascii() and text.isprintable():  # embedded images are long
+        return html.escape(text, quote=True)
+    shown = "".join(c if c in "\n\t" or unicodedata.category(c)[0] != "C" else "\ufffd" for c in text)
+    return html.escape(shown, quote=True)

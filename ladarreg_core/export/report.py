@@ -1,0 +1,443 @@
+"""The report of a registration: one self-contained HTML file to read, to file and to print on A4."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ladarreg_core.export.atomic_write import write_bytes
+from ladarreg_core.export.html import Content, Html, joined, tag
+from ladarreg_core.export.json import CAMERA_FROM_SCANNER_IS
+from ladarreg_core.export.match_crops import WorstMatch, crop_legend, match_crops, worst_matches
+from ladarreg_core.export.report_pictures import ReportPictures, legend_html
+from ladarreg_core.export.report_plots import legend_of_points, residual_plots
+from ladarreg_core.export.report_style import STYLE
+from ladarreg_core.formatting import format_angle, format_length, format_number
+from ladarreg_core.inspection.figures import figures, parameters
+from ladarreg_core.photo import Photo
+from ladarreg_core.results import Registration
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.texture import RegisteredTexture
+
+_MOST_WORST = 6
+_MOST_ADVICE = 3
+_MOST_SIGMA_RAD = 0.5
+_VERDICTS = {
+    "image": "Accepted: verified against the image.",
+    "statistics": "Accepted on match statistics only; the image did not confirm it.",
+    "given": "Given, not verified: this pose was applied, not solved.",
+    "none": "Accepted without evidence.",
+}
+_REFUSED = "Not accepted: the evidence is insufficient."
+_UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "width": "px", "height": "px"}
+
+
+def write_report(
+    path: str | Path,
+    registration: Registration,
+    scan: Scan,
+    photo: Photo,
+    document: Mapping[str, Any],
+    *,
+    texture: RegisteredTexture | None = None,
+) -> None:
+    """Write the report; the arguments are those of `report_html`.
+
+    Raises:
+        ExportError: if the file cannot be written.
+    """
+    write_bytes(path, report_html(registration, scan, photo, document, texture=texture).encode("utf-8"))
+
+
+def report_html(
+    registration: Registration,
+    scan: Scan,
+    photo: Photo,
+    document: Mapping[str, Any],
+    *,
+    texture: RegisteredTexture | None = None,
+) -> str:
+    """Return the report as HTML without scripts and without references to anything outside of it.
+
+    It depends on its arguments only: the same registration gives the same report, byte for byte.
+
+    Args:
+        registration: the result, with its matches.
+        scan: the scan.
+        photo: the photograph.
+        document: `registration_document` of the result, or a `registration.json` that was read.
+        texture: the photograph on the scan's grid for this pose, if already computed.
+
+    Raises:
+        ShapeError: if the texture is not on the scan's grid.
+    """
+    report = _Report(registration, scan, photo, document, texture)
+    title = f"Registration of {photo.name} with {scan.name}"
+    head = tag(
+        "head",
+        Html('<meta charset="utf-8">'),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("meta", name="referrer", content="no-referrer"),
+        tag("title", title),
+        tag("style", Html(STYLE)),
+    )
+    body = tag("body", tag("main", report.header(), *report.sections()))
+    return f"<!DOCTYPE html>\n{tag('html', head, body, lang='en')}\n"
+
+
+class _Report:
+    def __init__(
+        self,
+        registration: Registration,
+        scan: Scan,
+        photo: Photo,
+        document: Mapping[str, Any],
+        texture: RegisteredTexture | None,
+    ) -> None:
+        self._r = registration
+        self._scan, self._photo, self._document = scan, photo, document
+        self._given = registration.evidence == "given"
+        rests_on = document.get("rests_on") or {}
+        self._rests_on = str(rests_on.get("sentence") or "")
+        self._stale = rests_on.get("current") is False
+        self._shown = registration.accepted or self._given
+        # A given pose may be shown, with a mark on every picture; drawing functions ask for accepted ones.
+        drawn = replace(registration, accepted=True) if self._given else registration
+        mark = "given, not verified" if self._given else "out of date" if self._stale else None
+        self._pictures = ReportPictures(
+            scan, photo, drawn, texture=texture, mark=mark if self._shown else "rejected guess"
+        )
+
+    @property
+    def _has_guess(self) -> bool:
+        """Whether a refused pose is known well enough for its figures to mean anything."""
+        r = self._r
+        if not r.inliers.any() or not np.isfinite(r.covariance).all():
+            return False
+        return bool(
+            r.sigma_angle_rad < _MOST_SIGMA_RAD
+            and r.sigma_position_m < float(np.median(self._scan.ranges[self._scan.valid]))
+        )
+
+    def header(self) -> Html:
+        kind, words = self._badge()
+        sizes = (
+            f"scan {self._scan.shape[1]} x {self._scan.shape[0]} cells, photograph {self._photo.camera.width} x "
+            f"{self._photo.camera.height} px, method {self._document.get('method') or self._r.method}"
+        )
+        return tag(
+            "header",
+            tag("h1", f"{self._photo.name} registered with {self._scan.name}" if self._shown else
+                f"{self._photo.name} with {self._scan.name}: not registered"),
+            tag("p", tag("span", words, class_=f"badge {kind}"), " ", tag("span", sizes, class_="dim")),
+        )  # fmt: skip
+
+    def _badge(self) -> tuple[str, str]:
+        if self._given:
+            return "warn", "given, not verified"
+        if not self._r.accepted:
+            return "bad", "not accepted"
+        return ("warn", "out of date") if self._stale else ("ok", "accepted")
+
+    def sections(self) -> list[Html]:
+        found = [self._verdict()]
+        if self._shown:
+            found += [self._before_and_after(), self._overlay(), self._pose("Pose", "pose")]
+        else:
+            found.append(self._refused_guess())
+        if len(self._r.matches) and (self._shown or self._has_guess):
+            found.append(self._matches())
+        found.append(self._quality())
+        if self._shown:
+            found.append(self._maps())
+        found += [self._files(), self._method(), self._software()]
+        return found
+
+    def _verdict(self) -> Html:
+        r = self._r
+        words = _VERDICTS.get(r.evidence, _REFUSED) if self._shown else _REFUSED
+        parts: list[Content] = [tag("p", words, class_="lead")]
+        if self._stale:
+            parts.append(tag("p", f"Out of date. {self._rests_on}", class_="note warn"))
+        elif self._rests_on:
+            parts.append(tag("p", self._rests_on))
+        if r.reasons:
+            parts.append(tag("ul", [tag("li", reason) for reason in r.reasons]))
+        if self._shown:
+            parts.append(_definitions(self._key_figures()))
+        return _section("verdict", "Verdict", *parts)
+
+    def _key_figures(self) -> list[tuple[str, str]]:
+        r, found = self._r, figures(self._r)
+        rows = []
+        if len(r.matches):
+            rms = f", {format_number(found.rms_px)} px rms" if np.isfinite(found.rms_px) else ""
+            rows.append(("Matches", f"{found.inliers} of {len(r.matches)} inliers (line ends counted singly){rms}"))
+        rows.append(
+            ("Position", f"{r.thesis_parameters.describe_position()}, sigma {format_length(r.sigma_position_m)}")
+        )
+        rows.append(
+            ("Orientation", f"{r.thesis_parameters.describe_orientation()}, sigma {format_angle(r.sigma_angle_rad)}")
+        )
+        uncertainty = self._document.get("uncertainty")
+        if uncertainty:
+            rows.append(
+                (
+                    "In the photograph",
+                    f"median {_px(uncertainty.get('median_px'))}, 95 % within {_px(uncertainty.get('p95_px'))}, "
+                    f"largest {_px(uncertainty.get('worst_px'))} (1 sigma)",
+                )
+            )
+        return rows
+
+    def _before_and_after(self) -> Html:
+        p = self._pictures
+        figures_ = [
+            _figure(
+                p.scan(), "Before: the scan's intensity. Gray frame: the part shown beside; blue frame: the detail."
+            ),
+            _figure(p.photograph(), "The photograph."),
+            _figure(
+                p.registered(), "After: the photograph on the scan's grid; what it does not show is dimmed intensity."
+            ),
+        ]
+        parts: list[Content] = [tag("div", figures_, class_="pictures three")]
+        detail = p.detail()
+        if detail is not None:
+            names = (
+                "Detail, before: the scan's intensity.",
+                "Detail, after. Thin lines: edges of the scan's intensity.",
+            )
+            parts.append(
+                tag("div", [_figure(one, name) for one, name in zip(detail, names, strict=True)], class_="pictures")
+            )
+        return _section("before-after", "Before and after", *parts)
+
+    def _overlay(self) -> Html:
+        words = "Edges of the scan, in blue, on the photograph: at a good pose they follow its edges everywhere."
+        return _section("overlay", "Overlay", _figure(self._pictures.overlay(), words, wide=True))
+
+    def _pose(self, title: str, name: str) -> Html:
+        r = self._r
+        rows = [(p.name, p.value, p.sigma, p.unit) for p in parameters(r)]
+        parts: list[Content] = [
+            tag("p", "Tx is left, Ty up, Tz forward of the scanner; alpha pans right, beta tilts down, gamma rolls "
+                "clockwise as seen from behind the camera (one standard deviation each)."),
+                        tag("div",
+                tag("div", tag("h3", "Six parameters"),
+                    _table(("parameter", "value", "sigma", "unit"), rows, numbers=(1, 2))),
+                tag("div", tag("h3", "Camera"), self._camera()), class_="tables"),
+            tag("h3", "Matrix"), self._matrix(),
+        ]  # fmt: skip
+        return _section(name, title, *parts)
+
+    def _camera(self) -> Html:
+        sigmas = dict(self._r.camera_sigmas)
+        rows = []
+        for name, value in self._r.camera.as_fields().items():
+            shown = ", ".join(f"{v:.6g}" for v in value) if isinstance(value, list | tuple) else _plain(value)
+            sigma = sigmas.get(name, sigmas.get("focal_px") if name in ("fx", "fy") else None)
+            if name == "distortion":
+                sigma = sigmas.get("k1")
+            rows.append((name, shown or "none", "as given" if sigma is None else f"{sigma:.3g}", _UNITS.get(name, "")))
+        return _table(("intrinsics", "value", "sigma", "unit"), rows, numbers=(1, 2))
+
+    def _matrix(self) -> Html:
+        rows = [tuple(f"{value:.9g}" for value in row) for row in self._r.camera_from_scanner.matrix]
+        return joined(tag("p", CAMERA_FROM_SCANNER_IS, class_="dim"), _table((), rows, numbers=(0, 1, 2, 3)))
+
+    def _refused_guess(self) -> Html:
+        if not self._has_guess:
+            words = "No pose was found that is worth showing: the candidates are not determined by the data."
+            return _section("guess", "Rejected guess", tag("p", words))
+        rows = [(p.name, p.value, p.unit) for p in parameters(self._r)]
+        return _section(
+            "guess",
+            "Rejected guess",
+            tag(
+                "p",
+                "The best candidate, which was refused. It is no registration: do not use it as one.",
+                class_="note bad",
+            ),
+            _figure(self._pictures.overlay(), "Edges of the scan at the rejected guess, on the photograph.", wide=True),
+            _table(("parameter", "guess", "unit"), rows, numbers=(1,)),
+        )
+
+    def _matches(self) -> Html:
+        picture, enlargement = self._pictures.matches()
+        times = "" if enlargement == 1 else f", enlarged {enlargement} times"
+        parts: list[Content] = [
+            _figure(picture, f"Green: inliers; red: outliers; lines: their residuals{times}.", wide=True),
+            tag(
+                "div",
+                [tag("figure", plot, tag("figcaption", words)) for plot, words in residual_plots(self._r)],
+                class_="plots",
+            ),
+            legend_of_points(),
+        ]
+        worst = worst_matches(self._r, most=_MOST_WORST)
+        if worst:
+            crops = match_crops(self._scan, self._photo, self._r, worst)
+            parts += [
+                tag("h3", "The worst matches, enlarged"),
+                crop_legend(),
+                tag("div", [self._worst(*pair) for pair in zip(worst, crops, strict=True)], class_="worst"),
+            ]
+        return _section("matches", "Matches and residuals", *parts)
+
+    def _worst(self, match: WorstMatch, crops: tuple[Html, Html]) -> Html:
+        r, k = self._r, match.end
+        rows = [f"{np.linalg.norm(r.residuals_px[k]):.2f} px", "inlier" if r.inliers[k] else "outlier"]
+        if np.isfinite(r.stereo_depth_error_m[k]):
+            rows.append(f"depth error {1000 * r.stereo_depth_error_m[k]:+.0f} mm")
+        rows.append(f"at {r.matches.ranges[k]:.2f} m")
+        influence = self._influence(k)
+        if influence is not None and r.inliers[k]:
+            rows.append(f"without it the picture shifts by {format_number(influence)} px")
+        return tag(
+            "figure",
+            tag("div", crops, class_="pair"),
+            tag("figcaption", tag("strong", self._name(match)), f": {', '.join(rows)}"),
+        )
+
+    def _name(self, match: WorstMatch) -> str:
+        """Return what a match is called: by its number or its id in the matches file, never by an internal id."""
+        drawn = self._r.method in ("manual", "thesis") and match.pick_id.strip()
+        kind = "Line" if match.others else "Match"
+        return f"{kind} {match.pick_id}" if drawn else f"Match {match.end + 1}"
+
+    def _influence(self, k: int) -> float | None:
+        listed = self._document.get("matches") or []
+        found = listed[k].get("influence") if k < len(listed) else None
+        value = None if found is None else found.get("pixels")
+        return float(value) if isinstance(value, int | float) else None
+
+    def _quality(self) -> Html:
+        document = self._document
+        parts: list[Content] = []
+        findings = list(document.get("findings") or ())
+        if not self._shown and not self._has_guess:
+            findings = []  # of a pose that was not found nothing is good or poor
+        if findings:
+            rows = [
+                tag(
+                    "tr",
+                    tag("td", tag("span", str(f["level"]), class_=f"badge {_LEVELS.get(str(f['level']), 'warn')}")),
+                    tag("td", str(f["sentence"]), " ", tag("em", str(f.get("what_to_do") or ""))),
+                )
+                for f in sorted(findings, key=lambda f: _ORDER.index(f["level"]) if f["level"] in _ORDER else 0)
+            ]
+            parts.append(tag("table", tag("tbody", rows), class_="findings"))
+        advice = list(document.get("advice") or ())[:_MOST_ADVICE]
+        if advice and (self._shown or self._has_guess):
+            parts += [
+                tag("h3", "Where another match would help most"),
+                tag("ul", [tag("li", str(a["sentence"])) for a in advice]),
+            ]
+        absent = dict(document.get("not_assessed") or {})
+        if absent:
+            parts += [
+                tag("h3", "Not assessed"),
+                tag("ul", [tag("li", f"{name}: {why}") for name, why in absent.items()]),
+            ]
+        smoothing = document.get("smoothing")
+        if smoothing:
+            parts.append(tag("p", f"Range spikes: {smoothing.get('sentence', '')}"))
+        return _section("quality", "Quality", *(parts or [tag("p", "Nothing was assessed.")]))
+
+    def _maps(self) -> Html:
+        maps = [
+            tag(
+                "figure",
+                tag("img", src=uri, alt=legend.title, class_="map"),
+                legend_html(legend, shares),
+                tag("figcaption", words),
+            )
+            for uri, legend, shares, words in self._pictures.maps()
+        ]
+        return _section("maps", "Uncertainty and visibility", tag("div", maps, class_="pictures"))
+
+    def _files(self) -> Html:
+        inputs = list(self._document.get("inputs") or ())
+        if not inputs:
+            return _section("files", "Files", tag("p", "The input files were not recorded."))
+        rows = [(str(f["name"]), f"{int(f['size']):,}", str(f["sha256"])) for f in inputs]
+        return _section("files", "Files", _table(("file", "bytes", "SHA-256"), rows, numbers=(1,), code=(2,)))
+
+    def _method(self) -> Html:
+        document = self._document
+        steps = [
+            (str(s["name"]), f"{s['seconds']:.2f}", "" if s.get("matches") is None else str(s["matches"]))
+            for s in document.get("steps") or ()
+        ]
+        options = [(name, value) for name, value in _flat(document.get("options") or {})]
+        parts: list[Content] = [
+            _definitions([("Method", str(document.get("method"))), ("Seed", str(document.get("seed")))])
+        ]
+        if steps:
+            parts += [
+                tag("h3", "Steps"),
+                tag("div", _table(("step", "seconds", "matches"), steps, numbers=(1, 2)), class_="steps"),
+            ]
+        if options:
+            listed = [tag("div", tag("code", name), " ", tag("span", value)) for name, value in options]
+            parts += [tag("h3", "Options"), tag("div", listed, class_="options")]
+        return _section("options", "Method and options", *parts)
+
+    def _software(self) -> Html:
+        rows = [(str(name), str(version)) for name, version in (self._document.get("software") or {}).items()]
+        return _section("software", "Software", _definitions(rows))
+
+
+_LEVELS = {"good": "ok", "fair": "warn", "poor": "bad"}
+_ORDER = ("poor", "fair", "good")
+
+
+def _section(name: str, title: str, *content: Content) -> Html:
+    return tag("section", tag("h2", title), *content, id=name)
+
+
+def _figure(uri: str, caption: str, *, wide: bool = False) -> Html:
+    return tag("figure", tag("img", src=uri, alt=caption), tag("figcaption", caption), class_="wide" if wide else None)
+
+
+def _definitions(rows: Sequence[tuple[str, str]]) -> Html:
+    return tag("dl", [joined(tag("dt", name), tag("dd", value)) for name, value in rows])
+
+
+def _table(
+    heads: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = (), code: Sequence[int] = ()
+) -> Html:
+    def kind(k: int) -> str | None:
+        return "number" if k in numbers else "code" if k in code else None
+
+    head = [tag("thead", tag("tr", [tag("th", name, class_=kind(k)) for k, name in enumerate(heads)]))] if heads else []
+    body = [tag("tr", [tag("td", cell, class_=kind(k)) for k, cell in enumerate(row)]) for row in rows]
+    return tag("table", head, tag("tbody", body))
+
+
+def _flat(value: Any, name: str = "") -> list[tuple[str, str]]:
+    """Return nested options as pairs of a dotted name and a value."""
+    if isinstance(value, Mapping):
+        return [pair for key, item in value.items() for pair in _flat(item, f"{name}.{key}" if name else str(key))]
+    return [(name, _plain(value))]
+
+
+def _plain(value: Any) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_plain(item) for item in value) + "]"
+    return str(value)
+
+
+def _px(value: Any) -> str:
+    return f"{format_number(float(value))} px" if isinstance(value, int | float) else "unknown"
