@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TypeAlias
 
 import cv2
@@ -55,6 +55,41 @@ def joined(*content: Content) -> Html:
         else:
             parts.append(str(joined(*one)))
     return Html("".join(parts))
+
+
+def section(name: str, title: str, *content: Content) -> Html:
+    """Return a section with its heading; `name` is its id."""
+    return tag("section", tag("h2", title), *content, id=name)
+
+
+def figure(uri: str, caption: str, *, wide: bool = False) -> Html:
+    """Return an image, by its data URI, with its caption; a wide one fills the page."""
+    return tag("figure", tag("img", src=uri, alt=caption), tag("figcaption", caption), class_="wide" if wide else None)
+
+
+def definitions(rows: Sequence[tuple[str, str]]) -> Html:
+    """Return terms with their values."""
+    return tag("dl", [joined(tag("dt", name), tag("dd", value)) for name, value in rows])
+
+
+def table(
+    heads: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = (), code: Sequence[int] = ()
+) -> Html:
+    """Return a table.
+
+    Args:
+        heads: the heads of its columns; empty: none.
+        rows: its rows.
+        numbers: columns of numbers.
+        code: columns in a fixed-width font.
+    """
+
+    def kind(k: int) -> str | None:
+        return "number" if k in numbers else "code" if k in code else None
+
+    head = [tag("thead", tag("tr", [tag("th", name, class_=kind(k)) for k, name in enumerate(heads)]))] if heads else []
+    body = [tag("tr", [tag("td", cell, class_=kind(k)) for k, cell in enumerate(row)]) for row in rows]
+    return tag("table", head, tag("tbody", body))
 
 
 def photograph_uri(picture: ByteArray) -> str:

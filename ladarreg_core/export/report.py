@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,18 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.export.atomic_write import write_bytes
-from ladarreg_core.export.html import Content, Html, joined, tag
+from ladarreg_core.export.html import Content, Html, definitions, figure, joined, section, table, tag
 from ladarreg_core.export.json import CAMERA_FROM_SCANNER_IS
 from ladarreg_core.export.match_crops import WorstMatch, crop_legend, match_crops, worst_matches
 from ladarreg_core.export.report_pictures import ReportPictures, legend_html
 from ladarreg_core.export.report_plots import legend_of_points, residual_plots
+from ladarreg_core.export.report_provenance import (
+    files_section,
+    method_section,
+    plain_text,
+    quality_section,
+    software_section,
+)
 from ladarreg_core.export.report_style import STYLE
 from ladarreg_core.formatting import format_angle, format_length, format_number
 from ladarreg_core.inspection.figures import figures, parameters
@@ -24,11 +31,10 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture import RegisteredTexture
 
 _MOST_WORST = 6
-_MOST_ADVICE = 3
 _MOST_SIGMA_RAD = 0.5
 _VERDICTS = {
     "image": "Accepted: verified against the image.",
-    "statistics": "Accepted on match statistics only; the image did not confirm it.",
+    "statistics": "Accepted on match statistics only, not verified against the image.",
     "given": "Given, not verified: this pose was applied, not solved.",
     "none": "Accepted without evidence.",
 }
@@ -151,10 +157,10 @@ class _Report:
             found.append(self._refused_guess())
         if len(self._r.matches) and (self._shown or self._has_guess):
             found.append(self._matches())
-        found.append(self._quality())
+        found.append(quality_section(self._document, pose_known=self._shown or self._has_guess))
         if self._shown:
             found.append(self._maps())
-        found += [self._files(), self._method(), self._software()]
+        found += [build(self._document) for build in (files_section, method_section, software_section)]
         return found
 
     def _verdict(self) -> Html:
@@ -168,8 +174,8 @@ class _Report:
         if r.reasons:
             parts.append(tag("ul", [tag("li", reason) for reason in r.reasons]))
         if self._shown:
-            parts.append(_definitions(self._key_figures()))
-        return _section("verdict", "Verdict", *parts)
+            parts.append(definitions(self._key_figures()))
+        return section("verdict", "Verdict", *parts)
 
     def _key_figures(self) -> list[tuple[str, str]]:
         r, found = self._r, figures(self._r)
@@ -197,11 +203,11 @@ class _Report:
     def _before_and_after(self) -> Html:
         p = self._pictures
         figures_ = [
-            _figure(
+            figure(
                 p.scan(), "Before: the scan's intensity. Gray frame: the part shown beside; blue frame: the detail."
             ),
-            _figure(p.photograph(), "The photograph."),
-            _figure(
+            figure(p.photograph(), "The photograph."),
+            figure(
                 p.registered(), "After: the photograph on the scan's grid; what it does not show is dimmed intensity."
             ),
         ]
@@ -213,13 +219,13 @@ class _Report:
                 "Detail, after. Thin lines: edges of the scan's intensity.",
             )
             parts.append(
-                tag("div", [_figure(one, name) for one, name in zip(detail, names, strict=True)], class_="pictures")
+                tag("div", [figure(one, name) for one, name in zip(detail, names, strict=True)], class_="pictures")
             )
-        return _section("before-after", "Before and after", *parts)
+        return section("before-after", "Before and after", *parts)
 
     def _overlay(self) -> Html:
         words = "Edges of the scan, in blue, on the photograph: at a good pose they follow its edges everywhere."
-        return _section("overlay", "Overlay", _figure(self._pictures.overlay(), words, wide=True))
+        return section("overlay", "Overlay", figure(self._pictures.overlay(), words, wide=True))
 
     def _pose(self, title: str, name: str) -> Html:
         r = self._r
@@ -227,35 +233,35 @@ class _Report:
         parts: list[Content] = [
             tag("p", "Tx is left, Ty up, Tz forward of the scanner; alpha pans right, beta tilts down, gamma rolls "
                 "clockwise as seen from behind the camera (one standard deviation each)."),
-                        tag("div",
+            tag("div",
                 tag("div", tag("h3", "Six parameters"),
-                    _table(("parameter", "value", "sigma", "unit"), rows, numbers=(1, 2))),
+                    table(("parameter", "value", "sigma", "unit"), rows, numbers=(1, 2))),
                 tag("div", tag("h3", "Camera"), self._camera()), class_="tables"),
             tag("h3", "Matrix"), self._matrix(),
         ]  # fmt: skip
-        return _section(name, title, *parts)
+        return section(name, title, *parts)
 
     def _camera(self) -> Html:
         sigmas = dict(self._r.camera_sigmas)
         rows = []
         for name, value in self._r.camera.as_fields().items():
-            shown = ", ".join(f"{v:.6g}" for v in value) if isinstance(value, list | tuple) else _plain(value)
+            shown = ", ".join(f"{v:.6g}" for v in value) if isinstance(value, list | tuple) else plain_text(value)
             sigma = sigmas.get(name, sigmas.get("focal_px") if name in ("fx", "fy") else None)
             if name == "distortion":
                 sigma = sigmas.get("k1")
             rows.append((name, shown or "none", "as given" if sigma is None else f"{sigma:.3g}", _UNITS.get(name, "")))
-        return _table(("intrinsics", "value", "sigma", "unit"), rows, numbers=(1, 2))
+        return table(("intrinsics", "value", "sigma", "unit"), rows, numbers=(1, 2))
 
     def _matrix(self) -> Html:
         rows = [tuple(f"{value:.9g}" for value in row) for row in self._r.camera_from_scanner.matrix]
-        return joined(tag("p", CAMERA_FROM_SCANNER_IS, class_="dim"), _table((), rows, numbers=(0, 1, 2, 3)))
+        return joined(tag("p", CAMERA_FROM_SCANNER_IS, class_="dim"), table((), rows, numbers=(0, 1, 2, 3)))
 
     def _refused_guess(self) -> Html:
         if not self._has_guess:
             words = "No pose was found that is worth showing: the candidates are not determined by the data."
-            return _section("guess", "Rejected guess", tag("p", words))
+            return section("guess", "Rejected guess", tag("p", words))
         rows = [(p.name, p.value, p.unit) for p in parameters(self._r)]
-        return _section(
+        return section(
             "guess",
             "Rejected guess",
             tag(
@@ -263,15 +269,15 @@ class _Report:
                 "The best candidate, which was refused. It is no registration: do not use it as one.",
                 class_="note bad",
             ),
-            _figure(self._pictures.overlay(), "Edges of the scan at the rejected guess, on the photograph.", wide=True),
-            _table(("parameter", "guess", "unit"), rows, numbers=(1,)),
+            figure(self._pictures.overlay(), "Edges of the scan at the rejected guess, on the photograph.", wide=True),
+            table(("parameter", "guess", "unit"), rows, numbers=(1,)),
         )
 
     def _matches(self) -> Html:
         picture, enlargement = self._pictures.matches()
         times = "" if enlargement == 1 else f", enlarged {enlargement} times"
         parts: list[Content] = [
-            _figure(picture, f"Green: inliers; red: outliers; lines: their residuals{times}.", wide=True),
+            figure(picture, f"Green: inliers; red: outliers; lines: their residuals{times}.", wide=True),
             tag(
                 "div",
                 [tag("figure", plot, tag("figcaption", words)) for plot, words in residual_plots(self._r)],
@@ -287,7 +293,7 @@ class _Report:
                 crop_legend(),
                 tag("div", [self._worst(*pair) for pair in zip(worst, crops, strict=True)], class_="worst"),
             ]
-        return _section("matches", "Matches and residuals", *parts)
+        return section("matches", "Matches and residuals", *parts)
 
     def _worst(self, match: WorstMatch, crops: tuple[Html, Html]) -> Html:
         r, k = self._r, match.end
@@ -316,39 +322,6 @@ class _Report:
         value = None if found is None else found.get("pixels")
         return float(value) if isinstance(value, int | float) else None
 
-    def _quality(self) -> Html:
-        document = self._document
-        parts: list[Content] = []
-        findings = list(document.get("findings") or ())
-        if not self._shown and not self._has_guess:
-            findings = []  # of a pose that was not found nothing is good or poor
-        if findings:
-            rows = [
-                tag(
-                    "tr",
-                    tag("td", tag("span", str(f["level"]), class_=f"badge {_LEVELS.get(str(f['level']), 'warn')}")),
-                    tag("td", str(f["sentence"]), " ", tag("em", str(f.get("what_to_do") or ""))),
-                )
-                for f in sorted(findings, key=lambda f: _ORDER.index(f["level"]) if f["level"] in _ORDER else 0)
-            ]
-            parts.append(tag("table", tag("tbody", rows), class_="findings"))
-        advice = list(document.get("advice") or ())[:_MOST_ADVICE]
-        if advice and (self._shown or self._has_guess):
-            parts += [
-                tag("h3", "Where another match would help most"),
-                tag("ul", [tag("li", str(a["sentence"])) for a in advice]),
-            ]
-        absent = dict(document.get("not_assessed") or {})
-        if absent:
-            parts += [
-                tag("h3", "Not assessed"),
-                tag("ul", [tag("li", f"{name}: {why}") for name, why in absent.items()]),
-            ]
-        smoothing = document.get("smoothing")
-        if smoothing:
-            parts.append(tag("p", f"Range spikes: {smoothing.get('sentence', '')}"))
-        return _section("quality", "Quality", *(parts or [tag("p", "Nothing was assessed.")]))
-
     def _maps(self) -> Html:
         maps = [
             tag(
@@ -359,84 +332,7 @@ class _Report:
             )
             for uri, legend, shares, words in self._pictures.maps()
         ]
-        return _section("maps", "Uncertainty and visibility", tag("div", maps, class_="pictures"))
-
-    def _files(self) -> Html:
-        inputs = list(self._document.get("inputs") or ())
-        if not inputs:
-            return _section("files", "Files", tag("p", "The input files were not recorded."))
-        rows = [(str(f["name"]), f"{int(f['size']):,}", str(f["sha256"])) for f in inputs]
-        return _section("files", "Files", _table(("file", "bytes", "SHA-256"), rows, numbers=(1,), code=(2,)))
-
-    def _method(self) -> Html:
-        document = self._document
-        steps = [
-            (str(s["name"]), f"{s['seconds']:.2f}", "" if s.get("matches") is None else str(s["matches"]))
-            for s in document.get("steps") or ()
-        ]
-        options = [(name, value) for name, value in _flat(document.get("options") or {})]
-        parts: list[Content] = [
-            _definitions([("Method", str(document.get("method"))), ("Seed", str(document.get("seed")))])
-        ]
-        if steps:
-            parts += [
-                tag("h3", "Steps"),
-                tag("div", _table(("step", "seconds", "matches"), steps, numbers=(1, 2)), class_="steps"),
-            ]
-        if options:
-            listed = [tag("div", tag("code", name), " ", tag("span", value)) for name, value in options]
-            parts += [tag("h3", "Options"), tag("div", listed, class_="options")]
-        return _section("options", "Method and options", *parts)
-
-    def _software(self) -> Html:
-        rows = [(str(name), str(version)) for name, version in (self._document.get("software") or {}).items()]
-        return _section("software", "Software", _definitions(rows))
-
-
-_LEVELS = {"good": "ok", "fair": "warn", "poor": "bad"}
-_ORDER = ("poor", "fair", "good")
-
-
-def _section(name: str, title: str, *content: Content) -> Html:
-    return tag("section", tag("h2", title), *content, id=name)
-
-
-def _figure(uri: str, caption: str, *, wide: bool = False) -> Html:
-    return tag("figure", tag("img", src=uri, alt=caption), tag("figcaption", caption), class_="wide" if wide else None)
-
-
-def _definitions(rows: Sequence[tuple[str, str]]) -> Html:
-    return tag("dl", [joined(tag("dt", name), tag("dd", value)) for name, value in rows])
-
-
-def _table(
-    heads: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = (), code: Sequence[int] = ()
-) -> Html:
-    def kind(k: int) -> str | None:
-        return "number" if k in numbers else "code" if k in code else None
-
-    head = [tag("thead", tag("tr", [tag("th", name, class_=kind(k)) for k, name in enumerate(heads)]))] if heads else []
-    body = [tag("tr", [tag("td", cell, class_=kind(k)) for k, cell in enumerate(row)]) for row in rows]
-    return tag("table", head, tag("tbody", body))
-
-
-def _flat(value: Any, name: str = "") -> list[tuple[str, str]]:
-    """Return nested options as pairs of a dotted name and a value."""
-    if isinstance(value, Mapping):
-        return [pair for key, item in value.items() for pair in _flat(item, f"{name}.{key}" if name else str(key))]
-    return [(name, _plain(value))]
-
-
-def _plain(value: Any) -> str:
-    if value is None:
-        return "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_plain(item) for item in value) + "]"
-    return str(value)
+        return section("maps", "Uncertainty and visibility", tag("div", maps, class_="pictures"))
 
 
 def _px(value: Any) -> str:

@@ -11,9 +11,11 @@ import { sentences } from "../ui/numbers.js";
 
 const FILES = [
   ["registration.json", "pose, covariance, matches, options", false],
+  ["report.html", "verdict, pictures, residuals and maps, to read and to print", false],
   ["matches.json", "the matches, which can be opened again", false],
   ["registered.png", "the photograph resampled to the scan grid", true],
-  ["labels.png", "visibility class of each cell", true],
+  ["labels.png", "visibility class of each cell, as codes", true],
+  ["visibility.png", "the same in colours, with their legend", true],
   ["uncertainty.png", "registration uncertainty of each cell, in pixels", true],
   ["model.glb", "textured surface", true],
   ["cloud.ply", "coloured points", true],

@@ -364,7 +364,10 @@ def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.
     shown = capsys.readouterr()
     assert "Accepted" in shown.out
     assert "sigma" in shown.out
-    names = {"registration.json", "registered.png", "labels.png", "uncertainty.png", "model.glb", "cloud.ply"}
+    names = {
+        "registration.json", "report.html", "registered.png", "labels.png", "visibility.png", "uncertainty.png",
+        "model.glb", "cloud.ply",
+    }  # fmt: skip
     assert {path.name for path in out.iterdir()} == names
     for name in names:
         assert name in shown.out

@@ -301,7 +301,8 @@ def test_a_zip_holds_the_files_of_the_command_line(registered: WorkbenchDriver) 
     with zipfile.ZipFile(path) as file:
         assert file.testzip() is None
         assert set(file.namelist()) == {
-            "registration.json", "registered.png", "labels.png", "uncertainty.png", "model.glb", "cloud.ply",
+            "registration.json", "report.html", "registered.png", "labels.png", "visibility.png", "uncertainty.png",
+            "model.glb", "cloud.ply",
             "matches.json",
         }  # fmt: skip
         told = json.loads(file.read("registration.json"))

@@ -23,7 +23,7 @@ def earlier(out, *, accepted=True, **more):
     """Write the results of an earlier run, with content that no later run writes."""
     out.mkdir(parents=True)
     write_document(out / "registration.json", registration_document(sample_registration(accepted=accepted)))
-    for name in FILE_NAMES[1:] if accepted else ():
+    for name in FILE_NAMES[1:] if accepted else FILE_NAMES[1:2]:
         (out / name).write_text("old", encoding="utf-8")
     return {path.name: path.read_bytes() for path in out.iterdir()}
 
@@ -43,7 +43,7 @@ def test_an_accepted_registration_writes_everything(tmp_path, registration, scan
 
 def test_what_is_not_accepted_is_never_written_as_registered(tmp_path, scan, photo):
     export_registration(tmp_path / "out", sample_registration(accepted=False), scan, photo)
-    assert names(tmp_path / "out") == ["registration.json"]
+    assert names(tmp_path / "out") == ["registration.json", "report.html"]
     assert json.loads((tmp_path / "out" / "registration.json").read_text(encoding="utf-8"))["accepted"] is False
 
 
@@ -65,9 +65,9 @@ def test_a_smoothed_scan_is_what_the_models_show_and_nothing_else(tmp_path, regi
         export_registration(tmp_path / name, registration, scan, photo, smoothed=shown)
     for name in FILE_NAMES:
         plain, smooth, same = ((tmp_path / folder / name).read_bytes() for folder in ("plain", "smooth", "same"))
-        changes = name in ("model.glb", "cloud.ply", "registration.json")
+        changes = name in ("model.glb", "cloud.ply", "registration.json", "report.html")
         assert (smooth != plain) == changes, name
-        assert (same != plain) == (name == "registration.json"), name
+        assert (same != plain) == (name in ("registration.json", "report.html")), name
     document = json.loads((tmp_path / "smooth" / "registration.json").read_text(encoding="utf-8"))
     assert document["smoothing"] == {"cells_replaced": 1, "sentence": "One."}
 

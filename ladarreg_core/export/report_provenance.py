@@ -1,0 +1,106 @@
+"""The sections of a report that state what its document records: quality, files, method, options and software."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ladarreg_core.export.html import Content, Html, definitions, section, table, tag
+
+Document = Mapping[str, Any]
+_MOST_ADVICE = 3
+_LEVELS = {"good": "ok", "fair": "warn", "poor": "bad"}
+_ORDER = ("poor", "fair", "good")
+
+
+def quality_section(document: Document, *, pose_known: bool) -> Html:
+    """Return the findings, the positions where another match would help, and what could not be assessed.
+
+    Args:
+        document: the document of the registration.
+        pose_known: whether its pose, or the rejected guess, is known well enough for findings on it to mean anything.
+    """
+    parts: list[Content] = []
+    findings = list(document.get("findings") or ())
+    if not pose_known:
+        findings = []  # of a pose that was not found nothing is good or poor
+    if findings:
+        rows = [
+            tag(
+                "tr",
+                tag("td", tag("span", str(f["level"]), class_=f"badge {_LEVELS.get(str(f['level']), 'warn')}")),
+                tag("td", str(f["sentence"]), " ", tag("em", str(f.get("what_to_do") or ""))),
+            )
+            for f in sorted(findings, key=lambda f: _ORDER.index(f["level"]) if f["level"] in _ORDER else 0)
+        ]
+        parts.append(tag("table", tag("tbody", rows), class_="findings"))
+    advice = list(document.get("advice") or ())[:_MOST_ADVICE]
+    if advice and pose_known:
+        parts += [
+            tag("h3", "Where another match would help most"),
+            tag("ul", [tag("li", str(a["sentence"])) for a in advice]),
+        ]
+    absent = dict(document.get("not_assessed") or {})
+    if absent:
+        parts += [
+            tag("h3", "Not assessed"),
+            tag("ul", [tag("li", f"{name}: {why}") for name, why in absent.items()]),
+        ]
+    smoothing = document.get("smoothing")
+    if smoothing:
+        parts.append(tag("p", f"Range spikes: {smoothing.get('sentence', '')}"))
+    return section("quality", "Quality", *(parts or [tag("p", "Nothing was assessed.")]))
+
+
+def files_section(document: Document) -> Html:
+    """Return the input files with their sizes and hashes."""
+    inputs = list(document.get("inputs") or ())
+    if not inputs:
+        return section("files", "Files", tag("p", "The input files were not recorded."))
+    rows = [(str(f["name"]), f"{int(f['size']):,}", str(f["sha256"])) for f in inputs]
+    return section("files", "Files", table(("file", "bytes", "SHA-256"), rows, numbers=(1,), code=(2,)))
+
+
+def method_section(document: Document) -> Html:
+    """Return the method, its steps and all options."""
+    steps = [
+        (str(s["name"]), f"{s['seconds']:.2f}", "" if s.get("matches") is None else str(s["matches"]))
+        for s in document.get("steps") or ()
+    ]
+    options = [(name, value) for name, value in _flat(document.get("options") or {})]
+    parts: list[Content] = [definitions([("Method", str(document.get("method"))), ("Seed", str(document.get("seed")))])]
+    if steps:
+        parts += [
+            tag("h3", "Steps"),
+            tag("div", table(("step", "seconds", "matches"), steps, numbers=(1, 2)), class_="steps"),
+        ]
+    if options:
+        listed = [tag("div", tag("code", name), " ", tag("span", value)) for name, value in options]
+        parts += [tag("h3", "Options"), tag("div", listed, class_="options")]
+    return section("options", "Method and options", *parts)
+
+
+def software_section(document: Document) -> Html:
+    """Return the versions of the software."""
+    rows = [(str(name), str(version)) for name, version in (document.get("software") or {}).items()]
+    return section("software", "Software", definitions(rows))
+
+
+def _flat(value: Any, name: str = "") -> list[tuple[str, str]]:
+    """Return nested options as pairs of a dotted name and a value."""
+    if isinstance(value, Mapping):
+        return [pair for key, item in value.items() for pair in _flat(item, f"{name}.{key}" if name else str(key))]
+    return [(name, plain_text(value))]
+
+
+def plain_text(value: Any) -> str:
+    """Return a value of the document as text."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(plain_text(item) for item in value) + "]"
+    return str(value)
