@@ -60,6 +60,8 @@ def sigma_angle(result: PoseResult) -> str:
 
 def matches(result: PoseResult) -> str:
     """Return the number of inliers and their residual."""
+    if not len(result.matches):
+        return "no matches"
     inliers = int(result.inliers.sum())
     text = f"{inliers} of {len(result.matches)} inliers"
     if inliers:

@@ -39,6 +39,22 @@ STATED_OFFSET_SIGMA_RAD = float(np.radians(0.2))
 STATED_OFFSET_SIGMA_M = 0.005
 """Standard deviation assumed for the translation of an offset if none is given."""
 
+_MOST_ANGLE_RAD = float(np.radians(10.0))
+_MOST_POSITION_OF_RANGE = 0.5
+_USUAL_RANGE_M = 10.0
+
+
+def is_determined(sigma_angle_rad: float, sigma_position_m: float, ranges_m: FloatArray) -> bool:
+    """Return whether standard deviations are small enough for the numbers of a pose to be worth showing.
+
+    Args:
+        sigma_angle_rad: of the camera orientation, rad.
+        sigma_position_m: of the camera position, m.
+        ranges_m: (M,) ranges of the matches, m; the position is compared with their median.
+    """
+    reach = float(np.median(ranges_m)) if len(ranges_m) else _USUAL_RANGE_M
+    return sigma_angle_rad <= _MOST_ANGLE_RAD and sigma_position_m <= _MOST_POSITION_OF_RANGE * reach
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseResult:
@@ -103,6 +119,15 @@ class PoseResult:
     def sigma_position_m(self) -> float:
         """Standard deviation of the camera centre, root sum of squares over its three axes, m."""
         return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the numbers of the pose mean anything; those of a refused placeholder or a guess do not."""
+        if self.accepted:
+            return True
+        if len(self.matches) and not self.inliers.any():
+            return False
+        return is_determined(self.sigma_angle_rad, self.sigma_position_m, self.matches.ranges)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -34,6 +34,7 @@ _LIMITS = {
     "solved_on": (64, 50_000_000),
     "stale": (128, 1_000_000),
     "assessment": (32, 200_000_000),
+    "agreeing": (32, 10_000_000),
     "partners": (3, 400_000_000),
     "measured": (8, 200_000_000),
     "picture": (24, 200_000_000),
@@ -202,6 +203,16 @@ class Loader:
         """Return the assessment of a pose; None before it was computed."""
         cached = self.known("assessment", id(pose))
         return None if cached is None else cached[1]
+
+    def agreeing(self, pose: PoseEntry) -> dict[str, bool]:
+        """Return which of the picks of a pose agree with the robust estimator.
+
+        Raises:
+            LadarregError: as `registration`.
+        """
+        from ladarreg_core.quality.suspects import agreeing_picks
+
+        return self.cached("agreeing", id(pose), lambda: (pose, agreeing_picks(self.registration(pose))))[1]
 
     def partners(self, scan: Scan, pose: PoseEntry) -> PickPredictor:
         """Return the prediction of picks from one image to the other under a pose."""

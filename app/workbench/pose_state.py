@@ -58,6 +58,7 @@ def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEn
     except LadarregError:  # its matches are missing, which the verdict of its stage states
         return found
     changed = changed_since(entry, loader.solved_on(entry.pose))
+    agreeing = loader.agreeing(entry.pose)
     for name, judged in pick_residuals(measured, picks, registration).items():
         known = name not in changed  # what the solver found of a match does not hold for what it has become
         found["by_pick"][name] = {
@@ -65,6 +66,7 @@ def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEn
             "mm": number(judged.mm),
             "depth_m": number(judged.depth_m),
             "inlier": judged.inlier if known else None,
+            "agrees": agreeing.get(name) if known else None,
             "influence": number(judged.influence_px) if known else None,
         }
         found["predicted"][name] = [None if math.isnan(at[0]) else at for at in judged.photo.tolist()]

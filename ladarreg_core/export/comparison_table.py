@@ -91,7 +91,7 @@ def check_comparison(comparison: Comparison, scan: Scan) -> None:
 
 
 def differences(comparison: Comparison, scan: Scan) -> tuple[Difference | None, ...]:
-    """Return the difference of each column from the default; None where either has no pose.
+    """Return the difference of each column from the default; None where either has no pose, or an undetermined one.
 
     Args:
         comparison: the columns.
@@ -102,11 +102,13 @@ def differences(comparison: Comparison, scan: Scan) -> tuple[Difference | None, 
     """
     check_comparison(comparison, scan)
     default = default_of(comparison)
-    if default is None or default.stage.result is None:
+    if default is None or default.stage.result is None or not default.stage.result.is_determined:
         return (None,) * len(comparison.columns)
     reference, points = default.stage.result, _seen_points(default, scan)
     return tuple(
-        None if column.stage.result is None else _difference(column.stage.result, reference, points)
+        _difference(column.stage.result, reference, points)
+        if column.stage.result is not None and column.stage.result.is_determined
+        else None
         for column in comparison.columns
     )
 
@@ -124,7 +126,7 @@ def comparison_table(comparison: Comparison, scan: Scan) -> Table:
     Source: thesis Tables 3.2-3.5, with residuals, verdicts and the difference from the default beside them.
     """
     results = [column.stage.result for column in comparison.columns]
-    thesis = [None if result is None else result.thesis_parameters for result in results]
+    thesis = [r.thesis_parameters if r is not None and r.is_determined else None for r in results]
     apart = differences(comparison, scan)
 
     def lengths(name: str) -> list[str]:
@@ -136,7 +138,10 @@ def comparison_table(comparison: Comparison, scan: Scan) -> Table:
     cells = {
         **{f"{name}, m": lengths(name) for name in ("Tx", "Ty", "Tz")},
         **{f"{name}, deg": angles(name) for name in ("alpha", "beta", "gamma")},
-        "points": [NOTHING if r is None else f"{int(r.inliers.sum())} of {len(r.matches)}" for r in results],
+        "points": [
+            f"{int(r.inliers.sum())} of {len(r.matches)}" if r is not None and len(r.matches) else NOTHING
+            for r in results
+        ],
         "rms residual, px": [NOTHING if r is None else _number(rms_px(r), 2) for r in results],
         "stereo depth rms, m": [NOTHING if r is None else _number(rms_depth_m(r), 4) for r in results],
         "from default, px": [NOTHING if d is None else _number(d.median_px, 2) for d in apart],

@@ -289,17 +289,20 @@ def _lines(column: Column, apart: Difference | None) -> list[tuple[str, Colour]]
     result = column.stage.result
     if result is None:
         return []
-    lines = [
-        (_inlier_summary(result), INK),
-        (result.thesis_parameters.describe_position(), INK),
-        (result.thesis_parameters.describe_orientation().replace(" deg", "°"), INK),
-    ]
+    lines = [(_inlier_summary(result), INK)]
+    if result.is_determined:
+        lines += [
+            (result.thesis_parameters.describe_position(), INK),
+            (result.thesis_parameters.describe_orientation().replace(" deg", "°"), INK),
+        ]
     if apart is not None and column.stage.name != "default":
         lines.append((f"{_distance(apart)} from the default", DIM))
     return lines
 
 
 def _inlier_summary(result: PoseResult) -> str:
+    if not len(result.matches):
+        return "no matches"
     rms = rms_px(result)
     text = f"{int(result.inliers.sum())} of {len(result.matches)} matches are inliers"
     return f"{text}, {rms:.2f} px rms" if np.isfinite(rms) else text

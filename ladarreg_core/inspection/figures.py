@@ -57,7 +57,12 @@ def figures(result: PoseResult) -> Figures:
 
 
 def parameters(result: PoseResult) -> tuple[Parameter, ...]:
-    """Return Tx, Ty, Tz in m and alpha, beta, gamma in degrees, with two digits of their standard deviations."""
+    """Return Tx, Ty, Tz in m and alpha, beta, gamma in degrees, with two digits of their standard deviations.
+
+    Empty for a pose that is refused and undetermined: its numbers mean nothing.
+    """
+    if not result.is_determined:
+        return ()
     values, sigmas = result.thesis_parameters, result.thesis_sigmas
     found = []
     for name in _NAMES:

@@ -20,6 +20,7 @@ from ladarreg_core.surface.uncertainty import pixel_sigma
 _STANDARD_PIXELS = 1_000_000
 _MAX_REGIONS = 250
 _SAMPLE = 500
+_MEANINGFUL = 0.1  # of the longer side: the most uncertainty that is stated as a number
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,10 +202,10 @@ def check_precision(
     )
     if sigma_px <= most:
         return verdict
-    reason = (
-        f"The image regions agree, but they are too few: the pose is known to {sigma_px:.1f} px of the photo only, and "
-        f"{most:.1f} px are needed. Scan at a higher resolution."
-    )
+    known = f"is known to {sigma_px:.1f} px of the photo only, and {most:.1f} px are needed"
+    if not sigma_px <= _MEANINGFUL * max(camera.size):
+        known = "is not determined"
+    reason = f"The image regions agree, but they are too few: the pose {known}. Scan at a higher resolution."
     return replace(verdict, accepted=False, reasons=(reason,))
 
 

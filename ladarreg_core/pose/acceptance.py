@@ -20,6 +20,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
 from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
+from ladarreg_core.results import is_determined
 
 _PLANE_SAMPLES = 80  # of three points each: the chance (1 - .7^3)^80 of missing a plane of 70 % is negligible
 _HASH_WEIGHTS = np.sqrt([2.0, 3.0, 5.0])
@@ -111,10 +112,13 @@ def decide_acceptance(
             f"only {share:.0%} of {count} matches are inliers, {options.least_share:.0%} are needed; "
             "correct or remove the outliers"
         )
-    if not chi2_per_dof <= options.most_chi2_per_dof:
+    if not np.isfinite(chi2_per_dof):
+        against.append("there are too few inliers to check their residuals; add or correct matches")
+    elif chi2_per_dof > options.most_chi2_per_dof:
         against.append(
             f"the residuals exceed the stated noise (chi^2/dof {chi2_per_dof:.1f}, at most "
-            f"{options.most_chi2_per_dof:g}); check the focal length and lens distortion, or state larger noise"
+            f"{options.most_chi2_per_dof:g}); check the matches with the largest residuals first, then the focal "
+            "length and the lens distortion, or state larger noise"
         )
     if log10_chance > options.most_log10_chance:
         against.append(
@@ -124,10 +128,13 @@ def decide_acceptance(
     position = float(np.sqrt(np.trace(covariance[3:, 3:])))
     reach = float(np.median(matches.ranges))
     if not (angle <= options.most_angle_rad and position <= options.most_position_of_range * reach):
-        against.append(
-            f"the matches barely determine the pose (1 sigma: {format_length(position)}, "
-            f"{np.degrees(angle):.2g} deg); spread them over the photo and over near and far surfaces"
+        known = f"(1 sigma: {format_length(position)}, {np.degrees(angle):.2g} deg)"
+        how = (
+            f"barely determine the pose {known}"
+            if is_determined(angle, position, matches.ranges)
+            else "do not determine the pose"
         )
+        against.append(f"the matches {how}; spread them over the photo and over near and far surfaces")
     if _collinear(matches.uv[inliers], options):
         against.append("the inliers are collinear in the photo; add matches off that line")
     if _sees_plane_from_behind(pose, matches.points[inliers], options):

@@ -105,11 +105,13 @@ class IntrinsicsChoice:
         if not self.trials:
             return ()
         last = self.trials[-1].fit
-        changes = " and ".join(_estimates(last))
-        why = "do not determine them" if not last.determined else "held-out matches are predicted no better"
+        known = last.sigmas["focal_px"] < last.camera.focal_px / 2
+        changes = f" ({' and '.join(_estimates(last))})" if known else ""
+        why = "held-out matches are predicted no better" if last.determined else "do not determine them"
         return (
-            f"The matches suggest other intrinsics ({changes}), but {why}; the camera was kept as given. Provide a "
-            "camera file, or add matches near and far and across the whole photo.",
+            f"The matches suggest other intrinsics{changes}, but {why}; the camera was kept as given. Check the "
+            "matches with the largest residuals first; then provide a camera file, or add matches near and far and "
+            "across the whole photo.",
         )
 
 

@@ -82,6 +82,8 @@ class Assessment:
 
 
 def _findings(result: PoseResult) -> tuple[Finding, ...]:
+    if len(result.matches) == 0 and not result.is_determined:
+        raise DegenerateGeometryError("no pose was found, so there is nothing to assess; add matches")
     if len(result.matches) == 0 and result.accepted:
         raise DegenerateGeometryError(
             "the pose has no matches of its own to assess it by, as it was carried over from another photo"
@@ -159,4 +161,8 @@ def _require_usable_pose(result: PoseResult) -> None:
     if not result.accepted and not result.inliers.any():
         raise DegenerateGeometryError(
             "no match agrees with the pose, so its uncertainty cannot be computed; add matches"
+        )
+    if not result.is_determined:
+        raise DegenerateGeometryError(
+            "the matches do not determine the pose, so its uncertainty means nothing; add matches"
         )

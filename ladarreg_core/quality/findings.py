@@ -11,7 +11,8 @@ Source: thesis 3.4 for the failures of its methods.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from math import comb
 from typing import Any, Literal
 
 import numpy as np
@@ -31,7 +32,8 @@ from ladarreg_core.quality.limits import (
     has_usable_parallax,
     is_forward_baseline,
 )
-from ladarreg_core.results import PoseResult
+from ladarreg_core.quality.suspects import suspect_matches
+from ladarreg_core.results import PoseResult, Registration
 
 Level = Literal["good", "fair", "poor"]
 LEVELS: tuple[Level, ...] = ("good", "fair", "poor")
@@ -56,6 +58,8 @@ LENS_SIGNIFICANCE = 4.0
 6."""
 _BIAS_SIGNIFICANCE = 20.0  # Hotelling's T^2 of two components; false alarms: one in 10,000 with many picks
 _MOST_NAMED = 5
+_REJECTED_SHARE = 0.01  # of correct matches, by the gate
+_CHANCE = 5e-3
 _LEVEL_WITHOUT_PARALLAX: Mapping[str, Level] = {"stereo_simplex": "poor", "epipolar_simplex": "fair"}
 """Effect of too little parallax on a method: one compares stereo depths, the other rejects outliers by them."""
 
@@ -87,7 +91,8 @@ def findings(result: PoseResult) -> tuple[Finding, ...]:
         result.camera_from_scanner, result.matches, result.inliers, result.camera, sigma_px=result.sigma_px
     )
     conditioning = assess_conditioning(result)
-    found = [_matches(result), _inliers(result), _residuals(result)]
+    inliers, lens = _matches_first(_inliers(result), _lens(result) if result.is_determined else None)
+    found = [_matches(result), inliers, _residuals(result)]
     if conditioning is not None:
         found += [
             _spread(result, conditioning),
@@ -95,7 +100,8 @@ def findings(result: PoseResult) -> tuple[Finding, ...]:
             _relief(result, figures, conditioning),
             _conditioning(conditioning),
         ]
-    found += [_baseline(result, figures), _disparity(result, figures), _bias(result), _lens(result)]
+    if result.is_determined:
+        found += [_baseline(result, figures), _disparity(result, figures), _bias(result), lens]
     return tuple(finding for finding in found if finding is not None)
 
 
@@ -123,18 +129,49 @@ def _inliers(result: PoseResult) -> Finding | None:
     count = len(result.matches)
     if not count:
         return None
+    suspects = suspect_matches(result)
     share = float(np.count_nonzero(result.inliers)) / count
     level = _below(share, FEW_INLIERS)
-    outliers = list(dict.fromkeys(result.matches.pick_ids[k] for k in np.flatnonzero(~result.inliers)))
-    more = f" and {len(outliers) - _MOST_NAMED} more" if len(outliers) > _MOST_NAMED else ""
-    names = f"; outliers: {', '.join(outliers[:_MOST_NAMED])}{more}" if outliers else ""
+    drawn = _are_drawn(result)
+    if level == "good" and (suspects.by_robust or (drawn and _rejected_by_chance(result) < _CHANCE)):
+        level = "fair"
+    words = f"{share:.0%} of {count} matches are inliers"
+    advice = "Check the outliers; correct or remove the wrong ones."
+    if suspects.pick_ids and drawn:
+        named = list(suspects.pick_ids[:_MOST_NAMED])
+        more = f" and {len(suspects.pick_ids) - _MOST_NAMED} more" if len(suspects.pick_ids) > _MOST_NAMED else ""
+        whose = "those that 'robust' rejects" if suspects.by_robust else "outliers"
+        words += f"; {whose}, worst first: {', '.join(named)}{more}"
+        if suspects.by_robust:
+            advice = "Correct or remove these first, or use the 'robust' method, which leaves them out."
     return Finding(
         "inliers",
         level,
-        f"{share:.0%} of {count} matches are inliers{names}.",
-        _unless_good(level, "Check the outliers; correct or remove the wrong ones."),
-        {"share": share, "disagreeing": outliers},
+        f"{words}.",
+        _unless_good(level, advice),
+        {"share": share, "disagreeing": list(suspects.pick_ids)},
     )
+
+
+def _are_drawn(result: PoseResult) -> bool:
+    """Return whether the ids of the matches are those of picks; detected matches have ids that nobody has seen."""
+    return not isinstance(result, Registration) or result.method == "manual" or not result.steps
+
+
+def _rejected_by_chance(result: PoseResult) -> float:
+    """Return the probability that as many correct matches are rejected by chance."""
+    count, rejected = len(result.matches), int(np.count_nonzero(~result.inliers))
+    fewer = (comb(count, k) * _REJECTED_SHARE**k * (1 - _REJECTED_SHARE) ** (count - k) for k in range(rejected))
+    return max(1.0 - sum(fewer), 0.0)
+
+
+def _matches_first(inliers: Finding | None, lens: Finding | None) -> tuple[Finding | None, Finding | None]:
+    """Return both findings such that doubtful matches are checked before the lens, since they also look like one."""
+    if inliers is None or lens is None or "good" in (inliers.level, lens.level):
+        return inliers, lens
+    level = max(inliers.level, lens.level, key=LEVELS.index)
+    advice = f"Check the outliers first. If it remains: {lens.what_to_do[:1].lower()}{lens.what_to_do[1:]}"
+    return replace(inliers, level=level), replace(lens, what_to_do=advice)
 
 
 def _residuals(result: PoseResult) -> Finding | None:
@@ -148,7 +185,11 @@ def _residuals(result: PoseResult) -> Finding | None:
         level,
         f"The residuals are {np.sqrt(chi2):.2f} times the noise of {format_number(result.sigma_px)} px and "
         f"{format_length(result.sigma_range_m)} (chi^2/dof {chi2:.2f}).",
-        _unless_good(level, "Check the focal length and the lens distortion, or state a larger noise."),
+        _unless_good(
+            level,
+            "Check the matches with the largest residuals first, then the focal length and the lens distortion, or "
+            "state a larger noise.",
+        ),
         {"chi2_per_dof": chi2, "sigma_px": result.sigma_px, "sigma_range_m": result.sigma_range_m},
     )
 

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from ladarreg.messages import assessment_lines, report
+from ladarreg.messages import matches as matches_line
 
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import rotation_from_rotvec
+from ladarreg_core.inspection.figures import parameters
 from ladarreg_core.picks.measure import matches_from_picks
+from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.surface.ranges import surface_range
 from tests.scenes.painted_room import PaintedRoom, painted_room
@@ -128,6 +133,13 @@ def test_what_does_not_match_is_not_accepted(room: PaintedRoom, picture: str) ->
     assert result.evidence == "none"
     assert result.reasons
     assert all(reason.endswith(".") for reason in result.reasons)
+    if picture == "flat":  # there is not even a guess, so no number of it is shown
+        assert not result.is_determined
+        assert parameters(result) == ()
+        assessment = assess(room.scan, result)
+        assert assessment.findings is assessment.uncertainty is assessment.advice is None
+        shown = "\n".join([report(result), *assessment_lines(assessment, result), matches_line(result)])
+        assert not re.search(r"\d", shown), shown
 
 
 def test_a_first_guess_is_tried_first(room: PaintedRoom) -> None:

@@ -7,7 +7,8 @@ const USUAL_SIGMAS = 3;
 const ROOM = 1.15;
 
 /**
- * @typedef {{id: string, number: number, value: number, on: boolean, inlier: boolean | null}} Stem
+ * @typedef {{id: string, number: number, value: number, on: boolean, inlier: boolean | null,
+ *   agrees: boolean | null}} Stem
  */
 
 /**
@@ -18,9 +19,9 @@ const ROOM = 1.15;
  */
 export const stemsOf = (rows, by) =>
   rows
-    .map(
-      ({ id, number, on, inlier, depth_m, px }) => ({ id, number, on, inlier, value: by === "depth" ? depth_m : px }),
-    )
+    .map(({ id, number, on, inlier, agrees, depth_m, px }) => (
+      { id, number, on, inlier, agrees, value: by === "depth" ? depth_m : px }
+    ))
     .filter(({ value }) => value !== null && Number.isFinite(value));
 
 /**
@@ -32,18 +33,30 @@ export const robustSigma = (stems) => {
   return sizes.length ? SIGMA_OF_MAD * median(sizes) : 0;
 };
 
+/** @returns {number} rounded up to two significant figures */
+const roundedUp = (value) => {
+  if (!(value > 0)) return 0;
+  const unit = 10 ** (Math.floor(Math.log10(value)) - 1);
+  const up = Number((Math.ceil(value / unit) * unit).toPrecision(3));
+  return up >= value ? up : Number((up + unit).toPrecision(3));
+};
+
 /** @returns {number} rounded to two significant figures */
 export const rounded = (value) => (value > 0 ? Number(value.toPrecision(2)) : 0);
 
 /**
- * Suggest an initial threshold.
+ * Suggest an initial threshold. It never rejects a match that agrees with the robust estimator: under a pose that rests
+ * on wrong matches, too, the errors of correct ones may be the larger ones.
  * @param {Stem[]} stems
  * @param {number | null} [sigmas] multiple of the standard deviation, from the settings
  * @returns {number | null} null if there are no errors
  */
 export const suggestedThreshold = (stems, sigmas) => {
-  const sigma = robustSigma(stems);
-  return sigma > 0 ? rounded((sigmas ?? USUAL_SIGMAS) * sigma) : null;
+  const good = stems.filter(({ on, agrees }) => on && agrees === true);
+  const sigma = robustSigma(good.length ? good : stems);
+  const usual = rounded((sigmas ?? USUAL_SIGMAS) * sigma);
+  const least = roundedUp(Math.max(0, ...good.map(({ value }) => Math.abs(value))));
+  return Math.max(usual, least) || null;
 };
 
 /**

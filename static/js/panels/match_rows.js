@@ -3,7 +3,7 @@
 /**
  * @typedef {{id: string, number: number, kind: string, origin: string, on: boolean, weight: number, sampled: number |
  *   null, used: number | null, px: number | null, mm: number | null, depth_m: number | null, influence: number | null,
- *   inlier: boolean | null, judged: boolean}} Row
+ *   inlier: boolean | null, agrees: boolean | null, judged: boolean}} Row
  */
 
 const DRAWN = new Set(["manual", "file"]);
@@ -40,6 +40,7 @@ export const rowsOf = (picks, judged) =>
       depth_m: residuals?.depth_m ?? null,
       influence: residuals?.influence ?? null,
       inlier: residuals?.inlier ?? null,
+      agrees: residuals?.agrees ?? null,
       judged: residuals !== undefined,
     };
   });
