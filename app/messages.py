@@ -40,7 +40,12 @@ def one_line(text: str) -> str:
 
 def verdict(result: PoseResult) -> str:
     """Return whether a pose is accepted, and on what evidence."""
-    return ACCEPTED[result.evidence] if result.accepted else "Not accepted: the evidence is insufficient."
+    if result.accepted:
+        return ACCEPTED[result.evidence]
+    contradicted = result.diagnostics.get("verification", {}).get("outcome") == "contradicted"
+    return (
+        "Not accepted: contradicted by the images." if contradicted else "Not accepted: the evidence is insufficient."
+    )
 
 
 def position(result: PoseResult) -> str:

@@ -65,6 +65,7 @@ class JobRegistry:
             "densify": JobKind("Lines between matches", self._matching.densify),
             "simplex": JobKind("Simplex", simplex.simplex, _WATCHED, WATCHED_SPEED),
             "reject_outliers": JobKind("Remove outliers", simplex.reject_outliers, _WATCHED, 4 * WATCHED_SPEED),
+            "solve": JobKind("Solve from matches", solve.solve),
             "robust": JobKind("Robust solution", solve.robust),
             "verify": JobKind("Verify against the images", solve.verify),
             "auto": JobKind("Register automatically", self._registration.auto),

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.progress import StepLog
 from ladarreg_core.project.edits import with_pose
 from ladarreg_core.project.results import pose_entry, pose_of
 from ladarreg_core.results import STAGE_LABELS
@@ -16,7 +17,8 @@ from .inputs import Inputs, Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
-    from ladarreg_core.results import PoseResult, StageId
+    from ladarreg_core.progress import StepReport
+    from ladarreg_core.results import PoseResult, Registration, StageId
 
 
 class SolveJobs:
@@ -37,54 +39,57 @@ class SolveJobs:
 
     def robust(self, inputs: Inputs, context: JobContext) -> str:
         """Solve all matches by the default estimator, and check the result from many starting poses."""
-        import ladarreg_core as lr
+        return self.commit(inputs, "robust", self._robust(inputs, context.step), context)
 
-        _ = inputs.matches()  # raises if matches are missing
-        pose = inputs.entry.pose
-        initial = None if pose is None else pose_of(pose)
-        result = lr.register(
-            inputs.scan,
-            inputs.photo,
-            method="manual",
-            picks=inputs.picks,
-            initial=initial,
-            options=inputs.settings.register_options,
-            report=context.step,
-        )
-        return self.commit(inputs, "robust", result, context)
+    def solve(self, inputs: Inputs, context: JobContext) -> str:
+        """Solve all matches by the default estimator and verify the pose against the images: one verdict."""
+        result, sentence = self._solved(inputs, context.step)
+        context.check()
+        self.commit(inputs, "robust", result, context)
+        return f"{verdict(result)} {sentence}"
 
     def verify(self, inputs: Inputs, context: JobContext) -> str:
-        """Verify the shown pose against the images."""
-        from ladarreg_core.matching.aligner import verify_pose
-
+        """Verify the shown pose against the images; whatever the outcome, it is stored with the pose."""
         pose = inputs.entry.pose
         if pose is None:
             raise OptionError("there is no pose to verify; solve first")
-        result = self._workspace.loader.registration(pose)
-        photo = replace(inputs.photo, camera=result.camera)
-        found = verify_pose(inputs.scan, photo, result.camera_from_scanner, seed=inputs.settings.seed)
+        result, sentence = self._checked(inputs, self._workspace.loader.registration(pose), context.step)
         context.check()
-        if found is None:
-            return "Undecidable: the scan shows too little texture here to compare with the photograph."
-        reasons = " ".join(found.reasons)
-        if not found.accepted:
-            return f"The images do not confirm this pose: {reasons}"
-        figures = {**found.as_dict(), "regions": [list(region) for region in found.regions]}
-        verified = replace(
-            result,
-            accepted=True,
-            evidence="image",
-            reasons=(*found.reasons, *result.reasons),
-            diagnostics={**result.diagnostics, "verification": figures},
-        )
-        entry = pose_entry(pose.stage, verified, picks=self._workspace.loader.solved_on(pose))
+        entry = pose_entry(pose.stage, result, picks=self._workspace.loader.solved_on(pose))
         self._workspace.commit(
             inputs,
             f"Verify: {STAGE_LABELS[pose.stage].lower()}",
             lambda photo: with_pose(photo, entry, shown=False),
             author=context.job.author,
         )
-        return f"The images confirm this pose. {reasons}"
+        return f"{verdict(result)} {sentence}"
+
+    def _robust(self, inputs: Inputs, report: StepReport) -> Registration:
+        import ladarreg_core as lr
+
+        _ = inputs.matches()  # raises if matches are missing
+        pose = inputs.entry.pose
+        return lr.register(
+            inputs.scan,
+            inputs.photo,
+            method="manual",
+            picks=inputs.picks,
+            initial=None if pose is None else pose_of(pose),
+            options=inputs.settings.register_options,
+            report=report,
+        )
+
+    def _solved(self, inputs: Inputs, report: StepReport) -> tuple[Registration, str]:
+        return self._checked(inputs, self._robust(inputs, report), report)
+
+    def _checked(self, inputs: Inputs, result: Registration, report: StepReport) -> tuple[Registration, str]:
+        """Return the registration with its image verification, and the sentence on that."""
+        from ladarreg_core.matching.image_check import check_against_images, with_image_check
+
+        steps = StepLog(report)
+        check = check_against_images(inputs.scan, inputs.photo, result, steps, seed=inputs.settings.seed)
+        checked = with_image_check(result, check)
+        return replace(checked, steps=(*checked.steps, *steps.steps)), check.sentence
 
     def commit(
         self,

@@ -106,10 +106,14 @@ def poses_slice(loader: Loader, entry: PhotoEntry, stage_of: Callable[[PoseEntry
 
 def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
     """Return a stage with its verdict and, once computed, its assessment."""
+    from ladarreg_core.matching.image_check import statistics_note
+
     try:
         registration = loader.registration(pose)
     except LadarregError as error:
         return {"stage": pose.stage, "label": STAGE_LABELS[pose.stage], "accepted": False, "verdict": str(error)}
+    verification = pose.diagnostics.get("verification", {})
+    checked = "outcome" in verification
     return {
         "stage": pose.stage,
         "label": STAGE_LABELS[pose.stage],
@@ -118,7 +122,8 @@ def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
         "evidence": pose.evidence,
         "verdict": verdict(registration),
         "reasons": list(pose.reasons),
-        "note": pose.note,
+        "note": " ".join(filter(None, [pose.note, statistics_note(registration)])),
+        **({"image": {name: verification[name] for name in ("outcome", "sentence")}} if checked else {}),
         "parameters": [asdict(parameter) for parameter in parameters(registration)],
         "matches": len(registration.matches),
         **{name: number(value) for name, value in asdict(figures(registration)).items()},
@@ -127,7 +132,7 @@ def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
         "focal_px": registration.camera.focal_px,
         "camera_sigmas": dict(registration.camera_sigmas),
         "seconds": pose.seconds,
-        "regions": [list(region) for region in pose.diagnostics.get("verification", {}).get("regions", [])],
+        "regions": [list(region) for region in verification.get("regions", [])],
         "steps": [{"name": step.name, "label": step_label(step.name), "seconds": step.seconds} for step in pose.steps],
         **_assessment_fields(loader.known_assessment(pose)),
     }

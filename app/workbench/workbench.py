@@ -52,6 +52,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 Message = dict[str, Any]
+_ANNOUNCED = ("solve", "verify")
+"""Jobs whose result is also announced: the verdict may be out of sight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,6 +324,10 @@ class Workbench:
         self.scene_sync.job_changed(job)
         if not job.runs:
             return_memory_soon()
+        if job.state == "done" and job.kind in _ANNOUNCED:
+            entry = self.session.document.photo(job.photo)
+            accepted = entry is not None and entry.pose is not None and entry.pose.accepted
+            self.publish_notice(job.message, level="info" if accepted else "warn")
         if job.state == "failed":
             self.publish_notice(f"{job.label}: {job.message}", level="bad")
 

@@ -30,6 +30,7 @@ STEP_LABELS: Mapping[str, str] = {
     "matches": "Matches from picks",
     "pose": "Solve pose",
     "starts": "Multi-start check",
+    "image check": "Compare with the images",
     "result": "Result",
 }
 """Label of each step name."""

@@ -98,3 +98,27 @@ def test_an_edit_puts_the_whole_verdict_out_of_date(operator: Operator) -> None:
     verdict(page).filter(has_text="Accepted").wait_for()
     page.locator("#step-judge.done").wait_for()
     assert photo.locator(TICK).count() == 1
+
+
+def test_solving_is_one_button_with_one_verdict(operator: Operator) -> None:
+    """Matches that agree with each other and not with the images: solved, verified and refused by one click."""
+    page = operator.page
+    for pick in operator.slice("picks:p1"):
+        ((u, v),) = pick["photo"]
+        operator.socket.ask("set_pick", photo="p1", pick=pick["id"], photo_uv=[[u + 30, v]])
+    verdict(page).filter(has_text="Out of date").wait_for()
+    page.get_by_role("region", name="Find matches").get_by_role("button", name="Solve from matches").click()
+    contradicted = re.compile("Not accepted: contradicted by the images", re.IGNORECASE)
+    verdict(page).filter(has_text=contradicted).wait_for(timeout=90_000)
+    notices = page.locator(".notice").filter(has_text=contradicted)
+    notices.first.wait_for()
+    assert notices.count() == 1
+    page.get_by_role("group", name="Job").filter(has_text=contradicted).wait_for()
+    assert "not accepted" in page.locator(".photo-tab").inner_text()
+    for step in ("solve", "judge", "export"):
+        assert page.locator(f"#step-{step}.done").count() == 0
+    assert page.get_by_role("group", name="Job").locator(".icon-tick").count() == 0
+    operator.step("Solve")
+    row = page.locator(".pipeline-step").filter(has=page.get_by_role("button", name="Run: Verify"))
+    assert row.filter(visible=True).get_attribute("data-state") == "failed"
+    operator.shot("contradicted")

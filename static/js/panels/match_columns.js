@@ -45,10 +45,11 @@ const numberCell = () => {
     const state = !row.on ? "disabled" : row.inlier === false ? "outlier" : "";
     if (mark.dataset.mark === state) return;
     mark.dataset.mark = state;
+    mark.title = state === "outlier" ? "Outlier: it does not agree with the shown pose" : "";
     setChildren(
       mark,
       state === "outlier" ? icon("cross") : null,
-      state ? element("span", { class: state === "disabled" ? "visually-hidden" : "" }, state) : null,
+      state ? element("span", { class: "visually-hidden" }, state) : null,
     );
   };
   return { content: [swatch, number, mark], show };

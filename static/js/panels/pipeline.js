@@ -8,16 +8,17 @@ import { element, setAttribute, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { settingsForm } from "./settings_form.js";
 
-const ICONS = { none: "dot", running: "running", paused: "pause", done: "tick", failed: "bad", stopped: "stop", stale: "warn" };
-const LEVELS = { none: "dim", running: "accent", paused: "warn", done: "ok", failed: "bad", stopped: "warn", stale: "warn" };
-const STATES = {
-  none: "not run",
-  running: "running",
-  paused: "paused",
-  done: "done",
-  failed: "failed",
-  stopped: "stopped",
-  stale: "out of date",
+/** Icon, level and word of each state. */
+const LOOKS = {
+  none: ["dot", "dim", "not run"],
+  running: ["running", "accent", "running"],
+  paused: ["pause", "warn", "paused"],
+  done: ["tick", "ok", "done"],
+  solved: ["target", "accent", "done, not accepted"],
+  failed: ["bad", "bad", "failed"],
+  stopped: ["stop", "warn", "stopped"],
+  stale: ["warn", "warn", "out of date"],
+  unclear: ["warn", "warn", "undecidable"],
 };
 
 /** The newest finished job of each kind and photograph; slice `job` contains only the last one of all. */
@@ -72,26 +73,43 @@ export const mountPipeline = (which, title) => {
     list.append(row);
     rows.set(step, { row, open, sign, status, word, go });
   }
-  const all = [
-    button({
-      label: "Automatic",
-      kind: "small primary-quiet",
-      icon: "wand",
-      title: "Register automatically, from the images alone (the default)",
-      act: () => requestForPhoto("run", { job: "auto" }),
-    }),
-    button({
-      label: "Thesis chain",
-      kind: "small",
-      title: "Run all steps of the thesis in sequence",
-      act: () => requestForPhoto("run", { job: "thesis" }),
-    }),
-  ];
+  const chain = button({
+    label: "Thesis chain",
+    kind: "small plain",
+    title: "Run all steps of the thesis in sequence, on matches that it finds itself",
+    act: () => requestForPhoto("run", { job: "thesis" }),
+  });
+  const solve = button({
+    label: "Solve from matches",
+    kind: "small primary-quiet",
+    icon: "play",
+    title: "Solve robustly from the enabled matches, and verify the pose against the images",
+    act: () => requestForPhoto("run", { job: "solve" }),
+  });
+  const auto = button({
+    label: "Automatic",
+    kind: "small",
+    icon: "wand",
+    title: "Register automatically, from the images alone",
+    act: () => requestForPhoto("run", { job: "auto" }),
+  });
+  const all = [solve, auto, chain];
+  const group = element(
+    "div",
+    { class: "pipeline-group", title: "Each step of the thesis by itself, in its order" },
+    element("h3", {}, "Thesis"),
+    chain,
+  );
   const part = element(
     "section",
     { class: "dock-part pipeline-part", "aria-label": title },
-    element("div", { class: "part-head" }, element("h2", {}, title), element("div", { class: "end" }, ...all)),
-    element("div", { class: "pipeline-body" }, list, pane),
+    element("div", { class: "part-head" }, element("h2", {}, title), element("div", { class: "end" }, solve, auto)),
+    element(
+      "div",
+      { class: "pipeline-body" },
+      element("div", { class: "pipeline-side" }, group, list),
+      pane,
+    ),
   );
 
   const show = () => {
@@ -101,6 +119,7 @@ export const mountPipeline = (which, title) => {
     const context = {
       job: job?.photo === photo ? job : null,
       stages: store.posesOf()?.stages ?? [],
+      shown: store.stageOf(),
       corners: store.get(`corners:${photo}`),
       picks: store.picksOf(),
     };
@@ -110,12 +129,13 @@ export const mountPipeline = (which, title) => {
         step,
         { ...context, last: finished.get(`${photo} ${step.job}`) ?? null },
       ) : { state: "none", text: "" };
-      if (row.dataset.state !== state) setChildren(sign, icon(step.job ? ICONS[state] : "more"));
+      const [shape, level, said] = LOOKS[state];
+      if (row.dataset.state !== state) setChildren(sign, icon(step.job ? shape : "more"));
       row.dataset.state = state;
-      sign.className = `sign ${LEVELS[state]}`;
+      sign.className = `sign ${level}`;
       setText(status, text);
       status.title = text;
-      setText(word, step.job ? `, ${STATES[state]}` : "");
+      setText(word, step.job ? `, ${said}` : "");
       row.classList.toggle("chosen", step === chosen);
       setAttribute(open, "aria-current", step === chosen ? "true" : null);
       if (go) {
@@ -128,8 +148,12 @@ export const mountPipeline = (which, title) => {
       }
     }
     for (const control of all) control.disabled = busy || missing;
+    solve.disabled ||= !context.picks.some(({ on }) => on);
     const { row: chosenRow, status: chosenStatus } = rows.get(chosen);
-    setText(failure, chosenRow.dataset.state === "failed" ? `Failed: ${chosenStatus.textContent}` : "");
+    const wrong = ["failed", "unclear"].includes(chosenRow.dataset.state);
+    setText(failure, wrong ? chosenStatus.textContent : "");
+    failure.classList.toggle("bad", chosenRow.dataset.state === "failed");
+    failure.classList.toggle("warn", chosenRow.dataset.state === "unclear");
     const entries = settingsOf(store.get("settings"), chosen);
     const shape = JSON.stringify([chosen.label, entries.map(([name, entry]) => [name, { ...entry, value: null }])]);
     if (shape !== drawn) {

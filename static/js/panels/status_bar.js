@@ -18,8 +18,8 @@ const CONNECTIONS = {
   refused: ["bad", "refused: open the address with its token again", "bad"],
   full: ["warn", "too many pages are open: trying again", "warn"],
 };
-/** A finished job is not marked as good: that is for the verdict to say. */
-const ENDS = { done: ["tick", "dim"], failed: ["bad", "bad"], stopped: ["stop", "warn"] };
+/** A finished job has no tick: whether its result is good is for the verdict to say. */
+const ENDS = { done: ["info", "dim"], failed: ["bad", "bad"], stopped: ["stop", "warn"] };
 const LONG_S = 2;
 
 const readoutText = ({ uv, range_m: range, intensity, zoom }) =>

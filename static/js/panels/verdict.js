@@ -1,7 +1,9 @@
 /** The verdict on the shown pose: accepted or not, parameters with standard deviations, findings and suggestions. */
 
+import { requestForPhoto } from "../net/requests.js";
 import { store } from "../net/store.js";
-import { nextAction } from "../state/progress.js";
+import { isRunning } from "../state/pipeline.js";
+import { missingMatches, nextAction } from "../state/progress.js";
 import { view } from "../state/view.js";
 import { button } from "../ui/controls.js";
 import { element, setChildren } from "../ui/dom.js";
@@ -14,12 +16,29 @@ const EMPTY =
   "uncertainty, and suggestions.";
 const WORST_FIRST = ["poor", "fair", "good"];
 
-const head = (stage) => {
+/** Solving from the matches, where a verdict is missing or out of date. */
+const solveButton = (enabled) =>
+  button({
+    label: "Solve from matches",
+    kind: "small",
+    icon: "play",
+    title: "Solve robustly from the enabled matches, and verify the pose against the images",
+    disabled: !enabled,
+    act: () => requestForPhoto("run", { job: "solve" }),
+  });
+
+const head = (stage, { busy, missing }) => {
   if (stage.stale) return element(
     "div",
     { class: "verdict warn", role: "status" },
     icon("warn"),
-    element("p", {}, element("strong", {}, "Out of date: "), `${stage.stale}. What follows is the last solved state.`),
+    element(
+      "p",
+      {},
+      element("strong", {}, "Out of date: "),
+      `${stage.stale}. ${missing || "What follows is the last solved state."}`,
+      missing ? null : solveButton(!busy),
+    ),
   );
   const level = stage.accepted ? "ok" : "bad";
   const [first, ...rest] = (stage.verdict ?? "").split(/(?<=[.:]) /);
@@ -113,12 +132,16 @@ export const mountVerdict = () => {
     const limits = { losses: judged?.losses ?? [], cautions: stage?.evidence === "image" ? [] : judged?.cautions ?? [] };
     const [scan, photo] = [store.get("scan"), store.photo()];
     const next = stage || !store.picksOf().length ? "" : nextAction({ scan, photo, picks: store.picksOf(), poses: store.posesOf() });
-    const text = JSON.stringify([stage, limits, next]);
+    const busy = isRunning(store.get("job"));
+    const missing = missingMatches(store.picksOf());
+    const solvable = Boolean(scan && photo?.camera) && !missing;
+    const text = JSON.stringify([stage, limits, next, busy, missing, solvable]);
     if (text === drawn) return;
     drawn = text;
     setChildren(stageLabel, stage ? stage.label : "");
     if (!stage) {
-      setChildren(body, element("p", { class: "empty" }, EMPTY, element("strong", {}, next)), ...warnings(limits));
+      setChildren(body, element("p", { class: "empty" }, EMPTY, element("strong", {}, next)),
+        solvable ? solveButton(!busy) : null, ...warnings(limits));
       return;
     }
     const findings = (stage.findings ?? []).toSorted(
@@ -126,7 +149,7 @@ export const mountVerdict = () => {
     );
     setChildren(
       body,
-      head(stage),
+      head(stage, { busy, missing }),
       stage.stale ? element("p", { class: "dim" }, sentences([stage.verdict, ...(stage.reasons ?? [])])) : null,
       stage.note ? element("p", { class: "dim" }, stage.note) : null,
       stage.parameters?.length ? six(stage.parameters) : null,
@@ -135,7 +158,7 @@ export const mountVerdict = () => {
       ...warnings(limits),
     );
   };
-  store.watch(["poses:*", "judged:*", "shown", "scan", "photos", "picks:*"], show);
+  store.watch(["poses:*", "judged:*", "shown", "scan", "photos", "picks:*", "job"], show);
   show();
   return part;
 };

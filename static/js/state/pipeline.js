@@ -108,19 +108,21 @@ export const settingsOf = (settings, step) =>
 /**
  * State of a step.
  * @param {PipelineStep} step
- * @param {{job: any, last: any, stages: any[], corners: any, picks: any[]}} context `last` is the newest finished job
- *   of this kind
- * @returns {{state: "none" | "running" | "paused" | "done" | "failed" | "stopped" | "stale", text: string}}
+ * @param {{job: any, last: any, stages: any[], shown: any, corners: any, picks: any[]}} context `last` is the newest
+ *   finished job of this kind, `shown` the shown stage
+ * @returns {{state: "none" | "running" | "paused" | "done" | "solved" | "failed" | "stopped" | "stale" | "unclear",
+ *   text: string}}
  */
-export const stepState = (step, { job, last, stages, corners, picks }) => {
+export const stepState = (step, { job, last, stages, shown, corners, picks }) => {
   if (job?.kind === step.job && (job.state === "running" || job.state === "paused")) return {
     state: job.state,
     text: job.said || job.state,
   };
+  if (step.job === "verify") return verifyState(shown);
   if (last?.state === "failed") return { state: "failed", text: last.said };
   const stage = step.stage && stages.find((each) => each.stage === step.stage);
   if (stage?.stale) return { state: "stale", text: `Out of date: ${stage.stale}` };
-  if (stage) return { state: "done", text: stageSummary(stage) };
+  if (stage) return { state: stage.accepted ? "done" : "solved", text: stageSummary(stage) };
   if (last?.state === "stopped") return { state: "stopped", text: last.said || "stopped" };
   if (last) return { state: "done", text: last.said };
   if (step.job === "find_corners" && corners) return {
@@ -130,6 +132,15 @@ export const stepState = (step, { job, last, stages, corners, picks }) => {
   const found = picks.filter(({ origin }) => origin === step.origin).length;
   if (found) return { state: "done", text: counted(found, "match", "matches") };
   return { state: "none", text: "" };
+};
+
+/** @returns {{state: string, text: string}} the state of the step Verify: what is stored with the shown pose, so that it changes with it */
+const verifyState = (shown) => {
+  if (shown?.evidence === "image" && !shown.image) return { state: "done", text: shown.reasons?.[0] ?? "" };
+  if (!shown?.image) return { state: "none", text: "" };
+  if (shown.stale) return { state: "stale", text: `Out of date: ${shown.stale}` };
+  const state = { verified: "done", contradicted: "failed", undecidable: "unclear" }[shown.image.outcome] ?? "none";
+  return { state, text: shown.image.sentence };
 };
 
 /** @returns {string} inliers, median residual and time of a stage, such as `128 of 134, 0.42 px, 1.2 s` */

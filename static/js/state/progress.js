@@ -19,6 +19,21 @@ const missingFiles = (scan, photo) => {
 };
 
 /**
+ * @param {any[]} picks
+ * @returns {string} what a pose needs besides the enabled matches, a sentence; empty if nothing
+ */
+export const missingMatches = (picks) => {
+  const enabled = picks.filter((pick) => pick.on);
+  const points = enabled.reduce((sum, { kind }) => sum + (kind === "line" ? POINTS_OF_LINE : 1), 0);
+  if (points >= LEAST_POINTS) return "";
+  if (picks.length > 0 && enabled.length === 0) return picks.length === 1
+    ? "The only match is disabled: enable it in the table."
+    : `All ${picks.length} matches are disabled: enable some in the table.`;
+  const lines = Math.ceil((LEAST_POINTS - points) / POINTS_OF_LINE);
+  return `A pose needs ${counted(lines, "more line")}, or ${counted(LEAST_POINTS - points, "more point")}.`;
+};
+
+/**
  * @param {{scan: any, photo: any, picks: any[], poses: any, exported: boolean}} slices of the shown photograph;
  *   `exported`: the shown pose has been exported
  * @returns {WorkStep[]}
@@ -26,20 +41,13 @@ const missingFiles = (scan, photo) => {
 export const workSteps = ({ scan, photo, picks, poses, exported }) => {
   const files = missingFiles(scan, photo);
   const enabled = picks.filter((pick) => pick.on);
-  const points = enabled.reduce((sum, { kind }) => sum + (kind === "line" ? POINTS_OF_LINE : 1), 0);
   const stages = poses?.stages ?? [];
   const shown = stages.find(({ stage }) => stage === poses?.shown) ?? null;
-  const matched = points >= LEAST_POINTS;
+  const needed = missingMatches(picks);
+  const matched = !needed;
   const solved = stages.length > 0;
   const stale = shown?.stale ? `${shown.stale}.` : "";
-  const lines = Math.ceil((LEAST_POINTS - points) / POINTS_OF_LINE);
-  const more = `${counted(lines, "more line")}, or ${counted(LEAST_POINTS - points, "more point")}`;
-  const allDisabled = picks.length > 0 && enabled.length === 0;
-  const disabled = picks.length === 1
-    ? "The only match is disabled: enable it in the table."
-    : `All ${picks.length} matches are disabled: enable some in the table.`;
-  const needed = allDisabled ? disabled : `A pose needs ${more}.`;
-  const matches = files || (matched ? "" : needed);
+  const matches = files || needed;
   return [
     {
       name: "match",
@@ -51,10 +59,10 @@ export const workSteps = ({ scan, photo, picks, poses, exported }) => {
     {
       name: "solve",
       label: "Solve",
-      done: solved && !stale,
+      done: Boolean(shown?.accepted) && !stale,
       missing: solved
         ? stale
-        : files || (matched ? "Run a solver, or register automatically." : `${matches} Or register automatically.`),
+        : files || (matched ? "Solve from the matches, or register automatically." : `${matches} Or register automatically.`),
       status: shown ? `Shown: ${shown.label}.` : "Not solved yet.",
     },
     {
@@ -91,6 +99,6 @@ export const nextAction = ({ scan, photo, picks, poses }) => {
     return "Click Register automatically; or draw a line along an edge in one picture, then along the same edge in " +
       "the other.";
   const [match, solve, judge] = workSteps({ scan, photo, picks, poses, exported: false });
-  if (!solve.done) return match.missing || "There are enough matches: run the robust solver, or register automatically.";
+  if (!solve.done) return match.missing || "There are enough matches: solve from them, or register automatically.";
   return judge.missing || "Accepted: check the model, then export.";
 };

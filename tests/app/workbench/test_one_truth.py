@@ -128,3 +128,57 @@ def test_a_comparison_does_not_change_the_chosen_pose(solved: WorkbenchDriver) -
     assert len(poses["stages"]) > 2
     assert (stage(solved)["parameters"], stage(solved)["seconds"]) == (before["parameters"], before["seconds"])
     assert "The chosen pose (Robust) is still in use." in job.message
+
+
+def shifted(bench: WorkbenchDriver, count: int, px: float) -> None:
+    """Draw points that are all shifted to the right, as with the wrong one of two similar objects."""
+    for point in true_points(count):
+        (uv,) = point["photo_uv"]
+        bench.do("add_pick", photo="p1", **{**point, "photo_uv": [[uv[0] + px, uv[1]]]})
+
+
+@pytest.fixture
+def fresh(tmp_path: Path) -> Iterator[WorkbenchDriver]:
+    """A workbench without matches."""
+    bench = sample_bench(tmp_path / "project")
+    yield bench
+    bench.workbench.close()
+
+
+def test_a_pose_that_the_images_contradict_is_not_accepted_whatever_its_statistics(fresh: WorkbenchDriver) -> None:
+    shifted(fresh, 16, 30)
+    assert fresh.job("robust").state == "done"
+    assert stage(fresh)["accepted"], "its matches agree with each other"
+    job = fresh.job("verify")
+    told = stage(fresh)
+    assert (told["accepted"], told["evidence"], state(fresh)) == (False, "none", "refused")
+    assert told["verdict"] == "Not accepted: contradicted by the images."
+    assert told["image"]["outcome"] == "contradicted"
+    assert "another placement, 30 px in the photo" in told["reasons"][0]
+    assert told["reasons"] == [told["image"]["sentence"]]
+    assert job.message == f"{told['verdict']} {told['reasons'][0]}"
+    (notice,) = [m for m in fresh.received if m.get("event") == "notice"]
+    assert (notice["text"], notice["level"]) == (job.message, "warn")
+    assert fresh.job("verify").state == "done"
+    assert stage(fresh)["reasons"] == told["reasons"], "verifying again changes nothing"
+
+
+def test_an_undecidable_pose_stays_accepted_by_its_statistics_and_says_so(fresh: WorkbenchDriver) -> None:
+    shifted(fresh, 16, 3)
+    job = fresh.job("solve")
+    assert job.state == "done", job.message
+    told = stage(fresh)
+    assert (told["accepted"], told["evidence"], told["image"]["outcome"]) == (True, "statistics", "undecidable")
+    assert told["reasons"][-1].startswith("The images could not confirm it")
+    assert told["steps"][0]["name"] == "matches"
+    assert "Compare with the images" in [step["label"] for step in told["steps"]]
+
+
+def test_what_the_statistics_of_a_verified_pose_lack_is_a_note_and_no_reason(fresh: WorkbenchDriver) -> None:
+    shifted(fresh, 6, 0)
+    assert fresh.job("solve").state == "done"
+    told = stage(fresh)
+    assert (told["accepted"], told["evidence"]) == (True, "image")
+    assert not [reason for reason in told["reasons"] if "needed" in reason]
+    assert "only 6 distinct inliers" in told["note"]
+    assert stage(fresh)["stale"] == ""
