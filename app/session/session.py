@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ladarreg_core.errors import LadarregError, UnsavedError
+from ladarreg_core.errors import LadarregError, OptionError, UnsavedError
 from ladarreg_core.project.delta import check_readable
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.folder import ProjectFolder
@@ -94,7 +94,9 @@ class Session:
             self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
-    def commit(self, label: str, edit: Edit, *, author: str, merge_key: str = "") -> Document:
+    def commit(
+        self, label: str, edit: Edit, *, author: str, merge_key: str = "", automatic: bool = False
+    ) -> int | None:
         """Edit the document.
 
         Args:
@@ -102,6 +104,10 @@ class Session:
             edit: returns the new document, or the same one if nothing changes.
             author: name of the client.
             merge_key: edits of one author with the same key in quick succession become one step; empty: never.
+            automatic: the program's own result after the last edit, which undo steps over, see `project.history`.
+
+        Returns:
+            The number of the step in the history; None if nothing changed.
 
         Raises:
             LadarregError: if the edit is refused, or the new document could not be read again; nothing changes.
@@ -110,23 +116,55 @@ class Session:
             before = self.document
             after = edit(before)
             if after is before or after == before:
-                return before
+                return None
             check_readable(before, after)
-            clock = time.monotonic()
-            amends = bool(merge_key) and self._merges(merge_key, author, clock)
+            if automatic:
+                amends = self._history.present.automatic
+            else:
+                clock = time.monotonic()
+                amends = bool(merge_key) and self._merges(merge_key, author, clock)
+                self._last_commit = (merge_key, author, clock)
+            if amends and not automatic and self._history.present.automatic:
+                self._history = at_edit = self._history.at_edit()
+                self._save(lambda: self.folder.save_move(at_edit))
             if amends:
                 self._history = self._history.amended(after, when=now())
             else:
-                self._history = self._history.committed(after, label=label, author=author, when=now())
-            self._last_commit = (merge_key, author, clock)
+                self._history = self._history.committed(
+                    after, label=label, author=author, when=now(), automatic=automatic
+                )
             history = self._history
             self._save(lambda: self.folder.save_commit(history, amended=amends))
             self._notify(before)
-            return after
+            return history.present.number
 
-    def undo(self) -> None:
-        """Undo the last step."""
-        self._move(lambda history: history.moved(-1))
+    def undo(self, number: int | None = None) -> None:
+        """Undo the last step.
+
+        Args:
+            number: the step that is meant; None: whichever is the last.
+
+        Raises:
+            OptionError: if that step is not the last one any more.
+        """
+        with self._lock:
+            if number is not None:
+                self._require_last(number)
+            self._move(lambda history: history.moved(-1))
+
+    def _require_last(self, number: int) -> None:
+        last = self._history.undone
+        if last is not None and last.number == number:
+            return
+        done = self._history.entries[: self._history.at + 1]
+        meant = next((entry for entry in done if entry.number == number), None)
+        if meant is None or last is None:
+            raise OptionError("that step is undone already")
+        by = f" by {last.author}" if last.author and last.author != meant.author else ""
+        raise OptionError(
+            f"'{meant.label}' is not the last step any more: '{last.label}'{by} came after it; undo that first, or "
+            "choose a step in the History"
+        )
 
     def redo(self) -> None:
         """Redo the step that was undone last."""

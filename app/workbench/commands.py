@@ -106,8 +106,8 @@ def add_pick(context: Context, client: Client, fields: Fields) -> Reply:
         return photo
 
     number = _photo(context, fields).numbered + 1
-    _edit_photo(context, client, fields, f"Draw {kind} {number}", edit)
-    return {"pick": made[0]}
+    step = _edit_photo(context, client, fields, f"Draw {kind} {number}", edit)
+    return {"pick": made[0], **step}
 
 
 def set_pick(context: Context, client: Client, fields: Fields) -> Reply:
@@ -132,15 +132,15 @@ def set_pick(context: Context, client: Client, fields: Fields) -> Reply:
     else:
         label = f"{'Weight' if set(changed) == {'weight'} else 'Move'} match {number}"
     merge_key = f"{entry.id} {name} {sorted(changed)}" if "scan" in changed or "photo" in changed else ""
-    _edit_photo(context, client, fields, label, lambda p: edits.changed_pick(p, name, changed), merge_key=merge_key)
-    return {}
+    return _edit_photo(
+        context, client, fields, label, lambda p: edits.changed_pick(p, name, changed), merge_key=merge_key
+    )
 
 
 def remove_picks(context: Context, client: Client, fields: Fields) -> Reply:
     """Remove matches."""
     ids = _existing(context, fields, _pick_ids(fields.get("picks")))
-    _edit_photo(context, client, fields, f"Remove {_count(ids)}", lambda p: edits.without_picks(p, ids))
-    return {}
+    return _edit_photo(context, client, fields, f"Remove {_count(ids)}", lambda p: edits.without_picks(p, ids))
 
 
 def switch_picks(context: Context, client: Client, fields: Fields) -> Reply:
@@ -148,8 +148,7 @@ def switch_picks(context: Context, client: Client, fields: Fields) -> Reply:
     ids, on = _pick_ids(fields.get("picks")), _boolean(fields.get("on"))
     there = _existing(context, fields, ids)
     label = f"{_enable(on)} {_count(there)}"
-    _edit_photo(context, client, fields, label, lambda p: edits.switched(p, dict.fromkeys(there, on)))
-    return {}
+    return _edit_photo(context, client, fields, label, lambda p: edits.switched(p, dict.fromkeys(there, on)))
 
 
 def reject(context: Context, client: Client, fields: Fields) -> Reply:
@@ -165,8 +164,7 @@ def reject(context: Context, client: Client, fields: Fields) -> Reply:
         raise OptionError("no match has an error yet; solve first")
     off = sum(not value for value in on.values())
     label = f"Disable {off} above {above:.3g} {'m' if by == 'depth' else 'px'}"
-    _edit_photo(context, client, fields, label, lambda p: edits.switched(p, on))
-    return {"off": off}
+    return {"off": off, **_edit_photo(context, client, fields, label, lambda p: edits.switched(p, on))}
 
 
 def set_camera(context: Context, client: Client, fields: Fields) -> Reply:
@@ -182,8 +180,9 @@ def set_camera(context: Context, client: Client, fields: Fields) -> Reply:
         given = {"focal_px": focal_of_35mm(given["focal_35mm"], *size)}
     camera = msgspec.structs.replace(CameraGiven(), **given)
     context.queries.check_camera(entry, camera)
-    _edit_photo(context, client, fields, f"Camera of {entry.source.name}", lambda p: edits.with_camera(p, camera))
-    return {}
+    return _edit_photo(
+        context, client, fields, f"Camera of {entry.source.name}", lambda p: edits.with_camera(p, camera)
+    )
 
 
 def set_settings(context: Context, client: Client, fields: Fields) -> Reply:
@@ -195,37 +194,39 @@ def set_settings(context: Context, client: Client, fields: Fields) -> Reply:
         return msgspec.structs.replace(document, settings=document.settings.changed(values))
 
     names = ", ".join(name.replace("_", " ") for name in values)
-    context.session.commit(f"Set {names}", edit, author=client.name, merge_key=f"settings {sorted(values)}")
-    return {}
+    return _step(
+        context.session.commit(f"Set {names}", edit, author=client.name, merge_key=f"settings {sorted(values)}")
+    )
 
 
 def rename(context: Context, client: Client, fields: Fields) -> Reply:
     """Rename the project."""
     name = _name(fields.get("name"))
-    context.session.commit(f"Rename to {name}", lambda d: msgspec.structs.replace(d, name=name), author=client.name)
-    return {}
+    return _step(
+        context.session.commit(f"Rename to {name}", lambda d: msgspec.structs.replace(d, name=name), author=client.name)
+    )
 
 
 def remove_photo(context: Context, client: Client, fields: Fields) -> Reply:
     """Remove a photograph from the project."""
     entry = _photo(context, fields)
-    context.session.commit(
-        f"Remove {entry.source.name}", lambda d: edits.without_photo(d, entry.id), author=client.name
+    return _step(
+        context.session.commit(
+            f"Remove {entry.source.name}", lambda d: edits.without_photo(d, entry.id), author=client.name
+        )
     )
-    return {}
 
 
 def use_stage(context: Context, client: Client, fields: Fields) -> Reply:
     """Show the pose of another stage."""
     stage = fields.get("stage")
     label = f"Show {stage.replace('_', ' ')}" if isinstance(stage, str) else "Show"
-    _edit_photo(context, client, fields, label, lambda p: edits.with_stage(p, stage))
-    return {}
+    return _edit_photo(context, client, fields, label, lambda p: edits.with_stage(p, stage))
 
 
 def undo(context: Context, client: Client, fields: Fields) -> Reply:
-    """Undo the last step."""
-    context.session.undo()
+    """Undo the last step, or refuse if another one was meant."""
+    context.session.undo(None if fields.get("n") is None else _step_number(fields["n"]))
     return {}
 
 
@@ -237,10 +238,7 @@ def redo(context: Context, client: Client, fields: Fields) -> Reply:
 
 def go_to(context: Context, client: Client, fields: Fields) -> Reply:
     """Go to a step of the history."""
-    number = fields.get("n")
-    if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**53:
-        raise OptionError("a step of the history is a number of 0 or more")
-    context.session.go_to(number)
+    context.session.go_to(_step_number(fields.get("n")))
     return {}
 
 
@@ -382,11 +380,24 @@ def _edit_photo(
     edit: Callable[[PhotoEntry], PhotoEntry],
     *,
     merge_key: str = "",
-) -> None:
+) -> Reply:
     photo = _photo(context, fields).id
-    context.session.commit(
-        label, partial(edits.edited_photo, photo_id=photo, edit=edit), author=client.name, merge_key=merge_key
+    return _step(
+        context.session.commit(
+            label, partial(edits.edited_photo, photo_id=photo, edit=edit), author=client.name, merge_key=merge_key
+        )
     )
+
+
+def _step(number: int | None) -> Reply:
+    """Return the reply to an edit: the number of its step, by which it can be undone; none if nothing changed."""
+    return {} if number is None else {"n": number}
+
+
+def _step_number(value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**53:
+        raise OptionError("a step of the history is a number of 0 or more")
+    return value
 
 
 def _pick_ids(value: object) -> list[str]:

@@ -45,7 +45,7 @@ def project_slice(session: Session) -> dict[str, Any]:
 
 def history_slice(history: History, entries: ListCache[Entry, dict[str, Any]]) -> dict[str, Any]:
     """Return the slice `history` with the newest entries, each made by `history_entry`."""
-    return {"at": history.present.number, "entries": entries.get("history", history.entries[-_MAX_HISTORY:])}
+    return {"at": history.edit.number, "entries": entries.get("history", history.latest_edits(_MAX_HISTORY))}
 
 
 def history_entry(entry: Entry) -> dict[str, Any]:

@@ -416,7 +416,8 @@ def _set_aside(path: Path, *, keep: bool = True) -> Path:
 
 
 def _entry_fields(entry: Entry) -> dict[str, Any]:
-    return {"number": entry.number, "label": entry.label, "author": entry.author, "when": entry.when}
+    fields = {"number": entry.number, "label": entry.label, "author": entry.author, "when": entry.when}
+    return {**fields, "automatic": True} if entry.automatic else fields
 
 
 def _places(count: int) -> str:

@@ -169,4 +169,5 @@ class _Replay:
 
 
 def _entry(number: int, fields: dict[str, Any], document: Document) -> Entry:
-    return Entry(number, str(fields["label"]), str(fields["author"]), str(fields["when"]), document)
+    automatic = fields.get("automatic") is True
+    return Entry(number, str(fields["label"]), str(fields["author"]), str(fields["when"]), document, automatic)

@@ -25,7 +25,7 @@ const remove = async (photo) => {
   if (removed) notice(
     `${photo.name} was removed from the project.`,
     "info",
-    { label: "Undo", act: () => request("undo") },
+    { label: "Undo", act: () => request("undo", { n: removed.n }) },
   );
 };
 

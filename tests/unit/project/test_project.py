@@ -547,3 +547,40 @@ def test_a_pose_of_an_older_version_counts_as_current() -> None:
     photo = edits.with_pose(a_document(2).photos[0], entry)
     assert solved_on(entry) is None
     assert stale(edits.without_picks(photo, {"1"}), entry, solved_on(entry)) == ""
+
+
+def test_undo_steps_over_automatic_results_and_consecutive_ones_replace_each_other(tmp_path: Path) -> None:
+    folder = ProjectFolder(tmp_path / "project")
+    history = History.begun(a_document(0), label="Begin", author="", when=WHEN)
+    folder.begin(history)
+
+    def committed(name: str, *, automatic: bool = False) -> None:
+        nonlocal history
+        document = msgspec.structs.replace(history.document, name=name)
+        amended = automatic and history.present.automatic
+        if amended:
+            history = history.amended(document, when=WHEN)
+        else:
+            history = history.committed(document, label=name, author="", when=WHEN, automatic=automatic)
+        folder.save_commit(history, amended=amended)
+
+    for name in ("one", "two"):
+        committed(name)
+        committed(f"{name}, solved", automatic=True)
+        committed(f"{name}, verified", automatic=True)
+    folder.close()
+    folder = ProjectFolder(tmp_path / "project")
+    history = folder.read()
+    assert [entry.automatic for entry in history.entries] == [False, False, True, False, True]
+    assert (history.document.name, history.edit.label) == ("two, verified", "two")
+    assert history.undone is not None
+    assert history.undone.label == "two"
+    back = history.moved(-1)
+    assert back.document.name == "one, verified"
+    assert back.redone is not None
+    assert (back.redone.label, back.moved(1).document.name) == ("two", "two, verified")
+    assert history.moved(-9).document.name == "test"
+    assert history.moved(-9).undone is None
+    assert history.gone_to(history.entries[1].number).document.name == "one, verified"
+    assert [entry.label for entry in history.latest_edits(2)] == ["one", "two"]
+    folder.close()
