@@ -15,6 +15,10 @@ Colour = tuple[int, int, int]
 """RGB, 0 to 255."""
 _SHARE_SHOWN = 98.0  # per cent; a few outlying cells must not compress the scale of all others
 _NICE = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+_DIVERGING_KNOTS: tuple[Colour, ...] = (
+    (5, 48, 97), (33, 102, 172), (67, 147, 195), (146, 197, 222), (209, 229, 240), (247, 247, 247),
+    (253, 219, 199), (244, 165, 130), (214, 96, 77), (178, 24, 43), (103, 0, 31),
+)  # fmt: skip
 _LEAST_END, _MOST_END = 1e-6, 1e8
 
 BACKGROUND: Colour = (15, 17, 21)
@@ -71,6 +75,17 @@ def ramp_colours(levels: NDArray[np.floating]) -> ByteArray:
     steps = np.rint(255 * np.clip(levels, 0, 1)).astype(np.uint8)
     coloured = np.asarray(cv2.applyColorMap(steps.reshape(-1, 1), cv2.COLORMAP_VIRIDIS), dtype=np.uint8)
     return coloured.reshape(*steps.shape, 3)[..., ::-1]
+
+
+def diverging_colours(levels: NDArray[np.floating]) -> ByteArray:
+    """Return the colours (..., 3), uint8 RGB, of signed levels (...,), clipped to -1 to 1.
+
+    Blue is negative, red positive, and the middle nearly white: both ends differ from it by lightness, and from each
+    other for the colour-blind too.
+    """
+    at = np.linspace(-1, 1, len(_DIVERGING_KNOTS))
+    planes = [np.interp(np.clip(levels, -1, 1), at, plane) for plane in zip(*_DIVERGING_KNOTS, strict=True)]
+    return np.asarray(np.rint(np.stack(planes, axis=-1)), dtype=np.uint8)
 
 
 def scale_end(values: NDArray[np.floating]) -> float:

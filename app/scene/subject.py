@@ -132,12 +132,12 @@ class Subject:
     def texture_kind(self, choice: RenderChoice) -> TextureKind:
         """Return the texture to show: the requested one if it is available."""
         kind = usable_texture(choice.texture, self.result)
-        return "intensity" if kind in ("colour", "label") and self.photo is None else kind
+        return "intensity" if kind in ("colour", "resolution", "label") and self.photo is None else kind
 
     def texture(self, choice: RenderChoice) -> ModelTexture:
         """Return the texture of the model."""
         kind = self.texture_kind(choice)
-        needs_photo = kind == "label" or (kind == "colour" and choice.z_buffer)
+        needs_photo = kind in ("resolution", "label") or (kind == "colour" and choice.z_buffer)
         return model_texture(
             self.scan,
             kind,

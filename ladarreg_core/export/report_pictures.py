@@ -24,10 +24,10 @@ from ladarreg_core.palette import ACCENT, DIM, LINE, as_css
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.texture import Label, RegisteredTexture, intensity_picture, model_picture
+from ladarreg_core.surface.texture import Label, RegisteredTexture, intensity_picture
 
 _WIDE, _HALF, _TALLEST = 1280, 760, 760
-_MAPS: tuple[TextureKind, ...] = ("uncertainty", "label", "residual")
+_MAPS: tuple[TextureKind, ...] = ("uncertainty", "label", "residual", "depth_error", "resolution")
 _PER_CENT_LABELS = (Label.SEEN, Label.OCCLUDED, Label.OUT_OF_FRAME, Label.GRAZING, Label.UNCERTAIN)
 
 
@@ -55,6 +55,13 @@ class ReportPictures:
         return registered_texture(self._scan, self._photo, self._result)
 
     @cached_property
+    def _coloured(self) -> ByteArray:
+        """The texture of the coloured model, as the workbench shows it."""
+        return model_texture(
+            self._scan, "colour", photo=self._photo, result=self._result, registered=self._texture
+        ).image
+
+    @cached_property
     def _tile(self) -> Window:
         return seen_window(self._scan, [self._texture])
 
@@ -74,7 +81,7 @@ class ReportPictures:
     def registered(self) -> str:
         """Return the photograph on the scan's grid, where it is seen."""
         size = window_size(self._scan, self._tile, _HALF, _TALLEST)
-        picture = model_picture(self._scan, self._texture)[self._tile.cells]
+        picture = self._coloured[self._tile.cells]
         return self._with_mark(framed(resized(picture, size), LINE))
 
     def detail(self) -> tuple[str, str] | None:
@@ -85,7 +92,7 @@ class ReportPictures:
         size = window_size(self._scan, window, _HALF, round(_HALF / DETAIL_ASPECT * 1.2))
         edges = edge_lines(self._scan, window, size)
         before = resized(intensity_picture(self._scan)[window.cells], size)
-        after = with_edges(resized(model_picture(self._scan, self._texture)[window.cells], size), edges)
+        after = with_edges(resized(self._coloured[window.cells], size), edges)
         return photograph_uri(framed(before, LINE)), self._with_mark(framed(after, LINE))
 
     def overlay(self) -> str:

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray, FloatArray, IntArray, read_only
+from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.palette import UNKNOWN, VISIBILITY, Colour, ramp_colours, scale_end
+from ladarreg_core.inspection.surface_fields import (
+    depth_error_field,
+    residual_field,
+    resolution_field,
+    without_pepper,
+)
+from ladarreg_core.palette import UNKNOWN, VISIBILITY, Colour, as_css, diverging_colours, ramp_colours, scale_end
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -21,7 +27,7 @@ from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.texture import Label, RegisteredTexture, intensity_picture, model_picture, texture_scan
 from ladarreg_core.surface.uncertainty import picture_sigma
 
-TextureKind = Literal["colour", "intensity", "range", "residual", "uncertainty", "label"]
+TextureKind = Literal["colour", "intensity", "range", "residual", "depth_error", "uncertainty", "resolution", "label"]
 
 
 _LABEL_MEANINGS = {
@@ -36,18 +42,15 @@ _KINDS: dict[TextureKind, tuple[str, str]] = {
     "intensity": ("Intensity", "laser intensity"),
     "range": ("Range", "distance from the scanner"),
     "residual": ("Residual", "residual of the nearby matches"),
+    "depth_error": ("Depth error", "laser minus stereo depth of the nearby matches"),
     "uncertainty": ("Uncertainty", "uncertainty of the photo position"),
+    "resolution": ("Resolution", "size of the photograph's pixels on the surface"),
     "label": ("Visibility class", "how reliable each colour is"),
 }
-_NEED_POSE = ("colour", "residual", "uncertainty", "label")
+_NEED_POSE = ("colour", "residual", "depth_error", "uncertainty", "resolution", "label")
 _RAMP = 17
 _SHARE_SHOWN = (1.0, 99.0)  # per cent; a few far cells must not compress the scale for all others
-_LEAST_COLOUR_PX = 1e-3
-_NODES = 96
-_NEIGHBOURS = 4
-_NARROWEST_RAD, _WIDEST_RAD = 0.01, 0.15
-_REACH = 3.0
-_CHUNK = 1024
+_LEAST_COLOUR_PX, _LEAST_MM = 1e-3, 1e-3
 _OUTSIDE = np.float32(-10)
 
 
@@ -65,6 +68,16 @@ class Legend:
     """Value of the first colour of the scale."""
     most: str = ""
     """Value of the last colour of the scale."""
+
+    def as_fields(self) -> dict[str, Any]:
+        """Return the legend with its colours as `#rrggbb`, JSON-ready."""
+        return {
+            "title": self.title,
+            "entries": [{"colour": as_css(colour), "label": words} for colour, words in self.entries],
+            "ramp": [as_css(colour) for colour in self.ramp],
+            "least": self.least,
+            "most": self.most,
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +123,8 @@ def texture_choices(result: PoseResult | None) -> tuple[TextureChoice, ...]:
         why_not = missing if kind in _NEED_POSE else None
         if why_not is None and kind == "residual" and result is not None and not result.inliers.any():
             why_not = "needs matches; this pose has none of its own"
+        if why_not is None and kind == "depth_error" and result is not None and not _has_stereo_depths(result):
+            why_not = "needs matches with a stereo depth: the camera must stand beside the scanner"
         choices.append(TextureChoice(kind, label, why_not is None, why_not or description))
     return tuple(choices)
 
@@ -139,12 +154,14 @@ def model_texture(
     `z_buffer` it also colours occluded cells, as in thesis Figure 2.23. `residual` is at each cell the root mean square
     residual, px, of the inliers, weighted by a Gaussian of their angular distance from it (seen from the scanner) whose
     width is their typical spacing; cells more than three widths from all inliers have no data. `uncertainty` is the
-    standard deviation of the pixel from which a cell takes its colour, from the covariance of the pose.
+    standard deviation of the pixel from which a cell takes its colour, from the covariance of the pose. See
+    `surface_fields` for `depth_error` and `resolution`. Single cells of `colour` that the camera does not see, among
+    ones that it sees, take the colour around them: the texture `label` marks them.
 
     Args:
         scan: the scan.
         kind: one of `TextureKind`.
-        photo: the photograph, for `colour` and `label`.
+        photo: the photograph, for `colour`, `resolution` and `label`.
         result: its accepted pose, for all kinds but `intensity` and `range`.
         z_buffer: whether cells that are hidden from the camera stay uncoloured.
         registered: `texture_scan` of these arguments, if already computed.
@@ -175,6 +192,8 @@ def model_texture(
     if known == "uncertainty":
         sigma = picture_sigma(scan, result.camera, result.camera_from_scanner, result.covariance)
         return _of_pixels(sigma, "Standard deviation of the photo position, px")
+    if known == "depth_error":
+        return _of_depth_errors(depth_error_field(scan, result))
     if photo is None:
         raise OptionError(f"the texture {kind!r} needs the photograph; give it")
     if known == "colour" and not z_buffer:
@@ -184,7 +203,11 @@ def model_texture(
     if registered.labels.shape != scan.shape:
         raise ShapeError(f"the texture has {registered.labels.shape} cells, the scan {scan.shape}; they must agree")
     if known == "colour":
-        return ModelTexture(model_picture(scan, registered), _colour_legend("not seen by the camera"))
+        fillable = np.isin(registered.labels, (Label.OCCLUDED, Label.NO_RETURN))
+        picture = without_pepper(model_picture(scan, registered), registered.coloured, fillable)
+        return ModelTexture(picture, _colour_legend("not seen by the camera"))
+    if known == "resolution":
+        return _of_resolution(resolution_field(scan, result, registered.coloured))
     return visibility_texture(registered.labels)
 
 
@@ -244,34 +267,6 @@ def shape_picture(scan: Scan) -> NDArray[np.uint8]:
     facing = np.abs((normal * points).sum(axis=-1)) / np.maximum(length, np.float32(1e-20))
     gray = np.rint(_GRAYS[0][0] + (_GRAYS[-1][0] - _GRAYS[0][0]) * np.clip(facing, 0, 1)).astype(np.uint8)
     return np.repeat(gray[..., None], 3, axis=-1)
-
-
-def residual_field(scan: Scan, result: PoseResult) -> NDArray[np.float32]:
-    """Return the residual of the inliers, interpolated over the scan grid; see `model_texture`.
-
-    Returns:
-        (H, W) float32, photo pixels; NaN where no match is near.
-    """
-    residual = np.linalg.norm(result.residuals_px, axis=-1)
-    used = result.inliers & np.isfinite(residual)
-    if not used.any():
-        return np.full(scan.shape, np.nan, dtype=np.float32)
-    rays, squares = result.matches.rays[used], residual[used] ** 2
-    width = _typical_spacing(rays)
-    rows, columns = (_nodes(n) for n in scan.shape)
-    directions = np.asarray(scan.rays[np.ix_(rows, columns)]).reshape(-1, 3)
-    mean, nearest = np.empty(len(directions)), np.empty(len(directions))
-    for first in range(0, len(directions), _CHUNK):
-        part = slice(first, first + _CHUNK)
-        angle = _angles(directions[part], rays)
-        nearest[part] = angle.min(axis=1)
-        # Relative to the nearest one, so that the weights of a cell far from all do not underflow.
-        weight = np.exp((nearest[part, None] ** 2 - angle**2) / (2 * width**2))
-        mean[part] = np.sqrt(weight @ squares / weight.sum(axis=1))
-    shape = (len(rows), len(columns))
-    field, distance = (_interpolate_nodes(a.reshape(shape), rows, columns, scan.shape) for a in (mean, nearest))
-    field[~(distance <= _REACH * width)] = np.nan
-    return field
 
 
 def colored_points(scan: Scan, image: ByteArray, *, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -338,6 +333,45 @@ def _of_pixels(values: FloatArray, title: str) -> ModelTexture:
     return ModelTexture(picture, legend)
 
 
+def _of_depth_errors(values: FloatArray) -> ModelTexture:
+    """Return a texture of signed lengths (H, W), m, on a scale that is as long on both sides of zero."""
+    known = np.isfinite(values)
+    mm = np.where(known, 1000 * values, 0).astype(np.float32)
+    most = max(scale_end(np.abs(mm)), _LEAST_MM) if known.any() else _LEAST_MM
+    picture = np.array(diverging_colours(mm / np.float32(most)))
+    picture[~known] = UNKNOWN
+    legend = Legend(
+        "Laser minus stereo depth of the nearby matches, mm",
+        ((UNKNOWN, "no data"),),
+        _DIVERGING,
+        least=f"-{most:.3g} and below",
+        most=f"+{most:.3g} and above",
+    )
+    return ModelTexture(picture, legend)
+
+
+def _of_resolution(values: FloatArray) -> ModelTexture:
+    """Return a texture of the photograph's pixels on the surface (H, W), mm."""
+    known = np.isfinite(values)
+    shown = values[known].astype(np.float64)
+    low, high = (float(v) for v in np.percentile(shown, _SHARE_SHOWN)) if shown.size else (0.0, 1.0)
+    level = (np.where(known, values, low) - np.float32(low)) / np.float32(max(high - low, 1e-6 * high, 1e-9))
+    picture = np.array(ramp_colours(level))
+    picture[~known] = UNKNOWN
+    legend = Legend(
+        "Resolution on the surface, mm per pixel of the photograph",
+        ((UNKNOWN, "not seen by the camera"),),
+        _VIRIDIS,
+        least=f"{low:.2g}",
+        most=f"{high:.2g}",
+    )
+    return ModelTexture(picture, legend)
+
+
+def _has_stereo_depths(result: PoseResult) -> bool:
+    return bool(np.isfinite(result.stereo_depth_error_m[result.inliers]).any())
+
+
 def visibility_texture(labels: ByteArray) -> ModelTexture:
     """Return the visibility classes (H, W) in their colours; the legend lists those that occur."""
     table = np.zeros((256, 3), dtype=np.uint8)
@@ -352,38 +386,9 @@ def _ramp(colours: Callable[[FloatArray], ByteArray]) -> tuple[Colour, ...]:
 
 
 _VIRIDIS = _ramp(ramp_colours)
+_DIVERGING = _ramp(lambda level: diverging_colours(2 * level - 1))
 _GRAYS = _ramp(lambda level: np.repeat(np.rint(18 + 227 * level).astype(np.uint8)[:, None], 3, axis=1))
 
 
 def _number(metres: float) -> str:
     return f"{metres:.2f}" if metres < 10 else f"{metres:.1f}"
-
-
-def _angles(directions: FloatArray, rays: FloatArray) -> FloatArray:
-    """Return the angles (N, M), rad, between unit rays (N, 3) and (M, 3), computed from chords, which is accurate for
-    small ones."""
-    return np.asarray(2 * np.arcsin(np.sqrt(np.clip((1 - directions @ rays.T) / 2, 0, 1))))
-
-
-def _typical_spacing(rays: FloatArray) -> float:
-    """Return the median angle, rad, from a match to its fourth neighbour, within limits."""
-    some = rays[:: max(1, len(rays) // _CHUNK)]
-    if len(some) < 2:
-        return _WIDEST_RAD / 2
-    around = np.partition(_angles(some, some), min(_NEIGHBOURS, len(some) - 1), axis=1)
-    typical = float(np.median(around[:, min(_NEIGHBOURS, len(some) - 1)]))
-    return float(np.clip(typical, _NARROWEST_RAD, _WIDEST_RAD))
-
-
-def _nodes(count: int) -> IntArray:
-    """Return indices spread evenly over 0 .. count - 1, including both ends."""
-    return np.unique(np.rint(np.linspace(0, count - 1, min(count, _NODES))).astype(np.int64))
-
-
-def _interpolate_nodes(
-    values: FloatArray, rows: IntArray, columns: IntArray, shape: tuple[int, int]
-) -> NDArray[np.float32]:
-    """Interpolate values at nodes (R, C) over a grid (H, W)."""
-    v = np.interp(np.arange(shape[0]), rows, np.arange(len(rows))).astype(np.float32)
-    u = np.interp(np.arange(shape[1]), columns, np.arange(len(columns))).astype(np.float32)
-    return np.array(look_up(values.astype(np.float32), *np.meshgrid(u, v)), dtype=np.float32)

@@ -17,11 +17,16 @@ from ladarreg_core.inspection.model_textures import (
     colored_points,
     model_texture,
     picture_without_z_buffer,
-    residual_field,
     small_picture,
     texture_choices,
     uniform_picture,
     usable_texture,
+)
+from ladarreg_core.inspection.surface_fields import (
+    depth_error_field,
+    residual_field,
+    resolution_field,
+    without_pepper,
 )
 from ladarreg_core.matches import Matches
 from ladarreg_core.palette import UNKNOWN, VISIBILITY
@@ -32,7 +37,7 @@ from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.texture import Label, texture_scan
 from tests.scenes.painted_room import PaintedRoom, painted_room
 
-KINDS = ("colour", "intensity", "range", "residual", "uncertainty", "label")
+KINDS = ("colour", "intensity", "range", "residual", "depth_error", "uncertainty", "resolution", "label")
 
 
 def result_of(room: PaintedRoom, *, accepted: bool = True, residual_px: float = 0.5, count: int = 40) -> PoseResult:
@@ -103,7 +108,9 @@ def test_without_the_z_buffer_occluded_cells_take_the_photo(room: PaintedRoom, r
     assert np.abs(through[hidden].astype(int) - smooth).max() <= 1
     solid = model_texture(room.scan, "colour", photo=room.photo, result=result).image
     seen = labels == Label.SEEN
-    assert np.ptp(solid[hidden], axis=-1).max() == 0, "what is hidden is gray"
+    shadows = cv2.morphologyEx(hidden.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8)) > 0
+    assert shadows.sum() > 500
+    assert np.ptp(solid[shadows], axis=-1).max() == 0, "what is hidden is gray, but for single cells"
     assert np.median(np.abs(through[seen].astype(int) - solid[seen])) <= 2
     outside = labels == Label.OUT_OF_FRAME
     np.testing.assert_array_equal(through[outside], solid[outside])
@@ -143,6 +150,7 @@ def test_the_field_follows_the_nearest_matches_and_ends_far_from_all(result: Pos
         matches=Matches(rays, np.full(4, 3.0), np.zeros((4, 2))),
         inliers=np.ones(4, bool),
         residuals_px=np.array([[0.1, 0], [0, 0.1], [3.0, 0], [0, 3.0]]),
+        stereo_depth_error_m=np.zeros(4),
     )
     field = residual_field(scan, four)
     assert field[10, 10] < 0.8 < 2.0 < field[10, 290]
@@ -163,9 +171,82 @@ def test_a_less_certain_pose_is_never_darker(room: PaintedRoom, result: PoseResu
     assert ends[1] == pytest.approx(10 * ends[0], rel=0.5)
 
 
+def test_depth_errors_keep_their_sign_and_have_a_symmetric_scale(room: PaintedRoom, result: PoseResult) -> None:
+    left = result.matches.rays[:, 1] > 0
+    error = np.where(left, -0.02, 0.01)
+    signed = dataclasses.replace(result, stereo_depth_error_m=np.where(np.arange(len(error)) == 0, np.nan, error))
+    field = depth_error_field(room.scan, signed)
+    known = np.isfinite(field)
+    assert known.any()
+    assert np.nanmin(field) == pytest.approx(-0.02, rel=0.05)
+    assert np.nanmax(field) == pytest.approx(0.01, rel=0.05)
+    texture = model_texture(room.scan, "depth_error", result=signed)
+    assert texture.legend.least.startswith("-20 ")
+    assert texture.legend.most.startswith("+20 ")
+    assert len(texture.legend.ramp) % 2 == 1, "zero has a colour of its own"
+    colours = texture.image.astype(int)
+    assert (colours[field < -0.015] @ [1, 0, -1] < 0).all(), "negative is blue"
+    assert (colours[field > 0.008] @ [1, 0, -1] > 0).all(), "positive is red"
+    assert (colours[~known] == UNKNOWN).all()
+
+
+def test_depth_errors_need_a_baseline(result: PoseResult) -> None:
+    at_the_scanner = dataclasses.replace(result, stereo_depth_error_m=np.full(len(result.matches), np.nan))
+    (choice,) = [c for c in texture_choices(at_the_scanner) if c.kind == "depth_error"]
+    assert not choice.usable
+    assert "beside the scanner" in choice.description
+
+
+def test_the_resolution_is_that_of_a_wall_seen_straight_and_slantwise() -> None:
+    camera = Camera.from_focal(200, 200, 400.0)
+    geometry = AzimuthElevation(60, 80, 0.004, 0.004)
+    for normal, across in (((1, 0, 0), 1.0), ((1, 1, 0), np.cos(np.pi / 4))):
+        unit = np.array(normal) / np.linalg.norm(normal)
+        ranges = 4.0 * unit[0] / (geometry.rays @ unit)
+        scan = Scan(geometry, ranges, np.ones(geometry.shape))
+        pose = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (1.0, 0.0, 0.0))
+        result = PoseResult(
+            camera_from_scanner=pose, camera=camera, matches=Matches.none(), inliers=np.zeros(0, bool),
+            residuals_px=np.zeros((0, 2)), residuals_m=np.zeros(0), stereo_depth_error_m=np.zeros(0),
+            covariance=np.eye(6), chi2_per_dof=1.0, sigma_px=1.0, sigma_range_m=0.01, accepted=True,
+        )  # fmt: skip
+        seen = np.zeros(geometry.shape, bool)
+        seen[20:40, 30:50] = True
+        field = resolution_field(scan, result, seen)
+        assert (np.isfinite(field) == seen).all()
+        centre = field[29:31, 39:41].mean()
+        assert centre == pytest.approx(1000 * 3.0 / 400 / np.sqrt(across), rel=0.01)
+
+
+def test_single_unseen_cells_take_the_colour_around_them_and_shadows_stay() -> None:
+    picture = np.full((40, 40, 3), (200, 100, 50), np.uint8)
+    known = np.ones((40, 40), bool)
+    known[5, 5] = known[20, 7] = known[20, 8] = False
+    known[10:20, 20:30] = False  # a shadow
+    known[30, 30] = False
+    picture[~known] = 30
+    fillable = ~known
+    fillable[30, 30] = False  # outside the photograph, say
+    filled = without_pepper(picture, known, fillable)
+    for row, column in ((5, 5), (20, 7), (20, 8)):
+        np.testing.assert_array_equal(filled[row, column], (200, 100, 50))
+    assert (filled[10:20, 20:30] == 30).all()
+    assert (filled[30, 30] == 30).all()
+    assert (filled[known] == picture[known]).all()
+    np.testing.assert_array_equal(without_pepper(picture, np.ones_like(known), fillable), picture)
+
+
+def test_a_legend_is_ready_for_the_page(room: PaintedRoom, result: PoseResult) -> None:
+    fields = model_texture(room.scan, "uncertainty", result=result).legend.as_fields()
+    assert fields["title"] == "Standard deviation of the photo position, px"
+    assert fields["entries"] == [{"colour": "#3e444f", "label": "no data"}]
+    assert fields["ramp"][0] == "#440154"
+    assert fields["least"] == "0"
+
+
 def test_a_pose_that_is_not_accepted_colours_nothing(room: PaintedRoom, result: PoseResult) -> None:
     refused = result_of(room, accepted=False)
-    for kind in ("colour", "label", "residual", "uncertainty"):
+    for kind in set(KINDS) - {"intensity", "range"}:
         assert usable_texture(kind, None) == usable_texture(kind, refused) == "intensity"
         assert usable_texture(kind, result) == kind
         with pytest.raises(OptionError, match="accepted"):
