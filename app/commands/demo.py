@@ -68,9 +68,11 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _begin(workbench: Workbench, *, fresh: bool) -> None:
     """Register the sample unless the project already contains work on it."""
+    from ladarreg_core.project.history import NOBODY
+
     shown = workbench.selection.photo
     assert shown is not None, "the sample has a photograph"
     if fresh:
         workbench.start_over(shown.id)
     if fresh or (not shown.picks and not shown.poses):
-        workbench.jobs.run("auto", shown.id, "")
+        workbench.jobs.run("auto", shown.id, NOBODY)
