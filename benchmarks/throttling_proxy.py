@@ -164,9 +164,11 @@ class ThrottlingProxy:
         to_server, to_browser = await asyncio.open_connection("127.0.0.1", self._target, limit=_QUEUE_BYTES)
         current = ["nothing"]
         up, down = _Stream(to_browser), _Stream(writer)
-        await asyncio.gather(
-            self._pump(reader, up, self._up, current, established), self._pump(to_server, down, self._down, current, 0)
-        )
+        with suppress(asyncio.CancelledError):  # at the end of the proxy
+            await asyncio.gather(
+                self._pump(reader, up, self._up, current, established),
+                self._pump(to_server, down, self._down, current, 0),
+            )
 
     async def _pump(
         self, reader: asyncio.StreamReader, stream: _Stream, link: _Bottleneck, current: list[str], not_before: float

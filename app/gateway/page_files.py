@@ -24,14 +24,16 @@ from starlette.responses import Response
 
 _FOLDER = "v"
 """First part of the versioned paths: `v/HASH/js/main.js`."""
-_SUFFIXES = (".js", ".css")
+_SUFFIXES = (".js", ".css", ".svg")
 _FOR_EVER = {"cache-control": "private, max-age=31536000, immutable"}
 _REVALIDATE = {"cache-control": "no-cache"}
 _HASH_DIGITS = 16
-_LINKED = re.compile(r'\b(href|src)="([\w/.-]+\.(?:js|css))"')
+_LINKED = re.compile(r'\b(href|src)="([\w/.-]+\.(?:js|css|svg))"')
 _IMPORTED = re.compile(r"""^(?:import|export)\s(?:[^;]*?\sfrom\s)?["'](\.[^"']+)["']""", re.M)
 _ENTRY = re.compile(r'<script type="module" src="([\w/.-]+)">')
-_PRELOADS, _PICTURE = "<!-- preloads -->", "<!-- picture of the {side} -->"
+_PRELOADS, _PICTURE = "<!-- preloads: {what} -->", "<!-- picture of the {side} -->"
+
+_FIRST = '<img class="first-picture" alt="" draggable="false" fetchpriority="high" src="{}">'
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +83,20 @@ class PageFiles:
             raise HTTPException(404) from None
         edition = self._present_edition()
         entry = _ENTRY.search(text)
-        preloads = [f'<link rel="preload" as="image" href="{html.escape(url)}">' for url in pictures.values()]
-        for path in _imported_by(entry[1] if entry else "", edition.files):
-            preloads.append(f'<link rel="modulepreload" href="{path}">')
-        text = text.replace(_PRELOADS, "\n    ".join(preloads))
+        # In this order and with this priority, browsers request the pictures, and then what the first paint needs.
+        urgent = '<link rel="preload" as="image" fetchpriority="high" href="{}">'
+        preloads = {
+            "pictures": [urgent.format(html.escape(url)) for url in pictures.values()],
+            "modules": [
+                f'<link rel="modulepreload" href="{path}">'
+                for path in _imported_by(entry[1] if entry else "", edition.files)
+            ],
+        }
+        for what, links in preloads.items():
+            text = text.replace(_PRELOADS.format(what=what), "\n    ".join(links))
         for side in ("scan", "photo"):
             url = pictures.get(side)
-            image = f'<img class="first-picture" alt="" draggable="false" src="{html.escape(url)}">' if url else ""
+            image = _FIRST.format(html.escape(url)) if url else ""
             text = text.replace(_PICTURE.format(side=side), image)
 
         def versioned(found: re.Match[str]) -> str:

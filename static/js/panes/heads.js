@@ -50,12 +50,14 @@ const times = (value) => `×${value.toFixed(2)}`;
 export const mountScanHead = (head, controller) => {
   const { view, store } = controller;
   const set = (patch) => view.set({ scan: patch });
+  const stretch = (patch) => view.set({ scan: patch, stretching: true });
+  const released = () => view.set({ stretching: false });
   const display = choice("Channel of the scan", (show) => set({ show }));
   const viewed = choice("View of the scan (Page Up, Page Down)", (index) => set({ view: Number(index) }));
   const rows = {
-    low: slider({ label: "Black at", least: 0, most: 49, step: 0.5, text: percent, changed: (low) => set({ low }) }),
-    high: slider({ label: "White at", least: 51, most: 100, step: 0.1, text: percent, changed: (high) => set({ high }) }),
-    gamma: slider({ label: "Gamma", least: 0.2, most: 2, step: 0.05, text: (value) => value.toFixed(2), changed: (gamma) => set({ gamma }) }),
+    low: slider({ label: "Black at", least: 0, most: 49, step: 0.5, text: percent, changed: (low) => stretch({ low }), released }),
+    high: slider({ label: "White at", least: 51, most: 100, step: 0.1, text: percent, changed: (high) => stretch({ high }), released }),
+    gamma: slider({ label: "Gamma", least: 0.2, most: 2, step: 0.05, text: (value) => value.toFixed(2), changed: (gamma) => stretch({ gamma }), released }),
     equalise: tickBox({ label: "Equalise the histogram", changed: (equalise) => set({ equalise }) }),
     brightness: slider({ label: "Brightness", least: 0.3, most: 3, step: 0.05, text: times, changed: (brightness) => set({ brightness }) }),
     contrast: slider({ label: "Contrast", least: 0.3, most: 3, step: 0.05, text: times, changed: (contrast) => set({ contrast }) }),

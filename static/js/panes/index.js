@@ -43,10 +43,14 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
   controller.onPickingChanged = showNotes;
 
   const loadPictures = () => {
-    for (const side of SIDES) built[side].slots.picture.show(controller.sides[side].address, controller.sides[side].subject);
+    for (const side of SIDES) {
+      if (side === "scan" && view.get().stretching) continue; // it follows when the slider is released
+      const { address, subject, extent, stretch } = controller.sides[side];
+      built[side].slots.picture.show(address, { subject, size: extent, stretch });
+    }
     built.photo.slots.compare.show(controller.sides.photo.overlayAddress);
   };
-  /** While a slider moves, a few pictures a second are enough. */
+  /** While a key moves a slider, a few pictures a second are enough. */
   const loadPicturesSoon = throttled(loadPictures, PICTURE_INTERVAL_MS);
 
   const shownIds = {};
@@ -86,11 +90,12 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
   let shownView = controller.sides.scan.index;
   view.on((state, changed) => {
     if (changed.has("scan") || changed.has("photo")) applyFilters(state);
-    if (changed.has("scan")) {
+    if (changed.has("scan") || changed.has("stretching")) {
       if (controller.sides.scan.index !== shownView) {
         controller.picking.dropStroke("scan");
         showSlices();
-      } else loadPicturesSoon();
+      } else if (state.stretching) built.scan.slots.picture.preview(controller.sides.scan.stretch);
+      else loadPicturesSoon();
       shownView = controller.sides.scan.index;
     }
     if (changed.has("photo")) {

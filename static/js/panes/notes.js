@@ -35,6 +35,7 @@ export class Notes {
   #slots;
   #middle = element("p", { class: "pane-middle", role: "status" });
   #note = element("p", { class: "pane-note" });
+  #spinner = element("div", { class: "pane-spinner", role: "progressbar", hidden: true });
   #partnerText = element("p", { role: "status" });
   #partnerBox = element("div", { class: "pane-partner" }, this.#partnerText);
   #since = 0;
@@ -63,7 +64,8 @@ export class Notes {
       kind: "pane-button",
       act: discard,
     }));
-    pane.body.append(this.#middle, this.#note, this.#partnerBox);
+    this.#spinner.setAttribute("aria-label", `Loading the picture of the ${PANE[pane.side]}`);
+    pane.body.append(this.#middle, this.#note, this.#partnerBox, this.#spinner);
   }
 
   #status() {
@@ -71,14 +73,20 @@ export class Notes {
     const side = this.#controller.sides[this.#side];
     if (side.empty) return side.empty;
     if (picture.error) return picture.error;
-    if (!picture.loading) this.#since = 0;
-    if (!picture.loading || picture.picture) return "";
+    return this.#loadsLong() && !picture.shown ? "Loading the picture …" : "";
+  }
+
+  /** @returns {boolean} whether something has been loading for a moment; the texts are updated when it has */
+  #loadsLong() {
+    const loading = this.#slots.picture.loading || Boolean(this.#slots.compare?.loading);
+    if (!loading) this.#since = 0;
+    if (!loading) return false;
     this.#since ||= performance.now();
     const left = this.#since + LOADING_SHOWN_AFTER_MS - performance.now();
-    if (left <= 0) return "Loading the picture …";
+    if (left <= 0) return true;
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.show(), left + 1);
-    return "";
+    return false;
   }
 
   /** Update all texts. */
@@ -86,6 +94,7 @@ export class Notes {
     const { picking, sides } = this.#controller;
     setParagraph(this.#middle, this.#status());
     setParagraph(this.#note, this.#slots.compare?.error ?? sides[this.#side].note ?? "");
+    this.#spinner.hidden = !this.#loadsLong();
     const awaited = picking.missingSide === this.#side && !picking.drawing;
     setParagraph(this.#partnerText, awaited ? partnerHint(picking) : "");
     this.#partnerBox.hidden = !awaited;

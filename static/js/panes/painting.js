@@ -41,10 +41,12 @@ export class Painting {
     return this.#controller.sides[this.#side];
   }
 
-  picture(context, viewport, size) {
-    const { picture } = this.#slots.picture;
+  /** The picture; `viewer`: the pane or its loupe, which see different parts of it. */
+  picture(context, viewport, size, viewer = "pane") {
+    const { shown, finer } = this.#slots.picture;
     const { extent } = this.#sideOf;
-    if (picture && extent) drawPicture(context, viewport, size, picture, extent, viewport.zoom < SMOOTH_BELOW);
+    if (!shown || !extent) return;
+    drawPicture(context, viewport, size, shown, extent, viewport.zoom < SMOOTH_BELOW, finer && { parts: finer, viewer });
   }
 
   /**
@@ -52,7 +54,7 @@ export class Painting {
    * @returns {boolean} whether anything was drawn
    */
   compare(context, viewport, size, swipe_x) {
-    const picture = this.#slots.compare?.picture;
+    const picture = this.#slots.compare?.shown;
     const { extent } = this.#sideOf;
     if (!picture || !extent) return false;
     const { overlay: mode, blend } = this.#controller.view.get().photo;

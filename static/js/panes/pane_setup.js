@@ -54,7 +54,7 @@ export const mountPane = (body, side, { controller, tools, preview, readout, spa
   const loupe = new Loupe(
     pane,
     (context, viewport, size) => {
-      painting.picture(context, viewport, size);
+      painting.picture(context, viewport, size, "loupe");
       painting.compare(context, viewport, size, swipeInLoupe(pane, swipe_x(), viewport));
     },
     (context, viewport, size) => {

@@ -1,9 +1,16 @@
 /**
  * Pictures by URL: fetched once, decoded before they are shown, with reduced levels so that large ones pan smoothly.
- * While a new one loads, the old one stays.
+ * While a new one loads, the old one stays. Unless the link is known to be fast, a small quick picture comes first; on a
+ * fast link the whole exact one follows, on a slow one the visible parts of it.
  */
 
+import { linkIsFast } from "../net/link_speed.js";
+import { PictureParts } from "./picture_parts.js";
+import { loadBitmap } from "./picture_source.js";
+import { canPreview, sameStretch, StretchedPicture, widthOf } from "./picture_stretch.js";
+
 const KEPT = 10;
+const KEPT_STRETCHES = 3;
 const HALVED_ABOVE_PX = 1400;
 
 /** A decoded picture with its reduced levels. */
@@ -36,25 +43,6 @@ export class Picture {
 
 const cache = new Map();
 
-const decoded = async (address) => {
-  let answer;
-  try {
-    answer = await fetch(address);
-  } catch {
-    throw new Error("The picture could not be loaded: check that the workbench is running. It is loaded again when the connection is back.");
-  }
-  if (!answer.ok) {
-    const text = (await answer.text()).trim();
-    const plain = text && text.length < 300 && !text.startsWith("<");
-    throw new Error(plain ? text : `The picture could not be loaded (status ${answer.status}): reload the page.`);
-  }
-  try {
-    return new Picture(await createImageBitmap(await answer.blob()));
-  } catch {
-    throw new Error("This browser cannot decode the picture, which may be too large for it: use another browser or a smaller picture.");
-  }
-};
-
 /**
  * @param {string} address relative to the page
  * @returns {Promise<Picture>} rejects with an Error whose message is one sentence
@@ -62,7 +50,7 @@ const decoded = async (address) => {
 export const loadPicture = (address) => {
   const known = cache.get(address);
   cache.delete(address);
-  const picture = known ?? decoded(address);
+  const picture = known ?? loadBitmap(address).then((bitmap) => new Picture(bitmap));
   cache.set(address, picture);
   picture.catch(() => cache.get(address) === picture && cache.delete(address));
   for (const oldest of cache.keys()) {
@@ -78,9 +66,14 @@ export class Slot {
   picture = null;
   /** @type {string | null} */
   error = null;
-  loading = false;
+  #parts = null;
+  #loadingWhole = false;
   #address = null;
   #subject = null;
+  #stretch = null;
+  #kept = [];
+  #preview = null;
+  #previewed = null;
   #changed;
 
   /** @param {() => void} changed called when the picture, its error or its loading state has changed */
@@ -88,34 +81,101 @@ export class Slot {
     this.#changed = changed;
   }
 
+  /** @returns {boolean} whether anything is being loaded */
+  get loading() {
+    return this.#loadingWhole || Boolean(this.#parts?.loading);
+  }
+
+  /** @returns {Picture | StretchedPicture | null} what is shown: the picture, or a preview of it with another contrast */
+  get shown() {
+    return this.#preview ?? this.picture;
+  }
+
+  /** @returns {PictureParts | null} exact parts over a quick picture; none over a preview */
+  get finer() {
+    return this.#preview ? null : this.#parts;
+  }
+
   /**
    * @param {string | null} address null for no picture
-   * @param {string | null} subject what is pictured; when it changes, the old picture disappears at once
+   * @param {{subject?: string | null, size?: readonly number[] | null, stretch?: any}} [about] `subject`: what is
+   *   pictured; when it changes, the old picture disappears at once. `size` of the exact picture, where its parts can be
+   *   loaded. `stretch`: its contrast, where it has one
    */
-  show(address, subject = address) {
-    if (address === this.#address && !this.error) return;
-    if (subject !== this.#subject) this.picture = null;
+  show(address, { subject = address, size = null, stretch = null } = {}) {
+    if (address === this.#address && !this.error) {
+      if (!this.#loadingWhole) this.#endPreview(); // the slider is back where it was
+      return;
+    }
+    if (subject !== this.#subject) this.#forget();
     this.#address = address;
     this.#subject = subject;
     this.error = null;
-    this.loading = address !== null;
-    if (address === null) this.picture = null;
+    this.#loadingWhole = address !== null;
+    if (address === null) this.#forget();
     this.#changed();
-    if (address !== null) this.#load(address);
+    if (address !== null) this.#load(address, size, stretch);
   }
 
-  async #load(address) {
+  /**
+   * Show the picture with another contrast, without loading anything.
+   * @param {any} stretch
+   */
+  preview(stretch) {
+    const usable = this.#kept.filter((one) => canPreview(one.stretch, stretch));
+    if (!usable.length || sameStretch(usable[0].stretch, stretch)) return;
+    // the narrowest that contains the wanted values; else the widest, which loses the fewest
+    const around = usable.filter(({ stretch: { low, high } }) => low <= stretch.low && high >= stretch.high);
+    const best = around.length
+      ? around.reduce((a, b) => (widthOf(b.stretch) < widthOf(a.stretch) ? b : a))
+      : usable.reduce((a, b) => (widthOf(b.stretch) > widthOf(a.stretch) ? b : a));
+    if (this.#previewed?.picture !== best.picture) {
+      this.#previewed = { picture: best.picture, stretched: new StretchedPicture(best.picture, best.stretch) };
+    }
+    this.#preview = this.#previewed.stretched.to(stretch);
+    this.#changed();
+  }
+
+  #endPreview() {
+    if (!this.#preview) return;
+    this.#preview = null;
+    this.#changed();
+  }
+
+  #forget() {
+    this.#parts?.stop();
+    this.picture = this.#parts = this.#preview = this.#previewed = null;
+    this.#kept = [];
+  }
+
+  #put(picture, address, size, stretch) {
+    this.#parts?.stop();
+    this.picture = picture;
+    this.#parts = size && picture.width < size[0] ? new PictureParts(address, size, picture.width, this.#changed) : null;
+    this.#preview = null;
+    if (stretch) this.#kept = [{ picture, stretch }, ...this.#kept.filter((one) => !sameStretch(one.stretch, stretch))].slice(0, KEPT_STRETCHES);
+    picture.halve().then(() => picture === this.picture && this.#changed(), () => {}); // without levels it is only slower
+  }
+
+  async #load(address, size, stretch) {
     try {
-      const picture = await loadPicture(address);
-      if (address !== this.#address) return;
-      this.picture = picture;
-      picture.halve().then(() => address === this.#address && this.#changed(), () => {}); // without levels it is only slower
+      if (!linkIsFast()) {
+        const quick = await loadPicture(`${address}&form=quick`);
+        if (address !== this.#address) return;
+        this.#put(quick, address, size, stretch);
+        this.#changed();
+      }
+      if (!size || linkIsFast() !== false) {
+        const picture = await loadPicture(address);
+        if (address !== this.#address) return;
+        this.#put(picture, address, null, stretch);
+      }
     } catch (error) {
       if (address !== this.#address) return;
       this.error = error.message;
-      this.picture = null;
+      this.#forget();
     }
-    this.loading = false;
+    this.#loadingWhole = false;
     this.#changed();
   }
 }
@@ -128,8 +188,9 @@ export class Slot {
  * @param {Picture} picture
  * @param {readonly number[]} extent width and height that the picture represents, in pixels of the view or photograph
  * @param {boolean} smooth
+ * @param {{parts: PictureParts, viewer: string} | null} finer exact parts over the picture, and who looks at them
  */
-export const drawPicture = (context, viewport, size, picture, extent, smooth) => {
+export const drawPicture = (context, viewport, size, picture, extent, smooth, finer = null) => {
   const ratio = window.devicePixelRatio || 1;
   const source = picture.at((viewport.zoom * ratio * extent[0]) / picture.width);
   const [sx, sy] = [source.width / extent[0], source.height / extent[1]];
@@ -146,4 +207,13 @@ export const drawPicture = (context, viewport, size, picture, extent, smooth) =>
   context.imageSmoothingQuality = "medium";
   const [x, y] = [viewport.x + (left / sx) * viewport.zoom, viewport.y + (top / sy) * viewport.zoom];
   context.drawImage(source, left, top, width, height, x, y, (width / sx) * viewport.zoom, (height / sy) * viewport.zoom);
+  if (finer) drawParts(context, viewport, size, extent, finer);
+};
+
+const drawParts = (context, viewport, size, extent, { parts, viewer }) => {
+  const { zoom, x, y } = viewport;
+  const region = [-x / zoom, -y / zoom, (size[0] - x) / zoom, (size[1] - y) / zoom];
+  for (const { bitmap, left, top, width, height } of parts.within(viewer, region, zoom * (window.devicePixelRatio || 1))) {
+    context.drawImage(bitmap, x + left * zoom, y + top * zoom, width * zoom, height * zoom);
+  }
 };

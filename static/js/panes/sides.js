@@ -72,10 +72,15 @@ export class ScanSide {
   /** @returns {string | null} URL of the picture */
   get address() {
     if (!this.lens) return null;
+    const { show, low, high, equalise, gamma } = this.stretch;
+    return `picture/scan?${query({ view: this.index, show, low, high, equalise: equalise ? 1 : 0, gamma, rev: this.scan.id })}`;
+  }
+
+  /** @returns {import("./picture_stretch.js").Stretch} the channel that is shown, and its contrast */
+  get stretch() {
     const { show, low, high, equalise, gamma } = this.#view.get().scan;
-    const unavailable = (show === "color" && !this.scan.has_color) || (show === "intensity" && this.scan.has_intensity === false);
-    const shown = unavailable ? "range" : show;
-    return `picture/scan?${query({ view: this.index, show: shown, low, high, equalise: equalise ? 1 : 0, gamma, rev: this.scan.id })}`;
+    const unavailable = (show === "color" && !this.scan?.has_color) || (show === "intensity" && this.scan?.has_intensity === false);
+    return { show: unavailable ? "range" : show, low, high, equalise, gamma };
   }
 
   /** @returns {string | null} what to do while there is no picture */
@@ -88,6 +93,7 @@ export class ScanSide {
 export class PhotoSide {
   name = "photo";
   lens = null;
+  stretch = null;
   #store;
   #view;
 

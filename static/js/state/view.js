@@ -15,6 +15,7 @@
  * @property {boolean} corners detected corners are shown
  * @property {{show: string, low: number, high: number, equalise: boolean, gamma: number, brightness: number,
  *             contrast: number, view: number}} scan
+ * @property {boolean} stretching a slider of the scan's contrast is being dragged: its picture is previewed, not loaded
  * @property {{brightness: number, contrast: number, overlay: "none" | "blend" | "swipe" | "checker" | "edges",
  *             blend: number, swipe: number}} photo
  * @property {null | "scan" | "photo" | "model"} filled the maximised pane
@@ -31,7 +32,7 @@
  */
 
 const KEY = "ladarreg-view";
-const TRANSIENT = new Set(["hovered", "reveal", "reveal_uv", "readout", "hint"]);
+const TRANSIENT = new Set(["stretching", "hovered", "reveal", "reveal_uv", "readout", "hint"]);
 const NESTED = ["scan", "photo", "layout"];
 
 /** @returns {ViewState} */
@@ -45,6 +46,7 @@ const defaults = () => ({
   loupe: true,
   corners: true,
   scan: { show: "intensity", low: 1, high: 99.5, equalise: false, gamma: 0.6, brightness: 1, contrast: 1, view: 0 },
+  stretching: false,
   photo: { brightness: 1, contrast: 1, overlay: "none", blend: 0.5, swipe: 0.5 },
   filled: null,
   sort: { by: "number", descending: false },

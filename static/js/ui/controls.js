@@ -51,10 +51,10 @@ export const choice = (label, changed) => {
 /**
  * A slider with its label and its value.
  * @param {{label: string, least: number, most: number, step: number, text: (value: number) => string, changed: (value:
- *   number) => void}} options
+ *   number) => void, released?: () => void}} options `changed` is called while it is dragged, `released` at the end
  * @returns {{row: HTMLElement, show: (value: number) => void}}
  */
-export const slider = ({ label, least, most, step, text, changed }) => {
+export const slider = ({ label, least, most, step, text, changed, released = () => {} }) => {
   const input = element("input", { type: "range", min: least, max: most, step, "aria-label": label });
   const output = element("output", { class: "pane-value" });
   const show = (value) => {
@@ -63,6 +63,8 @@ export const slider = ({ label, least, most, step, text, changed }) => {
     output.textContent = text(value);
   };
   input.addEventListener("input", () => changed(Number(input.value)));
+  // a slider that is dragged back to where it was does not report a change
+  for (const end of ["change", "pointerup", "pointercancel", "blur"]) input.addEventListener(end, released);
   return { row: element("label", { class: "pane-row" }, element("span", {}, label), input, output), show };
 };
 

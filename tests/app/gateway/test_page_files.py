@@ -72,7 +72,7 @@ def test_every_module_is_preloaded(run: Running, front: str, checkout: Path) -> 
 
 
 def test_the_first_pictures_come_before_all_scripts(front: str) -> None:
-    pictures = linked(front, 'link rel="preload" as="image"')
+    pictures = linked(front, 'link rel="preload" as="image" fetchpriority="high"')
     assert pictures == linked(front, "img") == ["picture/scan?rev=1&amp;form=quick"]
     assert front.index(pictures[0]) < front.index("modulepreload")
     assert "<!--" not in front, "everything is filled in"
