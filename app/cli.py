@@ -20,7 +20,7 @@ COMMANDS = {
     "info": "Describe a scan, photo, camera, pose or matches file.",
     "selftest": "Estimate, before fieldwork, how well a scan and a camera will register.",
     "simulate": "Write a synthetic scan and photo with their true pose.",
-    "serve": "Open the workbench in the browser: on a project, a scan and photos, or the last project.",
+    "serve": "Open the workbench in the browser: on a project, a scan and photos, or the start page.",
     "demo": "Open the workbench on the embedded sample.",
 }
 """Summary of each command; its code is `commands/<name>.py`."""

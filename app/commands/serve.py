@@ -22,7 +22,7 @@ class Arguments:
     """Arguments of `serve`."""
 
     inputs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[PROJECT | SCAN PHOTO ...]")] = ()
-    """A project folder, or a scan and photos to start a project with; default: the last project."""
+    """A project folder, or a scan and photos to start a project with; default: the start page."""
     project: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of a project that is started with a scan and photos."""
     folder: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -95,4 +95,6 @@ def _serve(arguments: Arguments, token: str, options: GatewayOptions) -> None:
         upload_bytes=arguments.upload_limit_mb << 20,
         check=stop.check,
     )
-    serve_and_close(workbench, token=token, options=options, browser=not arguments.no_browser, stop=stop)
+    serve_and_close(
+        workbench, token=token, options=options, browser=not arguments.no_browser, stop=stop, folder=arguments.folder
+    )

@@ -24,6 +24,9 @@ log = logging.getLogger(__name__)
 MAX_MESSAGE_CHARACTERS = 1_000_000
 """Length of the longest message accepted from a page."""
 _TOO_LONG, _FAULT, _FULL = 1009, 1011, 1013
+_RESTART = 1012
+_PROJECT_CHANGED = "project"
+"""Event after which a page connects again."""
 _MAX_REASON_BYTES = 123
 """Longest reason that a websocket can be closed with."""
 _MAX_EVENTS = 200
@@ -248,6 +251,9 @@ async def _send_pending(
         if reply is not None:
             await websocket.send_text(reply)
             replied.set()
+        if any(message.get("event") == _PROJECT_CHANGED for message in messages):
+            await websocket.close(_RESTART)  # everything that this page knows belongs to the former project
+            return
 
 
 async def _until_one_ends(*coroutines: Coroutine[Any, Any, None]) -> None:

@@ -65,10 +65,7 @@ class Uploads:
     def __init__(self, workbench: Workbench, clients: ClientRegistry) -> None:
         self._workbench, self._clients = workbench, clients
         self._under_way: Counter[str] = Counter()
-        # Left by a killed program: only this one has the project open, and it has accepted no upload yet.
-        for part in workbench.upload_folder().glob("*.part"):
-            if _PART.fullmatch(part.name):
-                part.unlink(missing_ok=True)
+        remove_partial_uploads(workbench.upload_folder())
 
     async def serve(self, request: Request) -> Response:
         """Receive a file."""
@@ -125,6 +122,13 @@ class Uploads:
         finally:
             self._under_way[browser] -= 1
             self._under_way += Counter()  # removes entries at zero
+
+
+def remove_partial_uploads(folder: Path) -> None:
+    """Remove what a killed program left: only this one has the project open, and it has accepted no upload yet."""
+    for part in folder.glob("*.part"):
+        if _PART.fullmatch(part.name):
+            part.unlink(missing_ok=True)
 
 
 class _Refusal(JSONResponse):

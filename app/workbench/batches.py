@@ -135,6 +135,19 @@ class Batches:
             self._save()
         self._on_change()
 
+    def give(self, ids: Sequence[str], folder: Path) -> list[tuple[Path, str]]:
+        """Move waiting files to the folder for uploads of another project; return their paths there and names."""
+        given = []
+        with self._lock:
+            for file_id in ids:
+                file, path = self._waiting.get(file_id), self._paths.get(file_id)
+                if file is not None and path is not None:
+                    given.append((path.replace(folder / path.name), file.name))
+                    self._forget(file_id)
+            self._save()
+        self._on_change()
+        return given
+
     def slice(self) -> list[dict[str, Any]]:
         """Return the slice `waiting`."""
         with self._lock:

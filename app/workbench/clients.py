@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.project.history import Author
 
 from ..gateway.protocol import Visitor
 from ..scene.model_view import ModelChoice
@@ -49,11 +48,6 @@ class Client:
     read_only: bool = False
     """True if this person may look, but not edit."""
 
-    @property
-    def author(self) -> Author:
-        """The author of this person's edits."""
-        return Author(self.name, self.id)
-
 
 @dataclass(slots=True)
 class _Seat:
@@ -76,15 +70,15 @@ class Clients:
         self._known: OrderedDict[str, Client] = OrderedDict()
         self._joined = 0
 
+    def listen(self, on_change: Callable[[], None]) -> None:
+        """Call another function after changes from now on."""
+        self._on_change = on_change
+
     @property
     def present(self) -> list[Client]:
         """All clients, in the order in which they joined."""
         with self._changed:
             return [seat.client for seat in self._seats.values()]
-
-    def is_alone(self, client: Client) -> bool:
-        """Return whether nobody else is connected who may edit."""
-        return all(other is client or other.read_only for other in self.present)
 
     def find(self, client_id: object) -> Client | None:
         """Return the connected client of an id; None if there is none."""

@@ -25,7 +25,6 @@ from .files import Files
 from .queries import Queries
 from .selection import Selection
 from .settings_form import check_bounds
-from .state import clock
 
 log = logging.getLogger(__name__)
 _MAX_ACTION = 80
@@ -61,9 +60,6 @@ class Context(Protocol):
     def list_served(self) -> None:
         """List the served folder again."""
 
-    def tell_others(self, client: Client, text: str) -> None:
-        """Show a sentence to all other clients."""
-
 
 Fields = Mapping[str, Any]
 Reply = dict[str, Any]
@@ -72,13 +68,23 @@ Command = Callable[[Context, Client, Fields], Reply]
 
 def answer(context: Context, client: Client, message: Fields) -> Reply:
     """Execute a page's command and return the reply; an error becomes a sentence."""
-    number, do = message.get("id"), message.get("do")
-    number = number if isinstance(number, int | str) else None
-    command = COMMANDS.get(do) if isinstance(do, str) else None
-    try:
+
+    def execute() -> Reply:
+        do = message.get("do")
+        command = COMMANDS.get(do) if isinstance(do, str) else None
         if command is None:
             raise OptionError(f"there is no command {_quoted(do)}" if do else "the message names no command")
-        return {"reply": number, "ok": True, **command(context, client, message)}
+        return command(context, client, message)
+
+    return reply_to(message, execute)
+
+
+def reply_to(message: Fields, execute: Callable[[], Reply]) -> Reply:
+    """Execute something and return the reply to a message; an error becomes a sentence."""
+    number, do = message.get("id"), message.get("do")
+    number = number if isinstance(number, int | str) else None
+    try:
+        return {"reply": number, "ok": True, **execute()}
     except LadarregError as error:
         return {"reply": number, "ok": False, "error": _sentence(str(error))}
     except OSError as error:
@@ -199,7 +205,7 @@ def set_settings(context: Context, client: Client, fields: Fields) -> Reply:
 
     names = ", ".join(name.replace("_", " ") for name in values)
     return _step(
-        context.session.commit(f"Set {names}", edit, author=client.author, merge_key=f"settings {sorted(values)}")
+        context.session.commit(f"Set {names}", edit, author=client.name, merge_key=f"settings {sorted(values)}")
     )
 
 
@@ -207,9 +213,7 @@ def rename(context: Context, client: Client, fields: Fields) -> Reply:
     """Rename the project."""
     name = _name(fields.get("name"))
     return _step(
-        context.session.commit(
-            f"Rename to {name}", lambda d: msgspec.structs.replace(d, name=name), author=client.author
-        )
+        context.session.commit(f"Rename to {name}", lambda d: msgspec.structs.replace(d, name=name), author=client.name)
     )
 
 
@@ -218,7 +222,7 @@ def remove_photo(context: Context, client: Client, fields: Fields) -> Reply:
     entry = _photo(context, fields)
     return _step(
         context.session.commit(
-            f"Remove {entry.source.name}", lambda d: edits.without_photo(d, entry.id), author=client.author
+            f"Remove {entry.source.name}", lambda d: edits.without_photo(d, entry.id), author=client.name
         )
     )
 
@@ -231,26 +235,20 @@ def use_stage(context: Context, client: Client, fields: Fields) -> Reply:
 
 
 def undo(context: Context, client: Client, fields: Fields) -> Reply:
-    """Undo the client's own last step, or one of its own by number."""
-    number = None if fields.get("n") is None else _step_number(fields["n"])
-    context.session.undo(client.author, alone=context.clients.is_alone(client), number=number)
+    """Undo the last step, or refuse if another one was meant."""
+    context.session.undo(None if fields.get("n") is None else _step_number(fields["n"]))
     return {}
 
 
 def redo(context: Context, client: Client, fields: Fields) -> Reply:
-    """Redo the client's own step that was undone last."""
-    number = None if fields.get("n") is None else _step_number(fields["n"])
-    context.session.redo(client.author, alone=context.clients.is_alone(client), number=number)
+    """Redo the step that was undone last."""
+    context.session.redo()
     return {}
 
 
 def go_to(context: Context, client: Client, fields: Fields) -> Reply:
     """Go to a step of the history."""
-    was = context.session.history.edit
     context.session.go_to(_step_number(fields.get("n")))
-    entry = context.session.history.edit
-    if entry is not was:
-        context.tell_others(client, f"{client.name} went to '{entry.label}' of {clock(entry.when)} in the history.")
     return {}
 
 
@@ -299,12 +297,12 @@ def open_files(context: Context, client: Client, fields: Fields) -> Reply:
     if photo is not None:
         photo = edits.require_photo(context.session.document, photo).id
     replaces = fields.get("scan") == "replace"
-    return context.batches.open(_file_ids(fields), replace_scan=replaces, photo=photo, client=client)
+    return context.batches.open(file_ids(fields), replace_scan=replaces, photo=photo, client=client)
 
 
 def discard_files(context: Context, client: Client, fields: Fields) -> Reply:
     """Delete uploaded files that are not open."""
-    context.batches.discard(_file_ids(fields))
+    context.batches.discard(file_ids(fields))
     return {}
 
 
@@ -350,7 +348,7 @@ def run(context: Context, client: Client, fields: Fields) -> Reply:
     if not isinstance(job, str):
         raise OptionError("give the name of a job")
     last_solved = fields.get("last_solved") is True
-    return {"job": context.jobs.run(job, fields.get("photo"), client.author, last_solved=last_solved)}
+    return {"job": context.jobs.run(job, fields.get("photo"), client.name, last_solved=last_solved)}
 
 
 def job_control(context: Context, client: Client, fields: Fields) -> Reply:
@@ -367,7 +365,7 @@ def export_folder(context: Context, client: Client, fields: Fields) -> Reply:
     folder = _folder(fields.get("folder"))
     force, last_solved = fields.get("force") is True, fields.get("last_solved") is True
     photo = fields.get("photo")
-    return {"job": context.jobs.run_export(folder, photo, client.author, force=force, last_solved=last_solved)}
+    return {"job": context.jobs.run_export(folder, photo, client.name, force=force, last_solved=last_solved)}
 
 
 COMMANDS: dict[str, Command] = {
@@ -396,7 +394,7 @@ def _edit_photo(
     photo = _photo(context, fields).id
     return _step(
         context.session.commit(
-            label, partial(edits.edited_photo, photo_id=photo, edit=edit), author=client.author, merge_key=merge_key
+            label, partial(edits.edited_photo, photo_id=photo, edit=edit), author=client.name, merge_key=merge_key
         )
     )
 
@@ -418,7 +416,8 @@ def _pick_ids(value: object) -> list[str]:
     return value
 
 
-def _file_ids(fields: Fields) -> list[str]:
+def file_ids(fields: Fields) -> list[str]:
+    """Return the ids of files that a command names."""
     value = fields.get("files")
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise OptionError("no files are given; drop some")

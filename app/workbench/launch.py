@@ -1,10 +1,11 @@
-"""Opens the workbench on a project, on files to start a project with, or on the last project, and serves it."""
+"""Opens the workbench on a project, on files to start a project with, or on the start page, and serves it."""
 
 from __future__ import annotations
 
 import hashlib
-import json
+import logging
 import os
+import secrets
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -26,11 +27,15 @@ from ..stop_signals import StopSignals, exit_now, print_error
 if TYPE_CHECKING:
     import viser
 
+    from ladarreg_core.project.folder import ProjectFolder
+
     from ..gateway.options import GatewayOptions
     from ..gateway.viser_backend import ViserAddress
+    from .clients import Clients
     from .workbench import Workbench
 
-_LAST_PROJECT = "last.json"
+log = logging.getLogger(__name__)
+_SCRATCH, _MOST_SCRATCH = "untitled", 50
 _VISER_OPENS_S = 60.0
 _SAVED_WITHIN_S = 10.0
 
@@ -43,17 +48,19 @@ def open_workbench(
     upload_bytes: int = 2 << 30,
     name: str = "",
     camera: Path | None = None,
+    clients: Clients | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> Workbench:
     """Open a workbench; the caller closes it.
 
     Args:
-        inputs: a project folder, or a scan and photographs; empty: the last project, or an empty one.
+        inputs: a project folder, or a scan and photographs; empty: an empty project, whose page is the start page.
         project: folder of the project; None: a folder in the user's data.
         folder: folder whose files clients may open.
         upload_bytes: the largest upload.
         name: name of a project that is started with a scan and photographs; empty: that of the scan.
         camera: a camera file for new photographs.
+        clients: the clients of the workbench that this one replaces; None: it is the first.
         check: called between files; may raise `Cancelled`.
 
     Raises:
@@ -75,20 +82,22 @@ def open_workbench(
     if old is None and len(given) == 1 and given[0].is_dir():
         raise OptionError(f"{given[0]} is not a project: it has no project.json; give a project folder, or a scan")
     files = [] if old else given
-    where = project or old or (_project_folder(files[0], name) if files else _last_project())
-    kept = ProjectFolder(where)
+    is_scratch = project is None and not given
+    where = project or old or (_project_folder(files[0], name) if files else None)
+    kept = ProjectFolder(where) if where else _scratch_folder()
     try:
         if kept.begun:
             history = kept.read()
             when = history.present.when[:16].replace("T", " ")
-            message = f"Reopened {history.document.name}, last edited at {when}."
+            message = "" if is_scratch else f"Reopened {history.document.name}, last edited at {when}."
         else:
             history = History.begun(Document(name=name or "untitled"), label="Begin", author="", when=now())
             kept.begin(history)
             message = ""
         remove_leftovers(kept.path)
         session = Session(kept, history, elsewhere=_fallback_folders(kept.path))
-        workbench = Workbench(session, Loader(kept), upload_bytes=upload_bytes, served=folder)
+        workbench = Workbench(session, Loader(kept), upload_bytes=upload_bytes, served=folder, clients=clients)
+        workbench.is_scratch = is_scratch
     except BaseException:
         kept.close()
         raise
@@ -98,13 +107,18 @@ def open_workbench(
     except BaseException:
         workbench.close()
         raise
-    _remember(kept.path)
     workbench.opening_message = message
     return workbench
 
 
 def serve_and_close(
-    workbench: Workbench, *, token: str, options: GatewayOptions, browser: bool, stop: StopSignals
+    workbench: Workbench,
+    *,
+    token: str,
+    options: GatewayOptions,
+    browser: bool,
+    stop: StopSignals,
+    folder: Path | None = None,
 ) -> None:
     """Serve a workbench until a stop signal, and close it.
 
@@ -115,6 +129,7 @@ def serve_and_close(
         token: the access token.
         options: where to listen.
         browser: whether to open a browser.
+        folder: folder whose files clients may open; None: none.
         stop: the stop signals; a second, later one ends the process as soon as everything is saved.
 
     Raises:
@@ -123,43 +138,84 @@ def serve_and_close(
         UnsavedError: if there are edits that the project's disk did not take.
     """
     from ..gateway.server import serve_until_interrupted
+    from .desk import Desk
 
     for sentence in workbench.session.folder.remarks:
         print(f"ladarreg: {sentence}", file=sys.stderr)
-    viser_address: Future[ViserAddress] = Future()
-    viser_servers: list[viser.ViserServer] = []
-    stop.on_second_request(lambda: _save_and_exit(workbench.session))
+    scenes = _SceneServers()
+    desk = Desk(
+        workbench,
+        open_workbench=partial(open_workbench, folder=folder, upload_bytes=workbench.limits.upload_bytes),
+        data=data_folder(),
+        anywhere=options.on_loopback and not options.behind_proxy,
+        on_open=scenes.open_soon,
+        on_close=scenes.close_of,
+    )
+    stop.on_second_request(lambda: _save_and_exit(desk.workbench.session))
 
     def open_viser() -> None:
-        from ..gateway.viser_backend import open_locked_server
-
-        server, address = open_locked_server(label="ladarreg")
-        viser_servers.append(server)
-        _attach_scene(workbench, server)
-        viser_address.set_result(address)
+        scenes.open(workbench)
         freeze_loaded_objects()
 
     try:
         serve_until_interrupted(
-            workbench,
-            partial(viser_address.result, _VISER_OPENS_S),
-            token=token,
-            options=options,
-            browser=browser,
-            stop=stop,
-            then=open_viser,
+            desk, scenes.address, token=token, options=options, browser=browser, stop=stop, then=open_viser
         )
     finally:
-        if not viser_address.done():  # requests that wait for the 3-D view end
-            viser_address.set_exception(ConnectionError("the workbench was closed"))
+        scenes.refuse()
         READERS.close()
         try:
-            workbench.close()
+            desk.close()
         finally:
-            for server in viser_servers:
-                from ..gateway.viser_backend import close_server
+            scenes.close()
 
-                close_server(server)
+
+class _SceneServers:
+    """viser's servers: every project has its own, so that nothing of the former one remains in the 3-D views."""
+
+    def __init__(self) -> None:
+        self._address: Future[ViserAddress] = Future()
+        self._servers: dict[int, viser.ViserServer] = {}
+
+    def address(self) -> ViserAddress:
+        """Return the address of the open project's server; blocks until it is open."""
+        return self._address.result(_VISER_OPENS_S)
+
+    def open(self, workbench: Workbench) -> None:
+        """Open the server of a project."""
+        from ..gateway.viser_backend import open_locked_server
+
+        address = self._address
+        server, found = open_locked_server(label="ladarreg")
+        self._servers[id(workbench)] = server
+        _attach_scene(workbench, server)
+        if not address.done():
+            address.set_result(found)
+
+    def open_soon(self, workbench: Workbench) -> None:
+        """Open the server of another project, in a thread; 3-D views wait for it."""
+        self._address = Future()
+        threading.Thread(target=self.open, args=(workbench,), name="viser", daemon=True).start()
+
+    def close_of(self, workbench: Workbench) -> None:
+        """Close the server of a project that is closed."""
+        from ..gateway.viser_backend import close_server
+
+        server = self._servers.pop(id(workbench), None)
+        if server is not None:
+            close_server(server)
+
+    def refuse(self) -> None:
+        """End the requests that wait for a 3-D view."""
+        if not self._address.done():
+            self._address.set_exception(ConnectionError("the workbench was closed"))
+
+    def close(self) -> None:
+        """Close all servers."""
+        from ..gateway.viser_backend import close_server
+
+        for server in self._servers.values():
+            close_server(server)
 
 
 def _save_and_exit(session: Session) -> None:
@@ -247,23 +303,17 @@ def _project_folder(scan: Path, name: str) -> Path:
     return data_folder() / "projects" / f"{words}-{digest}"
 
 
-def _last_project() -> Path:
-    """Return the project that was opened last, or the folder of an empty one."""
-    from ladarreg_core.project.folder import is_project
+def _scratch_folder() -> ProjectFolder:
+    """Return the folder of an empty project that no other program has open."""
+    from ladarreg_core.project.folder import ProjectFolder, is_project
+    from ladarreg_core.project.summary import read_summary
 
-    try:
-        last = Path(json.loads((data_folder() / _LAST_PROJECT).read_text(encoding="utf-8"))["project"])
-        if is_project(last):
-            return last
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
-    return data_folder() / "projects" / "untitled"
-
-
-def _remember(project: Path) -> None:
-    try:
-        folder = data_folder()
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / _LAST_PROJECT).write_text(json.dumps({"project": str(project)}), encoding="utf-8")
-    except OSError:
-        return  # only a convenience
+    place = data_folder() / "projects"
+    for number in range(1, _MOST_SCRATCH):
+        path = place / (_SCRATCH if number == 1 else f"{_SCRATCH}-{number}")
+        try:
+            if not is_project(path) or (read_summary(path).is_empty and not any((path / "inputs").iterdir())):
+                return ProjectFolder(path)
+        except (LadarregError, OSError) as error:  # damaged, or open in another program
+            log.debug("%s: %s", path, error)
+    return ProjectFolder(place / f"{_SCRATCH}-{secrets.token_hex(4)}")

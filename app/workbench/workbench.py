@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.project import edits
 from ladarreg_core.project.edits import MOST_PHOTOS
-from ladarreg_core.project.history import NOBODY
 
 from ..jobs.inputs import Workspace
 from ..jobs.registry import JobRegistry
@@ -30,6 +29,7 @@ from .images import Images
 from .pose_state import judged_slice, poses_slice, stage_state
 from .publisher import Publisher
 from .queries import Queries
+from .recent import project_id
 from .scene_sync import SceneSync
 from .selection import Selection
 from .settings_form import settings_slice
@@ -73,15 +73,25 @@ class Workbench:
         loader: its loader.
         upload_bytes: the largest upload.
         served: a folder whose files clients may open; None: none.
+        clients: the clients of the workbench that this one replaces; None: it is the first.
     """
 
-    def __init__(self, session: Session, loader: Loader, *, upload_bytes: int, served: Path | None = None) -> None:
+    def __init__(
+        self,
+        session: Session,
+        loader: Loader,
+        *,
+        upload_bytes: int,
+        served: Path | None = None,
+        clients: Clients | None = None,
+    ) -> None:
         self.session = session
         self.loader = loader
         self.limits = Limits(upload_bytes)
         self.opening_message = ""
         self._reported_unsaved = False
-        self.clients = Clients(self._publish)
+        self.is_scratch = False
+        self.clients = clients or Clients(self._publish)
         self.selection = Selection(session, self._selection_changed)
         self.queries = Queries(session, loader)
         self.scene_sync = SceneSync(session, loader, self.selection)
@@ -97,11 +107,26 @@ class Workbench:
         self._unsubscribe = session.subscribe(self._document_changed)
         self._preload()
 
+    @property
+    def project_id(self) -> str:
+        """Id of the project for pages."""
+        return project_id(self.session.folder.path)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing is open in the project, and nothing waits to be opened."""
+        document = self.session.document
+        return document.scan is None and not document.photos and not self.batches.slice()
+
+    def take_over(self) -> None:
+        """Publish changes of the clients from now on, in place of the workbench that this one replaces."""
+        self.clients.listen(self._publish)
+
     # for the gateway
 
     def subscribe(self, listener: Callable[[Message], None], client: Client) -> Callable[[], None]:
         """Send every message for a client to a listener; return a function that ends the subscription."""
-        return self.publisher.subscribe(listener, client.id, partial(self._own_slices, client))
+        return self.publisher.subscribe(listener, partial(self._own_slices, client))
 
     def slices(self, client: Client) -> dict[str, Any]:
         """Return all slices for a client that has just connected."""
@@ -193,7 +218,7 @@ class Workbench:
 
     def start_over(self, photo_id: str) -> None:
         """Remove all matches and poses of a photograph; this can be undone."""
-        self.session.commit("Start over", lambda d: edits.edited_photo(d, photo_id, edits.without_work), author=NOBODY)
+        self.session.commit("Start over", lambda d: edits.edited_photo(d, photo_id, edits.without_work), author="")
 
     def attach_scene(self, scene: Scene3D) -> None:
         """Update a 3-D scene from now on."""
@@ -202,11 +227,6 @@ class Workbench:
     def publish_event(self, event: Message) -> None:
         """Send an event to all clients."""
         self.publisher.publish_event(event)
-
-    def tell_others(self, client: Client, text: str) -> None:
-        """Show a sentence to all other clients."""
-        others = {other.id for other in self.clients.present} - {client.id}
-        self.publisher.publish_event({"event": "notice", "level": "info", "text": text}, to=others)
 
     def publish_notice(self, text: str, *, level: str = "info") -> None:
         """Show a sentence to all clients."""
@@ -220,9 +240,14 @@ class Workbench:
     def _quick_slices(self) -> dict[str, Any]:
         session, loader = self.session, self.loader
         document = session.document
+        scan = loader.cached("picture", ("scan slice", document.scan), lambda: scan_slice(loader, document))
         found: dict[str, Any] = {
+            "project": {
+                **project_slice(session, start=self.is_scratch and self.is_empty),
+                "opened": self._opening_message(scan),
+            },
             "history": history_slice(session.history, self._history_entries),
-            "scan": self._scan_slice(),
+            "scan": scan,
             "photos": [photo_slice(loader, entry) for entry in document.photos],
             "settings": self._slices.get(document.settings, lambda: settings_slice(document.settings)),
             "job": job_slice(self.runner.job),
@@ -241,24 +266,17 @@ class Workbench:
     def _own_slices(self, client: Client) -> dict[str, Any]:
         """Return the slices that differ between the clients."""
         shown = self.selection.photo_of(client)
-        alone, opened = self.clients.is_alone(client), self._opening_message()
         return {
-            "project": {**project_slice(self.session, client.author, alone=alone), "opened": opened},
             "shown": shown.id if shown else None,
             "people": self.clients.slice(client),
             "model": client.model.slice(self._registration(shown)),
         }
 
-    def _opening_message(self) -> str:
-        scan = self._scan_slice()
+    def _opening_message(self, scan: Mapping[str, Any] | None) -> str:
         error = None if scan is None else scan.get("error")
         if not error:
             return self.opening_message
         return f"{self.opening_message} The scan cannot be shown: {error}.".strip()
-
-    def _scan_slice(self) -> dict[str, Any] | None:
-        document, loader = self.session.document, self.loader
-        return loader.cached("picture", ("scan slice", document.scan), lambda: scan_slice(loader, document))
 
     def _registration(self, shown: PhotoEntry | None) -> PoseResult | None:
         if shown is None or shown.pose is None:

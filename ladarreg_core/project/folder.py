@@ -417,8 +417,7 @@ def _set_aside(path: Path, *, keep: bool = True) -> Path:
 
 def _entry_fields(entry: Entry) -> dict[str, Any]:
     fields = {"number": entry.number, "label": entry.label, "author": entry.author, "when": entry.when}
-    more = {"automatic": entry.automatic, "by": entry.by, "undoes": entry.undoes, "redoes": entry.redoes}
-    return fields | {name: value for name, value in more.items() if value}
+    return {**fields, "automatic": True} if entry.automatic else fields
 
 
 def _places(count: int) -> str:

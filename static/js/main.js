@@ -11,10 +11,12 @@ import { acceptDrops } from "./panels/drop.js";
 import { openFiles } from "./panels/files.js";
 import { mountHeader } from "./panels/header.js";
 import { mountModelPane } from "./panels/model_pane.js";
+import { openProjects } from "./panels/start_page.js";
 import { mountStatusBar } from "./panels/status_bar.js";
 import { mountPanes } from "./panes/index.js";
 import { linkHovering } from "./state/hover.js";
 import { isRunning } from "./state/pipeline.js";
+import { followProject, toldOfProject } from "./state/project.js";
 import { view } from "./state/view.js";
 import { notice, noticeArea } from "./ui/notices.js";
 import { followTheme } from "./ui/theme.js";
@@ -89,10 +91,15 @@ const welcome = () => {
     { label: "Show", act: () => openFiles() },
   );
   const nothing = !store.get("scan") && !(store.get("photos") ?? []).length;
-  if (nothing && !document.querySelector("dialog[open]")) openFiles();
+  const told = toldOfProject();
+  if (told) notice(told);
+  if (store.get("project").start) openProjects(openFiles);
+  else if (nothing && !document.querySelector("dialog[open]")) openFiles();
   else noticeOnce(store.get("project").opened);
 };
 store.watch(["project", "scan", "photos"], welcome);
+
+followProject();
 
 let wasLost = false;
 onConnection((state) => {

@@ -55,7 +55,8 @@ def test_a_dropped_batch(browser: Browser, tmp_path: Path) -> None:
         question.get_by_text("kinect.json").wait_for()
         shot(page, "batch-asks")
         assert page.evaluate(SLICE, "scan")["name"] == "kinect.json"
-        page.keyboard.press("Enter")  # the first answer has the focus
+        page.keyboard.press("Tab")
+        page.keyboard.press("Enter")  # from the first answer, which has the focus, to the second
         dialog.wait_for(state="hidden")
         assert page.evaluate(SLICE, "scan")["name"] == "other.dat"
         context.close()

@@ -70,7 +70,7 @@ export const ask = (command, args = {}) => {
   const id = nextId++;
   return new Promise((resolve, reject) => {
     unanswered.set(id, { resolve, reject });
-    socket.send(JSON.stringify({ ...args, id, do: command }));
+    socket.send(JSON.stringify({ ...args, project: store.get("project")?.id, id, do: command }));
   });
 };
 

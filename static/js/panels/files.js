@@ -9,6 +9,7 @@ import { element, newId, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { notice } from "../ui/notices.js";
 import { bytes } from "../ui/numbers.js";
+import { confirmation } from "./confirmation.js";
 import { accepted, labelOf, readable } from "./file_kinds.js";
 import { waitingList } from "./waiting_files.js";
 
@@ -98,19 +99,20 @@ const scanQuestion = (act) => {
     question.hidden = true;
     act(choice);
   };
+  const begin = button({ label: "New project with it", kind: "primary", act: choose("new") });
   const replace = button({ label: "Replace the scan of this project", act: choose("replace") });
   const leave = button({ label: "Leave it for later", kind: "plain", act: choose(null) });
   const question = element(
     "section",
     { class: "file-question", role: "group", "aria-label": "A second scan", hidden: true },
     text,
-    element("div", { class: "row" }, replace, leave),
+    element("div", { class: "row" }, begin, replace, leave),
   );
   const ask = (name) => {
     const present = store.get("scan")?.name ?? "another scan";
     setText(text, `This project has a scan, ${present}, and the matches drawn on it. What is ${name}?`);
     question.hidden = false;
-    replace.focus();
+    begin.focus();
   };
   return { question, ask };
 };
@@ -185,9 +187,17 @@ const build = () => {
     input,
   );
   let asked = [];
+  const confirm = confirmation("Begin another project?", "Begin it all the same");
   const { question, ask } = scanQuestion((choice) => {
-    if (choice) openTogether(asked, { scan: choice });
+    if (choice === "new") beginProject(asked);
+    else if (choice) openTogether(asked, { scan: choice });
   });
+
+  /** Begin a project with files; the page follows it, unless that has to be confirmed. */
+  const beginProject = async (ids, fields = {}) => {
+    const answer = await request("new_project", { files: ids, ...fields });
+    if (answer?.asks) confirm.ask(answer.asks, () => beginProject(ids, { sure: true }));
+  };
 
   /** Open uploaded files; those that lack something stay in the list of waiting ones. */
   const openTogether = async (ids, choice = {}) => {
@@ -213,24 +223,15 @@ const build = () => {
     if (answer.opened.length) files.close();
   };
 
-  const sample = element(
-    "p",
-    { class: "dim" },
-    "No data yet? ",
-    element("code", {}, "ladarreg demo"),
-    " opens a sample project; ",
-    element("code", {}, "ladarreg simulate"),
-    " generates more.",
-  );
   files = makeDialog(
     "Open files",
     { kind: "files-dialog" },
     zone,
     question,
+    confirm.box,
     list,
     waitingList(openTogether),
     servedList(),
-    sample,
   );
 
   const changed = () => setChildren(list, ...waiting.filter(({ state }) => state !== "kept").map(({ row }) => row));

@@ -15,6 +15,7 @@ import { openFiles } from "./files.js";
 import { mountHistory } from "./history.js";
 import { openKeys } from "./key_reference.js";
 import { mountPhotoTabs } from "./photo_tabs.js";
+import { openProjects } from "./start_page.js";
 import { mountStepTabs } from "./step_tabs.js";
 
 const MOST_LETTERS = 80;
@@ -148,8 +149,8 @@ export const mountHeader = (header) => {
       "div",
       { class: "header-files" },
       element(
-        "span",
-        { class: "brand" },
+        "button",
+        { type: "button", class: "brand brand-button", "aria-label": "Projects", title: "Projects: open, new, duplicate", on: { click: () => openProjects(openFiles) } },
         element("img", { src: "logo.svg", alt: "", width: 22, height: 22 }),
         element("span", { class: "brand-word" }, "ladar", element("b", {}, "reg")),
       ),

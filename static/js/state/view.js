@@ -109,7 +109,19 @@ class View {
     return () => this.#listeners.delete(listen);
   }
 
+  /** Keep nothing for the next load of the page. */
+  forget() {
+    clearTimeout(this.#saving);
+    this.#saving = null;
+    try {
+      sessionStorage.removeItem(KEY);
+    } catch {
+      // storage is disabled: nothing was kept
+    }
+  }
+
   #save() {
+    if (this.#saving === null) return; // forgotten
     clearTimeout(this.#saving);
     this.#saving = setTimeout(() => {
       const lasting = Object.entries(this.#state).filter(([name]) => !TRANSIENT.has(name));

@@ -10,6 +10,7 @@ from typing import Any, get_args
 import pytest
 from ladarreg.gateway.uploads import KINDS
 from ladarreg.workbench.commands import COMMANDS
+from ladarreg.workbench.project_commands import PROJECT_COMMANDS
 
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.results import StageId
@@ -99,7 +100,7 @@ def keys_of(value: Any) -> set[str]:
 def test_the_commands_are_documented(document: str) -> None:
     rows = re.findall(r"^\| (`[^|]*`) \|", section(document, "Commands"), flags=re.MULTILINE)
     found = [name for row in rows for name in names_in(row)]
-    assert sorted(found) == sorted(COMMANDS)
+    assert sorted(found) == sorted([*COMMANDS, *PROJECT_COMMANDS])
 
 
 def test_the_slices_are_documented_with_all_their_fields(document: str, bench: WorkbenchDriver) -> None:
