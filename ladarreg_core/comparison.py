@@ -93,6 +93,6 @@ def _column(scan: Scan, photo: Photo, stage: Stage, seconds: float) -> Column:
     result, texture = stage.result, None
     if result is not None:
         texture = texture_scan(
-            scan, photo, result.camera_from_scanner, camera=result.camera, covariance=result.covariance
+            scan, photo, result.camera_from_scanner, camera=result.camera, covariance=result.joint_covariance
         )
     return Column(stage=stage, texture=texture, seconds=seconds)

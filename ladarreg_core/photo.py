@@ -32,6 +32,9 @@ class Photo:
     """Remarks on the file for the operator, e.g. the source of the focal length."""
     calibrated: bool = False
     """Whether the intrinsics come from a calibration; changes of several per cent are then not accepted."""
+    assumed: bool = False
+    """Whether only the focal length is known, typed or from EXIF: the principal point and the distortion have a
+    `CameraPrior`."""
     temperature_k: FloatArray | None = None
     """(H, W) float32, of a thermal image: apparent temperature, K; `pixels` are then gray levels for display."""
 

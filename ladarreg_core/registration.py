@@ -17,6 +17,7 @@ from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.thesis.chain import ThesisOptions, ThesisResult, thesis_stages
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE, LineUse, check_line_use, check_samples, matches_from_picks
+from ladarreg_core.pose.assumed_camera import with_assumed_camera
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import confirm
 from ladarreg_core.pose.result import describe_pose
@@ -129,12 +130,17 @@ def _register(
             scan, photo, steps,
             picks=picks, initial=initial, options=options.seeded_thesis, samples_per_line=options.samples_per_line,
         )  # fmt: skip
-        return _registration(_thesis_result(chain, scan, photo), "thesis", steps, options)
+        result = _thesis_result(chain, scan, photo)
+        if photo.assumed:
+            result = with_assumed_camera(result, options.thesis.pose.camera_prior)
+        return _registration(result, "thesis", steps, options)
     if picks:
         return _registration(_manual_result(scan, photo, steps, picks, initial, options), "manual", steps, options)
     found = register_by_modality(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
     with steps.step("result"):
         result = _auto_result(found, scan, photo)
+        if photo.assumed:
+            result = with_assumed_camera(result, options.pose.camera_prior)
         steps.pose, steps.matches = result.camera_from_scanner, result.matches
     return _registration(result, "auto", steps, options)
 
@@ -156,10 +162,14 @@ def _manual_result(
         how = replace(options.pose, seed=options.seed, check_ambiguity=False)
         try:
             # a given starting pose was not fitted to these matches, so they can be used to test it
-            result = solve_pose(matches, photo.camera, replace(how, keep_better_start=True), initial=initial)
+            result = solve_pose(
+                matches, photo.camera, replace(how, keep_better_start=True), initial=initial, assumed=photo.assumed
+            )
             for _ in range(_KAPPA_ROUNDS if options.lines == "kappa" else 0):
                 matches, losses = matched(result.camera_from_scanner)
-                result = solve_pose(matches, photo.camera, how, initial=result.camera_from_scanner)
+                result = solve_pose(
+                    matches, photo.camera, how, initial=result.camera_from_scanner, assumed=photo.assumed
+                )
         except DegenerateGeometryError as error:
             raise _with_losses(str(error), losses) from None
         note.update(inliers=int(result.inliers.sum()), matches=len(matches))
@@ -173,7 +183,7 @@ def _confirmed(result: PoseResult, steps: StepLog, how: PoseOptions, photo: Phot
     with steps.step("starts") as note:
         confirmed = confirm(result, how)
         if confirmed.better is not None:
-            again = solve_pose(result.matches, photo.camera, how, initial=confirmed.better)
+            again = solve_pose(result.matches, photo.camera, how, initial=confirmed.better, assumed=photo.assumed)
             confirmed = confirm(again, how)
         note.update(verdict=confirmed.verdict)
         steps.matches, steps.pose = confirmed.result.matches, confirmed.result.camera_from_scanner

@@ -10,6 +10,7 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
@@ -87,6 +88,8 @@ class PoseResult:
     """Range noise, given or estimated."""
     camera_sigmas: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations of the estimated intrinsics: `focal_px`, `k1`, `cx`, `cy`; empty: all as given."""
+    camera_uncertainty: CameraUncertainty | None = None
+    """Joint uncertainty of pose and camera, of which `covariance` is the pose's part; None: the camera is exact."""
     accepted: bool = False
     """Whether the evidence suffices to present the pose as registered."""
     evidence: Evidence = "none"
@@ -96,6 +99,11 @@ class PoseResult:
     """Reasons of the verdict, as sentences."""
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     """Planarity, baseline, spread, why the solver stopped, and more; JSON-ready."""
+
+    @property
+    def joint_covariance(self) -> FloatArray | CameraUncertainty:
+        """The uncertainty to propagate into pixels: with the camera's, if there is one; else the pose's."""
+        return self.covariance if self.camera_uncertainty is None else self.camera_uncertainty
 
     @property
     def thesis_parameters(self) -> ThesisParameters:

@@ -60,6 +60,7 @@ class SimplexJobs:
         return self._minimise(inputs, context, rejecting=True)
 
     def _minimise(self, inputs: Inputs, context: JobContext, *, rejecting: bool) -> str:
+        from ladarreg_core.pose.assumed_camera import with_assumed_camera
         from ladarreg_core.pose.estimate import STATED_SIGMA_PX
         from ladarreg_core.pose.simplex_result import build_simplex_result
         from ladarreg_core.pose.thesis.stereo_simplex import descend
@@ -79,6 +80,8 @@ class SimplexJobs:
         )
         found = self._watched(steps, inputs, matches, context)
         result = build_simplex_result(found, matches, inputs.photo.camera, pose_options)
+        if inputs.photo.assumed:
+            result = with_assumed_camera(result, pose_options.camera_prior)
         stopped = " Stopped; the best pose so far is kept." if context.stop_wanted else ""
         sentence = self._solve.commit(
             inputs,

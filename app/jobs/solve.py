@@ -33,7 +33,7 @@ class SolveJobs:
 
         begun = time.perf_counter()
         options = replace(inputs.settings.pose_options, method="linear", intrinsics="fixed")
-        result = solve_pose(inputs.matches(), inputs.photo.camera, options)
+        result = solve_pose(inputs.matches(), inputs.photo.camera, options, assumed=inputs.photo.assumed)
         stage: StageId = "constrained_linear" if context.job.kind == "constrained" else "linear"
         return self.commit(inputs, stage, result, context, method="thesis", seconds=time.perf_counter() - begun)
 

@@ -273,7 +273,7 @@ def _textured(registration: Registration, scan: Scan, photo: Photo) -> Registere
         photo,
         registration.camera_from_scanner,
         camera=registration.camera,
-        covariance=registration.covariance,
+        covariance=registration.joint_covariance,
     )
 
 

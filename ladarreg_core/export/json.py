@@ -73,6 +73,7 @@ def registration_document(
         "centre in the scanner frame",
         "camera": r.camera.as_fields(),
         "camera_sigmas": dict(r.camera_sigmas),
+        **({} if r.camera_uncertainty is None else {"camera_uncertainty": r.camera_uncertainty.as_fields()}),
         "covariance": np.asarray(r.covariance),
         "covariance_is": "of (w, c): R_true = exp([w]x) R (rad), c = true minus estimated camera centre in the "
         "scanner frame (m)",

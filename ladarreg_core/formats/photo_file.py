@@ -84,8 +84,9 @@ def read_photo(
 
 def _photo(values: NDArray[Any], camera: Camera, name: str, notes: list[str], *, calibrated: bool) -> Photo:
     if values.ndim == 2:
-        return replace(thermal_photo(values, camera, name=name, notes=tuple(notes)), calibrated=calibrated)
-    return Photo(values, camera, name=name, notes=tuple(notes), calibrated=calibrated)
+        thermal = thermal_photo(values, camera, name=name, notes=tuple(notes))
+        return replace(thermal, calibrated=calibrated, assumed=not calibrated)
+    return Photo(values, camera, name=name, notes=tuple(notes), calibrated=calibrated, assumed=not calibrated)
 
 
 def _thermal_note(kelvin: FloatArray) -> str:

@@ -7,7 +7,8 @@ from typing import Any, cast, get_args
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.errors import FormatError
+from ladarreg_core.camera.uncertainty import CameraUncertainty
+from ladarreg_core.errors import FormatError, ShapeError
 from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.formats.json_file import choice, number, parsed_once, read_json_object
 from ladarreg_core.formats.pose_file import read_pose
@@ -44,6 +45,7 @@ def read_registration(path: PathLike) -> Registration:
             residuals_m=np.zeros(0),
             stereo_depth_error_m=np.zeros(0),
             covariance=_covariance(fields.get("covariance")),
+            camera_uncertainty=_camera_uncertainty(fields.get("camera_uncertainty")),
             chi2_per_dof=float("nan"),
             sigma_px=number(sigma, "pixel_px", 1.0),
             sigma_range_m=number(sigma, "range_m", 0.015),
@@ -70,6 +72,18 @@ def read_offset(path: PathLike) -> Offset:
         angle = number(fields, "sigma_angle_rad", STATED_OFFSET_SIGMA_RAD)
         position = number(fields, "sigma_position_m", STATED_OFFSET_SIGMA_M)
         return Offset(read_pose(path, field="camera_b_from_camera_a") if named else read_pose(path), angle, position)
+
+
+def _camera_uncertainty(fields: Any) -> CameraUncertainty | None:
+    """Return the uncertainty of pose and camera; None in files of calibrated cameras, and in older files."""
+    if fields is None:
+        return None
+    if not isinstance(fields, dict):
+        raise FormatError("the field 'camera_uncertainty' is not an object; give an unmodified registration.json")
+    try:
+        return CameraUncertainty.from_fields(fields)
+    except ShapeError as error:
+        raise FormatError(f"{error}; give an unmodified registration.json") from None
 
 
 def _covariance(rows: Any) -> FloatArray:

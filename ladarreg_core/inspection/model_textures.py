@@ -190,7 +190,7 @@ def model_texture(
     if known == "residual":
         return _of_pixels(residual_field(scan, result), "Residual of the nearby matches, px")
     if known == "uncertainty":
-        sigma = picture_sigma(scan, result.camera, result.camera_from_scanner, result.covariance)
+        sigma = picture_sigma(scan, result.camera, result.camera_from_scanner, result.joint_covariance)
         return _of_pixels(sigma, "Standard deviation of the photo position, px")
     if known == "depth_error":
         return _of_depth_errors(depth_error_field(scan, result))
@@ -213,8 +213,9 @@ def model_texture(
 
 def registered_texture(scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
     """Return `texture_scan` of a result, with its camera and covariance."""
-    covariance = np.asarray(result.covariance)
-    return texture_scan(scan, photo, result.camera_from_scanner, camera=result.camera, covariance=covariance)
+    return texture_scan(
+        scan, photo, result.camera_from_scanner, camera=result.camera, covariance=result.joint_covariance
+    )
 
 
 def picture_without_z_buffer(scan: Scan, photo: Photo, result: PoseResult) -> NDArray[np.uint8]:

@@ -83,6 +83,7 @@ def decide_acceptance(
     second_pose: Rigid | None = None,
     critical_match: str | None = None,
     second_pose_sought: bool = True,
+    stated_covariance: FloatArray | None = None,
     options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
 ) -> tuple[bool, tuple[str, ...]]:
     """Return whether a pose is accepted on match statistics, and the reasons.
@@ -97,6 +98,8 @@ def decide_acceptance(
         second_pose: another pose that explains the matches as well; None if none was found.
         critical_match: the pick without which the other matches barely determine the pose; None if there is none.
         second_pose_sought: whether a second pose was sought; the reasons then state that there is none.
+        stated_covariance: (6, 6) to be stated in the reasons, including what is not known of the camera; None:
+            `covariance`.
         options: the thresholds.
     """
     # a line end known only across the line counts as half a match
@@ -154,6 +157,8 @@ def decide_acceptance(
         )
     if against:
         return False, tuple(against)
+    if stated_covariance is not None:
+        angle, position = (float(np.sqrt(np.trace(C))) for C in (stated_covariance[:3, :3], stated_covariance[3:, 3:]))
     return True, (
         f"{np.count_nonzero(inliers)} of {count} inliers (chi^2/dof {chi2_per_dof:.2f})",
         f"uncertainty (1 sigma): position {format_length(position)}, orientation {np.degrees(angle):.2g} deg",

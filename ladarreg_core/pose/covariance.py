@@ -16,6 +16,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.thesis.epipolar import epipolar_residuals
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.pose.thesis.stereo_simplex import Residual
+from ladarreg_core.results import PoseResult
 
 _STEP, _STEP_PX, _STEP_OF_RANGE = 1e-6, 1e-2, 1e-5
 _UNDETERMINED = 1e-12
@@ -45,6 +46,18 @@ def pose_jacobian(
     by_rotation[..., 1, 0], by_rotation[..., 1, 2] = -p[..., 2], p[..., 0]
     by_rotation[..., 2, 0], by_rotation[..., 2, 1] = p[..., 1], -p[..., 0]
     return uv, np.concatenate([d_uv @ by_rotation, -d_uv @ camera_from_scanner.rotation], axis=-1)
+
+
+def joint_jacobian(result: PoseResult, points_scanner: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return uv (N, 2) as `pose_jacobian`, and J (N, 2, 6 + K) by the pose and the uncertain intrinsics."""
+    pose, camera = result.camera_from_scanner, result.camera
+    uv, J = pose_jacobian(pose, points_scanner, camera)
+    if result.camera_uncertainty is None:
+        return uv, J
+    p = pose @ np.asarray(points_scanner, dtype=np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        xy = p[..., :2] / np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
+    return uv, np.concatenate([J, result.camera_uncertainty.jacobian(camera, xy)], axis=-1)
 
 
 def guarded_inverse(information: FloatArray) -> FloatArray:

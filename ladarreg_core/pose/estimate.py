@@ -14,6 +14,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
+from ladarreg_core.pose.assumed_camera import with_assumed_camera
 from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
 from ladarreg_core.pose.intrinsics import Intrinsics
 from ladarreg_core.pose.options import STATED_SIGMA_PX as STATED_SIGMA_PX
@@ -81,7 +82,12 @@ def estimate_pose(
 
 
 def solve_pose(
-    matches: Matches, camera: Camera, options: PoseOptions | None = None, *, initial: Rigid | None = None
+    matches: Matches,
+    camera: Camera,
+    options: PoseOptions | None = None,
+    *,
+    initial: Rigid | None = None,
+    assumed: bool = False,
 ) -> PoseResult:
     """Estimate the pose from weighted matches; `estimate_pose` does the same for plain arrays.
 
@@ -90,13 +96,19 @@ def solve_pose(
         camera: the photo's camera.
         options: method and options; None: the defaults.
         initial: an initial pose.
+        assumed: whether only the focal length of the camera is known, as `Photo.assumed`: `PoseOptions.camera_prior`
+            then becomes part of the uncertainty, and `robust` fits the camera with the pose.
 
     Raises:
         LadarregError: as `estimate_pose`.
     """
     options = options or PoseOptions()
     matches = check_matches(matches, camera, initial)
-    return _METHODS[options.method](matches, camera, options, initial)
+    if not assumed:
+        return _METHODS[options.method](matches, camera, options, initial)
+    if options.method == "robust":
+        return solve_robust(matches, camera, options, initial, assumed=True)
+    return with_assumed_camera(_METHODS[options.method](matches, camera, options, initial), options.camera_prior)
 
 
 def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions, _: Rigid | None) -> PoseResult:

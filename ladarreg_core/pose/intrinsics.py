@@ -64,6 +64,50 @@ _LEAST_DOF = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """Prior on intrinsics: each counts as one measurement of its stated value."""
+
+    free: tuple[int, ...]
+    """The K free intrinsics, as indices of (log f, k1, cx, cy)."""
+    mean: FloatArray
+    """(K,) stated values."""
+    information: FloatArray
+    """(K,) inverse variances; 0: no prior."""
+
+    @staticmethod
+    def of(stated: Camera, sigmas: Mapping[str, float], without_prior: Sequence[str] = ()) -> Anchor:
+        """Return the prior of a stated camera.
+
+        Args:
+            stated: the mean.
+            sigmas: standard deviations of intrinsics with a prior, by name.
+            without_prior: names of further free intrinsics, or of those whose prior is to be dropped.
+        """
+        names = PARAMETERS["focal_k1_centre"]
+        free = tuple(k for k, name in enumerate(names) if name in sigmas or name in without_prior)
+        information = [0.0 if names[k] in without_prior else 1 / sigmas[names[k]] ** 2 for k in free]
+        return Anchor(free, _values(stated)[list(free)], np.array(information))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free intrinsics."""
+        return tuple(PARAMETERS["focal_k1_centre"][k] for k in self.free)
+
+    def off(self, camera: Camera) -> FloatArray:
+        """Return how far the stated values lie from those of a camera, (K,)."""
+        return np.asarray(self.mean - _values(camera)[list(self.free)])
+
+    def cost(self, camera: Camera) -> float:
+        """Return the share of the prior in the cost."""
+        off = self.off(camera)
+        return float(self.information @ (off * off))
+
+
+def _values(camera: Camera) -> FloatArray:
+    return np.array([np.log(camera.focal_px), intrinsic(camera, "k1"), camera.cx, camera.cy])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class IntrinsicsFit:
     """A pose and a camera fitted to the same matches."""
 
@@ -87,12 +131,19 @@ class IntrinsicsFit:
     """Range noise used, m."""
     dof: int
     """Degrees of freedom of the inliers' residuals."""
+    anchor: Anchor | None = None
+    """The prior on the intrinsics, which then determines which are free."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free intrinsics, in the order of the covariance."""
+        return PARAMETERS[self.intrinsics] if self.anchor is None else self.anchor.names
 
     @property
     def sigmas(self) -> dict[str, float]:
-        """Standard deviation of each estimated intrinsic, by name."""
+        """Standard deviation of each free intrinsic, by name."""
         values = np.sqrt(np.diag(self.covariance)[6:]).tolist()
-        return dict(zip(PARAMETERS[self.intrinsics], values, strict=True))
+        return dict(zip(self.names, values, strict=True))
 
     @property
     def values(self) -> dict[str, float]:
@@ -124,6 +175,7 @@ def estimate_intrinsics(
     sigma_range_m: float,
     gate_chi2: float = 9.21,
     noise: Noise | None = None,
+    anchor: Anchor | None = None,
 ) -> IntrinsicsFit:
     """Estimate intrinsics together with the pose, starting from a pose fitted with the given camera.
 
@@ -138,14 +190,18 @@ def estimate_intrinsics(
         sigma_range_m: range noise, m.
         gate_chi2: largest cost s of an inlier.
         noise: estimator of the noise if it is not stated; None: the noise is as given.
+        anchor: a prior on the intrinsics; it then determines which are free.
 
     Returns:
         The fit. Undetermined intrinsics have a sigma that is huge but finite; if no better camera is found, the camera
         is the given one.
     """
-    count = len(PARAMETERS[intrinsics])
+    count = len(PARAMETERS[intrinsics]) if anchor is None else len(anchor.free)
+    measured = 0 if anchor is None else int(np.count_nonzero(anchor.information))
     for _ in range(_NOISE_ROUNDS if noise else 1):
-        descent = Descent.start(matches, camera, pose, count, sigma_px=sigma_px, sigma_range_m=sigma_range_m)
+        descent = Descent.start(
+            matches, camera, pose, count, sigma_px=sigma_px, sigma_range_m=sigma_range_m, anchor=anchor
+        )
         settled, inliers = _fit_robustly(descent, gate_chi2)
         camera, pose = descent.camera, descent.state.pose()
         if noise is None or np.count_nonzero(inliers) * 2 < 6 + count + _LEAST_DOF:
@@ -160,7 +216,7 @@ def estimate_intrinsics(
             sigma_px, sigma_range_m = before
     return IntrinsicsFit(
         intrinsics, pose, camera, _covariance(descent, inliers), descent.residuals.s[0], inliers, settled,
-        sigma_px, sigma_range_m, int(matches.dimensions[inliers].sum()) - 6 - count,
+        sigma_px, sigma_range_m, int(matches.dimensions[inliers].sum()) - 6 - count + measured, anchor,
     )  # fmt: skip
 
 
@@ -202,10 +258,19 @@ class Descent:
     """The current residuals."""
     damping: float = 1e-4
     """Damping relative to the diagonal of H."""
+    anchor: Anchor | None = None
+    """A prior on the intrinsics, which then says which are free."""
 
     @staticmethod
     def start(
-        matches: Matches, camera: Camera, pose: Rigid, count: int, *, sigma_px: float, sigma_range_m: float
+        matches: Matches,
+        camera: Camera,
+        pose: Rigid,
+        count: int,
+        *,
+        sigma_px: float,
+        sigma_range_m: float,
+        anchor: Anchor | None = None,
     ) -> Descent:
         """Return the descent before its first step."""
         measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_range_m)
@@ -213,7 +278,7 @@ class Descent:
         seen = residuals(measured, state)
         state = apply_step(measured, state, seen, linearise(measured, state, seen), None)
         seen = residuals(measured, state)
-        return Descent(matches, (sigma_px, sigma_range_m), count, camera, camera, measured, state, seen)
+        return Descent(matches, (sigma_px, sigma_range_m), count, camera, camera, measured, state, seen, anchor=anchor)
 
     def least_squares(
         self, members: BoolArray, *, steps: int = _STEPS, tolerance_sigma: float = _SETTLED_SIGMA
@@ -241,7 +306,9 @@ class Descent:
         """
         measured, seen = self.measured, self.residuals
         lin = linearise(measured, self.state, seen)
-        columns = intrinsic_columns(self.camera, seen.xy[0], self.count)
+        columns = intrinsic_columns(self.camera, seen.xy[0], 4 if self.anchor else self.count)
+        if self.anchor:
+            columns = columns[list(self.anchor.free)]
         J = np.concatenate([lin.j_pose[0], columns])
         m, h, j = lin.m[0], lin.h[0], lin.j[0]
         weights = weights[0] * (seen.s[0] < UNSEEN)
@@ -250,17 +317,22 @@ class Descent:
         K += weights * (measured.cross_information - m[:1] * share[1:]) * J[:, ::-1]
         e = seen.e[0] - j * seen.range_error[0]
         flat = K.reshape(len(J), -1)
-        H = flat @ J.reshape(len(J), -1).T
-        return (H + H.T) / 2, flat @ e.ravel(), lin, columns
+        H, g = flat @ J.reshape(len(J), -1).T, flat @ e.ravel()
+        if self.anchor:
+            H[range(6, len(H)), range(6, len(H))] += self.anchor.information
+            g[6:] += self.anchor.information * self.anchor.off(self.camera)
+        return (H + H.T) / 2, g, lin, columns
 
     def _step(self, weigh: WeightFunction, cost: CostFunction) -> float:
         """Take one step and return its length in standard deviations; infinite if it was rejected."""
         H, g, lin, columns = self.normal_equations(weigh(self.residuals.s))
-        step = _solve_damped(H, g, self.damping)
+        free = self.anchor.free if self.anchor else range(self.count)
+        step = _solve_damped(H, g, self.damping, free)
         length = float(np.sqrt(max(float(step @ H @ step), 0.0)))
-        before = float(cost(self.residuals.s)[0])
+        before = float(cost(self.residuals.s)[0]) + (self.anchor.cost(self.camera) if self.anchor else 0.0)
         there = self._after(step, lin, columns)
-        if there is None or not float(cost(there[3].s)[0]) <= before:
+        after = 0.0 if there is None or self.anchor is None else self.anchor.cost(there[0])
+        if there is None or not float(cost(there[3].s)[0]) + after <= before:
             self.damping = min(self.damping * 10, _MOST_DAMPING)
             return 0.0 if length < 1e-3 else np.inf
         self.damping = max(self.damping / 10, _LEAST_DAMPING)
@@ -271,7 +343,11 @@ class Descent:
         self, step: FloatArray, lin: Linearised, columns: FloatArray
     ) -> tuple[Camera, Measurements, States, Residuals] | None:
         """Return the camera, measurements, state and residuals after a step; None if the camera is invalid."""
-        camera = _updated(self.camera, step[6:])
+        of_camera = step[6:]
+        if self.anchor:
+            of_camera = np.zeros(4)
+            of_camera[list(self.anchor.free)] = step[6:]
+        camera = _updated(self.camera, of_camera)
         if camera is None or not _plausible(camera, self.first):
             return None
         sigma_px, sigma_range_m = self.noise
@@ -388,7 +464,7 @@ def _plausible(camera: Camera, first: Camera) -> bool:
     return not lost.any() or not (lost & ~np.isnan(first.unproject(border)).any(axis=1)).any()
 
 
-def _solve_damped(H: FloatArray, g: FloatArray, damping: float) -> FloatArray:
+def _solve_damped(H: FloatArray, g: FloatArray, damping: float, free: Sequence[int]) -> FloatArray:
     diagonal = np.diag(H)
     damped = H + np.diag(damping * diagonal + 1e-14 * diagonal.max() + 1e-300)
     try:
@@ -396,8 +472,10 @@ def _solve_damped(H: FloatArray, g: FloatArray, damping: float) -> FloatArray:
     except np.linalg.LinAlgError:
         step = np.linalg.lstsq(damped, g, rcond=None)[0]
     step = np.where(np.isfinite(step), step, 0.0)
-    sizes = np.array([np.linalg.norm(step[:3]), *np.abs(step[6:8])])
-    return np.asarray(step / max(1.0, float((sizes / _MOST_STEP[: len(sizes)]).max())))
+    limited = [k for k, index in enumerate(free) if index < len(_MOST_STEP) - 1]
+    sizes = np.array([np.linalg.norm(step[:3]), *np.abs(step[6:][limited])])
+    most = _MOST_STEP[[0, *(free[k] + 1 for k in limited)]]
+    return np.asarray(step / max(1.0, float((sizes / most).max())))
 
 
 def _covariance(descent: Descent, inliers: BoolArray) -> FloatArray:
@@ -405,6 +483,7 @@ def _covariance(descent: Descent, inliers: BoolArray) -> FloatArray:
     H, _, _, _ = descent.normal_equations(inliers[None].astype(np.float64))
     scale = np.sqrt(np.maximum(np.diag(H), _LEAST_INFORMATION))
     unit = np.ones(len(H))
-    unit[6:7] = descent.camera.focal_px  # from log f to px
+    if descent.anchor is None or 0 in descent.anchor.free:
+        unit[6:7] = descent.camera.focal_px  # from log f to px
     inverse = guarded_inverse(H / np.outer(scale, scale)) * np.outer(unit / scale, unit / scale)
     return np.asarray((inverse + inverse.T) / 2)

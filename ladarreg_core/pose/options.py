@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.errors import OptionError
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
 from ladarreg_core.pose.gnc import DEFAULT_GNC, GncOptions
@@ -55,6 +56,8 @@ class PoseOptions:
     """Options of the simplex; `method` determines its `residual`."""
     intrinsics: Intrinsics | Literal["auto"] = "auto"
     """Intrinsics that `robust` estimates; `auto`: those that improve the prediction of held-out matches."""
+    camera_prior: CameraPrior = DEFAULT_CAMERA_PRIOR
+    """What is assumed of a camera of which only the focal length is known; calibrated cameras are exact."""
     keep_better_start: bool = False
     """If true, `robust` keeps an initial pose that predicts held-out matches better than the fitted pose."""
     acceptance: AcceptanceOptions = DEFAULT_ACCEPTANCE
@@ -79,6 +82,8 @@ class PoseOptions:
             raise OptionError(f"simplex is a {type(self.simplex).__name__}; give SimplexOptions")
         if not isinstance(self.acceptance, AcceptanceOptions):
             raise OptionError(f"acceptance is a {type(self.acceptance).__name__}; give AcceptanceOptions")
+        if not isinstance(self.camera_prior, CameraPrior):
+            raise OptionError(f"camera_prior is a {type(self.camera_prior).__name__}; give a CameraPrior")
         if self.intrinsics not in ("auto", *get_args(Intrinsics)):
             known = ", ".join(("auto", *get_args(Intrinsics)))
             raise OptionError(f"intrinsics is {self.intrinsics!r}; it must be one of {known}")

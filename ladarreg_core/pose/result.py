@@ -9,6 +9,7 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, across_lines
 from ladarreg_core.pose.acceptance import (
@@ -75,6 +76,8 @@ def build_result(
     covariance: FloatArray,
     sigma: tuple[float, float],
     search: dict[str, Any],
+    *,
+    camera_uncertainty: CameraUncertainty | None = None,
 ) -> PoseResult:
     """Return the result of a fit, with a verdict on match statistics.
 
@@ -83,16 +86,20 @@ def build_result(
         matches: the matches that were fitted.
         camera: intrinsics, as given or estimated.
         options: the options of the solver.
-        covariance: (6, 6) of (w, c).
+        covariance: (6, 6) of (w, c), for an exact camera.
         sigma: noise of pixels, px, and ranges, m.
         search: further diagnostics of the search, JSON-ready.
+        camera_uncertainty: uncertainty of pose and camera, if the camera was fitted under a prior. The verdict is on
+            the matches, for which the camera counts as exact.
     """
+    whole = covariance if camera_uncertainty is None else camera_uncertainty.covariance[:6, :6]
     pose, inliers, measured = fit.state.pose(), fit.inliers, fit.measured
     chi2 = fit.chi2_per_dof(matches)
     chance = log10_false_alarms(measured, matches, fit.state, inliers, camera, gate=options.gate_chi2)
     verdict: dict[str, Any] = {
         "pose": pose, "matches": matches, "inliers": inliers, "chi2_per_dof": chi2, "covariance": covariance,
         "log10_chance": chance, "second_pose_sought": options.check_ambiguity, "options": options.acceptance,
+        "stated_covariance": whole,
     }  # fmt: skip
     accepted, reasons = decide_acceptance(**verdict)
     second_pose = None
@@ -116,7 +123,8 @@ def build_result(
         residuals_px=across_lines(matches, matches.uv - camera.project(pose @ matches.points)),
         residuals_m=np.where(seen, matches.ranges - fit.state.rho[0], np.nan),
         stereo_depth_error_m=stereo_depth_error(pose, matches, camera, sigma_px=sigma[0], disparities=disparities),
-        covariance=covariance,
+        covariance=whole,
+        camera_uncertainty=camera_uncertainty,
         chi2_per_dof=chi2,
         sigma_px=float(sigma[0]),
         sigma_range_m=float(sigma[1]),

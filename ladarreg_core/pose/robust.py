@@ -17,10 +17,12 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.ambiguity import is_planar, likelihood_scores, mirrored
+from ladarreg_core.pose.assumed_camera import fit_assumed_camera, with_assumed_camera
 from ladarreg_core.pose.bundle import (
     UNSEEN,
     Measurements,
@@ -34,7 +36,7 @@ from ladarreg_core.pose.bundle import (
 from ladarreg_core.pose.covariance import pose_covariance
 from ladarreg_core.pose.cross_validation import choose_intrinsics, describe_intrinsics, worse_when_held_out
 from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score, wide_scales
-from ladarreg_core.pose.intrinsics import IntrinsicsFit, estimate_intrinsics
+from ladarreg_core.pose.intrinsics import IntrinsicsFit, Noise, estimate_intrinsics
 from ladarreg_core.pose.line_ends import repair_ends
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
@@ -48,7 +50,9 @@ _NOISE_ROUNDS = 3
 _SETTLED_NOISE = 1.1  # a smaller change of the noise changes neither inliers nor pose
 
 
-def solve_robust(matches: Matches, camera: Camera, options: PoseOptions, initial: Rigid | None = None) -> PoseResult:
+def solve_robust(
+    matches: Matches, camera: Camera, options: PoseOptions, initial: Rigid | None = None, *, assumed: bool = False
+) -> PoseResult:
     """Estimate the pose from matches that meet the preconditions.
 
     Args:
@@ -56,6 +60,7 @@ def solve_robust(matches: Matches, camera: Camera, options: PoseOptions, initial
         camera: the photo's camera.
         options: options of the estimator.
         initial: an initial pose, tried as well as those from RANSAC.
+        assumed: whether the camera has the prior of the options.
 
     Raises:
         DegenerateGeometryError: if no pose has 4 inliers.
@@ -70,6 +75,13 @@ def solve_robust(matches: Matches, camera: Camera, options: PoseOptions, initial
     solution = _with_intrinsics(solution, options)
     if initial is not None and options.keep_better_start:
         solution = _or_initial_pose(solution, initial, options)
+    result = _result(solution, options)
+    return _with_assumed_camera(result, solution, camera, options) if assumed else result
+
+
+def _result(
+    solution: _Solution, options: PoseOptions, camera_uncertainty: CameraUncertainty | None = None
+) -> PoseResult:
     covariance = solution.covariance
     if covariance is None:
         covariance = pose_covariance(
@@ -77,8 +89,39 @@ def solve_robust(matches: Matches, camera: Camera, options: PoseOptions, initial
         )
     stopped = "settled" if solution.fit.settled else "step limit"
     search = {"stopped": stopped, "noise_rounds": solution.noise_rounds}
-    result = build_result(solution.fit, solution.matches, solution.camera, options, covariance, solution.sigma, search)
+    result = build_result(
+        solution.fit, solution.matches, solution.camera, options, covariance, solution.sigma, search,
+        camera_uncertainty=camera_uncertainty,
+    )  # fmt: skip
     return replace(result, camera_sigmas=solution.camera_sigmas, reasons=(*result.reasons, *solution.notes))
+
+
+def _with_assumed_camera(result: PoseResult, solution: _Solution, stated: Camera, options: PoseOptions) -> PoseResult:
+    """Return the result with the camera fitted under its prior, or else with the camera's errors in its covariance.
+
+    The camera is kept as it was where the pose, too, is to be kept, and where the pose would no longer be accepted.
+    """
+    kept = with_assumed_camera(result, options.camera_prior)
+    if options.intrinsics == "fixed" or solution.kept_initial:
+        return kept
+    start = solution.intrinsics or (solution.camera, solution.fit.state.pose())
+    found = fit_assumed_camera(
+        solution.matches, stated, start, options.camera_prior,
+        sigma_px=solution.sigma[0], sigma_range_m=solution.sigma[1], gate_chi2=options.gate_chi2,
+        noise=_noise_estimator(solution, options),
+    )  # fmt: skip
+    if found is None or np.count_nonzero(found[0].inliers) < LEAST_MATCHES:
+        return kept
+    free, uncertainty = found
+    solution = replace(solution, camera=free.camera, sigma=(free.sigma_px, free.sigma_range_m))
+    if solution.intrinsics is not None:
+        sigmas = {name: uncertainty.sigmas[name] for name in solution.camera_sigmas}
+        solution = replace(solution, camera_sigmas=sigmas)
+    measured = solution.measured_by(solution.sigma)
+    state, _ = adjust_ranges(measured, States.of([free.pose], measured))
+    fit = Fit(measured, state, free.inliers, free.s, free.settled, free=solution.fit.free)
+    fitted = _result(replace(solution, fit=fit), options, uncertainty)
+    return fitted if fitted.accepted or not result.accepted else kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +136,8 @@ class _Solution:
     noise_rounds: int = 0
     covariance: FloatArray | None = None
     camera_sigmas: Mapping[str, float] = field(default_factory=dict)
+    intrinsics: IntrinsicsFit | None = None
+    kept_initial: bool = False
 
     def measured_by(self, sigma: tuple[float, float]) -> Measurements:
         return Measurements.of(self.matches, self.camera, sigma_px=sigma[0], sigma_range_m=sigma[1])
@@ -145,17 +190,9 @@ def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
     """Estimate the intrinsics that were requested, or those that held-out matches support."""
     if options.intrinsics == "fixed":
         return solution
-    unknown = options.sigma_px is None or options.sigma_range_m is None
-
-    def noise(pose: Rigid, of: Camera, inliers: BoolArray) -> tuple[float, float]:
-        if np.count_nonzero(inliers) < options.acceptance.least_inliers:
-            return solution.sigma
-        there = replace(solution.fit, state=States.of([pose], solution.fit.measured), inliers=inliers)
-        return noise_of_inliers(there, solution.matches, of, options)
-
     stated: dict[str, Any] = {
         "sigma_px": solution.sigma[0], "sigma_range_m": solution.sigma[1], "gate_chi2": options.gate_chi2,
-        "noise": noise if unknown else None,
+        "noise": _noise_estimator(solution, options),
     }  # fmt: skip
     pose = solution.fit.state.pose()
     free: IntrinsicsFit | None
@@ -171,12 +208,28 @@ def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
     if free is None:
         return solution
     solution = replace(
-        solution, camera=free.camera, sigma=(free.sigma_px, free.sigma_range_m), camera_sigmas=free.sigmas
+        solution,
+        camera=free.camera,
+        sigma=(free.sigma_px, free.sigma_range_m),
+        camera_sigmas=free.sigmas,
+        intrinsics=free,
     )
     measured = solution.measured_by(solution.sigma)
     state, _ = adjust_ranges(measured, States.of([free.pose], measured))
     fit = Fit(measured, state, free.inliers, free.s, free.settled, free=len(free.covariance))
     return replace(solution, fit=fit, covariance=free.covariance[:6, :6])
+
+
+def _noise_estimator(solution: _Solution, options: PoseOptions) -> Noise | None:
+    """Return the estimator of the noise from a pose and its camera; None if the noise is stated."""
+
+    def noise(pose: Rigid, of: Camera, inliers: BoolArray) -> tuple[float, float]:
+        if np.count_nonzero(inliers) < options.acceptance.least_inliers:
+            return solution.sigma
+        there = replace(solution.fit, state=States.of([pose], solution.fit.measured), inliers=inliers)
+        return noise_of_inliers(there, solution.matches, of, options)
+
+    return noise if options.sigma_px is None or options.sigma_range_m is None else None
 
 
 def _or_initial_pose(solution: _Solution, initial: Rigid, options: PoseOptions) -> _Solution:
@@ -191,7 +244,7 @@ def _or_initial_pose(solution: _Solution, initial: Rigid, options: PoseOptions) 
     state, seen = adjust_ranges(measured, States.of([initial], measured))
     fit = Fit(measured, state, seen.s[0] <= options.gate_chi2, seen.s[0], True)
     words = "The initial pose predicts held-out matches at least as well as a pose fitted to the others, and is kept."
-    return replace(solution, fit=fit, notes=(*solution.notes, words))
+    return replace(solution, fit=fit, notes=(*solution.notes, words), kept_initial=True)
 
 
 def _likelier_of_mirrored(measured: Measurements, fit: Fit, options: PoseOptions) -> Fit:

@@ -99,6 +99,8 @@ class PoseEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Range noise used, m."""
     camera_sigmas: dict[str, float] = {}
     """Standard deviations of the estimated intrinsics."""
+    camera_uncertainty: dict[str, Any] | None = None
+    """`CameraUncertainty.as_fields` of a camera that was not calibrated."""
     accepted: bool = False
     """Whether the pose is accepted as registered."""
     evidence: Evidence = "none"

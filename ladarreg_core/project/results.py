@@ -9,6 +9,7 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
+from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, LadarregError
 from ladarreg_core.export.json import plain
 from ladarreg_core.formats.camera_file import camera_from_fields
@@ -68,6 +69,7 @@ def pose_entry(
         sigma_px=float(result.sigma_px),
         sigma_range_m=float(result.sigma_range_m),
         camera_sigmas={name: float(value) for name, value in result.camera_sigmas.items()},
+        camera_uncertainty=None if result.camera_uncertainty is None else result.camera_uncertainty.as_fields(),
         accepted=bool(result.accepted),
         evidence=result.evidence,
         reasons=tuple(result.reasons),
@@ -125,6 +127,9 @@ def registration_of(entry: PoseEntry) -> Registration:
             sigma_px=entry.sigma_px,
             sigma_range_m=entry.sigma_range_m,
             camera_sigmas=entry.camera_sigmas,
+            camera_uncertainty=None
+            if entry.camera_uncertainty is None
+            else CameraUncertainty.from_fields(entry.camera_uncertainty),
             accepted=entry.accepted,
             evidence=entry.evidence,
             reasons=entry.reasons,

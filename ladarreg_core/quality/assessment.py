@@ -122,7 +122,7 @@ def assess(scan: Scan, result: PoseResult) -> Assessment:
 def _uncertainty(scan: Scan, result: PoseResult) -> PictureUncertainty:
     _require_usable_pose(result)
     camera, pose = result.camera, result.camera_from_scanner
-    sigma = picture_sigma(scan, camera, pose, result.covariance)
+    sigma = picture_sigma(scan, camera, pose, result.joint_covariance)
     known = np.isfinite(sigma)
     uv = np.full((*scan.shape, 2), np.nan, dtype=np.float32)
     # One product with a (3, N) matrix is ten times as fast as a million products with 3 x 3 ones.

@@ -20,9 +20,10 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray
 from ladarreg_core.formatting import format_length, format_number
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct
-from ladarreg_core.pose.covariance import pose_jacobian
+from ladarreg_core.pose.covariance import joint_jacobian
 from ladarreg_core.pose.diagnostics import diagnose
 from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
+from ladarreg_core.quality.camera_finding import camera_in_words
 from ladarreg_core.quality.conditioning import Conditioning, assess_conditioning
 from ladarreg_core.quality.lens_check import check_lens
 from ladarreg_core.quality.limits import (
@@ -58,6 +59,7 @@ LENS_SIGNIFICANCE = 4.0
 6."""
 _BIAS_SIGNIFICANCE = 20.0  # Hotelling's T^2 of two components; false alarms: one in 10,000 with many picks
 _MOST_NAMED = 5
+_NOTABLE_SHARE = 0.5  # of the variance of the orientation: what costs as much as all the matches' noise
 _REJECTED_SHARE = 0.01  # of correct matches, by the gate
 _CHANCE = 5e-3
 _LEVEL_WITHOUT_PARALLAX: Mapping[str, Level] = {"stereo_simplex": "poor", "epipolar_simplex": "fair"}
@@ -70,7 +72,7 @@ class Finding:
 
     name: str
     """The aspect: `matches`, `inliers`, `residuals`, `spread`, `depth`, `relief`, `conditioning`, `baseline`,
-    `disparity`, `bias` or `lens`."""
+    `disparity`, `bias`, `lens` or `camera`."""
     level: Level
     """`good`, `fair` or `poor`."""
     sentence: str
@@ -101,7 +103,7 @@ def findings(result: PoseResult) -> tuple[Finding, ...]:
             _conditioning(conditioning),
         ]
     if result.is_determined:
-        found += [_baseline(result, figures), _disparity(result, figures), _bias(result), lens]
+        found += [_baseline(result, figures), _disparity(result, figures), _bias(result), lens, _camera(result)]
     return tuple(finding for finding in found if finding is not None)
 
 
@@ -376,13 +378,23 @@ def _lens(result: PoseResult) -> Finding | None:
     )
 
 
+def _camera(result: PoseResult) -> Finding | None:
+    """Return what is not known of a camera that was not calibrated, and its share of the uncertainty."""
+    words = camera_in_words(result)
+    if words is None:
+        return None
+    level: Level = "poor" if words.cropped else "fair" if words.share_of_angle >= _NOTABLE_SHARE else "good"
+    return Finding("camera", level, words.sentence, _unless_good(level, words.advice), words.values)
+
+
 def _sigma_at_matches_px(result: PoseResult, usable: BoolArray) -> float:
     """Return the median standard deviation of pixel positions at some matches, px; infinite without a covariance."""
-    _, J = pose_jacobian(result.camera_from_scanner, result.matches.points[usable], result.camera)
+    _, J = joint_jacobian(result, result.matches.points[usable])
     J = J[np.isfinite(J).all(axis=(1, 2))]
     if not len(J) or not np.isfinite(result.covariance).all():
         return float("inf")
-    variance = np.einsum("nij,jk,nik->n", J, result.covariance, J)
+    joint = result.camera_uncertainty
+    variance = np.einsum("nij,jk,nik->n", J, result.covariance if joint is None else joint.covariance, J)
     return float(np.sqrt(max(float(np.median(variance)), 0.0)))
 
 

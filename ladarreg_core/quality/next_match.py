@@ -18,8 +18,7 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.formatting import format_number
-from ladarreg_core.frames import Rigid
-from ladarreg_core.pose.covariance import pose_jacobian
+from ladarreg_core.pose.covariance import joint_jacobian
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import surface_range
@@ -101,13 +100,13 @@ def suggest_matches(
     require_number(apart, "apart", least=0, most=1)
     if pickable is not None:
         pickable = read_only(pickable, np.bool_, scan.shape, "the mask of cells to pick from")
-    covariance = covariance_factor(result.covariance)
+    covariance = covariance_factor(result.joint_covariance)
     covariance = covariance @ covariance.T
     pose, camera = result.camera_from_scanner, result.camera
     projection = project_scan(scan, camera, pose)
     seen = projection.visible & ~projection.grazing & ~projection.untested
-    sampled = _seen_at(scan, camera, pose, _spread_over(seen))
-    free = sampled if pickable is None else _seen_at(scan, camera, pose, _spread_over(seen & pickable))
+    sampled = _seen_at(scan, result, _spread_over(seen))
+    free = sampled if pickable is None else _seen_at(scan, result, _spread_over(seen & pickable))
     free = free.subset(_away_from_matches(free, result))
     if not len(free):
         return ()
@@ -165,7 +164,7 @@ class _Cells:
     uv: FloatArray
     """(N, 2) px."""
     by_pose: FloatArray
-    """(N, 2, 6) d uv / d (w, c)."""
+    """(N, 2, 6 + K) d uv / d (w, c), and by the uncertain intrinsics."""
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -190,12 +189,12 @@ def _spread_over(mask: BoolArray) -> IntArray:
     return np.stack([rows[chosen], columns[chosen]], axis=-1)
 
 
-def _seen_at(scan: Scan, camera: Camera, pose: Rigid, cells: IntArray) -> _Cells:
+def _seen_at(scan: Scan, result: PoseResult, cells: IntArray) -> _Cells:
     """Return those cells that lie on a surface and inside the photo."""
     rays = scan.geometry.ray_at(cells)
     ranges = surface_range(scan, rays) if len(rays) else np.zeros(0)
-    uv, by_pose = pose_jacobian(pose, rays * ranges[:, None], camera)
-    usable = np.isfinite(ranges) & np.isfinite(by_pose).all(axis=(1, 2)) & camera.contains(uv)
+    uv, by_pose = joint_jacobian(result, rays * ranges[:, None])
+    usable = np.isfinite(ranges) & np.isfinite(by_pose).all(axis=(1, 2)) & result.camera.contains(uv)
     return _Cells(cells, rays, ranges, uv, by_pose).subset(usable)
 
 
@@ -214,7 +213,7 @@ def _away_from_matches(candidates: _Cells, result: PoseResult) -> BoolArray:
 def _noise(cells: _Cells, result: PoseResult) -> FloatArray:
     """Return the covariance (N, 2, 2) of the residual of a match, px^2, from its pixel and its range noise."""
     # A range error moves the point along its ray; so would an opposite shift of the camera.
-    by_range = -np.einsum("nij,nj->ni", cells.by_pose[..., 3:], cells.rays)
+    by_range = -np.einsum("nij,nj->ni", cells.by_pose[..., 3:6], cells.rays)
     spread = by_range[:, :, None] * by_range[:, None]
     return np.asarray(result.sigma_px**2 * np.eye(2) + result.sigma_range_m**2 * spread)
 
@@ -229,7 +228,7 @@ def _with_match(covariance: FloatArray, by_pose: FloatArray, noise: FloatArray) 
     """Return the covariance of the pose after one more match: the Kalman update in Joseph form, which stays
     positive."""
     gain = covariance @ by_pose.T @ np.linalg.inv(by_pose @ covariance @ by_pose.T + noise)
-    remaining = np.eye(6) - gain @ by_pose
+    remaining = np.eye(len(covariance)) - gain @ by_pose
     return np.asarray(remaining @ covariance @ remaining.T + gain @ noise @ gain.T)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.palette import UNSEEN
@@ -80,7 +81,7 @@ def texture_scan(
     camera_from_scanner: Rigid,
     *,
     camera: Camera | None = None,
-    covariance: FloatArray | None = None,
+    covariance: FloatArray | CameraUncertainty | None = None,
     background: tuple[int, int, int] = UNSEEN,
 ) -> RegisteredTexture:
     """Resample a photograph onto a scan's grid, for the cells that the camera sees.
@@ -90,7 +91,8 @@ def texture_scan(
         photo: the photograph.
         camera_from_scanner: its pose.
         camera: intrinsics instead of the photo's, e.g. estimated ones.
-        covariance: (6, 6) of (w, c) as `PoseResult.covariance`, rad and m; None: the pose is taken as exact.
+        covariance: (6, 6) of (w, c) as `PoseResult.covariance`, rad and m, or of pose and camera together; None: the
+            pose is taken as exact.
         background: RGB of cells not seen by the camera.
 
     Returns:
@@ -112,7 +114,7 @@ def texture_scan(
     colour = np.asarray(background)
     if colour.shape != (3,) or colour.dtype.kind not in "iu" or colour.min() < 0 or colour.max() > 255:
         raise OptionError(f"the background is {background!r}; it must be three whole numbers from 0 to 255")
-    if covariance is not None:
+    if covariance is not None and not isinstance(covariance, CameraUncertainty):
         covariance = read_only(covariance, np.float64, (6, 6), "the pose covariance")
     projection = project_scan(scan, camera, camera_from_scanner)
     labels = _labels(scan, projection, camera, camera_from_scanner, covariance)
@@ -173,7 +175,7 @@ def _labels(
     projection: ScanProjection,
     camera: Camera,
     camera_from_scanner: Rigid,
-    covariance: FloatArray | None,
+    covariance: FloatArray | CameraUncertainty | None,
 ) -> NDArray[np.uint8]:
     labels = np.full(scan.shape, Label.SEEN, dtype=np.uint8)
     labels[projection.grazing] = Label.GRAZING
@@ -210,11 +212,12 @@ def _pose_uncertain(
     projection: ScanProjection,
     camera: Camera,
     camera_from_scanner: Rigid,
-    covariance: FloatArray,
+    covariance: FloatArray | CameraUncertainty,
 ) -> BoolArray:
     """Return the visible cells where the pose uncertainty exceeds 2 px; all of them if the covariance is not finite."""
     visible = projection.visible
-    if not np.isfinite(covariance).all() or not visible.any():
+    numbers = covariance.covariance if isinstance(covariance, CameraUncertainty) else covariance
+    if not np.isfinite(numbers).all() or not visible.any():
         return visible
     rotation = camera_from_scanner.rotation
     # At a pixel the variance is convex in 1/z, so it is largest at the nearest or the farthest depth: if it is small

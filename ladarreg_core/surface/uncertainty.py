@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import CameraError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
@@ -36,7 +37,7 @@ def picture_sigma(
     scan: Scan,
     camera: Camera,
     camera_from_scanner: Rigid,
-    covariance: FloatArray,
+    covariance: FloatArray | CameraUncertainty,
     *,
     sigma_range_m: float = 0.0,
     measure: Measure = "longer_axis",
@@ -49,7 +50,7 @@ def picture_sigma(
         scan: the scan.
         camera: intrinsics, with or without distortion.
         camera_from_scanner: the pose.
-        covariance: (6, 6) of (w, c) as `PoseResult.covariance`, rad and m.
+        covariance: (6, 6) of (w, c) as `PoseResult.covariance`, rad and m, or of pose and camera together.
         sigma_range_m: noise of a cell's own range, m; 0: the uncertainty of the pose alone.
         measure: `longer_axis`, the longer semi-axis of the one-sigma ellipse, at least 1 / sqrt 2 of `total`; or
             `total`, the root mean square length of the error.
@@ -62,6 +63,7 @@ def picture_sigma(
         OptionError: if the range noise or the measure is invalid.
         CameraError: if `camera` is not a `Camera`.
     """
+    joint = covariance if isinstance(covariance, CameraUncertainty) else None
     factor = covariance_factor(covariance)
     require_number(sigma_range_m, "sigma_range_m", least=0, most=_MOST_SIGMA_RANGE_M, unit="metres")
     require_choice(measure, get_args(Measure), "the measure")
@@ -78,18 +80,20 @@ def picture_sigma(
         along = None
         if sigma_range_m:
             along = turned * (dtype(sigma_range_m) / scan.ranges.reshape(-1)[part].astype(dtype))
-        result[part] = _sigma(turned + t, camera, factor, measure, lens=lens, along=along)
+        result[part] = _sigma(turned + t, camera, factor, measure, lens=lens, along=along, joint=joint)
     return result.reshape(scan.shape)
 
 
-def pixel_sigma(points_camera: FloatArray, camera: Camera, rotation: FloatArray, covariance: FloatArray) -> FloatArray:
+def pixel_sigma(
+    points_camera: FloatArray, camera: Camera, rotation: FloatArray, covariance: FloatArray | CameraUncertainty
+) -> FloatArray:
     """Return the uncertainty of projected points due to the pose: the longer semi-axis of the one-sigma ellipse.
 
     Args:
         points_camera: (..., 3), m.
         camera: intrinsics.
         rotation: (3, 3) of `camera_from_scanner`.
-        covariance: (6, 6) of (w, c).
+        covariance: (6, 6) of (w, c), or of pose and camera together.
 
     Returns:
         sigma_px (...,), float32 for float32 points if precise enough; NaN behind the camera and beyond its lens.
@@ -98,6 +102,7 @@ def pixel_sigma(points_camera: FloatArray, camera: Camera, rotation: FloatArray,
         ShapeError: if the covariance is not (6, 6), finite, symmetric and positive.
     """
     points = np.asarray(points_camera)
+    joint = covariance if isinstance(covariance, CameraUncertainty) else None
     factor = covariance_factor(covariance)
     dtype = np.float64 if points.dtype != np.float32 else _precision_for(factor, camera, 0.0)
     factor = _in_camera_axes(factor, rotation).astype(dtype)
@@ -106,17 +111,21 @@ def pixel_sigma(points_camera: FloatArray, camera: Camera, rotation: FloatArray,
     lens = _Lens.of(camera, len(flat))
     for first in range(0, len(flat), _CHUNK):
         part = slice(first, first + _CHUNK)
-        result[part] = _sigma(np.ascontiguousarray(flat[part].T, dtype=dtype), camera, factor, "longer_axis", lens=lens)
+        p = np.ascontiguousarray(flat[part].T, dtype=dtype)
+        result[part] = _sigma(p, camera, factor, "longer_axis", lens=lens, joint=joint)
     return result.reshape(points.shape[:-1])
 
 
-def covariance_factor(covariance: FloatArray) -> NDArray[np.float64]:
-    """Return L (6, 6) with covariance = L L^T.
+def covariance_factor(covariance: FloatArray | CameraUncertainty) -> NDArray[np.float64]:
+    """Return L (6, 6), or (6 + K, 6 + K) of pose and camera, with covariance = L L^T.
 
     Raises:
         ShapeError: if it is not (6, 6), finite, symmetric and positive (beyond rounding).
     """
-    S = read_only(covariance, np.float64, (6, 6), "the pose covariance")
+    if isinstance(covariance, CameraUncertainty):
+        S: FloatArray = covariance.covariance
+    else:
+        S = read_only(covariance, np.float64, (6, 6), "the pose covariance")
     if not np.isfinite(S).all():
         raise ShapeError("the pose covariance contains NaN or infinity; it needs 36 finite numbers, rad and m")
     scale = np.sqrt(np.maximum(np.diag(S), 0))
@@ -137,8 +146,8 @@ def _precision_for(factor: FloatArray, camera: Camera, sigma_range_m: float) -> 
 
 
 def _in_camera_axes(factor: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Return the factor of (w, R c)."""
-    return np.vstack([factor[:3], np.asarray(rotation, dtype=np.float64) @ factor[3:]])
+    """Return the factor of (w, R c) and, if there are any, of the intrinsics."""
+    return np.vstack([factor[:3], np.asarray(rotation, dtype=np.float64) @ factor[3:6], factor[6:]])
 
 
 def _sigma(
@@ -149,16 +158,18 @@ def _sigma(
     *,
     lens: _Lens | None,
     along: FloatArray | None = None,
+    joint: CameraUncertainty | None = None,
 ) -> FloatArray:
     """Return the standard deviation (N,) of the pixels of points (3, N) in the camera frame.
 
     Args:
         p: (3, N).
         camera: intrinsics.
-        factor: (6, 6) of (w, R c).
+        factor: (6, 6) of (w, R c), or (6 + K, 6 + K) with the intrinsics of `joint`.
         measure: length returned.
         lens: distortion of the camera; None: no distortion.
         along: (3, N) additional error of each point, one sigma, m.
+        joint: the uncertain intrinsics, if there are any.
     """
     rows = np.empty((2, 6, p.shape[1]), dtype=p.dtype)
     with np.errstate(all="ignore"):
@@ -169,6 +180,8 @@ def _sigma(
         rows[1, 0], rows[1, 1], rows[1, 2] = -1 - y * y, xy, x
         rows[0, 3], rows[0, 4], rows[0, 5] = -inverse_z, 0, x * inverse_z
         rows[1, 3], rows[1, 4], rows[1, 5] = 0, -inverse_z, y * inverse_z
+        if joint is not None:
+            rows = np.concatenate([rows, _by_intrinsics(camera, joint, x, y, lens)], axis=1)
         dx, dy = factor.T @ rows[0], factor.T @ rows[1]
         xx, cross, yy = _dot(dx, dx), _dot(dx, dy), _dot(dy, dy)
         if along is not None:
@@ -186,6 +199,19 @@ def _sigma(
             return np.asarray(np.sqrt(uu + vv))
         half = (uu - vv) / 2
         return np.asarray(np.sqrt((uu + vv) / 2 + np.sqrt(half * half + uv * uv)))
+
+
+def _by_intrinsics(
+    camera: Camera, joint: CameraUncertainty, x: FloatArray, y: FloatArray, lens: _Lens | None
+) -> FloatArray:
+    """Return the shift of the tangents (N,) that has the effect of each intrinsic on the pixel, (2, K, N)."""
+    by_u, by_v = (
+        part.T.astype(x.dtype) for part in np.moveaxis(joint.jacobian(camera, np.stack([x, y], axis=-1)), 1, 0)
+    )
+    if lens is None:
+        return np.stack([by_u / x.dtype.type(camera.fx), by_v / x.dtype.type(camera.fy)])
+    a, b, c, d = lens.slopes(x, y)
+    return np.stack([d * by_u - b * by_v, a * by_v - c * by_u]) / (a * d - b * c)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -50,10 +50,10 @@ def line_case(
     sigma_range_m: float = 0.015,
     slid: int = 0,
     swapped: int = 0,
+    camera: Camera = ROOM_CAMERA,
 ) -> LineCase:
     """Return lines drawn in the room; in the photo, some are shifted along themselves, some have their ends swapped."""
     rng = np.random.default_rng([seed, lines, 77])
-    camera = ROOM_CAMERA
     way = rng.normal(size=3) * [0.3, 1.0, 0.3]
     centre = way / np.linalg.norm(way) * baseline_m
     pan = np.arctan2(centre[1], 4.0 - centre[0])

@@ -1,0 +1,117 @@
+"""What is not known of a camera that was not calibrated, before and after its photograph was registered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ladarreg_core.arrays import FloatArray, read_only
+from ladarreg_core.camera.pinhole import Camera
+from ladarreg_core.errors import ShapeError
+from ladarreg_core.validation import require_number
+
+INTRINSICS = ("focal_px", "k1", "cx", "cy")
+"""Names of the intrinsics that can be uncertain: px, 1, px, px; in the order of `Camera.intrinsics_jacobian`."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPrior:
+    """Standard deviations of what is assumed of a camera of which only the focal length is known.
+
+    Lenses are mounted a per cent or two off the middle of the sensor, and their distortion differs from none by a few
+    per cent of the image at the corners.
+    """
+
+    centre_of_width: float = 0.015
+    """Of the principal point about the middle of the image, each way, as a share of its width; 0: exact."""
+    k1: float = 0.05
+    """Of the distortion coefficient k1 about 0; 0: exact."""
+
+    def __post_init__(self) -> None:
+        require_number(self.centre_of_width, "the camera prior's centre_of_width", least=0, most=1)
+        require_number(self.k1, "the camera prior's k1", least=0, most=10)
+
+    def sigmas(self, camera: Camera) -> dict[str, float]:
+        """Return the standard deviations for a camera, by name; those that are 0 are left out."""
+        centre = self.centre_of_width * camera.width
+        return {name: sigma for name, sigma in (("k1", self.k1), ("cx", centre), ("cy", centre)) if sigma > 0}
+
+
+DEFAULT_CAMERA_PRIOR = CameraPrior()
+"""The default prior."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraUncertainty:
+    """Uncertainty of a pose together with that of its camera, whose errors largely compensate in the image.
+
+    Raises:
+        ShapeError: if a name is unknown, or the covariance is not (6 + K, 6 + K).
+    """
+
+    names: tuple[str, ...]
+    """K of `INTRINSICS`, in their order."""
+    covariance: FloatArray
+    """(6 + K, 6 + K) of (w, c) as `PoseResult.covariance`, then of the intrinsics, true minus estimated."""
+    stated: Mapping[str, float]
+    """Values of the intrinsics before the registration, by name."""
+    prior: Mapping[str, float] = field(default_factory=dict)
+    """Their standard deviations before the registration; those without one were estimated freely."""
+    freed: tuple[str, ...] = ()
+    """Those whose prior the matches contradict, and which were therefore estimated without it."""
+    off: Mapping[str, float] = field(default_factory=dict)
+    """Principal point from the matches alone minus the stated one (`cx`, `cy`), px; empty where unknown."""
+    off_sigma: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations of `off`, px."""
+
+    def __post_init__(self) -> None:
+        if list(self.names) != [name for name in INTRINSICS if name in self.names]:
+            raise ShapeError(
+                f"the uncertain intrinsics are {self.names!r:.80}; they must be among {INTRINSICS}, in order"
+            )
+        size = 6 + len(self.names)
+        covariance = read_only(self.covariance, np.float64, (size, size), "the covariance of pose and camera")
+        object.__setattr__(self, "covariance", covariance)
+
+    @property
+    def sigmas(self) -> dict[str, float]:
+        """Standard deviations of the intrinsics after the registration, by name."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)[6:]).tolist(), strict=True))
+
+    def jacobian(self, camera: Camera, xy: FloatArray) -> FloatArray:
+        """Return the derivative of pixels by the intrinsics, (N, 2, K), at undistorted tangents (N, 2)."""
+        J = camera.intrinsics_jacobian(xy)
+        J[..., 0] /= camera.focal_px
+        return np.asarray(J[..., [INTRINSICS.index(name) for name in self.names]])
+
+    def as_fields(self) -> dict[str, Any]:
+        """Return the fields as JSON-ready values."""
+        return {
+            "names": list(self.names),
+            "covariance": self.covariance.tolist(),
+            "stated": dict(self.stated),
+            "prior": dict(self.prior),
+            "freed": list(self.freed),
+            "off": dict(self.off),
+            "off_sigma": dict(self.off_sigma),
+        }
+
+    @staticmethod
+    def from_fields(fields: Mapping[str, Any]) -> CameraUncertainty:
+        """Return what `as_fields` wrote.
+
+        Raises:
+            ShapeError: if it is damaged.
+        """
+        try:
+            numbers = {
+                name: {str(key): float(value) for key, value in dict(fields.get(name, {})).items()}
+                for name in ("stated", "prior", "off", "off_sigma")
+            }
+            names, freed = (tuple(map(str, part)) for part in (fields["names"], fields.get("freed", ())))
+            return CameraUncertainty(names, np.array(fields["covariance"], np.float64), freed=freed, **numbers)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ShapeError(f"the uncertainty of the camera is damaged ({error})") from None

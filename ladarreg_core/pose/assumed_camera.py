@@ -1,0 +1,161 @@
+"""Poses with a camera that was not calibrated: what is assumed of it becomes part of the uncertainty.
+
+The principal point and k1 have a prior about their stated values (`CameraPrior`). The robust estimator fits them with
+the pose, each prior as one more measurement; for the other estimators, which keep the camera as stated, the errors of
+the camera are propagated into the pose:
+
+    p_true - p = -G (theta_true - theta),   G = H_pp^-1 H_pt
+
+Source: Schmidt, Application of state-space methods to navigation problems (1966), for the latter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import CameraPrior, CameraUncertainty
+from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Matches
+from ladarreg_core.pose.covariance import pose_covariance
+from ladarreg_core.pose.intrinsics import Anchor, Descent, IntrinsicsFit, Noise, estimate_intrinsics, intrinsic
+from ladarreg_core.results import PoseResult
+
+MOST_PRIOR_SIGMAS = 3.0
+"""Offset of the principal point beyond which the photograph was probably cropped, in standard deviations."""
+_DETERMINED = 2.0  # most standard deviation of a cropped photograph's principal point, relative to the prior
+_LEAST_MATCHES = 4
+
+
+def fit_assumed_camera(
+    matches: Matches,
+    stated: Camera,
+    start: IntrinsicsFit | tuple[Camera, Rigid],
+    prior: CameraPrior,
+    *,
+    sigma_px: float,
+    sigma_range_m: float,
+    gate_chi2: float,
+    noise: Noise | None,
+) -> tuple[IntrinsicsFit, CameraUncertainty] | None:
+    """Fit the pose together with the camera; None if nothing of the camera is uncertain.
+
+    Where the matches contradict the prior on the principal point, as for a cropped photograph, they determine it alone.
+
+    Args:
+        matches: M matches, which may contain outliers.
+        stated: the camera as stated, the mean of the prior.
+        start: intrinsics that were estimated without prior, and remain so; or a camera and a pose.
+        prior: the prior.
+        sigma_px: pixel noise, px.
+        sigma_range_m: range noise, m.
+        gate_chi2: largest cost s of an inlier.
+        noise: estimator of the noise if it is not stated.
+    """
+    sigmas = prior.sigmas(stated)
+    free = start.names if isinstance(start, IntrinsicsFit) else ()
+    camera, pose = (start.camera, start.pose) if isinstance(start, IntrinsicsFit) else start
+    if not set(sigmas) - set(free):
+        return None
+    how: dict[str, Any] = {
+        "sigma_px": sigma_px, "sigma_range_m": sigma_range_m, "gate_chi2": gate_chi2, "noise": noise,
+    }  # fmt: skip
+    fit = estimate_intrinsics(matches, camera, pose, "fixed", anchor=Anchor.of(stated, sigmas, free), **how)
+    off, off_sigma = _off_by_matches(fit, stated, sigmas, free)
+    freed: tuple[str, ...] = ()
+    if is_beyond_prior(off, off_sigma, sigmas):
+        freely = Anchor.of(stated, sigmas, (*free, "cx", "cy"))
+        again = estimate_intrinsics(matches, fit.camera, fit.pose, "fixed", anchor=freely, **how)
+        if all(again.sigmas[name] <= _DETERMINED * sigmas[name] for name in off):
+            fit = again
+            off = {name: intrinsic(fit.camera, name) - intrinsic(stated, name) for name in off}
+            off_sigma = {name: fit.sigmas[name] for name in off}
+            freed = tuple(off)
+    left = {name: sigma for name, sigma in sigmas.items() if name not in free}
+    return fit, _uncertainty(fit.names, fit.covariance, stated, left, off, off_sigma, freed)
+
+
+def is_beyond_prior(off: Mapping[str, float], off_sigma: Mapping[str, float], sigmas: Mapping[str, float]) -> bool:
+    """Return whether an offset of the principal point is larger than the prior and its own uncertainty admit."""
+    return any(abs(off[name]) > MOST_PRIOR_SIGMAS * np.hypot(sigmas[name], off_sigma[name]) for name in off)
+
+
+def _off_by_matches(
+    fit: IntrinsicsFit, stated: Camera, sigmas: dict[str, float], free: tuple[str, ...]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the offset of the principal point that the matches alone show, without the prior, and its sigma."""
+    off: dict[str, float] = {}
+    off_sigma: dict[str, float] = {}
+    for name in ("cx", "cy"):
+        if name not in sigmas or name in free:
+            continue
+        before, after = sigmas[name] ** 2, fit.sigmas[name] ** 2
+        share = 1 - after / before  # of the estimate that comes from the matches
+        if share > 1e-6:
+            off[name] = (intrinsic(fit.camera, name) - intrinsic(stated, name)) / share
+            off_sigma[name] = float(np.sqrt(after / share))
+    return off, off_sigma
+
+
+def with_assumed_camera(result: PoseResult, prior: CameraPrior) -> PoseResult:
+    """Return a result with the errors of its camera, as assumed, propagated into its covariance.
+
+    Args:
+        result: a pose by any method, with its covariance for an exact camera.
+        prior: what is assumed of the camera; intrinsics that were estimated with the pose are no longer assumed.
+    """
+    sigmas = {k: v for k, v in prior.sigmas(result.camera).items() if k not in result.camera_sigmas}
+    if not sigmas or result.camera_uncertainty is not None or np.count_nonzero(result.inliers) < _LEAST_MATCHES:
+        return result
+    H, g = _information(result, result.inliers, sigmas)
+    inverse = pose_covariance(H[:6, :6])
+    gain = -inverse @ H[:6, 6:]
+    P = np.diag([sigma**2 for sigma in sigmas.values()])
+    covariance = np.block([[result.covariance + gain @ P @ gain.T, gain @ P], [P @ gain.T, P]])
+    # one step of pose and camera: the principal point that the matches would choose
+    names = list(sigmas)
+    off: dict[str, float] = {}
+    off_sigma: dict[str, float] = {}
+    information = H[6:, 6:] - H[6:, :6] @ inverse @ H[:6, 6:]
+    gradient = g[6:] - H[6:, :6] @ inverse @ g[:6]
+    for name in ("cx", "cy"):
+        if name in names:
+            others = [k for k, other in enumerate(names) if other != name]
+            k = names.index(name)
+            nuisance = information[np.ix_(others, others)] + np.diag(1 / np.diag(P)[others])
+            by_others = np.linalg.solve(nuisance, information[others, k])
+            own = float(information[k, k] - information[k, others] @ by_others)
+            if own > 0:
+                off[name] = float(gradient[k] - gradient[others] @ by_others) / own
+                off_sigma[name] = float(1 / np.sqrt(own))
+    uncertainty = _uncertainty(tuple(names), covariance, result.camera, sigmas, off, off_sigma)
+    return replace(result, covariance=uncertainty.covariance[:6, :6], camera_uncertainty=uncertainty)
+
+
+def _information(result: PoseResult, members: BoolArray, sigmas: dict[str, float]) -> tuple[FloatArray, FloatArray]:
+    """Return the information (6 + K, 6 + K) of the inliers on pose and camera, and the gradient (6 + K,)."""
+    descent = Descent.start(
+        result.matches, result.camera, result.camera_from_scanner, 0,
+        sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m,
+        anchor=replace(Anchor.of(result.camera, sigmas), information=np.zeros(len(sigmas))),
+    )  # fmt: skip
+    H, g, _, _ = descent.normal_equations(members[None].astype(np.float64))
+    return H, g
+
+
+def _uncertainty(
+    names: tuple[str, ...],
+    covariance: FloatArray,
+    stated: Camera,
+    prior: dict[str, float],
+    off: dict[str, float],
+    off_sigma: dict[str, float],
+    freed: tuple[str, ...] = (),
+) -> CameraUncertainty:
+    values = {name: stated.focal_px if name == "focal_px" else intrinsic(stated, name) for name in names}
+    return CameraUncertainty(names, (covariance + covariance.T) / 2, values, prior, freed, off, off_sigma)
