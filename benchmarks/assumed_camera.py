@@ -70,7 +70,7 @@ def automatic_row(seed: int) -> Row:
     rng = np.random.default_rng([seed, 4712])
     width, height = _CROPPED
     sigmas = DEFAULT_CAMERA_PRIOR.sigmas(Camera.from_focal(width, height, 974.0))
-    case = simulate_case(SCENES[seed % len(SCENES)], seed=700 + seed, k1=float(rng.normal() * sigmas["k1"]))
+    case = simulate_case(sorted(SCENES)[seed % len(SCENES)], seed=700 + seed, k1=float(rng.normal() * sigmas["k1"]))
     wide = case.photo.pixels
     room = ((wide.shape[1] - width) / 2, (wide.shape[0] - height) / 2)
     left, top = (
