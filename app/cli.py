@@ -17,6 +17,7 @@ from .stop_signals import forget_interrupt, interrupt_on_stop_signals
 COMMANDS = {
     "register": "Register a scan with a photo: pose, registered image, textured model.",
     "compare": "Compare the thesis's stages with the default method: table and contact sheet.",
+    "report": "Write the report of a result or project: one HTML file, to read and to print.",
     "info": "Describe a scan, photo, camera, pose or matches file.",
     "selftest": "Estimate, before fieldwork, how well a scan and a camera will register.",
     "simulate": "Write a synthetic scan and photo with their true pose.",

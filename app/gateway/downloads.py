@@ -1,4 +1,4 @@
-"""Downloads: pictures of the scan, the photographs and their overlays, and zips of exported results."""
+"""Downloads: pictures of the scan, the photographs and their overlays, zips of exported results, and reports."""
 
 from __future__ import annotations
 
@@ -15,6 +15,11 @@ from .protocol import Workbench
 _MAX_CONCURRENT = 2
 _HOUR_S = 3600
 _CLIENT_CLOSED_REQUEST = 499
+_REPORT_POLICY = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
+"""Content security policy of a report, which needs nothing but its own styles and pictures."""
 
 
 class Pictures:
@@ -49,10 +54,10 @@ class Pictures:
 
 
 class Exports:
-    """Serves `/export/PHOTO.zip`.
+    """Serves `/export/PHOTO.zip` and `/export/PHOTO.html`.
 
     Args:
-        workbench: has the latest export of each photograph.
+        workbench: has the latest export and the latest report of each photograph.
     """
 
     def __init__(self, workbench: Workbench) -> None:
@@ -66,4 +71,15 @@ class Exports:
         path, name = found
         return FileResponse(
             path, filename=name, media_type="application/zip", headers={"cache-control": "private, no-cache"}
+        )
+
+    async def serve_report(self, request: Request) -> Response:
+        """Return the latest report of a photograph, to be shown in a tab of its own."""
+        found = await run_in_threadpool(self._workbench.report_file, request.path_params["photo"])
+        if found is None or not found[0].is_file():
+            return PlainTextResponse("This photograph has no report yet; write one first.\n", status_code=404)
+        path, name = found
+        headers = {"cache-control": "private, no-cache", "content-security-policy": _REPORT_POLICY}
+        return FileResponse(
+            path, filename=name, media_type="text/html", content_disposition_type="inline", headers=headers
         )

@@ -101,5 +101,8 @@ class Workbench(Protocol):
         The workbench owns the file from then on: it removes files that it refuses, but never those of the project.
         """
 
+    def report_file(self, photo: str) -> tuple[Path, str] | None:
+        """Return the latest report of a photograph and its download name."""
+
     def export_file(self, photo: str) -> tuple[Path, str] | None:
         """Return the latest export of a photograph and its download name."""

@@ -71,6 +71,7 @@ def build_site(
             Route("/picture/{path:path}", Pictures(workbench).serve),
             Route("/upload", Uploads(workbench, clients).serve, methods=["POST"]),
             Route("/export/{photo}.zip", Exports(workbench).serve),
+            Route("/export/{photo}.html", Exports(workbench).serve_report),
             Route("/viser", to_viser),
             Route("/viser/{path:path}", proxy.page),
             WebSocketRoute("/viser", proxy.websocket),

@@ -1,4 +1,4 @@
-"""The export jobs: a zip to download, or a folder, with the files that the command line writes."""
+"""The export jobs: a zip to download, a folder with the files that the command line writes, or the report alone."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import OptionError
 
+from ..session.exported import ExportedPose, exported_pose
 from .inputs import Inputs, Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
     from ladarreg_core.export.folder import FileJob
-    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
+    from ladarreg_core.project.document import Document, PhotoEntry
 
 Work = Callable[[Inputs, JobContext], str]
 
@@ -46,6 +47,18 @@ class ExportJobs:
         target = self.zip_path(inputs.entry.id)
         write_zip(target, lambda: self._files(inputs), report=context.progress)
         return f"Wrote a zip of {_size(target.stat().st_size)}."
+
+    def report_path(self, photo: str) -> Path:
+        """Return the path of a photograph's report."""
+        return self._workspace.session.folder.exports / f"{photo}.html"
+
+    def report(self, inputs: Inputs, context: JobContext) -> str:
+        """Write the report, which states by itself if the pose is refused or out of date."""
+        pose = self._pose(inputs)
+        context.check()
+        target = self.report_path(inputs.entry.id)
+        pose.write_report(target, inputs.scan, inputs.photo)
+        return f"Wrote a report of {_size(target.stat().st_size)}."
 
     def check_folder(self, folder: Path, document: Document, *, force: bool) -> None:
         """Refuse a folder that must not be written or replaced.
@@ -80,22 +93,21 @@ class ExportJobs:
         from ladarreg_core.export.folder import registration_files
         from ladarreg_core.export.replacement import MATCHES_FILE
         from ladarreg_core.formats.matches_file import write_matches
-        from ladarreg_core.project.staleness import rests_on
 
-        pose = self._pose(inputs.entry)
-        loader, folder = self._workspace.loader, self._workspace.session.folder
-        sources = [inputs.document.scan, inputs.entry.source, inputs.entry.camera.file]
-        stale, then = loader.stale(inputs.entry, pose), loader.solved_on(pose)
-        picks = [pick.as_pick() for pick in (then if stale and then is not None else inputs.entry.picks)]
+        pose = self._pose(inputs)
         files = registration_files(
-            loader.registration(pose),
+            pose.registration,
             inputs.scan,
             inputs.photo,
-            inputs=[folder.source_path(source.path) for source in sources if source is not None],
-            assessment=loader.assessment(inputs.scan, pose),
-            rests_on=None if then is None else rests_on(inputs.entry, pose, then),
+            inputs=pose.inputs,
+            assessment=pose.assessment,
+            rests_on=pose.rests_on,
         )
-        return [*files, (MATCHES_FILE, lambda path: write_matches(path, picks))] if picks else files
+        return [*files, (MATCHES_FILE, lambda path: write_matches(path, pose.picks))] if pose.picks else files
+
+    def _pose(self, inputs: Inputs) -> ExportedPose:
+        workspace = self._workspace
+        return exported_pose(workspace.loader, workspace.session.folder, inputs.document, inputs.entry, inputs.scan)
 
     @property
     def _projects(self) -> list[Path]:
@@ -108,16 +120,11 @@ class ExportJobs:
             sources += [entry.source, entry.camera.file]
         return [self._workspace.session.folder.source_path(source.path) for source in sources if source is not None]
 
-    def _pose(self, entry: PhotoEntry) -> PoseEntry:
-        if entry.pose is None:
-            raise OptionError("there is no pose to export; solve first")
-        return entry.pose
 
-
-def download_name(project: str, photo: str) -> str:
-    """Return the name of a zip, in ASCII letters, digits, dots, hyphens and underscores."""
+def download_name(project: str, photo: str, *, ending: str = ".zip") -> str:
+    """Return the name of a downloaded file, in ASCII letters, digits, dots, hyphens and underscores."""
     words = re.sub(r"[^A-Za-z0-9._-]+", "-", f"{project}-{photo}").strip("-.")
-    return f"{words[:80] or 'registration'}.zip"
+    return f"{words[:80] or 'registration'}{ending}"
 
 
 def _size(count: int) -> str:

@@ -73,6 +73,7 @@ class JobRegistry:
             "compare": JobKind("Compare all stages", self._registration.compare),
             "self_test": JobKind("Self-test", self._registration.self_test),
             "export": JobKind("Export", self._export_zip),
+            "report": JobKind("Report", self._write_report),
         }
 
     def run(self, name: str, photo: object, author: str, *, last_solved: bool = False) -> str:
@@ -112,6 +113,16 @@ class JobRegistry:
         path = self._exports.zip_path(entry.id)
         return (path, download_name(document.name, Path(entry.source.name).stem)) if path.is_file() else None
 
+    def report_file(self, photo: str) -> tuple[Path, str] | None:
+        """Return the last report of a photograph and its download name; None before there is one."""
+        document = self._workspace.session.document
+        entry = document.photo(photo)
+        if entry is None:
+            return None
+        path = self._exports.report_path(entry.id)
+        name = download_name(document.name, Path(entry.source.name).stem, ending="-report.html")
+        return (path, name) if path.is_file() else None
+
     def _require_current(self, photo: object, *, last_solved: bool) -> None:
         entry = require_photo(self._workspace.session.document, photo)
         self._exports.require_current(entry, last_solved=last_solved)
@@ -136,6 +147,12 @@ class JobRegistry:
     def _export_zip(self, inputs: Inputs, context: JobContext) -> str:
         sentence = self._exports.export(inputs, context)
         self._publish_event({"event": "export_ready", "photo": inputs.entry.id, "url": f"export/{inputs.entry.id}.zip"})
+        return sentence
+
+    def _write_report(self, inputs: Inputs, context: JobContext) -> str:
+        sentence = self._exports.report(inputs, context)
+        url = f"export/{inputs.entry.id}.html"
+        self._publish_event({"event": "report_ready", "photo": inputs.entry.id, "url": url})
         return sentence
 
     def _show_frame(self, frame: Frame) -> None:

@@ -159,6 +159,10 @@ class Desk:
                 raise OptionError("another project was opened during the upload; drop the file again")
             return workbench.take_upload(path, name, what, photo, client)
 
+    def report_file(self, photo: str) -> tuple[Path, str] | None:
+        """Return the latest report of a photograph and its download name."""
+        return self._workbench.report_file(photo)
+
     def export_file(self, photo: str) -> tuple[Path, str] | None:
         """Return the last zip of a photograph and its download name; None before there is one."""
         return self._workbench.export_file(photo)

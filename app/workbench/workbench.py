@@ -178,6 +178,10 @@ class Workbench:
             return self.batches.take(path, name)
         return self.files.take(path, name, what, photo, client)
 
+    def report_file(self, photo: str) -> tuple[Path, str] | None:
+        """Return the latest report of a photograph and its download name."""
+        return self.jobs.report_file(photo)
+
     def export_file(self, photo: str) -> tuple[Path, str] | None:
         """Return the last zip of a photograph and its download name; None before there is one."""
         return self.jobs.export_file(photo)

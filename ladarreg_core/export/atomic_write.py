@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from ladarreg_core.errors import ExportError
@@ -23,6 +24,26 @@ def write_bytes(path: str | Path, data: bytes) -> None:
             os.fsync(file.fileno())
     except OSError as error:
         raise cannot_write(path, error) from None
+
+
+@contextlib.contextmanager
+def replaced_file(path: str | Path) -> Iterator[Path]:
+    """Give a temporary path beside a file, which replaces the file in one step unless an exception is raised.
+
+    Raises:
+        ExportError: if the file cannot be replaced.
+    """
+    target = Path(os.path.abspath(path))
+    new = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        yield new
+        os.replace(new, target)
+        sync_folder(target.parent)
+    except OSError as error:
+        raise cannot_write(target, error) from None
+    finally:
+        with contextlib.suppress(OSError):
+            new.unlink()
 
 
 class AppendedFile:

@@ -209,6 +209,25 @@ def input_document(path: Path) -> dict[str, Any]:
     return {"name": path.name, "size": size, "sha256": digest.hexdigest()}
 
 
+def find_inputs(recorded: Sequence[Mapping[str, Any]], folders: Sequence[Path]) -> list[Path]:
+    """Return the files of input documents, found in folders by their names and recognised by their SHA-256.
+
+    Raises:
+        ExportError: if one is not found, or only files of its name with another content.
+    """
+    found = []
+    for record in recorded:
+        name = Path(str(record.get("name"))).name
+        there = [folder / name for folder in dict.fromkeys(folders) if (folder / name).is_file()]
+        same = (path for path in there if input_document(path)["sha256"] == record.get("sha256"))
+        path = next(same, None)
+        if path is None:
+            why = f"{there[0]} differs from it (another SHA-256)" if there else "there is no such file"
+            raise ExportError(f"the input {name} is needed, but {why}; give its folder with --inputs")
+        found.append(path)
+    return found
+
+
 def plain(value: Any) -> Any:
     """Convert a value to plain JSON values: dicts, lists, strings, finite numbers, None."""
     if value is None or isinstance(value, (str, bool)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, cast, get_args
 
 import numpy as np
@@ -17,6 +18,10 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.results import STATED_OFFSET_SIGMA_M, STATED_OFFSET_SIGMA_RAD, Evidence, Offset, Registration
 
 _ASYMMETRY = 1e-6
+_MATCH_COLUMNS: dict[str, tuple[int, ...]] = {
+    "ray": (-1, 3), "uv": (-1, 2), "range_m": (-1,),
+    "residual_px": (-1, 2), "residual_m": (-1,), "stereo_depth_error_m": (-1,),
+}  # fmt: skip
 
 
 def read_registration(path: PathLike) -> Registration:
@@ -54,6 +59,56 @@ def read_registration(path: PathLike) -> Registration:
             reasons=tuple(reasons),
             method=one_line(fields.get("method", "auto"), 40),
         )
+
+
+def read_result(path: PathLike) -> tuple[Registration, dict[str, Any]]:
+    """Read a `registration.json` with its matches, and return the whole document, too.
+
+    Raises:
+        FormatError: if it is not such a file, or a number in it is invalid.
+        CameraError: if its camera is invalid.
+    """
+    registration = read_registration(path)
+    with reading(path) as file:
+        document = read_json_object(file, "a registration")
+        try:
+            listed = document["matches"]
+            columns = {
+                name: np.array([_undefined(item[name]) for item in listed], dtype=np.float64).reshape(shape)
+                for name, shape in _MATCH_COLUMNS.items()
+            }
+            matches = Matches(
+                columns["ray"], columns["range_m"], columns["uv"], tuple(str(item["pick_id"]) for item in listed)
+            )
+            inliers = np.array([item["inlier"] is True for item in listed], dtype=np.bool_)
+        except (KeyError, TypeError, ValueError) as error:
+            raise FormatError(
+                f"the field 'matches' is damaged ({one_line(error, 60)}); give an unmodified registration.json"
+            ) from None
+        chi2 = document["sigma"].get("chi2_per_dof") if isinstance(document.get("sigma"), dict) else None
+        return replace(
+            registration,
+            matches=matches,
+            inliers=inliers,
+            residuals_px=columns["residual_px"],
+            residuals_m=columns["residual_m"],
+            stereo_depth_error_m=columns["stereo_depth_error_m"],
+            chi2_per_dof=float(chi2) if isinstance(chi2, int | float) else float("nan"),
+            camera_sigmas=_sigmas(document.get("camera_sigmas")),
+        ), document
+
+
+def _undefined(value: Any) -> Any:
+    """Return a value or a list of values with NaN in place of null."""
+    if isinstance(value, list):
+        return [_undefined(item) for item in value]
+    return float("nan") if value is None else value
+
+
+def _sigmas(found: Any) -> dict[str, float]:
+    if not isinstance(found, dict):
+        return {}
+    return {str(name): float(value) for name, value in found.items() if isinstance(value, int | float)}
 
 
 def read_offset(path: PathLike) -> Offset:

@@ -116,6 +116,10 @@ class CountingWorkbench:
         self.taken.append((name, what, photo, data, client))
         return f"u{len(self.taken)}"
 
+    def report_file(self, photo: str) -> tuple[Path, str] | None:
+        path = self.room / f"{photo}.html"
+        return (path, "wände.html") if photo == "p1" and path.is_file() else None
+
     def export_file(self, photo: str) -> tuple[Path, str] | None:
         path = self.room / f"{photo}.zip"
         return (path, "wände.zip") if photo == "p1" and path.is_file() else None

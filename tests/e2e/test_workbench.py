@@ -282,6 +282,24 @@ def test_the_whole_workflow(operator: Operator, browser: Browser, tmp_path: Path
     operator.shot("exported")
 
 
+def test_the_report_opens_in_a_tab_of_its_own(operator: Operator) -> None:
+    """Its policy lets in nothing but its own styles and pictures, and these suffice."""
+    page = operator.page
+    if operator.slice("photos")[0]["state"] != "accepted":
+        operator.socket.ask("run", photo="p1", job="auto")
+        operator.wait(lambda: operator.slice("photos")[0]["state"] == "accepted", "registered", 240)
+    operator.step("Export")
+    operator.button("Write report").click()
+    with page.expect_popup() as opened:
+        page.get_by_role("link", name="Open the report").click(timeout=120_000)
+    report = opened.value
+    report.get_by_role("heading", name="The worst matches, enlarged").wait_for()
+    sizes = report.evaluate("[...document.images].map((image) => image.naturalWidth)")
+    assert len(sizes) >= 8
+    assert min(sizes) > 0, "the policy lets every embedded picture in"
+    report.close()
+
+
 @pytest.mark.with_model
 def test_the_model_has_the_colours_of_its_texture(operator: Operator) -> None:
     """Coloured by the registered photograph; gray with the intensity texture."""

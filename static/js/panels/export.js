@@ -48,6 +48,8 @@ export const mountExport = () => {
   const verdict = element("div", {});
   const zip = button({ label: "Download zip", kind: "primary", icon: "download", act: () => download() });
   const ready = element("a", { class: "ready", hidden: true, download: "" }, "Save the finished zip");
+  const report = button({ label: "Write report", icon: "file", act: () => writeReport() });
+  const written = element("a", { class: "ready", hidden: true, target: "_blank", rel: "noopener" }, "Open the report");
   const id = newId("field");
   const folder = element(
     "input",
@@ -93,7 +95,7 @@ export const mountExport = () => {
     "section",
     { class: "dock-part export-part", "aria-label": "Export" },
     element("div", { class: "part-head" }, element("h2", {}, "Export")),
-    element("div", { class: "part-body" }, verdict, lastRow, element("div", { class: "row" }, zip, ready), form),
+    element("div", { class: "part-body" }, verdict, lastRow, element("div", { class: "row" }, zip, ready, report, written), form),
   );
   const files = element("ul", { class: "export-list" });
   const right = element(
@@ -108,6 +110,15 @@ export const mountExport = () => {
     requested = store.shown();
     if (!(await requestForPhoto("run", { job: "export", last_solved: last.checked }))) requested = null;
   };
+  const writeReport = async () => {
+    written.hidden = true;
+    await requestForPhoto("run", { job: "report" });
+  };
+  store.onEvent("report_ready", ({ photo, url }) => {
+    if (photo !== store.shown()) return;
+    written.href = url;
+    written.hidden = false;
+  });
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     const name = folder.value.trim();
@@ -130,7 +141,7 @@ export const mountExport = () => {
     requested = null;
   });
   store.on("shown", () => {
-    ready.hidden = true;
+    ready.hidden = written.hidden = true;
   });
   last.addEventListener("change", () => show());
 
@@ -144,6 +155,8 @@ export const mountExport = () => {
     const outdated = stale && !last.checked;
     zip.disabled = write.disabled = !stage || busy || Boolean(outdated);
     zip.title = stage ? (busy ? "A job is running" : outdated ? "Solve again first" : "") : "Solve first";
+    report.disabled = !stage || busy;
+    report.title = stage ? (busy ? "A job is running" : "The report alone, to read and to print") : "Solve first";
     const text = !stage
       ? "There is no pose yet: solve first, or register automatically."
       : stale

@@ -235,6 +235,17 @@ def test_an_export_is_downloaded_under_its_name(run: Running) -> None:
     assert run.ask("GET", "/export/p2.zip")[0] == 404
 
 
+def test_a_report_is_shown_and_can_load_and_run_nothing(run: Running) -> None:
+    assert run.ask("GET", "/export/p1.html")[0] == 404
+    (run.bench.room / "p1.html").write_bytes(b"<!DOCTYPE html>")
+    status, headers, body = run.ask("GET", "/export/p1.html")
+    assert (status, headers["content-type"], body) == (200, "text/html; charset=utf-8", b"<!DOCTYPE html>")
+    assert headers["content-disposition"] == "inline; filename*=utf-8''w%C3%A4nde.html"
+    assert headers["content-security-policy"].startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline'")
+    assert "script" not in headers["content-security-policy"]
+    assert run.ask("GET", "/export/p2.html")[0] == 404
+
+
 @pytest.mark.parametrize("path", ["/", "/tokens.css", "/static/tokens.css"])
 def test_the_pages_files_are_revalidated(run: Running, path: str) -> None:
     status, headers, body = run.ask("GET", path)

@@ -1,0 +1,78 @@
+"""A photograph's pose with everything that an export or a report of it states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ladarreg_core.errors import OptionError
+
+from .loader import Loader
+
+if TYPE_CHECKING:
+    from ladarreg_core.matches import Pick
+    from ladarreg_core.photo import Photo
+    from ladarreg_core.project.document import Document, PhotoEntry
+    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.quality.assessment import Assessment
+    from ladarreg_core.results import Registration
+    from ladarreg_core.scan import Scan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportedPose:
+    """The shown pose of a photograph."""
+
+    registration: Registration
+    """The pose."""
+    assessment: Assessment
+    """Its assessment."""
+    inputs: Sequence[Path]
+    """The files of the scan, the photograph and its camera, in this order."""
+    picks: Sequence[Pick]
+    """The matches that belong to it: the present ones, or those that it was solved on if it is out of date."""
+    rests_on: Mapping[str, Any] | None
+    """The matches that it was solved on, and whether they are still the same; None: not known."""
+
+    def write_report(self, path: Path, scan: Scan, photo: Photo) -> None:
+        """Write its report, which replaces a file of this name in one step.
+
+        Raises:
+            LadarregError: if an input cannot be read again, or the file cannot be written.
+        """
+        from ladarreg_core.export.atomic_write import replaced_file
+        from ladarreg_core.export.json import registration_document
+        from ladarreg_core.export.report import write_report
+
+        document = registration_document(self.registration, assessment=self.assessment, inputs=self.inputs)
+        if self.rests_on is not None:
+            document = {**document, "rests_on": self.rests_on}
+        with replaced_file(path) as new:
+            write_report(new, self.registration, scan, photo, document)
+
+
+def exported_pose(
+    loader: Loader, folder: ProjectFolder, document: Document, entry: PhotoEntry, scan: Scan
+) -> ExportedPose:
+    """Return the shown pose of a photograph.
+
+    Raises:
+        OptionError: if there is none.
+        LadarregError: if its matches are missing or damaged.
+    """
+    from ladarreg_core.project.staleness import rests_on
+
+    pose = entry.pose
+    if pose is None:
+        raise OptionError("there is no pose to export; solve first")
+    sources = [document.scan, entry.source, entry.camera.file]
+    stale, then = loader.stale(entry, pose), loader.solved_on(pose)
+    return ExportedPose(
+        loader.registration(pose),
+        loader.assessment(scan, pose),
+        [folder.source_path(source.path) for source in sources if source is not None],
+        [pick.as_pick() for pick in (then if stale and then is not None else entry.picks)],
+        None if then is None else rests_on(entry, pose, then),
+    )
