@@ -21,6 +21,7 @@ from ..session.loader import Loader
 from ..session.session import Session
 from .batches import Batches
 from .clients import Client, Clients, valid_name
+from .embedded import EmbeddedPictures
 from .files import Files
 from .queries import Queries
 from .selection import Selection
@@ -48,6 +49,7 @@ class Context(Protocol):
     queries: Queries
     files: Files
     batches: Batches
+    embedded: EmbeddedPictures
     runner: JobRunner
     jobs: JobRegistry
 
@@ -300,6 +302,14 @@ def open_files(context: Context, client: Client, fields: Fields) -> Reply:
     return context.batches.open(file_ids(fields), replace_scan=replaces, photo=photo, client=client)
 
 
+def add_embedded(context: Context, client: Client, fields: Fields) -> Reply:
+    """Add pictures embedded in the scan's file as photographs."""
+    images = fields.get("images")
+    if not isinstance(images, list) or not images or not all(type(each) is int for each in images):
+        raise OptionError("no pictures are chosen; choose some of the scan's")
+    return {"photos": context.embedded.add(images, client)}
+
+
 def discard_files(context: Context, client: Client, fields: Fields) -> Reply:
     """Delete uploaded files that are not open."""
     context.batches.discard(file_ids(fields))
@@ -373,7 +383,7 @@ COMMANDS: dict[str, Command] = {
     for command in (
         add_pick, set_pick, remove_picks, switch_picks, reject, set_camera, set_settings, rename, remove_photo,
         use_stage, undo, redo, go_to, show_photo, set_model, call_me, hover_pick, open_served, list_served, open_files,
-        discard_files, predict, where, snap, sample_line, probe, run, job_control, export_folder,
+        add_embedded, discard_files, predict, where, snap, sample_line, probe, run, job_control, export_folder,
     )
 }  # fmt: skip
 

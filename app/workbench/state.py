@@ -135,6 +135,8 @@ def photo_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
         log.exception("the photograph %s cannot be loaded", entry.id)
         problem = f"it cannot be read ({type(error).__name__}); remove it, or open it again"
         return {**found, "width": 0, "height": 0, "thermal": False, "error": problem}
+    if entry.stated_pose is not None:
+        found["stated_pose"] = [list(row) for row in entry.stated_pose]
     height, width = photo.pixels.shape[:2]
     found.update(width=width, height=height, thermal=photo.temperature_k is not None, notes=list(photo.notes))
     pose = entry.pose

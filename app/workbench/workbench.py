@@ -24,6 +24,7 @@ from ..session.session import RETRY_S, Change, Session
 from .batches import ANY, Batches
 from .clients import Client, Clients
 from .commands import answer
+from .embedded import EmbeddedPictures
 from .files import Files
 from .images import Images
 from .pose_state import judged_slice, poses_slice, stage_state
@@ -97,6 +98,7 @@ class Workbench:
         self.scene_sync = SceneSync(session, loader, self.selection)
         self.files = Files(session, loader, self.queries, self.selection, served)
         self.batches = Batches(session, loader, self.files, self.selection, self._publish)
+        self.embedded = EmbeddedPictures(session, loader, self.selection)
         self.runner = JobRunner(self._job_changed)
         workspace = Workspace(session, loader)
         self.jobs = JobRegistry(workspace, self.runner, self.scene_sync.watch_simplex, self.publish_event)
@@ -258,6 +260,7 @@ class Workbench:
             "served": self.files.served_slice(),
             "waiting": self.batches.slice(),
             "formats": formats_slice(),
+            "embedded": self.embedded.slice(),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MOST_PHOTOS},
         }
         for entry in document.photos:

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ladarreg_core.arrays import ByteArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, ExportError, FormatError
 from ladarreg_core.formats.camera_file import write_camera
 from ladarreg_core.formats.e57 import e57_file
-from ladarreg_core.formats.e57_header import E57ImageInfo, E57Info, read_e57_info
+from ladarreg_core.formats.e57_header import SIGNATURE, E57ImageInfo, E57Info, read_e57_info, sniff_e57
 from ladarreg_core.formats.pose_file import write_pose
 from ladarreg_core.formats.untrusted import PathLike, reading
 from ladarreg_core.frames import Rigid
@@ -30,6 +31,66 @@ class ExtractedImage:
     """Camera file; None where the E57 gives no usable camera."""
     pose: Path | None
     """Pose file (`camera_from_scanner`); None where the E57 gives no pose."""
+
+
+@dataclass(frozen=True, slots=True)
+class EmbeddedImage:
+    """One embedded image as it offers itself, before it is extracted."""
+
+    name: str
+    """File name for it."""
+    said: str
+    """What the file states of it, in one line."""
+    is_perspective: bool
+    """Whether it may be registered: panoramas may not."""
+    camera: Camera | None
+    """Camera; None where the file gives no usable one."""
+    camera_from_scanner: Rigid | None
+    """Pose; None where the file gives none."""
+
+
+def embedded_images(path: PathLike) -> tuple[EmbeddedImage, ...]:
+    """Return the images embedded in a scan's file, in its order; none if it is not an E57.
+
+    Raises:
+        FormatError: if it is damaged.
+    """
+    with reading(path) as file:
+        with open(file, "rb") as stream:
+            if not sniff_e57(stream.read(len(SIGNATURE))):
+                return ()
+        info = read_e57_info(file)
+        return tuple(_offer(number, image, info) for number, image in enumerate(info.images, 1))
+
+
+def embedded_data(path: PathLike, index: int) -> ByteArray:
+    """Return the content of an embedded image's file.
+
+    Raises:
+        FormatError: if there is no such image, or it is damaged.
+    """
+    with reading(path) as file:
+        images = read_e57_info(file).images
+        if not 0 <= index < len(images):
+            raise FormatError(f"there is no image {index} in it; it has {len(images)}")
+        with e57_file(file) as image_file:
+            return np.frombuffer(_blob(image_file, images[index]), np.uint8)
+
+
+def _offer(number: int, image: E57ImageInfo, info: E57Info) -> EmbeddedImage:
+    camera, pose = camera_of_image(image), camera_from_scanner_of(image, info)
+    words = [f"{image.width} x {image.height}"]
+    is_perspective = image.kind in ("pinhole", "visual reference")
+    if not is_perspective:
+        words.append(f"{image.kind}, which is not registered")
+    elif camera is None:
+        words.append("no camera is stated")
+    else:
+        words.append(f"f {camera.focal_px:.0f} px as stated")
+    if pose is not None:
+        words.append(f"pose stated, {np.linalg.norm(pose.inverse.translation):.2f} m from the scanner")
+    name = f"{_slug(image.name) if image.name else number}.{'jpg' if image.format == 'jpeg' else 'png'}"
+    return EmbeddedImage(name, ", ".join(words), is_perspective, camera, pose)
 
 
 def extract_images(path: PathLike, folder: PathLike) -> list[ExtractedImage]:

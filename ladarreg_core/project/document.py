@@ -141,6 +141,8 @@ class PhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Image file."""
     camera: CameraGiven = CameraGiven()
     """Camera data given by the operator."""
+    stated_pose: Rows | None = None
+    """Pose `camera_from_scanner` (4, 4) that the scan's file states for this picture, which nobody has verified."""
     picks: tuple[PickEntry, ...] = ()
     """Picks in the order of their creation."""
     numbered: int = 0

@@ -33,11 +33,13 @@ WEIGHTS = 1e-6, 1e6
 
 def with_scan(document: Document, scan: Source) -> Document:
     """Return the document with another scan, without the picks and poses that belong to the old one."""
-    photos = tuple(replace(p, picks=(), poses=(), shown_stage=None) for p in document.photos)
+    photos = tuple(replace(p, picks=(), poses=(), shown_stage=None, stated_pose=None) for p in document.photos)
     return replace(document, scan=scan, photos=photos)
 
 
-def with_photo(document: Document, source: Source, camera: CameraGiven | None = None) -> tuple[Document, str]:
+def with_photo(
+    document: Document, source: Source, camera: CameraGiven | None = None, *, stated_pose: Rows | None = None
+) -> tuple[Document, str]:
     """Return the document with an additional photograph, and its id.
 
     Raises:
@@ -48,7 +50,7 @@ def with_photo(document: Document, source: Source, camera: CameraGiven | None = 
             f"the project has {MOST_PHOTOS} photographs, which is the maximum; remove one, or start another project"
         )
     number = document.numbered + 1
-    photo = PhotoEntry(id=f"p{number}", source=source, camera=camera or CameraGiven())
+    photo = PhotoEntry(id=f"p{number}", source=source, camera=camera or CameraGiven(), stated_pose=stated_pose)
     return replace(document, photos=(*document.photos, photo), numbered=number), photo.id
 
 

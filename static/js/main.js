@@ -8,6 +8,7 @@ import { ask, connect, connectionState, fullReason, onConnection } from "./net/c
 import { rememberPhoto } from "./net/identity.js";
 import { store } from "./net/store.js";
 import { acceptDrops } from "./panels/drop.js";
+import { offeredPictures } from "./panels/embedded_pictures.js";
 import { openFiles } from "./panels/files.js";
 import { mountHeader } from "./panels/header.js";
 import { mountModelPane } from "./panels/model_pane.js";
@@ -50,6 +51,14 @@ acceptDrops(floating);
 
 store.on("shown", rememberPhoto);
 store.onEvent("notice", ({ text, level }) => notice(text, level));
+
+/** A scan may bring its own pictures: offer them where the dialog does not. */
+store.on("embedded", () => {
+  const count = offeredPictures().length;
+  if (!count || store.get("photos")?.length || document.querySelector("dialog[open]")) return;
+  const pictures = count === 1 ? "a picture" : `${count} pictures`;
+  notice(`The scan contains ${pictures}, which may be used as photographs.`, "info", { label: "Show", act: () => openFiles() });
+});
 
 /** A running job disappears only if the workbench has stopped. */
 let running = null;

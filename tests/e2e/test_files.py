@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,6 +14,8 @@ from ladarreg_core.simulate.sample import sample_folder
 from tests.app.workbench.test_batches import depth_scan
 from tests.e2e.audits import hard_to_read
 from tests.e2e.test_newcomer import SLICE, drop, opened, started
+from tests.formats.conftest import e57_fields, e57_file, make_scan
+from tests.formats.test_e57 import picture_e57
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -26,8 +29,15 @@ def shot(page: Page, name: str) -> None:
         page.screenshot(path=f"{folder}/{name}.png")
 
 
+def with_picture(folder: Path) -> Path:
+    """Write an E57 with an embedded picture."""
+    builders = SimpleNamespace(e57=e57_file, e57_fields=e57_fields)
+    return picture_e57(folder / "hall.e57", builders, make_scan(60, 90))[0]
+
+
 def test_a_dropped_batch(browser: Browser, tmp_path: Path) -> None:
-    """A descriptor without one of its images waits; the image completes it; a second scan is a question."""
+    """A descriptor waits for its image; a second scan is a question, or a project that offers the scan's picture."""
+    pytest.importorskip("pye57")
     photo, scan = next(sample_folder().glob("photo.*")).read_bytes(), (sample_folder() / "scan.npz").read_bytes()
     camera = (sample_folder() / "camera.json").read_bytes()
     parts = depth_scan()
@@ -41,6 +51,7 @@ def test_a_dropped_batch(browser: Browser, tmp_path: Path) -> None:
         waits = dialog.get_by_role("list", name="Files that wait")
         waits.get_by_text("The descriptor names depth.png, which was not among the files: drop it as well.").wait_for()
         assert waits.get_by_role("button", name="Open").count() == 0, "neither part can be opened alone"
+        dialog.get_by_text("Opened as camera.").wait_for()
         assert [each["camera"]["calibrated"] for each in page.evaluate(SLICE, "photos")] == [True]
         shot(page, "batch-waits")
         for theme in ("dark", "light"):
@@ -59,4 +70,15 @@ def test_a_dropped_batch(browser: Browser, tmp_path: Path) -> None:
         page.keyboard.press("Enter")  # from the first answer, which has the focus, to the second
         dialog.wait_for(state="hidden")
         assert page.evaluate(SLICE, "scan")["name"] == "other.dat"
+
+        drop(page, "#scan-pane .pane-body", {"hall.e57": with_picture(tmp_path).read_bytes()})
+        question.get_by_role("button", name="New project with it").click()
+        page.get_by_text("The scan contains a picture").wait_for()
+        page.get_by_role("button", name="Show", exact=True).click()
+        offer = dialog.get_by_role("list", name="Pictures in the scan")
+        offer.get_by_text("pose stated").wait_for()
+        shot(page, "embedded")
+        offer.get_by_role("button", name="Add front_door.jpg").press("Enter")
+        offer.get_by_text("Added").wait_for()
+        assert [each["name"] for each in page.evaluate(SLICE, "photos")] == ["front_door.jpg"]
         context.close()

@@ -156,6 +156,7 @@ class _Decoder:
 def _records() -> dict[str, type[Any]]:
     """Return the data types that a message can contain, by name."""
     from ladarreg_core.camera import Camera
+    from ladarreg_core.formats.e57_images import EmbeddedImage
     from ladarreg_core.formats.file_info import FileInfo
     from ladarreg_core.formats.survey import FileSurvey
     from ladarreg_core.frames import Rigid
@@ -163,7 +164,10 @@ def _records() -> dict[str, type[Any]]:
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
 
-    return {found.__name__: found for found in (Camera, FileInfo, FileSurvey, Rigid, Pick, Photo, Scan, *_geometries())}
+    return {
+        found.__name__: found
+        for found in (Camera, EmbeddedImage, FileInfo, FileSurvey, Rigid, Pick, Photo, Scan, *_geometries())
+    }
 
 
 def _geometries() -> tuple[type[Any], ...]:

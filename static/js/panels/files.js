@@ -10,6 +10,7 @@ import { icon } from "../ui/icons.js";
 import { notice } from "../ui/notices.js";
 import { bytes } from "../ui/numbers.js";
 import { confirmation } from "./confirmation.js";
+import { embeddedList, offeredPictures } from "./embedded_pictures.js";
 import { accepted, labelOf, readable } from "./file_kinds.js";
 import { waitingList } from "./waiting_files.js";
 
@@ -110,7 +111,11 @@ const scanQuestion = (act) => {
   );
   const ask = (name) => {
     const present = store.get("scan")?.name ?? "another scan";
-    setText(text, `This project has a scan, ${present}, and the matches drawn on it. What is ${name}?`);
+    setText(
+      text,
+      `This project has a scan, ${present}. Is ${name} a second project, or does it replace that scan, whose matches ` +
+        "and poses are then removed (Undo brings them back)?",
+    );
     question.hidden = false;
     begin.focus();
   };
@@ -220,7 +225,8 @@ const build = () => {
     }
     waiting.length = 0;
     changed();
-    if (answer.opened.length) files.close();
+    const offers = answer.opened.some(({ kind }) => kind === "scan") && offeredPictures().length > 0;
+    if (answer.opened.length && !offers) files.close();
   };
 
   files = makeDialog(
@@ -231,6 +237,7 @@ const build = () => {
     confirm.box,
     list,
     waitingList(openTogether),
+    embeddedList(),
     servedList(),
   );
 

@@ -18,7 +18,7 @@ from tests.app.workbench_driver import WorkbenchDriver, sample_bench
 
 DATA_KEYED = ("by_pick", "predicted", "lines", "camera_sigmas", "absent")
 """Fields whose keys are data: ids of picks, names of parameters."""
-NEVER_HERE = {"corners:pID", "self_test:pID", "served"}
+NEVER_HERE = {"embedded", "corners:pID", "self_test:pID", "served"}
 """Slices that are null in this project."""
 
 
