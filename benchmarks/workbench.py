@@ -27,7 +27,7 @@ new PerformanceObserver((list) => {
 """
 _EDIT_IN_PAGE = """
 async ([photo, times]) => {
-  const module = (name) => import(new URL(`js/${name}.js`, location.href).href);
+  const module = (name) => import(new URL(`js/net/${name}.js`, location.href).href);
   const [{ ask }, { store }] = await Promise.all([module('connection'), module('store')]);
   const spent = [];
   for (let k = 0; k < times; k += 1) {

@@ -11,6 +11,7 @@ import gzip
 import hashlib
 import html
 import mimetypes
+import posixpath
 import re
 import threading
 from collections.abc import Mapping
@@ -82,15 +83,12 @@ class PageFiles:
         except OSError:
             raise HTTPException(404) from None
         edition = self._present_edition()
-        entry = _ENTRY.search(text)
+        entries = _ENTRY.findall(text)
         # In this order and with this priority, browsers request the pictures, and then what the first paint needs.
         urgent = '<link rel="preload" as="image" fetchpriority="high" href="{}">'
         preloads = {
             "pictures": [urgent.format(html.escape(url)) for url in pictures.values()],
-            "modules": [
-                f'<link rel="modulepreload" href="{path}">'
-                for path in _imported_by(entry[1] if entry else "", edition.files)
-            ],
+            "modules": [f'<link rel="modulepreload" href="{path}">' for path in _imported_by(entries, edition.files)],
         }
         for what, links in preloads.items():
             text = text.replace(_PRELOADS.format(what=what), "\n    ".join(links))
@@ -157,20 +155,16 @@ def _packed_file(plain: bytes, media_type: str) -> _File:
     return _File(plain, gzip.compress(plain, 9, mtime=0), media_type)
 
 
-def _imported_by(entry: str, files: Mapping[str, _File]) -> list[str]:
-    """Return a module and everything that it imports, nearest first."""
-    found = [entry] if entry in files else []
-    for path in found:
-        for name in _IMPORTED.findall(files[path].plain.decode()):
-            parts: list[str] = []
-            for part in (*PurePosixPath(path).parent.parts, *name.split("/")):
-                if part == "..":
-                    parts.pop()
-                elif part != ".":
-                    parts.append(part)
-            imported = "/".join(parts)
-            if imported in files and imported not in found:
-                found.append(imported)
+def _imported_by(entries: list[str], files: Mapping[str, _File]) -> list[str]:
+    """Return modules and everything that they import: what the first needs, then what else the next needs."""
+    found: list[str] = []
+    for entry in entries:
+        waiting = [entry]
+        for path in waiting:
+            if path in files and path not in found:
+                found.append(path)
+                names = _IMPORTED.findall(files[path].plain.decode())
+                waiting += [posixpath.normpath(posixpath.join(posixpath.dirname(path), name)) for name in names]
     return found
 
 

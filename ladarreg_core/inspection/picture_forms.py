@@ -20,7 +20,7 @@ PART_PX = 256
 FORMS = ("exact", "quick")
 _QUALITIES = (70, 80, 90)
 _MOST_ERROR = 4.0
-"""RMS error of a quick picture, gray levels of 255: about the noise of a camera, and hardly visible."""
+"""RMS error of the brightness of a quick picture, levels of 255: about the noise of a camera, and hardly visible."""
 _JPEG_ABOVE_PIXELS = 2_500_000
 _JPEG_QUALITY = 93
 _MOST_LEVEL = 12
@@ -57,10 +57,11 @@ def quick(pixels: NDArray[np.uint8]) -> EncodedPicture:
     small = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA) if share < 1 else pixels)
     has_alpha = small.shape[2] == 4
     bgr = cv2.cvtColor(small, cv2.COLOR_RGBA2BGRA if has_alpha else cv2.COLOR_RGB2BGR)
+    gray = cv2.cvtColor(bgr, cv2.COLOR_BGRA2GRAY if has_alpha else cv2.COLOR_BGR2GRAY)
     for quality in _QUALITIES:
         _, data = cv2.imencode(".webp", bgr, [cv2.IMWRITE_WEBP_QUALITY, quality])
-        again = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))
-        if cv2.norm(again, np.ascontiguousarray(bgr[..., :3])) <= _MOST_ERROR * np.sqrt(again.size):
+        again = cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2GRAY)
+        if cv2.norm(again, gray) <= _MOST_ERROR * np.sqrt(gray.size):
             break
     return EncodedPicture(data.tobytes(), "image/webp")
 

@@ -25,6 +25,9 @@ let nextId = 1;
 /** @type {ConnectionState} */
 let state = "connecting";
 let reason = "";
+/** What happened before the page was assembled, to be done then; null if nothing has to wait. */
+let early = null;
+const whenAssembled = (act) => (early ? early.push(act) : act());
 const unanswered = new Map();
 const listeners = new Set();
 
@@ -126,12 +129,11 @@ const closed = (from, opened, { code = 0, reason: text = "" } = {}) => {
   if (code === FULL) setFull(text);
   else if (state !== "refused") setState("lost");
   if (!opened) findReason();
-  timer = setTimeout(connect, wait_ms);
+  timer = setTimeout(open, wait_ms);
   wait_ms = Math.min(2 * wait_ms, LONGEST_WAIT_MS);
 };
 
-/** Connect, and reconnect whenever the connection ends. */
-export const connect = () => {
+const open = () => {
   clearTimeout(timer);
   const current = new WebSocket(socketAddress());
   let opened = false;
@@ -140,17 +142,33 @@ export const connect = () => {
     opened = true;
   });
   current.addEventListener("message", (event) => {
-    if (socket !== current || typeof event.data !== "string") return;
-    wait_ms = FIRST_WAIT_MS;
-    setState("connected"); // not at "open": a page beyond the maximum is opened, too, and closed at once
-    receive(event.data);
+    whenAssembled(() => {
+      if (socket !== current || typeof event.data !== "string") return;
+      wait_ms = FIRST_WAIT_MS;
+      setState("connected"); // not at "open": a page beyond the maximum is opened, too, and closed at once
+      receive(event.data);
+    });
   });
-  current.addEventListener("close", (event) => closed(current, opened, event));
+  current.addEventListener("close", (event) => whenAssembled(() => closed(current, opened, event)));
+};
+
+/** Connect, but let everything that happens wait until `connect` is called: the page is not assembled yet. */
+export const connectEarly = () => {
+  early = [];
+  open();
+};
+
+/** Connect, unless that was done early, and reconnect whenever the connection ends. */
+export const connect = () => {
+  const waiting = early ?? [];
+  early = null;
+  if (socket === null) open();
+  for (const act of waiting) act();
 };
 
 /** Try now instead of at the end of the waiting time. */
 export const connectNow = () => {
-  if (socket === null) connect();
+  if (socket === null) open();
 };
 
 addEventListener("online", connectNow);

@@ -104,7 +104,7 @@ def test_an_edited_script_arrives_with_the_next_reload(tmp_path: Path, checkout:
 
     def main_script() -> str:
         page = files.front_page({}, Headers()).body
-        return linked(bytes(page).decode(), 'script type="module"')[0]
+        return linked(bytes(page).decode(), 'script type="module"')[-1]
 
     before = main_script()
     assert main_script() == before
