@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.export.html import Html, photograph_uri, tag
+from ladarreg_core.export.panels import contrasted
 from ladarreg_core.palette import BACKGROUND
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
@@ -100,7 +101,7 @@ def _photo_crop(photo: Photo, result: PoseResult, match: WorstMatch, half: float
     predicted = centre - result.residuals_px[match.end]
     marks += [view.line(np.stack([centre, predicted]), colour=_PREDICTED), view.ring(predicted, _PREDICTED)]
     marks.append(view.ring(centre, _OBSERVED))
-    return view.drawn(photo.pixels, marks, f"photograph around ({centre[0]:.0f}, {centre[1]:.0f})")
+    return view.drawn(photo.pixels, marks, label=f"photograph around ({centre[0]:.0f}, {centre[1]:.0f})")
 
 
 def _scan_crop(scan: Scan, intensity: ByteArray, result: PoseResult, match: WorstMatch, half_rad: float) -> Html:
@@ -118,7 +119,7 @@ def _scan_crop(scan: Scan, intensity: ByteArray, result: PoseResult, match: Wors
         points = _cells(scan, (1 - along) * rays[match.end] + along * rays[other])
         marks.append(view.line(points[np.isfinite(points).all(axis=1)]))
     marks.append(view.ring(centre, _OBSERVED))
-    return view.drawn(intensity, marks, f"scan around row {centre[1]:.0f}, column {centre[0]:.0f}")
+    return view.drawn(intensity, marks, contrast=True, label=f"scan around row {centre[1]:.0f}, column {centre[0]:.0f}")
 
 
 def _cells(scan: Scan, directions: FloatArray) -> NDArray[np.float64]:
@@ -149,7 +150,7 @@ class _Crop:
         x, y = self.at(position)
         return _ring(float(x), float(y), colour, radius=7)
 
-    def drawn(self, picture: ByteArray, marks: list[Html], label: str) -> Html:
+    def drawn(self, picture: ByteArray, marks: list[Html], *, label: str, contrast: bool = False) -> Html:
         """Return the panel; what lies outside of the image is dark."""
         how = cv2.INTER_NEAREST if self._scale.min() >= _NEAREST_FROM else cv2.INTER_CUBIC
         # A pixel's centre is at whole numbers in the image, and at halves in the panel's coordinates.
@@ -158,7 +159,9 @@ class _Crop:
             np.asarray(picture), matrix, (_PANEL_PX, _PANEL_PX), flags=how, borderMode=cv2.BORDER_CONSTANT,
             borderValue=BACKGROUND,
         )  # fmt: skip
-        image = tag("image", href=photograph_uri(np.asarray(crop, dtype=np.uint8)), width=_PANEL_PX, height=_PANEL_PX)
+        shown = np.asarray(crop, dtype=np.uint8)
+        shown = contrasted(shown) if contrast else shown
+        image = tag("image", href=photograph_uri(shown), width=_PANEL_PX, height=_PANEL_PX)
         size = f"0 0 {_PANEL_PX} {_PANEL_PX}"
         return tag("svg", image, *marks, viewBox=size, role="img", aria_label=label)
 

@@ -33,6 +33,8 @@ BADGES: dict[str, tuple[Colour, Colour]] = {
 }
 """Ink and ground of a verdict's badge."""
 _MARK_SIZE = 19
+_SHARE_SHOWN = (1.0, 99.0)
+_DARKEST, _BRIGHTEST, _LEAST_CONTRAST = 18.0, 240.0, 12.0
 
 
 def window_aspect(scan: Scan, window: Window) -> float:
@@ -59,6 +61,17 @@ def scan_panel(
         cv2.rectangle(picture, first, last, BACKGROUND, 5)
         cv2.rectangle(picture, first, last, colour, 2)
     return picture
+
+
+def contrasted(picture: ByteArray) -> NDArray[np.uint8]:
+    """Return a gray image (H, W, 3) whose contrast is stretched to its own: a dark part of a scan shows its details."""
+    shown = picture[picture > 0]
+    low, high = (float(v) for v in np.percentile(shown, _SHARE_SHOWN)) if shown.size else (0.0, 255.0)
+    if high - low < _LEAST_CONTRAST:
+        return np.array(picture)
+    level = (picture.astype(np.float32) - np.float32(low)) / np.float32(high - low)
+    stretched = np.rint(_DARKEST + (_BRIGHTEST - _DARKEST) * np.clip(level, 0, 1)).astype(np.uint8)
+    return np.where(picture > 0, stretched, picture)
 
 
 def with_edges(picture: ByteArray, edges: BoolArray) -> NDArray[np.uint8]:

@@ -39,6 +39,7 @@ _VERDICTS = {
     "none": "Accepted without evidence.",
 }
 _REFUSED = "Not accepted: the evidence is insufficient."
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 _UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "width": "px", "height": "px"}
 
 
@@ -243,13 +244,14 @@ class _Report:
 
     def _camera(self) -> Html:
         sigmas = dict(self._r.camera_sigmas)
+        fields = dict(self._r.camera.as_fields())
+        coefficients = fields.pop("distortion", None) or ()
+        fields |= dict(zip(_COEFFICIENTS, coefficients, strict=False))
         rows = []
-        for name, value in self._r.camera.as_fields().items():
-            shown = ", ".join(f"{v:.6g}" for v in value) if isinstance(value, list | tuple) else plain_text(value)
+        for name, value in fields.items():
             sigma = sigmas.get(name, sigmas.get("focal_px") if name in ("fx", "fy") else None)
-            if name == "distortion":
-                sigma = sigmas.get("k1")
-            rows.append((name, shown or "none", "as given" if sigma is None else f"{sigma:.3g}", _UNITS.get(name, "")))
+            stated = "as given" if sigma is None else f"{sigma:.3g}"
+            rows.append((name, plain_text(value), stated, _UNITS.get(name, "")))
         return table(("intrinsics", "value", "sigma", "unit"), rows, numbers=(1, 2))
 
     def _matrix(self) -> Html:

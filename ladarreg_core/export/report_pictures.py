@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +12,7 @@ from ladarreg_core.export.detail import DETAIL_ASPECT, Window, detail_window, ed
 from ladarreg_core.export.html import Html, map_uri, photograph_uri, tag
 from ladarreg_core.export.layout import fit_size, framed, resized
 from ladarreg_core.export.match_panels import best_enlargement, match_panel
-from ladarreg_core.export.panels import BADGES, marked, scan_panel, window_size, with_edges
+from ladarreg_core.export.panels import BADGES, contrasted, marked, scan_panel, window_size, with_edges
 from ladarreg_core.inspection.model_textures import (
     Legend,
     TextureKind,
@@ -20,7 +21,7 @@ from ladarreg_core.inspection.model_textures import (
     texture_choices,
 )
 from ladarreg_core.inspection.pictures import scan_over_photo
-from ladarreg_core.palette import ACCENT, DIM, LINE, as_css
+from ladarreg_core.palette import ACCENT, BACKGROUND, DIM, LINE, as_css
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
@@ -91,7 +92,7 @@ class ReportPictures:
             return None
         size = window_size(self._scan, window, _HALF, round(_HALF / DETAIL_ASPECT * 1.2))
         edges = edge_lines(self._scan, window, size)
-        before = resized(intensity_picture(self._scan)[window.cells], size)
+        before = resized(contrasted(intensity_picture(self._scan)[window.cells]), size)
         after = with_edges(resized(self._coloured[window.cells], size), edges)
         return photograph_uri(framed(before, LINE)), self._with_mark(framed(after, LINE))
 
@@ -123,11 +124,14 @@ class ReportPictures:
             window = self._tile
             size = window_size(self._scan, window, _HALF, _TALLEST)
             picture = np.array(texture.image)
-            picture[~self._scan.valid] = 0
+            picture[~self._scan.valid] = BACKGROUND
+            legend = texture.legend
+            if not self._scan.valid[window.cells].all():
+                legend = replace(legend, entries=(*legend.entries, (BACKGROUND, "no return")))
             image = _nearest(picture[window.cells], size)
             shares = self._shares(texture.legend) if kind == "label" else {}
             words = usable[kind].description
-            found.append((map_uri(image), texture.legend, shares, f"{usable[kind].label}: {words}."))
+            found.append((map_uri(image), legend, shares, f"{usable[kind].label}: {words}."))
         return found
 
     def _shares(self, legend: Legend) -> dict[str, str]:

@@ -9,6 +9,8 @@ from ladarreg_core.export.html import Content, Html, definitions, section, table
 
 Document = Mapping[str, Any]
 _MOST_ADVICE = 3
+_GROUPS: Mapping[str, tuple[str, ...]] = {"auto": ("auto",), "manual": ("pose",), "thesis": ("thesis",)}
+"""The groups of `RegisterOptions` that the methods use; other methods may use all."""
 _LEVELS = {"good": "ok", "fair": "warn", "poor": "bad"}
 _ORDER = ("poor", "fair", "good")
 
@@ -62,22 +64,43 @@ def files_section(document: Document) -> Html:
 
 
 def method_section(document: Document) -> Html:
-    """Return the method, its steps and all options."""
-    steps = [
-        (str(s["name"]), f"{s['seconds']:.2f}", "" if s.get("matches") is None else str(s["matches"]))
-        for s in document.get("steps") or ()
-    ]
-    options = [(name, value) for name, value in _flat(document.get("options") or {})]
+    """Return the method, its steps, and the options that it uses."""
+    steps = _summed_steps(document)
+    options = _flat(_options_of(str(document.get("method")), document.get("options") or {}))
     parts: list[Content] = [definitions([("Method", str(document.get("method"))), ("Seed", str(document.get("seed")))])]
     if steps:
         parts += [
             tag("h3", "Steps"),
-            tag("div", table(("step", "seconds", "matches"), steps, numbers=(1, 2)), class_="steps"),
+            tag("div", table(("step", "times", "seconds", "matches"), steps, numbers=(1, 2, 3)), class_="steps"),
         ]
     if options:
         listed = [tag("div", tag("code", name), " ", tag("span", value)) for name, value in options]
-        parts += [tag("h3", "Options"), tag("div", listed, class_="options")]
+        parts += [
+            tag("h3", "Options"),
+            tag("p", "Those of this method; registration.json has all.", class_="dim"),
+            tag("div", listed, class_="options"),
+        ]
     return section("options", "Method and options", *parts)
+
+
+def _summed_steps(document: Document) -> list[tuple[str, str, str, str]]:
+    """Return name, count, seconds and last number of matches of the steps, those of one name in one row."""
+    found: dict[str, tuple[int, float, str]] = {}
+    for step in document.get("steps") or ():
+        times, seconds, matches = found.get(str(step["name"]), (0, 0.0, ""))
+        if step.get("matches") is not None:
+            matches = str(step["matches"])
+        found[str(step["name"])] = times + 1, seconds + float(step["seconds"]), matches
+    return [(name, str(n), f"{seconds:.2f}", matches) for name, (n, seconds, matches) in found.items()]
+
+
+def _options_of(method: str, options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the options without the groups of other methods."""
+    used = _GROUPS.get(method)
+    if used is None:
+        return options
+    others = {group for groups in _GROUPS.values() for group in groups} - set(used)
+    return {name: value for name, value in options.items() if name not in others}
 
 
 def software_section(document: Document) -> Html:

@@ -201,6 +201,18 @@ def test_names_and_sentences_are_never_markup(scan: Scan, photo: Photo) -> None:
         assert "<script>alert(1)</script> & \"x\" 'y'" in parsed.sections[name], name
 
 
+def test_steps_of_one_name_are_summed_and_only_used_options_listed(scan: Scan, photo: Photo) -> None:
+    steps = [{"name": "hypothesis", "seconds": 0.25, "matches": m, "detail": {}} for m in (None, 7, None)]
+    options = {"seed": 1, "auto": {"gate": {"many": 45}}, "pose": {"gate_chi2": 9.21}, "thesis": {"t1": 0.2}}
+    for method, used in (("auto", "auto.gate.many 45"), ("manual", "pose.gate_chi2 9.21"), ("thesis", "thesis.t1 0.2")):
+        text = report_of(solved(scan, method=method), scan, photo, steps=steps, options=options)
+        words = Parsed(text).sections["options"]
+        assert "hypothesis30.757" in words
+        assert used in words
+        assert "seed 1" in words
+        assert sum(name in words for name in ("auto.gate", "pose.gate", "thesis.t1")) == 1
+
+
 def test_attributes_are_escaped() -> None:
     assert tag("a", "<", title='"><b>') == '<a title="&quot;&gt;&lt;b&gt;">&lt;</a>'
     assert joined("a<", [tag("i", "b"), "&"]) == "a&lt;<i>b</i>&amp;"
