@@ -220,6 +220,10 @@ class ClientRegistry:
         if not self._clients[browser]:
             del self._clients[browser]
 
+    def has(self, browser: str, client_id: str) -> bool:
+        """Return whether a client is an open page of this browser."""
+        return any(client.id == client_id for client in self._clients.get(browser, []))
+
     def find(self, browser: str, client_id: str) -> Client | None:
         """Return the open page of a browser by its id; without one, the page that it opened last."""
         clients = self._clients.get(browser, [])

@@ -47,7 +47,7 @@ class Pictures:
                 return PlainTextResponse(f"{error}\n", status_code=404)
         etag = '"' + "".join(c for c in picture.etag if (c.isascii() and c.isalnum()) or c in "-_.") + '"'
         cache_control = f"private, max-age={_HOUR_S}" if query.get("rev") else "private, no-cache"
-        headers = {"etag": etag, "cache-control": cache_control}
+        headers = {"etag": etag, "cache-control": cache_control, **picture.headers}
         if etag in (tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")):
             return Response(status_code=304, headers=headers)
         return Response(picture.data, media_type=picture.media_type, headers=headers)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -59,6 +59,8 @@ class Picture:
     """For example `image/png`."""
     etag: str
     """Changes whenever the picture does."""
+    headers: Mapping[str, str] = field(default_factory=dict)
+    """Further headers of the response."""
 
 
 class Workbench(Protocol):

@@ -46,7 +46,8 @@ def build_site(
         folder: of the page's files; None: those of the installation.
     """
     limits = options.limits.within(raise_descriptor_limit())
-    clients, proxy = ClientRegistry(), ViserProxy(viser, most=limits.views)
+    clients = ClientRegistry()
+    proxy = ViserProxy(viser, clients, most=limits.views)
     folder = folder or static_folder()
     pages, files = Pages(folder), PageFiles(folder)
 
@@ -75,7 +76,7 @@ def build_site(
             Route("/viser", to_viser),
             Route("/viser/{path:path}", proxy.page),
             WebSocketRoute("/viser", proxy.websocket),
-            WebSocketRoute("/viser/{path:path}", proxy.websocket),
+            WebSocketRoute("/viser/{client:path}", proxy.websocket),
             Mount("/static", pages),
             Mount("/", pages),
         ]

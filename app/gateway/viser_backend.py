@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 SECRET_HEADER = "X-Ladarreg-Gateway"
 """The header that carries the secret."""
+CLIENT_HEADER = "X-Ladarreg-Client"
+"""The header that carries the id of the workbench's client that a view belongs to."""
 _patching = threading.Lock()
 _silent_log = logging.getLogger(__name__)
 
@@ -62,6 +64,13 @@ def open_locked_server(*, label: str) -> tuple[viser.ViserServer, ViserAddress]:
         server = viser.ViserServer(host=HOST, port=0, label=label, verbose=False)
     server.request_share_url = _refuse_to_share  # type: ignore[method-assign]
     return server, ViserAddress(HOST, server.get_port(), secret)
+
+
+def client_id_of(server: viser.ViserServer, viewer: viser.ClientHandle) -> str:
+    """Return the id of the workbench's client behind a client of viser, as the gateway has stated it; or empty."""
+    connection = server._websock_server._live_connections.get(viewer.client_id)
+    request = None if connection is None else connection.request
+    return "" if request is None else str(request.headers.get(CLIENT_HEADER, ""))
 
 
 def close_server(server: viser.ViserServer) -> None:

@@ -11,17 +11,20 @@ from collections.abc import Callable, Iterator
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response, StreamingResponse
+from starlette.responses import HTMLResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.typing import Subprotocol
 
 from ..process_resources import return_memory_soon
-from .viser_backend import SECRET_HEADER, ViserAddress
+from .document_socket import ClientRegistry
+from .viser_backend import CLIENT_HEADER, SECRET_HEADER, ViserAddress
+from .viser_page import PAGE_NAME, ViserPage
 
 log = logging.getLogger(__name__)
 _FORWARDED_HEADERS = ("content-type", "content-length", "content-encoding")
+_CLIENT = re.compile(r"([A-Za-z0-9_-]{4,64})/?")
 _PATH = re.compile(r"[A-Za-z0-9/._~-]*")
 """Paths of viser's own files; any other does not exist, and some cannot even be requested."""
 _BLOCK = 1 << 16
@@ -32,6 +35,8 @@ _CLOSE_S = 0.5
 """viser, while it sends a scene that is no longer read, does not notice the close."""
 _INTERNAL_ERROR, _NOT_BINARY, _GOING_AWAY = 1011, 1003, 1001
 _UNAVAILABLE = "The 3-D view does not respond; restart the workbench."
+_STRANGER = "This 3-D view belongs to another page; reload the workbench."
+_IMMUTABLE, _REVALIDATE = "private, max-age=31536000, immutable", "private, no-cache"
 _FULL = "{most} pages show the 3-D view, which is the limit; close one of them and reload this page."
 
 
@@ -40,22 +45,32 @@ class ViserProxy:
 
     Args:
         viser: returns the address of its server; may block until it is open, and raises `OSError` if it never is.
+        clients: the open pages of each browser.
         most: websockets at a time.
     """
 
-    def __init__(self, viser: Callable[[], ViserAddress], *, most: int) -> None:
-        self._viser, self._most = viser, most
+    def __init__(self, viser: Callable[[], ViserAddress], clients: ClientRegistry, *, most: int) -> None:
+        self._viser, self._clients, self._most = viser, clients, most
+        self._own_page: ViserPage | None = None
         self._views = 0
         self._next_start_s = 0.0
 
     async def page(self, request: Request) -> Response:
-        """Forward a page, without its query."""
+        """Return the page of a client, the page that all share, or another file of viser."""
         path = "/" + request.path_params.get("path", "")
         if any(part in (".", "..") for part in path.split("/")) or not _PATH.fullmatch(path):
             return PlainTextResponse("Not Found", status_code=404)
-        if path == "/" and self._views >= self._most:
+        client = _CLIENT.fullmatch(path[1:]) if path.endswith("/") else None
+        if (client or path == "/") and self._views >= self._most:
             return self._full()
         try:
+            if client:
+                if not self._clients.has(request.state.browser, client[1]):
+                    return PlainTextResponse(f"{_STRANGER}\n", status_code=403)
+                page = await run_in_threadpool(self._page)
+                return HTMLResponse(page.shell, headers={"cache-control": _REVALIDATE})
+            if path in ("/", "/index.html", f"/{PAGE_NAME}"):
+                return _page_response(await run_in_threadpool(self._page), request)
             answer = await run_in_threadpool(self._get, path, request.headers.get("accept-encoding", "identity"))
         except (OSError, http.client.HTTPException) as error:
             log.warning("viser does not respond: %s", error)
@@ -64,13 +79,18 @@ class ViserProxy:
         return StreamingResponse(_blocks(answer), status_code=answer.status, headers=headers)
 
     async def websocket(self, websocket: WebSocket) -> None:
-        """Forward a websocket in both directions until either side closes."""
+        """Forward a websocket in both directions until either side closes; with an id, that of a client."""
+        name = websocket.path_params.get("client", "")
+        client = _CLIENT.fullmatch(name)
+        if name and not (client and self._clients.has(websocket.state.browser, client[1])):
+            await websocket.send_denial_response(PlainTextResponse(f"{_STRANGER}\n", status_code=403))
+            return
         if self._views >= self._most:
             await websocket.send_denial_response(self._full())
             return
         self._views += 1
         try:
-            await self._serve(websocket)
+            await self._serve(websocket, client[1] if client else "")
         finally:
             self._views -= 1
             return_memory_soon(force=True)
@@ -84,7 +104,7 @@ class ViserProxy:
         self._next_start_s = start + _VIEW_INTERVAL_S
         await asyncio.sleep(start - now)
 
-    async def _serve(self, websocket: WebSocket) -> None:
+    async def _serve(self, websocket: WebSocket, client: str) -> None:
         offered = [Subprotocol(name) for name in websocket.scope["subprotocols"]]
         try:
             address = await run_in_threadpool(self._viser)
@@ -92,7 +112,7 @@ class ViserProxy:
             viser = await connect(
                 f"ws://{address.host}:{address.port}/",
                 subprotocols=offered or None,
-                additional_headers={SECRET_HEADER: address.secret},
+                additional_headers={SECRET_HEADER: address.secret, CLIENT_HEADER: client},
                 compression=None,
                 max_size=None,
                 max_queue=1,
@@ -120,6 +140,12 @@ class ViserProxy:
             for task in (up, down):
                 task.cancel()
             await asyncio.gather(up, down, return_exceptions=True)
+
+    def _page(self) -> ViserPage:
+        if self._own_page is None:
+            with self._get("/", "identity") as answer:
+                self._own_page = ViserPage.of(answer.read())
+        return self._own_page
 
     def _get(self, path: str, encoding: str) -> http.client.HTTPResponse:
         address = self._viser()
@@ -163,6 +189,15 @@ async def _close(websocket: WebSocket, viser: ClientConnection) -> None:
         )
     except (RuntimeError, WebSocketDisconnect):  # the browser closed at the same time
         return
+
+
+def _page_response(page: ViserPage, request: Request) -> Response:
+    named = request.url.query == page.digest
+    headers = {"cache-control": _IMMUTABLE if named else _REVALIDATE, "vary": "accept-encoding"}
+    packed = "gzip" in request.headers.get("accept-encoding", "")
+    if packed:
+        headers["content-encoding"] = "gzip"
+    return Response(page.packed if packed else page.plain, media_type="text/html", headers=headers)
 
 
 def _blocks(answer: http.client.HTTPResponse) -> Iterator[bytes]:

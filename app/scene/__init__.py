@@ -1,7 +1,18 @@
-"""The 3-D scene in viser: the model, the cameras, the matches and the moving simplex, drawn by one thread."""
+"""The 3-D scene in viser: the cameras, the matches and the moving simplex of each client, drawn by one thread."""
 
-from .actions import SceneActions
-from .scene import Scene3D
+from .person import Person
+from .picks_layer import Picks, residual_colours
+from .scene import Scene3D, Shown
 from .simplex_frame import SimplexFrame
+from .subject import ScanShown, Subject
 
-__all__ = ["Scene3D", "SceneActions", "SimplexFrame"]
+__all__ = [
+    "Person",
+    "Picks",
+    "ScanShown",
+    "Scene3D",
+    "Shown",
+    "SimplexFrame",
+    "Subject",
+    "residual_colours",
+]

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.palette import Colour
 
+    from .place import Place
     from .subject import Subject
 
 NOT_ACCEPTED = "not accepted"
@@ -30,8 +31,8 @@ _PICTURE_PX = 512
 class CamerasLayer:
     """Both frusta; the camera of a pose that is not accepted is a dashed outline without the photograph."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+    def __init__(self, place: Place) -> None:
+        self._place = place
         self._scanner: list[viser.SceneNodeHandle] = []
         self._camera: list[viser.SceneNodeHandle] = []
         self._drawn: tuple[object, ...] = (None, None, None)
@@ -59,7 +60,7 @@ class CamerasLayer:
         picture = view_picture(view, intensity_picture(subject.scan))
         depth = subject.shown.frustum_depth_m
         self._scanner.append(
-            add_camera(self._server, "/scanner", view.camera, view.view_from_scanner, SCANNER, depth, picture=picture)
+            add_camera(self._place, "/scanner", view.camera, view.view_from_scanner, SCANNER, depth, picture=picture)
         )
 
     def _draw_camera(self, subject: Subject) -> None:
@@ -69,11 +70,11 @@ class CamerasLayer:
         pose, camera = result.camera_from_scanner, result.camera
         if result.accepted:
             picture = small_picture(subject.photo.pixels, _PICTURE_PX) if subject.photo is not None else None
-            self._camera.append(add_camera(self._server, "/camera", camera, pose, ACCENT, depth, picture=picture))
+            self._camera.append(add_camera(self._place, "/camera", camera, pose, ACCENT, depth, picture=picture))
             return
         lines = dashed(camera_outline(camera, pose, depth_m=depth), dashes=_DASHES)
         colours = line_colours_for_viewer(for_both_ends(repeated(REFUSED, len(lines))))
-        scene = self._server.scene
+        scene = self._place.scene
         self._camera.append(
             scene.add_line_segments("/camera", points=lines, colors=colours, thickness=1.5, thickness_units="screen")
         )
@@ -84,7 +85,7 @@ class CamerasLayer:
 
 
 def add_camera(
-    server: viser.ViserServer,
+    place: Place,
     name: str,
     camera: Camera,
     pose: Rigid,
@@ -97,7 +98,7 @@ def add_camera(
     """Add a frustum whose picture is `depth_m` in front of its centre."""
     _, vertical = field_of_view(camera)
     options: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
-    frustum = server.scene.add_camera_frustum(
+    frustum = place.scene.add_camera_frustum(
         name,
         fov=vertical,
         aspect=camera.width / camera.height,

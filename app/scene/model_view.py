@@ -1,16 +1,15 @@
-"""Display settings of the model in the 3-D scene."""
+"""How a person looks at the 3-D model."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.inspection.model_textures import texture_choices, usable_texture
+from ladarreg_core.inspection.model_textures import usable_texture
 
-if TYPE_CHECKING:
-    from ladarreg_core.results import PoseResult
+DETAILS = ("coarse", "standard", "dense")
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,15 +17,19 @@ class ModelChoice:
     """Display settings of the model."""
 
     texture: str = "colour"
-    """Requested texture; `intensity` is shown if it is not available."""
+    """Requested texture; the page shows `intensity` if it is not available."""
     z_buffer: bool = True
     """True if surfaces hidden from the camera stay uncoloured."""
-    light: bool = False
-    """True if a coarse mesh is sent, for slow browsers."""
+    detail: str = "standard"
+    """The finest mesh and texture that are sent: `coarse` for slow computers and links, `dense` on demand."""
     cameras: bool = True
     """True if the scanner and the camera are shown."""
     matches: bool = True
     """True if the matches are shown."""
+    rays: bool = False
+    """True if the rays on which the matches were picked are shown."""
+    residuals: bool = False
+    """True if the matches have the colours of their residuals instead of those of their numbers."""
 
     def changed(self, wanted: Mapping[str, Any]) -> ModelChoice:
         """Return a copy with other settings.
@@ -40,12 +43,10 @@ class ModelChoice:
                 raise OptionError(f"the model has no setting {name!r} of type {type(value).__name__}")
             if name == "texture":
                 usable_texture(value, None)  # raises with the list of textures
+            if name == "detail" and value not in DETAILS:
+                raise OptionError(f"the detail is {value[:20]!r}; it must be one of {', '.join(DETAILS)}")
         return replace(self, **wanted)
 
-    def slice(self, result: PoseResult | None) -> dict[str, Any]:
-        """Return the slice `model`, with the textures that the shown pose makes available."""
-        choices = [
-            {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.description}
-            for choice in texture_choices(result)
-        ]
-        return {**asdict(self), "choices": choices}
+    def slice(self) -> dict[str, Any]:
+        """Return the slice `model`."""
+        return asdict(self)

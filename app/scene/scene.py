@@ -1,179 +1,151 @@
-"""The 3-D scene: the latest state of everything, drawn by one thread."""
+"""The 3-D scene: what each client sees in it, drawn by one thread."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ladarreg_core.inspection.model_textures import uniform_picture
-from ladarreg_core.inspection.simplex_curves import CURVE_NAMES, SimplexCurves
-from ladarreg_core.palette import BACKGROUND
+import numpy as np
 
-from .cameras_layer import CamerasLayer
+from ladarreg_core.export.glb import glb_bytes
+from ladarreg_core.inspection.model_textures import uniform_picture
+from ladarreg_core.palette import BACKGROUND
+from ladarreg_core.surface.mesh import Mesh
+
+from .client_view import ClientView, SimplexShown
 from .draw_queue import DrawQueue
-from .model_layer import ModelLayer
-from .model_view import ModelChoice
-from .panel import CAMERA, OVERVIEW, SCANNER, Panel
-from .picks_layer import Picks, PicksLayer
-from .simplex_folder import SimplexFolder
-from .simplex_layer import SimplexLayer
-from .subject import RenderChoice, ScanShown, Subject
+from .person import ANYBODY, Person, ViewpointName
 
 if TYPE_CHECKING:
     import viser
-    from numpy.typing import ArrayLike
 
-    from ladarreg_core.inspection.viewpoints import Viewpoint
-    from ladarreg_core.photo import Photo
-    from ladarreg_core.results import PoseResult
-    from ladarreg_core.scan import Scan
-
-    from .actions import SceneActions
+    from .picks_layer import Picks
+    from .place import Place
     from .simplex_frame import SimplexFrame
+    from .subject import Subject
 
+MODEL_NODE = "/model"
+"""Node of the model. It is empty here: the page, which fetches mesh and textures, fills it in the browser."""
 SIMPLEX_EVERY_S = 0.04
-FINE_AFTER_SIMPLEX_S = 1.0
-"""Delay of the fine model after a simplex, which mostly ends with a new pose and thus a new model."""
-FINE_AFTER_DRAFT_S = 0.3
-"""A draft is shown first: without a graphics card, a fine model takes seconds to draw."""
-_ACTIVE = ("running", "paused")
-_NEAR_M, _NEAR_PER_FRUSTUM = 0.01, 1.05
+_EMPTY_MESH = Mesh(
+    np.eye(3, dtype=np.float32) * np.float32(1e-6),
+    np.array([[0, 1, 2]], dtype=np.int32),
+    np.zeros((3, 2), dtype=np.int32),
+    (2, 2),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What is shown of a photograph."""
+
+    subject: Subject
+    """Scan, photograph and pose."""
+    picks: Picks | None = None
+    """Its matches."""
 
 
 class Scene3D:
-    """The 3-D scene, its panel and the live curves in a viser server.
+    """The views of all clients in a viser server.
 
     Every method may be called from any thread and returns at once. One thread draws; if it cannot keep up, only the
-    latest state of each layer is drawn. The server keeps all of it, so that clients that connect later see the same.
+    latest state is drawn.
+
+    Args:
+        server: the server.
+        on_pick: called with the id of a client and of the match that it has clicked on.
+        person_of: returns the id of the workbench's client behind a client of viser.
     """
 
-    def __init__(self, server: viser.ViserServer, actions: SceneActions) -> None:
-        self._server = server
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        on_pick: Callable[[str, str], None],
+        *,
+        person_of: Callable[[viser.ClientHandle], str] = lambda _: ANYBODY,
+    ) -> None:
+        self._server, self._on_pick, self._person_of = server, on_pick, person_of
         self._lock = threading.RLock()
-        self._subject: Subject | None = None
-        self._choice = ModelChoice()
-        self._picks: Picks | None = None
-        self._pick_size = 1.0
-        self._highlighted: str | None = None
-        self._names: tuple[str, ...] = CURVE_NAMES
-        self._curves = SimplexCurves()
-        self._frame: SimplexFrame | None = None
-        self._state = "done"
-        self._keeps_best = False
+        self._photos: Mapping[str | None, Shown] = {}
+        self._people: Mapping[str, Person] = {}
+        self._highlights: dict[str, str | None] = {}
+        self._simplex: SimplexShown | None = None
+        self._views: dict[int, ClientView] = {}
+        self._queue = DrawQueue("scene")
         scene = server.scene
         scene.set_up_direction("+z")
         scene.world_axes.visible = False
         # Nothing is lit, and shadows would only cost time.
         scene.configure_default_lights(enabled=False, cast_shadow=False)
         scene.set_background_image(uniform_picture(BACKGROUND), format="png")
-        self._panel = Panel(server, actions, set_viewpoint=self._set_viewpoint, set_match_size=self._set_match_size)
-        self._folder = SimplexFolder(server, actions, self._panel.call_or_notify)
-        self._queue = DrawQueue("scene")
-        self._model = ModelLayer(server, self._queue)
-        self._cameras = CamerasLayer(server)
-        self._matches = PicksLayer(server, actions.hover)
-        self._simplex = SimplexLayer(server)
-        self._viewed_scan: ScanShown | None = None
+        empty = glb_bytes(_EMPTY_MESH, uniform_picture(BACKGROUND), for_viser=True)
+        scene.add_glb(MODEL_NODE, empty, cast_shadow=False, receive_shadow=False)
+        scene.on_click()(self._clicked)
+        server.on_client_connect(self._connected)
+        server.on_client_disconnect(lambda client: self.remove_view(client.client_id))
 
-    def show_scan(self, scan: Scan | None) -> None:
-        """Show a scan with its intensity, without a photograph; None: clear the scene."""
-        self._show(scan, None, None, "")
-
-    def show_registration(
-        self, scan: Scan, photo: Photo | None, registration: PoseResult | None, *, name: str = ""
-    ) -> None:
-        """Show a scan with a photograph.
-
-        Args:
-            scan: the scan.
-            photo: the photograph.
-            registration: its pose. None, or a pose that is not accepted, colours nothing; the camera of the latter is
-                drawn as a dashed outline with a label.
-            name: of the photograph.
-        """
-        self._show(scan, photo, registration, name)
-
-    def show_picks(self, points: ArrayLike, colours: ArrayLike, on: ArrayLike, ids: Sequence[str]) -> None:
-        """Show matches in space.
-
-        Args:
-            points: (N, 3) m, scanner frame; NaN where a match has no position.
-            colours: (N, 3) uint8 RGB.
-            on: (N,) bool; matches that are off are dimmed.
-            ids: pick id of each point; several points may share one.
-        """
+    def show(self, photos: Mapping[str | None, Shown]) -> None:
+        """Show a scan with photographs: by id what is shown to the clients that look at one, None: at none."""
         with self._lock:
-            self._picks = Picks.of(points, colours, on, ids)
-        self._queue.request("matches", self._draw_matches)
+            self._photos = photos
+            if self._simplex is not None and not self._simplex.runs:
+                self._simplex = None  # the pose shown now replaces it
+        self._request_views()
 
-    def highlight(self, pick_id: str | None) -> None:
-        """Highlight one match, or none."""
+    def set_people(self, people: Mapping[str, Person]) -> None:
+        """Set what the clients look at, by their ids; `ANYBODY` stands for all others."""
         with self._lock:
-            self._highlighted = pick_id
-        self._queue.request("highlight", self._draw_highlight)
+            self._people = people
+        self._request_views()
 
-    def set_model(self, **settings: str | bool) -> None:
-        """Change settings of `ModelChoice`.
-
-        Raises:
-            OptionError: if a setting is unknown, or its value is not of its type.
-        """
+    def highlight(self, person: str, pick_id: str | None) -> None:
+        """Highlight one match for a client, or none."""
         with self._lock:
-            before = self._choice
-            self._choice = before.changed(settings)
-            if self._choice == before:
-                return
-        self._queue.request("model", self._draw_model)
-        self._queue.request("cameras", self._draw_cameras)
-        if self._choice.matches != before.matches:
-            self._queue.request("matches", self._draw_matches)
+            self._highlights[person] = pick_id
+        self._request_views()
 
-    def simplex_started(self, labels: Sequence[str] = CURVE_NAMES) -> None:
-        """Start a simplex with empty curves.
+    def look(self, person: str, name: ViewpointName) -> None:
+        """Move a client to a viewpoint."""
 
-        Args:
-            labels: the names of the six parameters, three lengths (m) and three angles (degrees).
-        """
-        with self._lock:
-            self._names, self._curves, self._frame, self._state = tuple(labels), SimplexCurves(), None, "running"
-            self._keeps_best = True
-        self._queue.cancel("simplex")
-        self._queue.request("simplex start", self._draw_simplex_start)
-        self._queue.request("model", self._draw_model)
+        def move() -> None:
+            for view in self._views_of(person):
+                view.look(name)
 
-    def simplex_step(self, frame: SimplexFrame) -> None:
+        self._queue.request(f"viewpoint {person}", move)
+
+    def simplex_started(self, photo: str) -> None:
+        """Start a simplex of a photograph."""
+        self._set_simplex(SimplexShown(photo, None, runs=True))
+
+    def simplex_step(self, photo: str, frame: SimplexFrame) -> None:
         """Draw a frame of the simplex, at most 25 per second, and always the last."""
         with self._lock:
-            self._frame = frame
-            self._curves.add(frame.iteration, frame.parameters, frame.cost)
+            self._simplex = SimplexShown(photo, frame, runs=True)
         self._queue.request("simplex", self._draw_simplex, every_s=SIMPLEX_EVERY_S)
 
-    def simplex_paused(self, *, paused: bool) -> None:
-        """Show in the controls whether the simplex is paused."""
-        with self._lock:
-            state = "paused" if paused else "running"
-            if self._state == state or self._state not in _ACTIVE:
-                return
-            self._state = state
-        self._queue.request("simplex state", self._draw_simplex_state)
-
-    def simplex_ended(self, best: SimplexFrame | None) -> None:
+    def simplex_ended(self, photo: str, best: SimplexFrame | None) -> None:
         """End the simplex.
 
         Args:
+            photo: id of its photograph.
             best: its final frame, which stays until a pose is shown; None: it was stopped without a result.
         """
+        self._set_simplex(None if best is None else SimplexShown(photo, best, runs=False))
+
+    def add_view(self, number: int, place: Place, person: str) -> None:
+        """Draw a client's view from now on."""
         with self._lock:
-            self._state = "done" if best is not None else "stopped"
-            last = self._frame
-            if best is not None and (last is None or (best.iteration, best.cost) != (last.iteration, last.cost)):
-                self._frame = best
-                self._curves.add(best.iteration, best.parameters, best.cost)
-        self._queue.cancel("simplex")
-        self._queue.request("simplex end", lambda: self._draw_simplex_end(best))
-        self._queue.request("model", self._draw_model, after_s=FINE_AFTER_SIMPLEX_S)
+            self._views[number] = ClientView(place, person)
+        self._request_views()
+
+    def remove_view(self, number: int) -> None:
+        """Stop drawing the view of a client that has gone."""
+        with self._lock:
+            view = self._views.pop(number, None)
+            if view is not None and not self._views_of(view.person):
+                self._highlights.pop(view.person, None)
 
     def settle(self, timeout_s: float = 30.0) -> bool:
         """Wait until everything is drawn; return False on timeout."""
@@ -183,121 +155,44 @@ class Scene3D:
         """End the drawing thread; the scene stays as it is."""
         self._queue.close()
 
-    def _show(self, scan: Scan | None, photo: Photo | None, result: PoseResult | None, name: str) -> None:
+    def _connected(self, client: viser.ClientHandle) -> None:
+        self.add_view(client.client_id, client, self._person_of(client))
+
+    def _clicked(self, event: viser.SceneClickEvent) -> None:
         with self._lock:
-            before = self._subject
-            if scan is None:
-                self._subject = None
-            else:
-                shown = before.shown if before is not None and before.scan is scan else ScanShown(scan)
-                self._subject = Subject(shown, photo, result, name)
-            scan_changed = before is None or self._subject is None or before.shown is not self._subject.shown
-            if self._state not in _ACTIVE:
-                self._keeps_best = False  # the pose shown now replaces it
-            if scan_changed:
-                self._picks, self._highlighted = None, None
-        # The model first, because everybody waits for it.
-        self._queue.request("model", self._draw_model)
-        self._queue.request("cameras", self._draw_cameras)
-        self._queue.request("matches", self._draw_matches)
+            view = self._views.get(event.client_id)
+        pick = None if view is None else view.clicked(event)
+        if view is not None and pick is not None:
+            self._on_pick(view.person, pick)
 
-    def _current(self) -> tuple[Subject | None, RenderChoice]:
+    def _views_of(self, person: str) -> list[ClientView]:
         with self._lock:
-            moving = self._state in _ACTIVE and self._subject is not None and self._subject.camera is not None
-            return self._subject, RenderChoice(**asdict(self._choice), draft=moving)
+            return [view for view in self._views.values() if view.person == person]
 
-    def _draw_model(self) -> None:
-        subject, choice = self._current()
-        if subject is not None and subject.shown is not self._viewed_scan:
-            self._reset_views(subject)
-        if self._model.needs_texture(subject, choice):
-            choice = replace(choice, draft=True)
-            self._queue.request("model", self._draw_model, after_s=FINE_AFTER_DRAFT_S)
-        self._model.draw(subject, choice)
-        result = None if subject is None else subject.result
-        has_camera = subject is not None and subject.accepted is not None
-        self._panel.show(choice, result, self._model.legend, has_camera=has_camera)
+    def _request_views(self) -> None:
+        self._queue.request("views", self._draw_views)
 
-    def _draw_cameras(self) -> None:
-        subject, choice = self._current()
-        if not self._keeps_best:
-            self._simplex.clear()
-        self._cameras.draw(subject, visible=choice.cameras)
-
-    def _draw_matches(self) -> None:
-        subject, choice = self._current()
+    def _draw_views(self) -> None:
         with self._lock:
-            picks, size = self._picks, self._pick_size
-        self._matches.draw(subject, picks, visible=choice.matches, size=size)
-        self._draw_highlight()
+            views, photos, simplex = list(self._views.values()), self._photos, self._simplex
+        for view in views:
+            person = self._person(view)
+            shown = photos.get(person.photo) or photos.get(None)
+            view.draw(person, shown.subject if shown else None, shown.picks if shown else None, simplex)
 
-    def _draw_highlight(self) -> None:
+    def _set_simplex(self, simplex: SimplexShown | None) -> None:
         with self._lock:
-            pick_id = self._highlighted
-        self._matches.highlight(pick_id)
-
-    def _draw_simplex_start(self) -> None:
-        self._simplex.clear()
-        with self._lock:
-            names = self._names
-        self._folder.start(names, SimplexCurves().snapshot())
+            self._simplex = simplex
+        self._queue.cancel("simplex")
+        self._queue.request("simplex state", self._draw_simplex)
 
     def _draw_simplex(self) -> None:
         with self._lock:
-            frame = self._frame
-        if frame is not None:
-            self._simplex.draw(self._current()[0], frame)
-            self._draw_curves()
+            views, simplex = list(self._views.values()), self._simplex
+        for view in views:
+            view.draw_simplex(self._person(view), simplex)
 
-    def _draw_curves(self) -> None:
+    def _person(self, view: ClientView) -> Person:
         with self._lock:
-            frame, state, curves = self._frame, self._state, self._curves.snapshot()
-        if frame is not None:
-            self._folder.draw(curves, frame, state)
-
-    def _draw_simplex_state(self) -> None:
-        with self._lock:
-            state = self._state
-        self._folder.show_state(state)
-        self._draw_curves()
-
-    def _draw_simplex_end(self, best: SimplexFrame | None) -> None:
-        self._simplex.end(self._current()[0], best if self._keeps_best else None)
-        self._draw_simplex_state()
-
-    def _reset_views(self, subject: Subject) -> None:
-        """Move all clients to the overview of a new scan; nothing else moves them without being requested."""
-        self._viewed_scan = subject.shown
-        viewpoint, initial = subject.overview(), self._server.initial_camera
-        initial.position, initial.look_at, initial.up = viewpoint.position, viewpoint.look_at, viewpoint.up
-        initial.fov = viewpoint.upright_fov_rad(1.0)
-        for client in self._server.get_clients().values():
-            _move_client(client, viewpoint, near_m=_NEAR_M)
-
-    def _set_viewpoint(self, client: viser.ClientHandle, name: str) -> None:
-        subject, _ = self._current()
-        if subject is None:
-            return
-        viewpoint = {OVERVIEW: subject.overview, SCANNER: subject.from_scanner, CAMERA: subject.from_camera}[name]()
-        if viewpoint is not None:
-            # From inside a frustum its own picture would hide the scene; the near plane lies behind the picture.
-            inside = _NEAR_PER_FRUSTUM * subject.shown.frustum_depth_m
-            _move_client(client, viewpoint, near_m=_NEAR_M if name == OVERVIEW else inside)
-
-    def _set_match_size(self, size: float) -> None:
-        with self._lock:
-            self._pick_size = size
-        self._queue.request("matches", self._draw_matches)
-
-
-def _move_client(client: viser.ClientHandle, viewpoint: Viewpoint, *, near_m: float) -> None:
-    try:
-        aspect = float(client.camera.aspect)
-    except (AssertionError, RuntimeError):  # the browser has not reported its camera yet
-        aspect = 1.0
-    with client.atomic():
-        client.camera.near = near_m
-        client.camera.up_direction = viewpoint.up
-        client.camera.position = viewpoint.position
-        client.camera.look_at = viewpoint.look_at
-        client.camera.fov = viewpoint.upright_fov_rad(aspect)
+            known = self._people.get(view.person) or self._people.get(ANYBODY) or Person()
+            return Person(known.photo, known.model, self._highlights.get(view.person))

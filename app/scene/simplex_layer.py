@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.palette import Colour
 
+    from .place import Place
     from .simplex_frame import SimplexFrame
     from .subject import Subject
 
@@ -34,8 +35,8 @@ _FADED_SHARE, _DASHES = 0.45, 9
 class SimplexLayer:
     """The best vertex in the accent colour, the others faint, the initial pose dashed."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+    def __init__(self, place: Place) -> None:
+        self._place = place
         self._best: viser.CameraFrustumHandle | None = None
         self._others: viser.LineSegmentsHandle | None = None
         self._start: viser.LineSegmentsHandle | None = None
@@ -53,14 +54,14 @@ class SimplexLayer:
         outlines = camera_outlines(camera, frame.others, depth_m=self._depth_m)
         if self._best is None:
             self._best = add_camera(
-                self._server, "/simplex/best", camera, frame.best, ACCENT, self._depth_m, thickness=2.6
+                self._place, "/simplex/best", camera, frame.best, ACCENT, self._depth_m, thickness=2.6
             )
             start = dashed(camera_outline(camera, frame.best, depth_m=self._depth_m), dashes=_DASHES)
             self._start = self._lines("/simplex/start", start, REFUSED, 1.2)
         if self._others is None or len(self._others.points) != len(outlines):
             faint = faded(repeated(ACCENT, 1), BACKGROUND, share=_FADED_SHARE)[0].tolist()
             self._others = self._lines("/simplex/vertices", outlines, tuple(faint), 1.0) if len(outlines) else None
-        with self._server.atomic():
+        with self._place.atomic():
             if self._others is not None:
                 self._others.points = outlines
             self._move(self._best, frame.best)
@@ -86,7 +87,7 @@ class SimplexLayer:
 
     def _lines(self, name: str, lines: FloatArray, colour: Colour, thickness: float) -> viser.LineSegmentsHandle:
         shades = line_colours_for_viewer(for_both_ends(repeated(colour, len(lines))))
-        return self._server.scene.add_line_segments(
+        return self._place.scene.add_line_segments(
             name,
             points=lines,
             colors=shades,

@@ -38,11 +38,12 @@ _LIMITS = {
     "partners": (3, 400_000_000),
     "measured": (8, 200_000_000),
     "picture": (24, 200_000_000),
+    "model": (40, 150_000_000),
     "line": (512, 50_000_000),
 }
 """The largest number of values of each kind, and their largest total size besides the newest, bytes."""
 
-_DERIVED_FROM_SCAN = ("views", "assessment", "partners", "measured", "picture", "line")
+_DERIVED_FROM_SCAN = ("views", "assessment", "partners", "measured", "picture", "model", "line")
 """Kinds whose values would keep the previous scan in memory."""
 
 

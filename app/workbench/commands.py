@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
@@ -17,6 +17,7 @@ from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry
 
 from ..jobs.registry import JobRegistry
 from ..jobs.runner import JobRunner
+from ..scene.person import VIEWPOINTS
 from ..session.loader import Loader
 from ..session.session import Session
 from .batches import Batches
@@ -27,8 +28,12 @@ from .queries import Queries
 from .selection import Selection
 from .settings_form import check_bounds
 
+if TYPE_CHECKING:
+    from ..scene import Scene3D
+
 log = logging.getLogger(__name__)
 _MAX_ACTION = 80
+_OF_EVERY_MESSAGE = ("id", "do", "project")
 _MAX_PATH, _MAX_PATH_PART = 4000, 255
 _MAX_QUOTE, _MAX_SENTENCE = 40, 600
 _FOCALS = {
@@ -53,11 +58,12 @@ class Context(Protocol):
     runner: JobRunner
     jobs: JobRegistry
 
-    def set_model(self, client: Client | None, wanted: Mapping[str, Any]) -> None:
+    def set_model(self, client: Client, wanted: Mapping[str, Any]) -> None:
         """Change the display of the model for a client."""
 
-    def highlight(self, pick_id: str | None) -> None:
-        """Highlight a match in the 3-D scene."""
+    @property
+    def scene(self) -> Scene3D | None:
+        """The 3-D scene, once it is attached."""
 
     def list_served(self) -> None:
         """List the served folder again."""
@@ -199,7 +205,7 @@ def set_camera(context: Context, client: Client, fields: Fields) -> Reply:
 
 def set_settings(context: Context, client: Client, fields: Fields) -> Reply:
     """Change settings."""
-    values = {name: value for name, value in fields.items() if name not in ("id", "do")}
+    values = {name: value for name, value in fields.items() if name not in _OF_EVERY_MESSAGE}
     check_bounds(values)
 
     def edit(document: Document) -> Document:
@@ -262,7 +268,7 @@ def show_photo(context: Context, client: Client, fields: Fields) -> Reply:
 
 def set_model(context: Context, client: Client, fields: Fields) -> Reply:
     """Change the display of the model for the client."""
-    context.set_model(client, {name: value for name, value in fields.items() if name not in ("id", "do")})
+    context.set_model(client, {name: value for name, value in fields.items() if name not in _OF_EVERY_MESSAGE})
     return {}
 
 
@@ -273,8 +279,20 @@ def call_me(context: Context, client: Client, fields: Fields) -> Reply:
 
 
 def hover_pick(context: Context, client: Client, fields: Fields) -> Reply:
-    """Highlight a match in the 3-D scene."""
-    context.highlight(fields.get("pick") if isinstance(fields.get("pick"), str) else None)
+    """Highlight a match in the client's 3-D view."""
+    if context.scene is not None:
+        context.scene.highlight(client.id, fields.get("pick") if isinstance(fields.get("pick"), str) else None)
+    return {}
+
+
+def look(context: Context, client: Client, fields: Fields) -> Reply:
+    """Move the client's 3-D view to a viewpoint."""
+    viewpoint = fields.get("viewpoint")
+    known = next((name for name in VIEWPOINTS if name == viewpoint), None)
+    if known is None:
+        raise OptionError(f"there is no viewpoint {_quoted(viewpoint)}; it is one of {', '.join(VIEWPOINTS)}")
+    if context.scene is not None:
+        context.scene.look(client.id, known)
     return {}
 
 
@@ -384,6 +402,7 @@ COMMANDS: dict[str, Command] = {
         add_pick, set_pick, remove_picks, switch_picks, reject, set_camera, set_settings, rename, remove_photo,
         use_stage, undo, redo, go_to, show_photo, set_model, call_me, hover_pick, open_served, list_served, open_files,
         add_embedded, discard_files, predict, where, snap, sample_line, probe, run, job_control, export_folder,
+        look,
     )
 }  # fmt: skip
 

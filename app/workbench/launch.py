@@ -13,7 +13,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import LadarregError, OptionError
 
@@ -255,25 +255,16 @@ def _add_files(workbench: Workbench, files: Sequence[Path], camera: Path | None,
 
 
 def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
+    from ..gateway.viser_backend import client_id_of
     from ..scene import Scene3D
 
-    class Actions:
-        """Actions of the controls in the 3-D scene."""
+    def clicked(person: str, pick_id: str) -> None:
+        client = workbench.clients.find(person)
+        shown = workbench.selection.photo_of(client)
+        photo = shown.id if shown else None
+        workbench.publish_event({"event": "hover", "client": person, "photo": photo, "pick": pick_id})
 
-        def set_model(self, **wanted: Any) -> None:
-            workbench.set_model(None, {name: value for name, value in wanted.items() if value is not None})
-
-        def job_control(self, action: str, value: float | None = None) -> None:
-            try:
-                workbench.runner.control(action, value)
-            except LadarregError as error:
-                workbench.publish_notice(str(error), level="warn")
-
-        def hover(self, pick_id: str | None) -> None:
-            shown = workbench.selection.photo
-            workbench.publish_event({"event": "hover", "photo": shown.id if shown else None, "pick": pick_id})
-
-    workbench.attach_scene(Scene3D(server, Actions()))
+    workbench.attach_scene(Scene3D(server, clicked, person_of=lambda viewer: client_id_of(server, viewer)))
 
 
 def data_folder() -> Path:

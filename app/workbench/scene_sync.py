@@ -1,24 +1,26 @@
-"""Synchronises the 3-D scene with the document."""
+"""Synchronises the 3-D scene with the document and with what the clients look at."""
 
 from __future__ import annotations
 
 import logging
 import threading
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import LadarregError
 
-from ..scene.model_view import ModelChoice
 from ..session.debounce import Debouncer
 from ..session.loader import Loader
 from ..session.session import Session
-from .selection import Selection
+from .pose_state import judged_slice
 
 if TYPE_CHECKING:
+    from ladarreg_core.project.document import Document, PhotoEntry
+    from ladarreg_core.scan import Scan
+
     from ..jobs.runner import Job
     from ..jobs.simplex import Frame
-    from ..scene import Scene3D
+    from ..scene import Person, Picks, ScanShown, Scene3D, Shown, Subject
 
 log = logging.getLogger(__name__)
 
@@ -29,37 +31,37 @@ class SceneSync:
     Args:
         session: the session.
         loader: its loader.
-        selection: the client whose photograph and model are shown.
+        people: returns what every client looks at, by its id.
     """
 
-    def __init__(self, session: Session, loader: Loader, selection: Selection) -> None:
+    def __init__(self, session: Session, loader: Loader, people: Callable[[], Mapping[str, Person]]) -> None:
         self._session = session
         self._loader = loader
-        self._selection = selection
+        self._people = people
         self._scene: Scene3D | None = None
-        self._model = ModelChoice()
         self._debouncer = Debouncer()
-        self._shown: Any = None
+        self._scan_shown: ScanShown | None = None
+        self._subjects: dict[str, tuple[tuple[object, ...], Subject]] = {}
+        self._picks: dict[str, tuple[tuple[object, ...], Picks]] = {}
         self._simplex_runs = False
         self._iterations = 0
         self._last_iteration = 0
         self._thread = threading.Thread(target=self._work, name="scene sync", daemon=True)
         self._thread.start()
 
+    @property
+    def scene(self) -> Scene3D | None:
+        """The scene, once it is attached."""
+        return self._scene
+
     def attach(self, scene: Scene3D) -> None:
         """Update this scene from now on."""
         self._scene = scene
-        scene.set_model(**asdict(self._model))
         self.refresh()
 
     def refresh(self) -> None:
         """Update the scene soon."""
         self._debouncer.request()
-
-    def highlight(self, pick_id: str | None) -> None:
-        """Highlight a match; None: no match."""
-        if self._scene is not None:
-            self._scene.highlight(pick_id)
 
     def watch_simplex(self, frame: Frame) -> None:
         """Show an iteration of the simplex."""
@@ -69,7 +71,7 @@ class SceneSync:
 
         if not self._simplex_runs:
             self._simplex_runs, self._iterations, self._last_iteration = True, 0, 0
-            self._scene.simplex_started()
+            self._scene.simplex_started(frame.photo)
         number = frame.step.simplex.iteration
         if number < self._last_iteration:  # another descent has begun
             self._iterations += self._last_iteration
@@ -77,19 +79,15 @@ class SceneSync:
         shown = SimplexFrame.of(frame.step, iteration=self._iterations + number)
         if frame.last:
             self._simplex_runs = False
-            self._scene.simplex_ended(shown)
+            self._scene.simplex_ended(frame.photo, shown)
         else:
-            self._scene.simplex_step(shown)
+            self._scene.simplex_step(frame.photo, shown)
 
     def job_changed(self, job: Job) -> None:
-        """Show whether the simplex is paused, and end one that failed."""
-        if self._scene is None or not self._simplex_runs:
-            return
-        if job.runs:
-            self._scene.simplex_paused(paused=job.state == "paused")
-        else:
+        """End a simplex that failed."""
+        if self._scene is not None and self._simplex_runs and not job.runs:
             self._simplex_runs = False
-            self._scene.simplex_ended(None)
+            self._scene.simplex_ended(job.photo, None)
 
     def close(self) -> None:
         """End the thread and close the scene."""
@@ -111,36 +109,77 @@ class SceneSync:
         scene = self._scene
         if scene is None:
             return
+        from ..scene import Shown, Subject
 
+        document, people = self._session.document, self._people()
+        scene.set_people(people)
+        scan_shown = self._shown_scan(document)
+        photos: dict[str | None, Shown] = {}
+        if scan_shown is not None:
+            photos[None] = Shown(Subject(scan_shown))
+            for photo_id in {person.photo for person in people.values()}:
+                entry = document.photo(photo_id or "")
+                if entry is not None:
+                    residuals = any(p.model.residuals for p in people.values() if p.photo == photo_id)
+                    photos[entry.id] = self._shown(scan_shown, entry, with_residuals=residuals)
+        scene.show(photos)
+
+    def _shown_scan(self, document: Document) -> ScanShown | None:
+        from ..scene import ScanShown
+
+        scan = self._loader.scan(document)
+        if scan is None:
+            self._scan_shown = None
+        elif self._scan_shown is None or self._scan_shown.scan is not scan:
+            views = self._loader.views(document)
+            axis = views[0].view.view_from_scanner.rotation[2] if views else scan.mean_direction
+            self._scan_shown = ScanShown(scan, axis)
+            self._subjects.clear()
+            self._picks.clear()
+        return self._scan_shown
+
+    def _shown(self, scan_shown: ScanShown, entry: PhotoEntry, *, with_residuals: bool) -> Shown:
+        from ..scene import Shown
+
+        subject = self._subject(scan_shown, entry)
+        key = (entry.picks, entry.pose, with_residuals)
+        known = self._picks.get(entry.id)
+        if known is None or any(a is not b for a, b in zip(known[0], key, strict=True)):
+            known = self._picks[entry.id] = key, self._picks_of(scan_shown.scan, subject, entry, with_residuals)
+        return Shown(subject, known[1])
+
+    def _subject(self, scan_shown: ScanShown, entry: PhotoEntry) -> Subject:
+        from ..scene import Subject
+
+        loader = self._loader
+        key = (scan_shown, entry.pose, entry.source, entry.camera)
+        known = self._subjects.get(entry.id)
+        if known is not None and all(a is b or a == b for a, b in zip(known[0], key, strict=True)):
+            return known[1]
+        try:
+            photo = loader.photo(entry)
+        except LadarregError:
+            photo = None
+        try:
+            result = None if entry.pose is None or photo is None else loader.registration(entry.pose)
+        except LadarregError:  # its matches are missing, which the verdict of its stage states
+            result = None
+        subject = Subject(scan_shown, photo, result, entry.source.name)
+        self._subjects[entry.id] = key, subject
+        return subject
+
+    def _picks_of(self, scan: Scan, subject: Subject, entry: PhotoEntry, with_residuals: bool) -> Picks:
+        from ladarreg_core.inspection.picks import pick_points
         from ladarreg_core.palette import MATCHES
 
-        active = self._selection.active
-        if active is not None and active.model != self._model:
-            self._model = active.model
-            scene.set_model(**asdict(self._model))
-        loader = self._loader
-        scan, entry = loader.scan(self._session.document), self._selection.photo
-        pose = entry.pose if entry is not None else None
-        shown = (id(scan), id(pose), None if entry is None else (entry.id, entry.source, entry.camera))
-        if shown != self._shown:
-            self._shown = shown
-            if scan is None or entry is None:
-                scene.show_scan(scan)
-            else:
-                try:
-                    photo = loader.photo(entry)
-                except LadarregError:
-                    photo = None
-                try:
-                    registration = None if pose is None or photo is None else loader.registration(pose)
-                except LadarregError:  # its matches are missing, which the verdict of its stage states
-                    registration = None
-                scene.show_registration(scan, photo, registration, name=entry.source.name)
-        if scan is None or entry is None:
-            return
-        from ladarreg_core.inspection.picks import pick_points
+        from ..scene import Picks, residual_colours
 
-        points, ids, on = pick_points(scan, loader.picks(entry))
+        points, ids, on = pick_points(scan, self._loader.picks(entry))
         numbers = {pick.id: pick.number for pick in entry.picks}
         colours = [MATCHES[(numbers[name] - 1) % len(MATCHES)] for name in ids]
-        scene.show_picks(points, colours, on, ids)
+        by_residual = None
+        if with_residuals:
+            errors = judged_slice(self._loader, scan, subject.photo, entry)["by_pick"]
+            px = [errors.get(name, {}).get("px") for name in ids]
+            by_residual = residual_colours([float("nan") if value is None else value for value in px])
+        return Picks.of(points, colours, on, ids, by_residual=by_residual)

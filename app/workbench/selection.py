@@ -25,22 +25,11 @@ class Selection:
         self._session = session
         self._on_change = on_change
         self._latest = _last_edited(session.history)
-        self._active: Client | None = None
 
     @property
     def photo(self) -> PhotoEntry | None:
-        """The photograph that was selected last."""
-        return self._entry(self._active.photo if self._active else self._latest)
-
-    @property
-    def first(self) -> PhotoEntry | None:
-        """The photograph that a new client sees."""
+        """The photograph that was selected last, and that a new client sees."""
         return self._entry(self._latest)
-
-    @property
-    def active(self) -> Client | None:
-        """The client whose photograph and model the shared 3-D scene shows."""
-        return self._active
 
     def photo_of(self, client: Client | None) -> PhotoEntry | None:
         """Return the photograph that a client sees; without one the first, None if there is none."""
@@ -55,11 +44,6 @@ class Selection:
         self._latest = photo_id
         if client is not None:
             client.photo = photo_id
-        self.activate(client)
-
-    def activate(self, client: Client | None) -> None:
-        """Let the shared 3-D scene follow a client."""
-        self._active = client
         self._on_change()
 
     def _entry(self, photo_id: str | None) -> PhotoEntry | None:

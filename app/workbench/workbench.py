@@ -18,6 +18,7 @@ from ..jobs.inputs import Workspace
 from ..jobs.registry import JobRegistry
 from ..jobs.runner import Job, JobRunner
 from ..process_resources import return_memory_soon
+from ..scene.person import ANYBODY, Person
 from ..session.cache import IdentityCache, ListCache
 from ..session.loader import Loader
 from ..session.session import RETRY_S, Change, Session
@@ -27,6 +28,7 @@ from .commands import answer
 from .embedded import EmbeddedPictures
 from .files import Files
 from .images import Images
+from .model_parts import ModelParts
 from .pose_state import judged_slice, poses_slice, stage_state
 from .publisher import Publisher
 from .queries import Queries
@@ -47,7 +49,6 @@ from .state import (
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import PhotoEntry, PoseEntry
-    from ladarreg_core.results import PoseResult
 
     from ..gateway.protocol import Picture, Visitor
     from ..scene import Scene3D
@@ -95,7 +96,7 @@ class Workbench:
         self.clients = clients or Clients(self._publish)
         self.selection = Selection(session, self._selection_changed)
         self.queries = Queries(session, loader)
-        self.scene_sync = SceneSync(session, loader, self.selection)
+        self.scene_sync = SceneSync(session, loader, self._people)
         self.files = Files(session, loader, self.queries, self.selection, served)
         self.batches = Batches(session, loader, self.files, self.selection, self._publish)
         self.embedded = EmbeddedPictures(session, loader, self.selection)
@@ -103,6 +104,7 @@ class Workbench:
         workspace = Workspace(session, loader)
         self.jobs = JobRegistry(workspace, self.runner, self.scene_sync.watch_simplex, self.publish_event)
         self.images = Images(session, loader)
+        self.model_parts = ModelParts(session, loader)
         self._pick_entries, self._history_entries = ListCache(pick_entry), ListCache(history_entry)
         self._slices = IdentityCache()
         self.publisher = Publisher(self._quick_slices, self._slow_slices, self._assess)
@@ -141,8 +143,7 @@ class Workbench:
             OptionError: if there are too many.
         """
         client = self.clients.join(visitor)
-        if self.selection.active is None:
-            self.selection.activate(client)
+        self.scene_sync.refresh()
         return client
 
     def leave(self, client: Client) -> None:
@@ -160,11 +161,12 @@ class Workbench:
         Raises:
             LadarregError: if there is no such image.
         """
-        return self.images.picture(path, query)
+        kind, _, name = path.strip("/").partition("/")
+        return self.model_parts.part(name, query) if kind == "model" else self.images.picture(path, query)
 
     def first_pictures(self) -> Mapping[str, str]:
         """Return the URL of the picture that each pane shows first; those not known yet are omitted."""
-        return self.images.first_pictures(self.selection.first)
+        return self.images.first_pictures(self.selection.photo)
 
     def upload_folder(self) -> Path:
         """Return the folder for uploads."""
@@ -202,20 +204,19 @@ class Workbench:
 
     # for commands, the 3-D scene and the command line
 
-    def set_model(self, client: Client | None, wanted: Mapping[str, Any]) -> None:
-        """Change the display of the model for a client; None: for the one that the shared 3-D scene follows.
+    def set_model(self, client: Client, wanted: Mapping[str, Any]) -> None:
+        """Change the display of the model for a client.
 
         Raises:
             OptionError: if there is no such choice.
         """
-        client = client or self.selection.active
-        if client is not None:
-            client.model = client.model.changed(wanted)
-            self.selection.activate(client)
+        client.model = client.model.changed(wanted)
+        self._selection_changed()
 
-    def highlight(self, pick_id: str | None) -> None:
-        """Highlight a match in the 3-D scene."""
-        self.scene_sync.highlight(pick_id)
+    @property
+    def scene(self) -> Scene3D | None:
+        """The 3-D scene, once it is attached."""
+        return self.scene_sync.scene
 
     def list_served(self) -> None:
         """List the served folder again."""
@@ -276,7 +277,8 @@ class Workbench:
         return {
             "shown": shown.id if shown else None,
             "people": self.clients.slice(client),
-            "model": client.model.slice(self._registration(shown)),
+            "model": client.model.slice()
+            | self._slices.get(self._shown_parts(shown), partial(self.model_parts.slice, self.session.document, shown)),
         }
 
     def _opening_message(self, scan: Mapping[str, Any] | None) -> str:
@@ -285,13 +287,17 @@ class Workbench:
             return self.opening_message
         return f"{self.opening_message} The scan cannot be shown: {error}.".strip()
 
-    def _registration(self, shown: PhotoEntry | None) -> PoseResult | None:
-        if shown is None or shown.pose is None:
-            return None
-        try:
-            return self.loader.registration(shown.pose)
-        except LadarregError:  # its matches are missing, which the verdict of its stage states
-            return None
+    def _shown_parts(self, shown: PhotoEntry | None) -> tuple[object, ...]:
+        scan = self.session.document.scan
+        return ("model", scan) if shown is None else ("model", scan, shown.source, shown.camera, shown.pose)
+
+    def _people(self) -> dict[str, Person]:
+        """Return what every client looks at in the 3-D scene."""
+        people = {ANYBODY: Person(entry.id if (entry := self.selection.photo) else None)}
+        for client in self.clients.present:
+            entry = self.selection.photo_of(client)
+            people[client.id] = Person(entry.id if entry else None, client.model)
+        return people
 
     def _slow_slices(self) -> dict[str, Any]:
         document, loader = self.session.document, self.loader

@@ -270,23 +270,6 @@ def shape_picture(scan: Scan) -> NDArray[np.uint8]:
     return np.repeat(gray[..., None], 3, axis=-1)
 
 
-def colored_points(scan: Scan, image: ByteArray, *, most: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return the points (N, 3), m, of a scan without a surface, with their colours (N, 3) from a texture of its grid.
-
-    Args:
-        scan: the scan.
-        image: (H, W, 3) uint8 RGB.
-        most: largest number of points, spread over the grid.
-
-    Raises:
-        ShapeError: if the texture is not on the scan grid.
-    """
-    pixels = read_only(image, np.uint8, (*scan.shape, 3), "the texture of the model")
-    cells = np.flatnonzero(scan.valid)
-    cells = cells[:: max(1, -(-len(cells) // max(most, 1)))]
-    return np.asarray(scan.points.reshape(-1, 3)[cells], np.float32), pixels.reshape(-1, 3)[cells]
-
-
 def view_picture(view: View, picture: ByteArray) -> NDArray[np.uint8]:
     """Resample a gray texture (H, W, 3) of the scan grid into a view, (h, w, 3) uint8 RGB."""
     gray = view.resample(np.asarray(picture[..., 0], dtype=np.float32))

@@ -12,7 +12,9 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 
 _OVERVIEW_FOV_RAD = (float(np.deg2rad(58.0)), float(np.deg2rad(47.0)))
+_INSIDE_FOV_RAD = (float(np.deg2rad(80.0)), float(np.deg2rad(60.0)))
 _NARROWEST_RAD, _WIDEST_RAD = 0.02, 2.6
+_MEAN_OF_HALF_A_CIRCLE = 2 / np.pi
 _ASIDE, _ABOVE, _ROOM, _FILLED = 0.25, 0.3, 0.2, 0.92
 _HALVINGS = 30
 _SAMPLES, _PERCENTILES = 4000, (1.0, 99.0)
@@ -66,14 +68,27 @@ def from_pose(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Viewpoi
     return Viewpoint(centre, centre + forward * typical_range(scan), -down, field_of_view(camera))
 
 
-def overview(scan: Scan, camera_centre: FloatArray | None) -> Viewpoint:
+def is_all_around(scan: Scan) -> bool:
+    """Return whether a scan covers half of the horizon or more, so that its content lies around the scanner."""
+    level = scan.sampled_directions[:, :2].astype(np.float64)
+    level /= np.maximum(np.linalg.norm(level, axis=1, keepdims=True), 1e-9)
+    return float(np.linalg.norm(level.mean(axis=0))) < _MEAN_OF_HALF_A_CIRCLE
+
+
+def inside(scan: Scan, centre: FloatArray, forward: FloatArray) -> Viewpoint:
+    """Return the viewpoint of somebody at `centre` (3,), m, who looks along `forward` (3,), unit."""
+    return Viewpoint(centre, centre + typical_range(scan) * forward, np.array([0.0, 0, 1]), _INSIDE_FOV_RAD)
+
+
+def overview(scan: Scan, camera_centre: FloatArray | None, *, forward: FloatArray | None = None) -> Viewpoint:
     """Return a viewpoint behind and above, just far enough to show scanner, camera and model.
 
     Args:
         scan: the scan.
         camera_centre: (3,) m, scanner frame; None: no camera yet, and room is left for one.
+        forward: (3,) viewing direction, of which the horizontal part counts; None: towards the middle of the scan.
     """
-    direction = scan.mean_direction * np.array([1.0, 1, 0])
+    direction = (scan.mean_direction if forward is None else np.asarray(forward)) * np.array([1.0, 1, 0])
     length = float(np.linalg.norm(direction))
     forward = direction / length if length > 1e-3 else np.array([1.0, 0, 0])
     left = np.array([-forward[1], forward[0], 0.0])

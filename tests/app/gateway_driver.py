@@ -34,7 +34,7 @@ class Page:
 
     @property
     def id(self) -> str:
-        return self.name
+        return self.name.replace(" ", "-")
 
 
 @dataclass

@@ -33,10 +33,10 @@ def test_a_page_beyond_the_limit_shows_the_reason_and_connects_when_another_clos
             page.goto(f"{found.address}?token={found.token}")
             page.get_by_role("alert").get_by_text("64 pages are open").wait_for(timeout=15_000)
             page.get_by_role("button", name="too many pages are open: trying again").wait_for()
-            page.frame_locator(".model-frame").get_by_text("64 pages show the 3-D view").wait_for()
             for line in others.open:
                 line.close()
             page.get_by_role("button", name="connected", exact=True).wait_for(timeout=15_000)
+            page.locator(".model-cover").get_by_text("64 pages show the 3-D view").wait_for()
         finally:
             for line in (*others.open, *views.open):
                 line.close()

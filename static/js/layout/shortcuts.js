@@ -3,6 +3,7 @@
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
 import { openKeys } from "../panels/key_reference.js";
+import { toggleMarks } from "../panels/model_pane.js";
 import { view } from "../state/view.js";
 import { isTyping } from "../ui/dom.js";
 import { notice } from "../ui/notices.js";
@@ -40,6 +41,7 @@ const commands = (event) => {
 const plain = (event) => {
   if (event.key === "?") return openKeys;
   if (event.key === "h" || event.key === "H") return () => document.querySelector(".history-button").click();
+  if (event.key === "m" || event.key === "M") return toggleMarks;
   if (event.key === "f" || event.key === "F") {
     const pane = view.get().filled ?? currentPane();
     return pane && (() => toggleMaximised(pane));

@@ -30,6 +30,7 @@ const KEYS = [
   { group: "View", keys: "C", what: "Show or hide detected corners" },
   { group: "View", keys: "K", what: "Link both pictures" },
   { group: "View", keys: "Page Up, Page Down", what: "Previous, next view of the scan" },
+  { group: "View", keys: "M", what: "Hide or show scanner, camera and matches in the 3-D view" },
   { group: "View", keys: "F", what: "Maximise this pane; again, or Esc, restores" },
   { group: "General", keys: "Ctrl Z", what: "Undo" },
   { group: "General", keys: "Ctrl Shift Z, Ctrl Y", what: "Redo" },

@@ -1,43 +1,59 @@
-/** The 3-D model: viser's page in a frame, with the display options. */
+/** The 3-D model: viser's page in a frame below a cover, with viewpoints, texture, display options and legend. */
 
 import { connectionState, onConnection } from "../net/connection.js";
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
-import { button } from "../ui/controls.js";
-import { element, setChildren } from "../ui/dom.js";
-import { whenFirstPicturesArrived } from "../ui/first_pictures.js";
-import { mountSoftwareHint } from "./software_drawing.js";
+import { button, foldOut, tickBox } from "../ui/controls.js";
+import { element, setAttribute, setChildren } from "../ui/dom.js";
+import { mountModelCover } from "./model_cover.js";
+import { mountModelFrame } from "./model_frame.js";
+import { mountModelLegend } from "./model_legend.js";
+import { ModelLoader, usableTexture } from "./model_loader.js";
+import { drawsInSoftware, mountSoftwareHint } from "./software_drawing.js";
 
-const SWITCHES = [
-  [
-    "z_buffer",
-    "Hide occluded",
-    "On: the photograph colours only what the camera saw. Off: what lies behind, too (thesis Figure 2.23)",
-  ],
-  ["light", "Coarse mesh", "Use a coarser mesh, for slow computers"],
-  ["cameras", "Cameras", "Show scanner and camera"],
-  ["matches", "Matches", "Show the matches in 3-D"],
+const VIEWPOINTS = [
+  ["overview", "Overview", "Look from outside at scanner, camera and model"],
+  ["scanner", "Scanner", "Look from the scanner"],
+  ["camera", "Camera", "Look from the camera of the photograph"],
 ];
+const SWITCHES = [
+  ["cameras", "Scanner and camera"],
+  ["matches", "Matches"],
+  ["rays", "Rays of the matches"],
+  ["residuals", "Matches coloured by residual"],
+  ["z_buffer", "Hide what the camera did not see (off: thesis Figure 2.23)"],
+];
+const DETAILS = [["coarse", "Coarse"], ["standard", "Standard"], ["dense", "Dense"]];
 
-const controls = () => {
-  const texture = element(
-    "select",
-    {
-      class: "select",
-      "aria-label": "Texture of the model",
-      title: "Texture of the model",
-      on: { change: () => request("set_model", { texture: texture.value }) },
-    },
+const viewpoints = () => {
+  const buttons = VIEWPOINTS.map(([name, label, title]) => [
+    name,
+    title,
+    button({ label, title, kind: "small", act: () => request("look", { viewpoint: name }) }),
+  ]);
+  const show = () => {
+    const model = store.get("model");
+    for (const [name, title, each] of buttons) {
+      const missing = name === "camera" && !model?.accepted;
+      each.disabled = !model || !store.get("scan") || missing;
+      each.title = missing ? "Needs an accepted pose" : title;
+    }
+  };
+  store.watch(["model", "scan"], show);
+  show();
+  return element(
+    "div",
+    { class: "viewpoints", role: "group", "aria-label": "Viewpoint" },
+    ...buttons.map(([, , each]) => each),
   );
-  const switches = SWITCHES.map(([name, label, title]) => {
-    const toggle = button({
-      label,
-      title,
-      kind: "small toggle",
-      act: () => request("set_model", { [name]: toggle.getAttribute("aria-pressed") !== "true" }),
-    });
-    toggle.firstElementChild.classList.add("clip");
-    return [name, toggle];
+};
+
+const textureSelect = () => {
+  const select = element("select", {
+    class: "select",
+    "aria-label": "Texture of the model",
+    title: "Texture of the model",
+    on: { change: () => request("set_model", { texture: select.value }) },
   });
   let drawn = "";
   const show = () => {
@@ -46,81 +62,80 @@ const controls = () => {
     if (text !== drawn) {
       drawn = text;
       setChildren(
-        texture,
-        ...(model?.choices ?? []).map(
-          ({ value, label, usable, said }) => element(
-            "option",
-            { value, disabled: !usable, title: said },
-            usable ? label : `${label} · not available yet`,
-          ),
-        ),
+        select,
+        ...(model?.choices ?? []).map(({ value, label, usable, said }) =>
+          element("option", { value, disabled: !usable, title: said }, usable ? label : `${label} · not available yet`)),
       );
     }
-    if (model) texture.value = model.texture;
-    texture.disabled = !model;
-    for (const [name, toggle] of switches) {
-      toggle.disabled = !model;
-      toggle.setAttribute("aria-pressed", String(Boolean(model?.[name])));
-    }
+    if (model) select.value = usableTexture(model);
+    select.disabled = !model;
   };
   store.watch(["model"], show);
   show();
-  return [texture, ...switches.map(([, toggle]) => toggle)];
+  return select;
 };
 
-const TYPING = "input, textarea, select, [contenteditable], [role=textbox]";
-
-/** Show that the focus is inside the frame, which CSS cannot detect. */
-const showFocus = (frame) => {
-  const inner = frame.contentWindow;
-  inner.addEventListener("focus", () => frame.classList.add("focused"));
-  inner.addEventListener("blur", () => frame.classList.remove("focused"));
+const display = (legend) => {
+  const switches = SWITCHES.map(([name, label]) => [
+    name,
+    tickBox({ label, changed: (on) => request("set_model", { [name]: on }) }),
+  ]);
+  const shown = tickBox({ label: "Legend", changed: (on) => legend.toggle(on) });
+  shown.show(legend.visible);
+  const detail = element(
+    "select",
+    { class: "select", "aria-label": "Detail", on: { change: () => request("set_model", { detail: detail.value }) } },
+    ...DETAILS.map(([value, label]) => element("option", { value }, label)),
+  );
+  const row = element("label", { class: "pane-row" }, element("span", {}, "Detail"), detail);
+  const fold = foldOut("Display", "What the 3-D view shows", ...switches.map(([, each]) => each.row), shown.row, row);
+  const show = () => {
+    const model = store.get("model");
+    fold.opener.disabled = !model;
+    if (!model) return;
+    for (const [name, each] of switches) each.show(model[name]);
+    detail.value = model.detail;
+  };
+  store.watch(["model"], show);
+  show();
+  return [fold.opener, fold.sheet];
 };
 
-/** Forward keys from the frame to the page, except while text is typed. */
-const forwardKeys = (frame) => {
-  const inner = frame.contentWindow;
-  for (const kind of ["keydown", "keyup"]) {
-    inner.addEventListener(kind, (event) => {
-      if (event.defaultPrevented || event.target.closest?.(TYPING)) return;
-      const { key, code, ctrlKey, shiftKey, altKey, metaKey, repeat } = event;
-      const sent = new KeyboardEvent(
-        kind,
-        { key, code, ctrlKey, shiftKey, altKey, metaKey, repeat, bubbles: true, cancelable: true },
-      );
-      if (!frame.dispatchEvent(sent)) event.preventDefault();
-    });
-  }
+/** Hide scanner, camera and matches in the 3-D view, or show them again. */
+export const toggleMarks = () => {
+  const model = store.get("model");
+  if (!model) return;
+  const show = !(model.cameras || model.matches);
+  request("set_model", { cameras: show, matches: show });
 };
 
 /** Mount the frame and its controls. @param {HTMLElement} pane */
 export const mountModelPane = (pane) => {
-  pane.querySelector(".pane-controls").append(...controls());
   const body = pane.querySelector(".pane-body");
   const frame = element("iframe", { class: "model-frame", title: "3-D model", allow: "fullscreen" });
-  whenFirstPicturesArrived().then(() => frame.setAttribute("src", "viser/"));
-  frame.addEventListener("load", () => {
-    try {
-      forwardKeys(frame);
-      showFocus(frame);
-    } catch {
-      // the frame shows the browser's error page, which is not accessible
-    }
-  });
-  const note = element("p", { class: "pane-empty", hidden: true });
-  body.append(frame, note);
+  const empty = element("p", { class: "pane-empty", hidden: true });
+  const loader = new ModelLoader(frame, drawsInSoftware);
+  const cover = mountModelCover(loader);
+  const legend = mountModelLegend(loader);
+  const chip = element("p", { class: "model-loading", role: "status", hidden: true });
+  body.append(frame, cover.element, legend.element, chip, empty);
+  pane.querySelector(".pane-controls").append(viewpoints(), textureSelect(), ...display(legend));
+  mountModelFrame(frame, { loaded: (got, total) => loader.count("viewer", got, total), failed: cover.fail });
   mountSoftwareHint(body);
+  loader.onChange(({ state, got, total, error }) => {
+    const busy = state === "drawn" && total > 0;
+    chip.hidden = !busy && !(state === "drawn" && error);
+    chip.textContent = busy ? `loading ${kB(got)} of ${kB(total)} kB` : error;
+    setAttribute(body, "data-model", state);
+  });
   const show = () => {
-    const scan = store.get("scan");
-    setChildren(
-      note,
-      connectionState() === "connected" && !scan
-        ? "The scan is shown here as a surface, with the camera."
-        : "",
-    );
-    note.hidden = note.textContent === "";
+    const without = connectionState() === "connected" && !store.get("scan");
+    setChildren(empty, without ? "The scan is shown here as a surface, with the camera." : "");
+    empty.hidden = !without;
   };
   store.watch(["scan"], show);
   onConnection(show);
   show();
 };
+
+const kB = (bytes) => Math.round(bytes / 1000);

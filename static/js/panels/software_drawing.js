@@ -8,15 +8,24 @@ import { element } from "../ui/dom.js";
 const KEY = "ladarreg-software-drawing";
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
-/** @returns {string} name of the WebGL renderer; empty if there is none, or if the browser hides it */
-const rendererName = () => {
+/** @returns {string | null} name of the WebGL renderer, empty if the browser hides it; null without WebGL */
+const findRenderer = () => {
   const context = document.createElement("canvas").getContext("webgl");
-  if (!context) return "";
+  if (!context) return null;
   const info = context.getExtension("WEBGL_debug_renderer_info");
   const name = context.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : context.RENDERER);
   context.getExtension("WEBGL_lose_context")?.loseContext(); // browsers limit their number
   return String(name);
 };
+
+let renderer; // unknown until there is something to render
+const rendererName = () => (renderer === undefined ? (renderer = findRenderer()) : renderer);
+
+/** @returns {boolean} */
+export const hasWebGL = () => rendererName() !== null;
+
+/** @returns {boolean} whether the browser renders without a graphics card */
+export const drawsInSoftware = () => SOFTWARE.test(rendererName() ?? "");
 
 const dismissed = () => {
   try {
@@ -36,7 +45,6 @@ const dismiss = () => {
 
 /** Mount the hint. @param {HTMLElement} body of the model pane */
 export const mountSoftwareHint = (body) => {
-  let slow = null; // unknown until there is something to render
   let hidden = dismissed();
   const hint = element(
     "div",
@@ -45,8 +53,8 @@ export const mountSoftwareHint = (body) => {
     button({
       label: "Coarse mesh",
       kind: "small",
-      title: "Use a coarser mesh for all clients; the same switch above turns it off",
-      act: () => request("set_model", { light: true }),
+      title: "Use a coarser mesh and a smaller texture; Display, above, has the others",
+      act: () => request("set_model", { detail: "coarse" }),
     }),
     button({
       label: "Do not show this again",
@@ -61,9 +69,8 @@ export const mountSoftwareHint = (body) => {
     }),
   );
   const show = () => {
-    const useful = !hidden && Boolean(store.get("scan")) && store.get("model")?.light === false;
-    if (useful) slow ??= SOFTWARE.test(rendererName());
-    hint.hidden = !(useful && slow);
+    const useful = !hidden && Boolean(store.get("scan")) && (store.get("model")?.detail ?? "coarse") !== "coarse";
+    hint.hidden = !(useful && drawsInSoftware());
   };
   body.append(hint);
   store.watch(["scan", "model"], show);

@@ -37,5 +37,5 @@ def test_the_style_tokens_contain_the_scenes_colours() -> None:
     for k, colour in enumerate(MATCHES, start=1):
         assert f"--lr-match-{k}: #{bytes(colour).hex()};" in tokens
     assert "--lr-accent: #5cc8ff;" in tokens
-    for name in ("tokens.css", "panel.css", "logo.svg", "index.html", "js/main.js", "css/base.css"):
+    for name in ("tokens.css", "viser.css", "logo.svg", "index.html", "js/main.js", "css/base.css"):
         assert (static_folder() / name).is_file()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import re
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -13,7 +14,15 @@ import pytest
 import viser
 import websockets.asyncio.server
 import zstandard
-from ladarreg.gateway.viser_backend import HOST, SECRET_HEADER, ViserAddress, close_server, locked, open_locked_server
+from ladarreg.gateway.viser_backend import (
+    CLIENT_HEADER,
+    HOST,
+    SECRET_HEADER,
+    ViserAddress,
+    close_server,
+    locked,
+    open_locked_server,
+)
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -133,6 +142,34 @@ def test_its_page_is_forwarded(run: Running, path: str) -> None:
     assert packed[2][:2] == b"\x1f\x8b"
     assert run.ask("GET", "/viser/none.js")[0] == 404
     assert run.ask("GET", "/viser")[1]["location"] == "viser/"
+
+
+def test_each_page_has_a_view_of_its_own_and_all_share_the_large_page(
+    run: Running, viewer: tuple[viser.ViserServer, ViserAddress]
+) -> None:
+    server, _ = viewer
+    with run.socket() as document:
+        document.recv(timeout=10)
+        client = run.bench.pages[-1].id
+        status, headers, shell = run.ask("GET", f"/viser/{client}/")
+        assert status == 200
+        assert "no-store" not in headers["cache-control"]
+        named = re.search(rb'"\.\./(page\?\w+)"', shell)
+        assert named is not None
+        _, headers, page = run.ask("GET", f"/viser/{named[1].decode()}")
+        assert "immutable" in headers["cache-control"]
+        assert b"visibility: hidden" in page
+        with run.socket(f"/viser/{client}", subprotocols=[PROTOCOL]):
+            told: list[str] = []
+            assert soon(lambda: bool(server._websock_server._live_connections))
+            for connection in server._websock_server._live_connections.values():
+                told.append(connection.request.headers[CLIENT_HEADER])  # type: ignore[union-attr]
+            assert told == [client]
+        for stranger in ("somebody-else", client[:-1]):
+            assert run.ask("GET", f"/viser/{stranger}/")[0] == 403
+            with pytest.raises(InvalidStatus) as caught, run.socket(f"/viser/{stranger}", subprotocols=[PROTOCOL]):
+                pass
+            assert caught.value.response.status_code == 403
 
 
 @pytest.mark.parametrize("path", ["%00", "a%20b", "%0d%0aHost:x", "%7f", "%3Fx", "%C3%A9", "%", "a%", "..%2f", "%5c"])

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import html.parser
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,21 +14,20 @@ import pytest
 import viser
 from ladarreg.gateway.pages import static_text
 from ladarreg.gateway.viser_backend import close_server
-from ladarreg.scene import Scene3D, SimplexFrame
+from ladarreg.scene import Person, Picks, ScanShown, Scene3D, Shown, SimplexFrame, Subject
 from ladarreg.scene.draw_queue import DrawQueue
-from ladarreg.scene.legend import legend_html
-from ladarreg.scene.picks_layer import Picks
+from ladarreg.scene.model_view import ModelChoice
+from ladarreg.scene.picks_layer import residual_colours
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, ThesisParameters
-from ladarreg_core.inspection.model_textures import Legend, model_texture
 from ladarreg_core.matches import Matches
 from ladarreg_core.palette import ACCENT, BACKGROUND, MATCHES, as_css
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from tests.open_viser import open_server
 
 GEOMETRY = AzimuthElevation(40, 60, 0.01, 0.01)
@@ -65,35 +64,7 @@ def pose(*, accepted: bool = True) -> PoseResult:
     )
 
 
-class Actions:
-    """Records the actions, and answers as the workbench does: by calling the scene."""
-
-    def __init__(self) -> None:
-        self.calls: list[Any] = []
-        self.scene: Scene3D | None = None
-
-    def set_model(self, **wanted: Any) -> None:
-        self.calls.append(wanted)
-        if wanted.get("light"):
-            raise OptionError("no light here")
-        assert self.scene is not None
-        self.scene.set_model(**wanted)
-
-    def job_control(self, action: str, value: float | None = None) -> None:
-        self.calls.append((action, value))
-
-    def hover(self, pick_id: str | None) -> None:
-        self.calls.append(pick_id)
-
-
-class Client:
-    """The client that clicked."""
-
-    def __init__(self) -> None:
-        self.notifications: list[str] = []
-
-    def add_notification(self, title: str, body: str, **_: object) -> None:
-        self.notifications.append(body)
+AXIS = np.array([1.0, 0, 0])
 
 
 @pytest.fixture(scope="module")
@@ -104,52 +75,30 @@ def server() -> Iterator[viser.ViserServer]:
 
 
 @pytest.fixture
-def actions() -> Actions:
-    return Actions()
+def clicks() -> list[tuple[str, str]]:
+    return []
 
 
 @pytest.fixture
-def scene(server: viser.ViserServer, actions: Actions, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene3D]:
-    monkeypatch.setattr("ladarreg.scene.model_layer.REPLACED_AFTER_S", 0.1)
-    monkeypatch.setattr("ladarreg.scene.model_layer.REPLACED_BY_DRAFT_AFTER_S", 0.1)
-    monkeypatch.setattr("ladarreg.scene.scene.FINE_AFTER_SIMPLEX_S", 0.1)
+def scene(server: viser.ViserServer, clicks: list[tuple[str, str]]) -> Iterator[Scene3D]:
+    """A scene with one view, of Ann, drawn on the server."""
     server.scene.reset()
-    server.gui.reset()
-    actions.scene = Scene3D(server, actions)  # type: ignore[arg-type]
-    yield actions.scene
-    actions.scene.close()
+    opened = Scene3D(server, lambda person, pick: clicks.append((person, pick)))
+    opened.add_view(1, server, "ann")
+    opened.set_people({"ann": Person("p1")})
+    yield opened
+    opened.close()
 
 
-def nodes(server: viser.ViserServer) -> dict[str, viser.SceneNodeHandle]:
+def shown(result: PoseResult | None, *, scan: Scan = SCAN, picks: Picks | None = None) -> dict[str | None, Shown]:
+    """Return what is shown of a scan alone, and of it with one photograph."""
+    of_scan = ScanShown(scan, AXIS)
+    return {None: Shown(Subject(of_scan)), "p1": Shown(Subject(of_scan, PHOTO, result, "photo"), picks)}
+
+
+def drawn(scene: Scene3D, server: viser.ViserServer) -> dict[str, viser.SceneNodeHandle]:
+    assert scene.settle()
     return {name: node for name, node in server.scene._handle_from_node_name.items() if not node._impl.removed}
-
-
-def models(server: viser.ViserServer) -> list[str]:
-    return [name for name in nodes(server) if name.startswith("/model/")]
-
-
-def glb(server: viser.ViserServer) -> bytes:
-    handle = nodes(server)[models(server)[-1]]
-    assert isinstance(handle, viser.GlbHandle)
-    return handle.glb_data
-
-
-def wait(what: Callable[[], bool], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not what():
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.02)
-
-
-def gui(server: viser.ViserServer, label: str) -> Any:
-    return next(h for h in server.gui._gui_input_handle_from_uuid.values() if getattr(h, "label", None) == label)
-
-
-def press(handle: Any, value: object, client: Client) -> None:
-    """Do what viser does when a browser changes a value."""
-    handle._impl.value = value
-    for callback in handle._impl.update_cb:
-        callback(viser.GuiEvent(client, 1, handle))  # type: ignore[arg-type]
 
 
 def click(server: viser.ViserServer, place: list[float]) -> None:
@@ -159,158 +108,170 @@ def click(server: viser.ViserServer, place: list[float]) -> None:
         entry.callback(viser.SceneClickEvent(None, 1, (-1.0, 0, 0), direction, (0.5, 0.5), None))  # type: ignore[arg-type]
 
 
+class Viewer:
+    """A client of viser with a camera, drawn on the server."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.scene, self.atomic = server.scene, server.atomic
+        self.camera = SimpleNamespace(aspect=1.0, position=np.zeros(3), look_at=AXIS)
+
+    def faces(self, direction: np.ndarray) -> float:
+        """Return the cosine between the horizontal viewing direction and another."""
+        along = (np.asarray(self.camera.look_at) - self.camera.position)[:2]
+        return float(along @ direction[:2] / np.linalg.norm(along) / np.linalg.norm(direction[:2]))
+
+
+def test_everybody_shares_an_empty_node_for_the_model(server: viser.ViserServer, scene: Scene3D) -> None:
+    model = drawn(scene, server)["/model"]
+    assert isinstance(model, viser.GlbHandle)
+    assert len(model.glb_data) < 3000, "the page fetches the model itself"
+
+
 def test_nodes_have_their_names(server: viser.ViserServer, scene: Scene3D) -> None:
-    assert scene.settle()
-    assert not models(server)
-    scene.show_scan(SCAN)
-    assert scene.settle()
-    assert len(models(server)) == 1
-    assert "/scanner" in nodes(server)
-    assert not {"/camera", "/matches/points"} & set(nodes(server))
-    scene.show_registration(SCAN, PHOTO, pose(), name="photo")
-    assert scene.settle()
-    assert {"/scanner", "/camera", "/matches/points", "/matches/scanner_rays", "/matches/camera_rays"} <= set(
-        nodes(server)
-    )
-    assert isinstance(nodes(server)["/camera"], viser.CameraFrustumHandle)
-    np.testing.assert_allclose(nodes(server)["/camera"].position, pose().camera_from_scanner.centre)
-    scene.show_scan(None)
-    assert scene.settle()
-    assert not models(server)
-    assert not {"/scanner", "/camera", "/matches/points"} & set(nodes(server))
+    scene.show(shown(None))
+    nodes = drawn(scene, server)
+    assert "/scanner" in nodes
+    assert not {"/camera", "/matches/points"} & set(nodes)
+    scene.show(shown(pose()))
+    nodes = drawn(scene, server)
+    assert {"/scanner", "/camera", "/matches/points"} <= set(nodes)
+    assert not {"/matches/scanner_rays", "/matches/camera_rays"} & set(nodes), "rays are shown on demand"
+    assert isinstance(nodes["/camera"], viser.CameraFrustumHandle)
+    np.testing.assert_allclose(nodes["/camera"].position, pose().camera_from_scanner.centre)
+    scene.set_people({"ann": Person("p1", ModelChoice(rays=True))})
+    assert {"/matches/scanner_rays", "/matches/camera_rays"} <= set(drawn(scene, server))
+    scene.show({})
+    assert not {"/scanner", "/camera", "/matches/points"} & set(drawn(scene, server))
 
 
-def test_nothing_is_coloured_without_an_accepted_pose(server: viser.ViserServer, scene: Scene3D) -> None:
-    scene.show_scan(SCAN)
-    assert scene.settle()
-    gray, count = glb(server), len(models(server))
-    scene.show_registration(SCAN, PHOTO, pose(accepted=False), name="photo")
-    assert scene.settle()
-    assert glb(server) == gray
-    assert len(models(server)) == count, "the same model is not sent again"
-    assert not isinstance(nodes(server)["/camera"], viser.CameraFrustumHandle), "a frustum would show the photograph"
-    label = nodes(server)["/camera_name"]
+def test_a_refused_pose_is_a_dashed_outline(server: viser.ViserServer, scene: Scene3D) -> None:
+    scene.show(shown(pose(accepted=False)))
+    nodes = drawn(scene, server)
+    assert not isinstance(nodes["/camera"], viser.CameraFrustumHandle), "a frustum would show the photograph"
+    label = nodes["/camera_name"]
     assert isinstance(label, viser.LabelHandle)
     assert label.text == "photo: not accepted"
-    scene.show_registration(SCAN, PHOTO, pose())
+    scene.show(shown(pose()))
+    assert "/camera_name" not in drawn(scene, server)
+
+
+def test_each_person_sees_the_own_photograph_and_highlight(server: viser.ViserServer, scene: Scene3D) -> None:
+    clients = {name: Viewer(server) for name in ("bob", "eve")}
+    for viewer in clients.values():
+        viewer.scene = type(server.scene)(
+            server, thread_executor=server._thread_executor, event_loop=server._event_loop
+        )
+    scene.remove_view(1)
+    for k, (name, viewer) in enumerate(clients.items()):
+        scene.add_view(k, viewer, name)
+    picks = Picks.of([[3, 0, 0]], [[255, 0, 0]], [True], ["a"])
+    photos = shown(pose(), picks=picks)
+    photos["p2"] = Shown(Subject(photos[None].subject.shown, PHOTO, None, "other"))
+    scene.show(photos)
+    scene.set_people({"bob": Person("p1"), "eve": Person("p2")})
+    scene.highlight("bob", "a")
     assert scene.settle()
-    assert glb(server) != gray
-    assert "/camera_name" not in nodes(server)
+    bob, eve = (
+        {name for name, node in viewer.scene._handle_from_node_name.items() if not node._impl.removed}
+        for viewer in clients.values()
+    )
+    assert {"/scanner", "/camera", "/matches/points", "/highlight/point"} <= bob
+    assert "/scanner" in eve
+    assert not {"/camera", "/matches/points", "/highlight/point"} & eve
 
 
-def test_the_model_is_replaced_and_its_predecessor_removed(server: viser.ViserServer, scene: Scene3D) -> None:
-    scene.show_registration(SCAN, PHOTO, pose())
-    assert scene.settle()
-    seen = {glb(server)}
-    for wanted in ({"z_buffer": False}, {"texture": "label"}, {"texture": "range"}, {"texture": "uncertainty"}):
-        scene.set_model(**wanted)  # type: ignore[arg-type]
-        assert scene.settle()
-        seen.add(glb(server))
-        assert len(models(server)) == 1
-    assert len(seen) == 5
-    with pytest.raises(OptionError, match="one of colour"):
-        scene.set_model(texture="glitter")
-
-
-def test_of_many_requests_few_are_drawn_and_always_the_last(server: viser.ViserServer, scene: Scene3D) -> None:
-    scene.show_registration(SCAN, PHOTO, pose())
-    assert scene.settle()
-    first = scene._model._count
-    for k in range(100):
-        scene.set_model(texture=("range", "label")[k % 2])
-    scene.set_model(texture="intensity")
-    assert scene.settle()
-    assert scene._model._count - first < 30
-    assert scene._model.legend == model_texture(SCAN, "intensity").legend
-
-
-def test_another_scan_removes_everything_of_the_last_one(server: viser.ViserServer, scene: Scene3D) -> None:
-    scene.show_registration(SCAN, PHOTO, pose())
-    scene.show_picks([[3, 0, 0]], [[1, 2, 3]], [True], ["p"])
-    assert scene.settle()
-    where = np.array(server.initial_camera.position)
-    scene.show_scan(wall(x_m=9.0))
-    wait(lambda: len(models(server)) == 1 and "/matches/points" not in nodes(server))
-    assert scene.settle()
-    assert "/camera" not in nodes(server)
-    assert np.linalg.norm(server.initial_camera.position - where) > 0.5
-
-
-def test_a_scan_without_surface_is_shown_as_points(server: viser.ViserServer, scene: Scene3D) -> None:
-    ranges = np.full((40, 60), np.nan)
-    ranges[::4, ::4] = 3.0
-    scene.show_scan(Scan(GEOMETRY, ranges, np.ones((40, 60))))
-    assert scene.settle()
-    cloud = nodes(server)[models(server)[0]]
-    assert isinstance(cloud, viser.PointCloudHandle)
-    assert len(cloud.points) == np.isfinite(ranges).sum()
+def test_settings_are_checked() -> None:
+    for wanted in ({"texture": "glitter"}, {"detail": "huge"}, {"smell": True}, {"rays": "yes"}):
+        with pytest.raises(OptionError):
+            ModelChoice().changed(wanted)
+    assert ModelChoice().changed({"detail": "dense", "texture": "range"}).detail == "dense"
+    assert not ModelChoice().rays
 
 
 def test_switches_hide_and_show(server: viser.ViserServer, scene: Scene3D) -> None:
-    scene.show_registration(SCAN, PHOTO, pose())
-    scene.set_model(cameras=False, matches=False)
-    assert scene.settle()
-    for name in ("/scanner", "/camera", "/matches/points", "/matches/scanner_rays"):
-        assert not nodes(server)[name].visible, name
-    scene.set_model(cameras=True, matches=True)
-    assert scene.settle()
-    for name in ("/scanner", "/camera", "/matches/points", "/matches/scanner_rays"):
-        assert nodes(server)[name].visible, name
+    names = ("/scanner", "/camera", "/matches/points", "/matches/scanner_rays")
+    scene.show(shown(pose()))
+    for visible in (False, True):
+        scene.set_people({"ann": Person("p1", ModelChoice(cameras=visible, matches=visible, rays=True))})
+        nodes = drawn(scene, server)
+        for name in names:
+            assert nodes[name].visible == visible, name
 
 
 def test_picks_have_their_colours_and_are_clickable(
-    server: viser.ViserServer, scene: Scene3D, actions: Actions
+    server: viser.ViserServer, scene: Scene3D, clicks: list[tuple[str, str]]
 ) -> None:
-    scene.show_registration(SCAN, PHOTO, None)
     points = np.array([[3, 0, 0], [np.nan, 0, 0], [3, 0.5, 0], [3, -0.5, 0]])
     colours = np.array(MATCHES[:4], np.uint8)
-    scene.show_picks(points, colours, [True, True, False, True], ["a", "b", "c", "d"])
-    assert scene.settle()
-    cloud: Any = nodes(server)["/matches/points"]
+    residuals = residual_colours([0.1, 1, np.nan, 4])
+    picks = Picks.of(points, colours, [True, True, False, True], ["a", "b", "c", "d"], by_residual=residuals)
+    scene.show(shown(None, picks=picks))
+    cloud: Any = drawn(scene, server)["/matches/points"]
     np.testing.assert_allclose(cloud.points, points[[0, 2, 3]], atol=0.1)
     np.testing.assert_array_equal(cloud.colors[[0, 2]], colours[[0, 3]])
     assert cloud.colors[1].astype(int).sum() < colours[2].astype(int).sum(), "matches that are off are dimmed"
     click(server, [3, -0.5, 0])
     click(server, [3, 0.2, 0.4])
-    assert actions.calls == ["d"]
-    scene.highlight("d")
-    assert scene.settle()
-    marked: Any = nodes(server)["/highlight/point"]
+    assert clicks == [("ann", "d")]
+    scene.highlight("ann", "d")
+    marked: Any = drawn(scene, server)["/highlight/point"]
     np.testing.assert_allclose(marked.points, points[[3]], atol=0.12)
     for nobody in ("b", "nobody", None):
-        scene.highlight(nobody)
-        assert scene.settle()
-        assert "/highlight/point" not in nodes(server)
+        scene.highlight("ann", nobody)
+        assert "/highlight/point" not in drawn(scene, server)
+    scene.set_people({"ann": Person("p1", ModelChoice(residuals=True))})
+    cloud = drawn(scene, server)["/matches/points"]
+    np.testing.assert_array_equal(cloud.colors[[0, 2]], residuals[[0, 3]])
+    assert len({tuple(colour) for colour in residuals.tolist()}) == 4
 
 
 def test_a_highlight_survives_a_change_of_the_picks(server: viser.ViserServer, scene: Scene3D) -> None:
-    scene.show_scan(SCAN)
-    scene.show_picks([[3, 0, 0]], [[9, 9, 9]], [True], ["a"])
-    scene.highlight("a")
-    scene.show_picks([[3, 0, 0], [3, 1, 0]], [[9, 9, 9]] * 2, [True, True], ["b", "a"])
-    assert scene.settle()
-    marked: Any = nodes(server)["/highlight/point"]
+    scene.show(shown(None, picks=Picks.of([[3, 0, 0]], [[9, 9, 9]], [True], ["a"])))
+    scene.highlight("ann", "a")
+    scene.show(shown(None, picks=Picks.of([[3, 0, 0], [3, 1, 0]], [[9, 9, 9]] * 2, [True, True], ["b", "a"])))
+    marked: Any = drawn(scene, server)["/highlight/point"]
     np.testing.assert_allclose(marked.points, [[3, 1, 0]], atol=0.12)
 
 
-def test_controls_call_actions_and_follow_the_state_without_a_loop(
-    server: viser.ViserServer, scene: Scene3D, actions: Actions
-) -> None:
-    scene.show_registration(SCAN, PHOTO, pose())
+def test_the_view_begins_along_the_scan_and_follows_the_pose(server: viser.ViserServer, scene: Scene3D) -> None:
+    viewer = Viewer(server)
+    scene.remove_view(1)
+    scene.add_view(2, viewer, "ann")
+    photos = shown(None)
+    scene.show(photos)
     assert scene.settle()
-    client = Client()
-    press(gui(server, "Texture"), "Visibility class", client)
-    press(gui(server, "Cameras"), False, client)
+    assert viewer.faces(AXIS) > 0.9
+    result = pose()
+    photos = {**photos, "p1": Shown(Subject(photos[None].subject.shown, PHOTO, result, "photo"))}
+    scene.show(photos)
     assert scene.settle()
-    assert actions.calls == [{"texture": "label"}, {"cameras": False}]
-    scene.set_model(texture="range", cameras=True, z_buffer=False)
+    forward = result.camera_from_scanner.rotation[2]
+    assert viewer.faces(forward) > 0.95, "along the camera, a little from the side"
+    scene.look("ann", "camera")
     assert scene.settle()
-    assert gui(server, "Texture").value == "Range"
-    assert gui(server, "Cameras").value is True
-    assert gui(server, "Hide occluded").value is False
-    assert len(actions.calls) == 2, "updates from the workbench are not sent back to it"
-    press(gui(server, "Coarse mesh"), True, client)
-    assert client.notifications == ["no light here"]
+    np.testing.assert_allclose(viewer.camera.position, result.camera_from_scanner.centre)
+    better = dataclasses.replace(result, camera_from_scanner=ThesisParameters(0.4, 0, 0, 0.05, 0, 0).pose)
+    photos = {**photos, "p1": Shown(Subject(photos[None].subject.shown, PHOTO, better, "photo"))}
+    scene.show(photos)
+    assert scene.settle()
+    np.testing.assert_allclose(viewer.camera.position, better.camera_from_scanner.centre)
+    viewer.camera.position = np.array([-5.0, 1, 2])
+    scene.show({**photos, "p1": Shown(Subject(photos[None].subject.shown, PHOTO, result, "photo"))})
+    assert scene.settle()
+    np.testing.assert_array_equal(viewer.camera.position, [-5.0, 1, 2], "nobody is moved who has moved by himself")
+
+
+def test_a_scan_all_around_is_seen_from_inside_along_its_first_view(server: viser.ViserServer, scene: Scene3D) -> None:
+    geometry = SphericalGrid(20, 180, 2 * np.pi / 180, 0.05, 0.0, 0.5)
+    scan = Scan(geometry, np.full((20, 180), 4.0), np.ones((20, 180)))
+    axis = np.array([-1.0, 0, 0])
+    viewer = Viewer(server)
+    scene.add_view(2, viewer, "ann")
+    of_scan = ScanShown(scan, axis)
+    scene.show({None: Shown(Subject(of_scan)), "p1": Shown(Subject(of_scan, PHOTO, None, ""))})
+    assert scene.settle()
+    assert viewer.faces(axis) > 0.999
+    assert np.linalg.norm(viewer.camera.position) < 0.1
 
 
 def frames(count: int) -> list[SimplexFrame]:
@@ -318,82 +279,40 @@ def frames(count: int) -> list[SimplexFrame]:
     return [SimplexFrame(k + 1, p, (p,) * 6, 10.0 * 0.9**k, "4 of 4 inliers") for k, p in enumerate(there)]
 
 
-def test_simplex_drawing_is_throttled_and_its_last_frame_kept(server: viser.ViserServer, scene: Scene3D) -> None:
-    scene.show_registration(SCAN, PHOTO, None)
-    assert scene.settle()
-    assert not scene._folder._folder.visible
-    scene.simplex_started()
-    assert scene.settle()
-    assert scene._folder._folder.visible
-    drawn: list[int] = []
-    draw = scene._folder.draw
-    scene._folder.draw = lambda curves, frame, state: (drawn.append(frame.iteration), draw(curves, frame, state))  # type: ignore[assignment, func-returns-value]
-    walk = frames(400)
-    begun = time.monotonic()
+def simplex_nodes(scene: Scene3D, server: viser.ViserServer) -> set[str]:
+    return {name for name in drawn(scene, server) if name.startswith("/simplex/")}
+
+
+def test_the_last_frame_of_a_simplex_is_drawn_and_stays_until_there_is_a_pose(
+    server: viser.ViserServer, scene: Scene3D
+) -> None:
+    scene.show(shown(None))
+    scene.simplex_started("p1")
+    walk = frames(200)
     for frame in walk:
-        scene.simplex_step(frame)
-        time.sleep(0.002)
-    assert scene.settle()
-    seconds = time.monotonic() - begun
-    assert 2 <= len(drawn) <= seconds / 0.04 + 2
-    assert drawn[-1] == 400
-    assert drawn == sorted(drawn)
-    assert scene._folder._parameters.data[0][-1] == 400
-    np.testing.assert_allclose(nodes(server)["/simplex/best"].position, walk[-1].best.centre, atol=1e-5)
-    lines: Any = nodes(server)["/simplex/vertices"]
-    assert lines.points.shape == (48, 2, 3)
-    assert "/simplex/start" in nodes(server)
-    scene.simplex_ended(walk[-1])
-    assert scene.settle()
-    assert scene._folder._parameters.data[0][-1] == 400, "the last frame is not added twice"
-    assert {n for n in nodes(server) if n.startswith("/simplex/")} == {"/simplex/best"}
-    assert "done" in scene._folder._status.content
-    scene.show_registration(SCAN, PHOTO, pose())
-    assert scene.settle()
-    assert "/simplex/best" not in nodes(server), "the pose that is shown replaces it"
+        scene.simplex_step("p1", frame)
+    nodes: Any = drawn(scene, server)
+    np.testing.assert_allclose(nodes["/simplex/best"].position, walk[-1].best.centre, atol=1e-5)
+    assert nodes["/simplex/vertices"].points.shape == (48, 2, 3)
+    assert "/simplex/start" in nodes
+    scene.simplex_ended("p1", walk[-1])
+    assert simplex_nodes(scene, server) == {"/simplex/best"}
+    scene.show(shown(pose()))
+    assert not simplex_nodes(scene, server), "the pose that is shown replaces it"
 
 
-def test_a_simplex_without_result_leaves_nothing(server: viser.ViserServer, scene: Scene3D) -> None:
-    scene.show_registration(SCAN, PHOTO, None)
-    scene.simplex_started()
-    scene.simplex_step(frames(1)[0])
-    scene.simplex_ended(None)
-    assert scene.settle()
-    assert not {n for n in nodes(server) if n.startswith("/simplex/")}
-    scene.simplex_paused(paused=True)
-    assert scene.settle()
-    assert not gui(server, "Simplex run").visible, "a finished simplex cannot be paused"
-
-
-def test_the_model_is_a_draft_while_the_simplex_moves(server: viser.ViserServer, scene: Scene3D) -> None:
-    geometry = AzimuthElevation(150, 200, 0.004, 0.004)
-    scene.show_registration(Scan(geometry, 3 / geometry.rays[..., 0], np.ones((150, 200))), PHOTO, None)
-    assert scene.settle()
-    fine = len(glb(server))
-    scene.simplex_started()
-    assert scene.settle()
-    assert len(glb(server)) < 0.6 * fine
-    scene.simplex_ended(None)
-    assert scene.settle()
-    assert len(glb(server)) == fine
-
-
-def test_the_simplex_controls_reach_the_job(server: viser.ViserServer, scene: Scene3D, actions: Actions) -> None:
-    scene.simplex_started()
-    assert scene.settle()
-    client, buttons = Client(), gui(server, "Simplex run")
-    for name in ("Pause", "Step", "Keep best"):
-        press(buttons, name, client)
-    scene.simplex_paused(paused=True)
-    assert scene.settle()
-    assert buttons.options == ("Resume", "Step", "Keep best")
-    press(buttons, "Resume", client)
-    scene.simplex_paused(paused=False)
-    press(gui(server, "Steps per second"), 30, client)
-    press(gui(server, "Steps per second"), 200, client)
-    assert actions.calls == [
-        ("pause", None), ("step", None), ("stop", None), ("resume", None), ("speed", 30.0), ("speed", 0.0),
-    ]  # fmt: skip
+def test_a_simplex_of_another_photograph_or_without_result_leaves_nothing(
+    server: viser.ViserServer, scene: Scene3D
+) -> None:
+    scene.show(shown(None))
+    scene.simplex_started("p2")
+    scene.simplex_step("p2", frames(1)[0])
+    assert not simplex_nodes(scene, server)
+    scene.simplex_started("p1")
+    scene.simplex_step("p1", frames(1)[0])
+    assert simplex_nodes(scene, server)
+    scene.simplex_ended("p1", None)
+    assert not simplex_nodes(scene, server)
 
 
 def test_frames_agree_with_the_descent() -> None:
@@ -417,14 +336,13 @@ def test_frames_agree_with_the_descent() -> None:
 
 def test_closing_leaves_no_thread(server: viser.ViserServer) -> None:
     before = set(threading.enumerate())
-    server.gui.reset()
-    other = Scene3D(server, Actions())  # type: ignore[arg-type]
-    other.show_registration(SCAN, PHOTO, pose())
+    other = Scene3D(server, lambda person, pick: None)
+    other.show(shown(pose()))
     mine = [thread for thread in threading.enumerate() if thread.name == "scene" and thread not in before]
     assert len(mine) == 1
     other.close()
     assert not mine[0].is_alive()
-    other.show_scan(None)
+    other.show({})
     other.close()
 
 
@@ -455,29 +373,6 @@ def test_requests_wait_for_their_time_and_the_latest_wins() -> None:
     assert drawn[0][1] >= 0.15
 
 
-class Tags(html.parser.HTMLParser):
-    def __init__(self) -> None:
-        super().__init__()
-        self.seen: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: object) -> None:
-        self.seen.append(tag)
-
-
-def test_text_cannot_inject_html(server: viser.ViserServer, scene: Scene3D) -> None:
-    attack = "<img src=x onerror=alert(1)>\"'&"
-    tags = Tags()
-    tags.feed(legend_html(Legend(attack, (((1, 2, 3), attack),), ((0, 0, 0),), attack, attack), attack))
-    assert "img" not in tags.seen
-    scene.simplex_started()
-    scene.simplex_step(dataclasses.replace(frames(1)[0], note=attack))
-    assert scene.settle()
-    status = Tags()
-    status.feed(scene._folder._status.content)
-    assert "img" not in status.seen
-    assert "&lt;img" in scene._folder._status.content
-
-
 def test_picks_of_a_line_share_their_id() -> None:
     picks = Picks.of([[1, 0, 0], [2, 0, 0], [np.nan] * 3], [[1, 1, 1]] * 3, [True] * 3, ["l", "l", "m"])
     assert picks.ids == ("l", "l")
@@ -493,6 +388,5 @@ def test_the_colours_are_the_style_tokens() -> None:
 
 def test_a_distant_pose_is_drawn(server: viser.ViserServer, scene: Scene3D) -> None:
     far = dataclasses.replace(pose(), camera_from_scanner=Rigid(np.eye(3), [0.0, 0.0, 1e6]))
-    scene.show_registration(SCAN, PHOTO, far)
-    assert scene.settle()
-    assert "/camera" in nodes(server)
+    scene.show(shown(far))
+    assert "/camera" in drawn(scene, server)

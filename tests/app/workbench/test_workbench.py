@@ -693,7 +693,7 @@ def test_edits_continue_on_a_full_disk_and_are_saved_later(
             bench.do("add_pick", photo="p1", **LINE)
             bench.eventually(lambda: bench.slice("project")["unsaved"])
             assert bench.do("add_pick", photo="p1", **LINE)["saved"] is False
-            assert bench.do("set_model", light=count == 1)["saved"] is False, "every reply says so"
+            assert bench.do("set_model", rays=count == 1)["saved"] is False, "every reply says so"
             assert ["no space" in text for text in notices()] == [True], "and a notice once"
         bench.eventually(lambda: not bench.slice("project")["unsaved"])
         assert notices()[1:] == ["Everything is saved again."], "without another edit"

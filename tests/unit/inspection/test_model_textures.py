@@ -14,7 +14,6 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.inspection.model_textures import (
-    colored_points,
     model_texture,
     picture_without_z_buffer,
     small_picture,
@@ -268,19 +267,6 @@ def test_invalid_arguments_are_refused(room: PaintedRoom, result: PoseResult) ->
     cut = dataclasses.replace(small, image=small.image[:9], labels=small.labels[:9])
     with pytest.raises(ShapeError, match="cells"):
         model_texture(room.scan, "colour", photo=room.photo, result=result, registered=cut)
-
-
-@given(st.integers(1, 4000))
-def test_a_scan_without_surface_is_thinned_to_the_limit(most: int) -> None:
-    image = np.arange(30 * 40 * 3, dtype=np.uint8).reshape(30, 40, 3)
-    ranges = np.full((30, 40), 2.0)
-    ranges[::2] = np.nan
-    scan = Scan(AzimuthElevation(30, 40, 0.01, 0.01), ranges, np.ones((30, 40)))
-    points, colours = colored_points(scan, image, most=most)
-    assert 0 < len(points) <= most
-    assert points.shape == colours.shape
-    assert np.isfinite(points).all()
-    assert {tuple(c) for c in colours} <= {tuple(c) for c in image[1::2].reshape(-1, 3)}
 
 
 def test_small_pictures_keep_their_shape_and_mean() -> None:

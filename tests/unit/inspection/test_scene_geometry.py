@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.errors import ShapeError
 from ladarreg_core.export.viser_colors import line_colours_for_viewer, shown_colours
-from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, look_along
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, look_along
 from ladarreg_core.inspection.scene_geometry import (
     Marks,
     camera_outline,
@@ -22,10 +22,9 @@ from ladarreg_core.inspection.scene_geometry import (
     rays_to,
     spread,
 )
-from ladarreg_core.inspection.simplex_curves import SimplexCurves
-from ladarreg_core.inspection.viewpoints import from_pose, overview
+from ladarreg_core.inspection.viewpoints import from_pose, inside, is_all_around, overview
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from tests.properties.strategies import poses
 
 CAMERA = Camera.from_focal(600, 400, 500.0)
@@ -145,41 +144,16 @@ def test_the_overview_of_a_scan_that_looks_all_around() -> None:
     assert np.linalg.norm(there.look_at - there.position) > 0.3
 
 
-def walk(curves: SimplexCurves, count: int, *, first: int = 1) -> None:
-    for k in range(first, first + count):
-        curves.add(k, ThesisParameters(k, 0, 0, 0.1, 0, 0), 10.0**-k if k < 200 else 1e-25)
+def test_a_scan_of_half_the_horizon_is_all_around() -> None:
+    for columns, expected in ((40, False), (85, False), (180, True)):
+        geometry = SphericalGrid(10, columns, 2 * np.pi / 180, 0.05, 0.3, 0.2)
+        scan = Scan(geometry, np.full((10, columns), 2.0), np.ones((10, columns)))
+        assert is_all_around(scan) == expected, columns
+    there = inside(scan, np.array([0.5, 0, 0]), np.array([0.0, 1, 0]))
+    np.testing.assert_allclose(there.look_at - there.position, [0, 2, 0])
 
 
-@given(st.integers(1, 700), st.integers(4, 60))
-def test_curves_stay_short_keep_their_ends_and_are_evenly_thinned(count: int, most: int) -> None:
-    curves = SimplexCurves(most_points=most)
-    walk(curves, count)
-    drawn = curves.snapshot()
-    steps = drawn.parameters[0]
-    assert len(curves) == count
-    assert len(steps) <= most
-    assert (steps[0], steps[-1]) == (1, count)
-    assert len({*np.diff(steps)[:-1]}) <= 1
-    assert all(len(column) == len(steps) for column in (*drawn.parameters, *drawn.cost))
-    np.testing.assert_array_equal(drawn.parameters[1], steps)
-    np.testing.assert_allclose(drawn.parameters[4], np.degrees(0.1))
-
-
-def test_a_restarted_descent_continues_the_iteration_numbers() -> None:
-    curves = SimplexCurves()
-    for _ in range(3):
-        for k in (1, 4, 9):  # what was seen of it
-            curves.add(k, ThesisParameters(0, 0, 0, 0, 0, 0), 1.0)
-    assert curves.snapshot().parameters[0].tolist() == [1, 4, 9, 10, 13, 18, 19, 22, 27]
-
-
-def test_costs_without_a_logarithm_do_not_break_the_curve() -> None:
-    curves = SimplexCurves()
-    for k, cost in enumerate((100.0, math.inf, 0.0, math.nan, 1e-3, -1.0), start=1):
-        curves.add(k, ThesisParameters(0, 0, 0, 0, 0, 0), cost)
-    assert curves.snapshot().cost[1].tolist() == pytest.approx([2, 2, 2, 2, -3, -3])
-    with pytest.raises(ShapeError, match="six finite"):
-        curves.add(9, ThesisParameters(math.nan, 0, 0, 0, 0, 0), 1.0)
-    assert len(SimplexCurves().snapshot().parameters[0]) == 1, "charts need something to begin with"
-    with pytest.raises(OptionError, match="at least 4"):
-        SimplexCurves(most_points=3)
+def test_the_overview_looks_along_a_given_direction() -> None:
+    there = overview(WALL, None, forward=np.array([0.2, 1, 5]))
+    along = (there.look_at - there.position)[:2]
+    assert along @ [0.2, 1] / np.linalg.norm(along) / np.linalg.norm([0.2, 1]) > 0.9

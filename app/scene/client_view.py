@@ -1,0 +1,132 @@
+"""The 3-D view of one client: the cameras, matches and simplex that it sees, and where it looks from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .cameras_layer import CamerasLayer
+from .person import Person, ViewpointName
+from .picks_layer import PicksLayer
+from .simplex_layer import SimplexLayer
+
+if TYPE_CHECKING:
+    import viser
+
+    from ladarreg_core.inspection.viewpoints import Viewpoint
+
+    from .picks_layer import Picks
+    from .place import Place
+    from .simplex_frame import SimplexFrame
+    from .subject import Subject
+
+_NEAR_M, _NEAR_PER_FRUSTUM = 0.01, 1.05
+_MOVED_M = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class SimplexShown:
+    """A simplex that runs or has just ended."""
+
+    photo: str
+    """Id of the photograph that it registers."""
+    frame: SimplexFrame | None
+    """Its newest frame; None before the first."""
+    runs: bool
+    """Whether it still moves."""
+
+
+class ClientView:
+    """Layers in the scene of a client, and its camera.
+
+    Args:
+        place: a client of viser, or the server itself for tests.
+        person: id of the workbench's client; empty if it is not known.
+    """
+
+    def __init__(self, place: Place, person: str) -> None:
+        self.person = person
+        self._place = place
+        self._cameras, self._matches, self._simplex = CamerasLayer(place), PicksLayer(place), SimplexLayer(place)
+        self._subject: Subject | None = None
+        self._looks: ViewpointName = "start"
+        self._looked_from: Viewpoint | None = None
+
+    def draw(self, person: Person, subject: Subject | None, picks: Picks | None, simplex: SimplexShown | None) -> None:
+        """Draw everything that has changed."""
+        before, self._subject = self._subject, subject
+        self._cameras.draw(subject, visible=person.model.cameras)
+        self._matches.draw(subject, picks, person.model)
+        self._matches.highlight(person.highlighted)
+        self.draw_simplex(person, simplex)
+        self._follow(before, subject)
+
+    def draw_simplex(self, person: Person, simplex: SimplexShown | None) -> None:
+        """Draw the simplex of the photograph that the person looks at."""
+        if simplex is None or simplex.frame is None or simplex.photo != person.photo:
+            self._simplex.clear()
+        elif simplex.runs:
+            self._simplex.draw(self._subject, simplex.frame)
+        else:
+            self._simplex.end(self._subject, simplex.frame)
+
+    def look(self, name: ViewpointName) -> None:
+        """Move the client to a viewpoint; without an accepted pose there is none of the camera."""
+        subject = self._subject
+        if subject is None:
+            return
+        viewpoint = {
+            "start": subject.start,
+            "overview": subject.overview,
+            "scanner": subject.from_scanner,
+            "camera": subject.from_camera,
+        }[name]()
+        if viewpoint is None:
+            return
+        inside = name in ("scanner", "camera") or (name == "start" and subject.shown.all_around)
+        # From inside a frustum its own picture would hide the scene; the near plane lies behind the picture.
+        near_m = _NEAR_PER_FRUSTUM * subject.shown.frustum_depth_m if inside else _NEAR_M
+        self._looks, self._looked_from = name, viewpoint
+        _move(self._place, viewpoint, near_m=near_m)
+
+    def clicked(self, event: viser.SceneClickEvent) -> str | None:
+        """Return the id of the match that a click hits."""
+        return self._matches.nearest(event)
+
+    def _follow(self, before: Subject | None, subject: Subject | None) -> None:
+        """Move a client to the start of another scan, and with a new pose if it has not moved by itself."""
+        if subject is None:
+            return
+        if before is None or before.shown is not subject.shown:
+            self.look("start")
+        elif before.accepted is not subject.accepted and self._looks in ("start", "camera") and not self._has_moved():
+            self.look(self._looks)
+
+    def _has_moved(self) -> bool:
+        camera = getattr(self._place, "camera", None)
+        if camera is None or self._looked_from is None:
+            return False
+        position, target = np.asarray(camera.position), np.asarray(camera.look_at)
+        allowed = _MOVED_M * max(1.0, float(np.linalg.norm(self._looked_from.look_at - self._looked_from.position)))
+        return bool(
+            np.linalg.norm(position - self._looked_from.position) > allowed
+            or np.linalg.norm(target - self._looked_from.look_at) > allowed
+        )
+
+
+def _move(place: Place, viewpoint: Viewpoint, *, near_m: float) -> None:
+    camera = getattr(place, "camera", None)
+    if camera is None:  # the server has no camera
+        return
+    try:
+        aspect = float(camera.aspect)
+    except (AssertionError, RuntimeError):  # the browser has not reported its camera yet
+        aspect = 1.0
+    with place.atomic():
+        camera.near = near_m
+        camera.up_direction = viewpoint.up
+        camera.position = viewpoint.position
+        camera.look_at = viewpoint.look_at
+        camera.fov = viewpoint.upright_fov_rad(aspect)

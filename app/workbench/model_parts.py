@@ -1,0 +1,179 @@
+"""The parts of the 3-D model that the page fetches: meshes and textures, in three levels of detail."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import quote
+
+import numpy as np
+
+from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.inspection.model_textures import (
+    ModelTexture,
+    model_texture,
+    registered_texture,
+    small_picture,
+    texture_choices,
+    usable_texture,
+)
+from ladarreg_core.palette import as_css
+
+from ..gateway.protocol import Picture
+from ..scene.model_view import DETAILS
+from ..session.loader import Loader
+from ..session.session import Session
+
+if TYPE_CHECKING:
+    from ladarreg_core.inspection.model_textures import Legend
+    from ladarreg_core.photo import Photo
+    from ladarreg_core.project.document import Document, PhotoEntry
+    from ladarreg_core.results import PoseResult
+    from ladarreg_core.scan import Scan
+    from ladarreg_core.surface.mesh import Mesh
+
+NO_PHOTO = "none"
+"""Stands for the id of a photograph where there is none."""
+LEGEND_HEADER = "x-legend"
+_OF_CODES = ("label",)
+"""Textures whose colours are codes, which a lossy format would blur."""
+_NEED_VISIBILITY = ("resolution", "label")
+_LOSSY_QUALITY = 84
+
+
+class Detail(NamedTuple):
+    """A level of detail."""
+
+    vertices: int
+    """Largest number of vertices of the mesh."""
+    texture_px: int
+    """Longer side of the texture."""
+
+
+LEVELS = dict(zip(DETAILS, (Detail(12_000, 768), Detail(60_000, 2048), Detail(250_000, 8192)), strict=True))
+
+
+class ModelParts:
+    """Makes the parts of the model once; they depend on scan, photograph and pose, not on who looks at them."""
+
+    def __init__(self, session: Session, loader: Loader) -> None:
+        self._session, self._loader = session, loader
+
+    def part(self, name: str, query: Mapping[str, str]) -> Picture:
+        """Return a part.
+
+        Args:
+            name: `mesh` or `texture`.
+            query: `detail`, and of a texture `photo`, `kind` and `z_buffer`; see docs/workbench.md.
+
+        Raises:
+            LadarregError: if there is no such part, or it needs an accepted pose.
+        """
+        document = self._session.document
+        scan = self._loader.scan(document)
+        if scan is None:
+            raise OptionError("there is no scan; open one")
+        detail = query.get("detail", DETAILS[1])
+        if detail not in LEVELS:
+            raise OptionError(f"there is no detail {detail[:20]!r}; it is one of {', '.join(LEVELS)}")
+        if name == "mesh":
+            return self._loader.cached("model", ("mesh", detail), lambda: _mesh_part(scan, LEVELS[detail].vertices))
+        if name == "texture":
+            return self._texture_part(document, scan, query, LEVELS[detail].texture_px)
+        raise OptionError(f"the model has no part {name[:20]!r}")
+
+    def slice(self, document: Document, entry: PhotoEntry | None) -> dict[str, Any]:
+        """Return the slice `textures`: the kinds of texture, and a text that changes with scan, photograph or pose."""
+        result = self._result(entry)
+        made_of: list[object] = [document.scan]
+        if entry is not None:
+            pose = entry.pose
+            made_of += [entry.source, entry.camera]
+            made_of += [] if pose is None else [pose.camera_from_scanner, pose.camera, pose.covariance, pose.accepted]
+        choices = [
+            {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.description}
+            for choice in texture_choices(result)
+        ]
+        rev = hashlib.sha256(repr(made_of).encode()).hexdigest()[:12]
+        return {"rev": rev, "accepted": bool(result is not None and result.accepted), "choices": choices}
+
+    def _result(self, entry: PhotoEntry | None) -> PoseResult | None:
+        if entry is None or entry.pose is None:
+            return None
+        try:
+            return self._loader.registration(entry.pose)
+        except LadarregError:  # its matches are missing, which the verdict of its stage states
+            return None
+
+    def _texture_part(self, document: Document, scan: Scan, query: Mapping[str, str], longest_px: int) -> Picture:
+        name = query.get("photo", NO_PHOTO)
+        entry = None if name == NO_PHOTO else document.photo(name)
+        if entry is None and name != NO_PHOTO:
+            raise OptionError("there is no such photograph")
+        result, kind, z_buffer = self._result(entry), query.get("kind", "intensity"), query.get("z_buffer") != "0"
+        if usable_texture(kind, result) != kind:
+            raise OptionError(f"the texture {kind!r} needs an accepted pose")
+        of_scan = kind in ("intensity", "range")
+        pose = None if of_scan or entry is None else entry.pose
+        photo = None if of_scan or entry is None else self._loader.photo(entry)
+        key = (kind, z_buffer or kind != "colour", longest_px, id(pose), id(photo))
+        make = partial(self._make_texture, scan, kind, photo, None if of_scan else result, z_buffer=z_buffer)
+        return self._loader.cached(
+            "model", key, lambda: ((pose, photo), _picture_of(make(), longest_px, lossless=kind in _OF_CODES))
+        )[1]
+
+    def _make_texture(
+        self, scan: Scan, kind: str, photo: Photo | None, result: PoseResult | None, *, z_buffer: bool
+    ) -> ModelTexture:
+        registered = None
+        if photo is not None and result is not None and (kind in _NEED_VISIBILITY or (kind == "colour" and z_buffer)):
+            key = ("registered", id(result), id(photo))
+            registered = self._loader.cached(
+                "model", key, lambda: ((result, photo), registered_texture(scan, photo, result))
+            )[1]
+        return model_texture(scan, kind, photo=photo, result=result, z_buffer=z_buffer, registered=registered)
+
+
+def legend_entries(legend: Legend) -> dict[str, Any]:
+    """Return a legend with its colours as CSS."""
+    return {
+        **asdict(legend),
+        "entries": [{"colour": as_css(colour), "label": label} for colour, label in legend.entries],
+        "ramp": [as_css(colour) for colour in legend.ramp],
+    }
+
+
+def _mesh_part(scan: Scan, most_vertices: int) -> Picture:
+    from ladarreg_core.export.packed_mesh import packed_mesh
+
+    data = packed_mesh(surface_or_facets(scan, most_vertices))
+    return Picture(data, "application/octet-stream", hashlib.sha256(data).hexdigest()[:16])
+
+
+def surface_or_facets(scan: Scan, most_vertices: int) -> Mesh:
+    """Return the surface of a scan; if it has none, its points as small triangles."""
+    from ladarreg_core.surface.facets import point_facets
+    from ladarreg_core.surface.mesh import scan_mesh
+
+    mesh = scan_mesh(scan, max_vertices=most_vertices)
+    return mesh if len(mesh.faces) else point_facets(scan, max_vertices=most_vertices)
+
+
+def _picture_of(texture: ModelTexture, longest_px: int, *, lossless: bool) -> Picture:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    if lossless:
+        image = Image.fromarray(np.asarray(texture.image))
+        image.thumbnail((longest_px, longest_px), Image.Resampling.NEAREST)
+    else:
+        image = Image.fromarray(small_picture(texture.image, longest_px))
+    image.save(buffer, "WEBP", lossless=lossless, quality=_LOSSY_QUALITY, method=3)
+    data = buffer.getvalue()
+    header = quote(json.dumps(legend_entries(texture.legend), separators=(",", ":")))
+    return Picture(data, "image/webp", hashlib.sha256(data).hexdigest()[:16], {LEGEND_HEADER: header})

@@ -1,0 +1,125 @@
+/** The parts of the 3-D model, as the workbench sends them: meshes and textures (docs/workbench.md, pictures and files). */
+
+const RECENT = 4; // textures that are shown again without a transfer, the one in use included
+const HEADER_BYTES = 28;
+
+/** @typedef {{positions: Float32Array, uv: Float32Array, faces: Uint32Array}} MeshArrays */
+
+const addressOf = (part, fields) => `picture/model/${part}?${new URLSearchParams(fields)}`;
+
+/** @returns {string} */
+export const meshAddress = (scan, detail) => addressOf("mesh", { detail, rev: scan });
+
+/** @returns {string} */
+export const textureAddress = (photo, kind, { z_buffer, rev }, detail) =>
+  addressOf("texture", { photo: photo ?? "none", kind, z_buffer: z_buffer ? 1 : 0, detail, rev });
+
+/**
+ * Download a part.
+ * @param {string} address
+ * @param {{signal: AbortSignal, progress: (got: number, total: number) => void}} options
+ * @returns {Promise<{blob: Blob, headers: Headers}>}
+ */
+const download = async (address, { signal, progress }) => {
+  const answer = await fetch(address, { signal });
+  if (!answer.ok) throw new Error((await answer.text()).trim());
+  const total = Number(answer.headers.get("content-length"));
+  const pieces = [];
+  let got = 0;
+  progress(0, total);
+  for (const reader = answer.body.getReader(); ;) {
+    const { done, value } = await reader.read();
+    if (done) break;
+    pieces.push(value);
+    got += value.length;
+    progress(got, Math.max(got, total));
+  }
+  return { blob: new Blob(pieces, { type: answer.headers.get("content-type") }), headers: answer.headers };
+};
+
+const integers = (bytes, start, count) => {
+  const found = new Int32Array(count);
+  for (let k = 0; k < count; k += 1) {
+    const at = start + k;
+    const zigzag =
+      bytes[at] | (bytes[at + count] << 8) | (bytes[at + 2 * count] << 16) | (bytes[at + 3 * count] << 24);
+    found[k] = (zigzag >>> 1) ^ -(zigzag & 1);
+  }
+  return found;
+};
+
+const summed = (differences) => {
+  for (let k = 1; k < differences.length; k += 1) differences[k] += differences[k - 1];
+  return differences;
+};
+
+/**
+ * Decode a mesh; ladarreg_core/export/packed_mesh.py describes the format.
+ * @param {ArrayBuffer} buffer decompressed
+ * @returns {MeshArrays}
+ */
+export const decodeMesh = (buffer) => {
+  const view = new DataView(buffer);
+  const [vertices, triangles, rows, columns] = [4, 8, 12, 16].map((at) => view.getUint32(at, true));
+  const unit = view.getFloat64(20, true);
+  const bytes = new Uint8Array(buffer);
+  let at = HEADER_BYTES;
+  const next = (count) => {
+    const found = integers(bytes, at, count);
+    at += 4 * count;
+    return found;
+  };
+  const [x, y, z, row, column] = Array.from({ length: 5 }, () => summed(next(vertices)));
+  const [first, second, third] = [summed(next(triangles)), next(triangles), next(triangles)];
+  const positions = new Float32Array(3 * vertices);
+  const uv = new Float32Array(2 * vertices);
+  for (let k = 0; k < vertices; k += 1) {
+    positions.set([x[k] * unit, y[k] * unit, z[k] * unit], 3 * k);
+    uv.set([(column[k] + 0.5) / columns, (row[k] + 0.5) / rows], 2 * k);
+  }
+  const faces = new Uint32Array(3 * triangles);
+  for (let k = 0; k < triangles; k += 1) faces.set([first[k], first[k] + second[k], first[k] + third[k]], 3 * k);
+  return { positions, uv, faces };
+};
+
+const decompressed = (blob) => new Response(blob.stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
+
+const legendOf = (headers) => {
+  const text = headers.get("x-legend");
+  return text ? JSON.parse(decodeURIComponent(text)) : null;
+};
+
+/** Parts that were downloaded: the meshes of one scan, and the textures that were used last. */
+export class ModelParts {
+  #meshes = new Map();
+  #textures = new Map();
+
+  /** @returns {Promise<MeshArrays>} */
+  async mesh(address, options) {
+    if (!this.#meshes.has(address)) {
+      const { blob } = await download(address, options);
+      this.#meshes.set(address, decodeMesh(await decompressed(blob)));
+    }
+    return this.#meshes.get(address);
+  }
+
+  /** @returns {Promise<{blob: Blob, legend: any}>} */
+  async texture(address, options) {
+    const found = this.#textures.get(address) ?? (await this.#downloaded(address, options));
+    this.#textures.delete(address);
+    this.#textures.set(address, found); // the newest last
+    while (this.#textures.size > RECENT) this.#textures.delete(this.#textures.keys().next().value);
+    return found;
+  }
+
+  /** Drop the meshes of another scan. */
+  clear() {
+    this.#meshes.clear();
+    this.#textures.clear();
+  }
+
+  async #downloaded(address, options) {
+    const { blob, headers } = await download(address, options);
+    return { blob, legend: legendOf(headers) };
+  }
+}

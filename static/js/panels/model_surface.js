@@ -1,0 +1,142 @@
+/**
+ * The model's surface in viser's scene. viser can only replace a mesh together with its texture, and sends both to every
+ * client; the page fetches them itself and puts them into the node that viser keeps for them. This uses the objects that
+ * viser's page exposes for tests; the version of viser is fixed, and tests/e2e/test_model.py notices if they change.
+ */
+
+const NODE = "/model";
+const MARKS = ["/matches/points", "/highlight/halo", "/highlight/point"];
+
+/** Marks keep between these sizes on the screen, and fade where they would cover the surface or crowd it. */
+const SIZE_ON_SCREEN = "gl_PointSize = clamp(scale / -world_pos.z, 4.0 * lrPixels, 16.0 * lrPixels);" +
+  "lrAlpha = 1.0 - 0.75 * smoothstep(12.0 * lrPixels, 40.0 * lrPixels, scale / -world_pos.z)" +
+  " - 0.35 * (1.0 - smoothstep(1.0 * lrPixels, 4.0 * lrPixels, scale / -world_pos.z));";
+
+const meshIn = (node) => {
+  let found = null;
+  node?.traverse((each) => {
+    if (each.isMesh || each.isPoints) found ??= each;
+  });
+  return found;
+};
+
+/** The window of viser's page, with what it exposes. */
+export class ModelSurface {
+  #frame;
+  #mesh = null;
+  #own = null;
+
+  /** @param {HTMLIFrameElement} frame */
+  constructor(frame) {
+    this.#frame = frame;
+  }
+
+  /** @returns {boolean} whether viser's page shows its scene */
+  get ready() {
+    return this.#find() !== null;
+  }
+
+  /** @returns {boolean} whether what was drawn last is still there: viser makes new objects when it reconnects */
+  get intact() {
+    return this.#mesh !== null && this.#find() === this.#mesh;
+  }
+
+  /**
+   * Draw a mesh with a texture, in place of the last ones.
+   * @param {import("./model_parts.js").MeshArrays} arrays
+   * @param {Blob} picture
+   * @param {() => boolean} still whether it is still wanted once the picture is decoded
+   * @returns {Promise<boolean>} whether it was drawn
+   */
+  async draw(arrays, picture, still) {
+    const inner = this.#frame.contentWindow;
+    const bitmap = await inner.createImageBitmap(picture, { premultiplyAlpha: "none", colorSpaceConversion: "none" });
+    const mesh = this.#find();
+    if (!mesh || !still()) return false;
+    this.#setTexture(mesh, bitmap);
+    if (this.#own?.arrays !== arrays || this.#mesh !== mesh) this.#setGeometry(mesh, arrays, inner);
+    this.#mesh = mesh;
+    this.#viewer.requestRender();
+    await this.#nextFrames(2);
+    return true;
+  }
+
+  /** Show nothing. */
+  clear() {
+    const mesh = this.#find();
+    if (mesh && this.#own) mesh.visible = false;
+    this.#mesh = null;
+    this.#own = null;
+    this.#viewer?.requestRender();
+  }
+
+  /** Let new marks fade with their distance. */
+  fadeMarks() {
+    for (const name of MARKS) {
+      const points = meshIn(this.#viewer?.nodeRefFromName?.[name]);
+      const material = points?.material;
+      if (!material?.vertexShader || material.userData.faded) continue;
+      const pixels = this.#frame.contentWindow.devicePixelRatio;
+      material.userData.faded = true;
+      material.vertexShader = material.vertexShader
+        .replace("void main()", `varying float lrAlpha;\nconst float lrPixels = ${pixels.toFixed(3)};\nvoid main()`)
+        .replace(/gl_PointSize = [^;]*;/, SIZE_ON_SCREEN);
+      material.fragmentShader = material.fragmentShader
+        .replace("void main()", "varying float lrAlpha;\nvoid main()")
+        .replace("vec4(col, 1.0)", "vec4(col, lrAlpha)");
+      material.transparent = true;
+      material.needsUpdate = true;
+      this.#viewer.requestRender();
+    }
+  }
+
+  /** @returns {any} what viser's page exposes, or null */
+  get #viewer() {
+    try {
+      return this.#frame.contentWindow?.__viserMutable ?? null;
+    } catch {
+      return null; // the frame shows the browser's error page, which is not accessible
+    }
+  }
+
+  #find() {
+    const mesh = meshIn(this.#viewer?.nodeRefFromName?.[NODE]);
+    return mesh?.isMesh && mesh.material.map ? mesh : null;
+  }
+
+  #setTexture(mesh, bitmap) {
+    const before = mesh.material.map;
+    const map = before.clone();
+    map.source = new before.source.constructor(bitmap);
+    map.needsUpdate = true;
+    const { material } = mesh;
+    material.map = map;
+    material.color.setRGB(1, 1, 1);
+    material.toneMapped = false; // its own colours, as in the photograph
+    material.needsUpdate = true;
+    before.dispose();
+  }
+
+  /** Arrays of another window are not recognised by the library inside the frame: they are copied into its own. */
+  #setGeometry(mesh, arrays, inner) {
+    const before = mesh.geometry;
+    const Attribute = before.attributes.position.constructor;
+    const geometry = new before.constructor();
+    geometry.setAttribute("position", new Attribute(new inner.Float32Array(arrays.positions), 3));
+    geometry.setAttribute("uv", new Attribute(new inner.Float32Array(arrays.uv), 2));
+    geometry.setIndex(new Attribute(new inner.Uint32Array(arrays.faces), 1));
+    geometry.computeBoundingSphere();
+    mesh.geometry = geometry;
+    mesh.visible = true;
+    this.#own = { arrays };
+    before.dispose();
+  }
+
+  #nextFrames(count) {
+    const inner = this.#frame.contentWindow;
+    return new Promise((resolve) => {
+      const step = (left) => (left ? inner.requestAnimationFrame(() => step(left - 1)) : resolve());
+      step(count);
+    });
+  }
+}

@@ -1,0 +1,101 @@
+"""The parts of the 3-D model that the page fetches."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.palette import VISIBILITY
+from tests.app.workbench_driver import WorkbenchDriver, sample_bench
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
+    found = sample_bench(tmp_path_factory.mktemp("model") / "project")
+    yield found
+    found.workbench.close()
+
+
+def part(bench: WorkbenchDriver, name: str, **query: str) -> tuple[bytes, dict[str, str]]:
+    picture = bench.workbench.picture(f"model/{name}", query)
+    return picture.data, dict(picture.headers)
+
+
+def texture(bench: WorkbenchDriver, kind: str, **query: str) -> tuple[np.ndarray, dict[str, object]]:
+    data, headers = part(bench, "texture", kind=kind, **query)
+    image = np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+    return image, json.loads(unquote(headers["x-legend"]))
+
+
+def test_the_model_comes_coarse_first_and_small(bench: WorkbenchDriver) -> None:
+    assert bench.job("auto").state == "done"
+    sizes = {}
+    for detail in ("coarse", "standard", "dense"):
+        mesh, _ = part(bench, "mesh", detail=detail)
+        colours, _ = part(bench, "texture", detail=detail, kind="colour", photo="p1")
+        sizes[detail] = len(mesh) + len(colours)
+    assert sizes["coarse"] < sizes["standard"] < sizes["dense"]
+    assert sizes["coarse"] < 450_000
+    assert sizes["standard"] < 1_000_000
+
+
+def test_textures_have_legends_and_their_own_colours(bench: WorkbenchDriver) -> None:
+    gray, legend = texture(bench, "intensity")
+    assert np.ptp(gray.astype(int), axis=-1).max() <= 6
+    assert legend["title"] == "Laser intensity"
+    for detail in ("coarse", "dense"):
+        classes, legend = texture(bench, "label", photo="p1", detail=detail)
+        shown = {tuple(colour) for colour in classes.reshape(-1, 3).tolist()}
+        assert shown <= set(VISIBILITY), "codes are not blurred"
+        assert len(legend["entries"]) >= 3  # type: ignore[arg-type]
+    with_z, _ = texture(bench, "colour", photo="p1")
+    without, _ = texture(bench, "colour", photo="p1", z_buffer="0")
+    assert np.abs(with_z.astype(int) - without).mean() > 0.5
+
+
+def test_what_is_not_there_is_refused(bench: WorkbenchDriver) -> None:
+    for name, query in (
+        ("smell", {}),
+        ("mesh", {"detail": "huge"}),
+        ("texture", {"kind": "colour"}),
+        ("texture", {"kind": "colour", "photo": "p9"}),
+        ("texture", {"kind": "glitter"}),
+    ):
+        with pytest.raises(LadarregError):
+            bench.workbench.picture(f"model/{name}", query)
+
+
+def test_the_slice_changes_with_the_pose_and_for_one_person_only(bench: WorkbenchDriver) -> None:
+    before = bench.slice("model")
+    assert before["accepted"]
+    assert not before["rays"]
+    bench.do("set_model", texture="range", rays=True)
+    after = bench.slice("model")
+    assert (after["texture"], after["rays"], after["rev"]) == ("range", True, before["rev"])
+    bench.do("undo")
+    undone = bench.slice("model")
+    assert undone["rev"] != before["rev"]
+    assert not undone["accepted"]
+    bench.do("redo")
+    assert bench.slice("model")["rev"] == before["rev"], "the browser's copies are valid again"
+    assert "no viewpoint" in bench.refused("look", viewpoint="moon")
+    bench.do("look", viewpoint="overview")
+
+
+def test_an_empty_project_has_no_model(tmp_path: Path) -> None:
+    from tests.app.workbench_driver import open_bench
+
+    empty = open_bench(tmp_path / "project")
+    try:
+        with pytest.raises(LadarregError, match="no scan"):
+            part(empty, "mesh")
+    finally:
+        empty.workbench.close()
