@@ -16,7 +16,7 @@ import pytest
 from ladarreg_core.simulate.sample import sample_folder
 from tests.e2e.audits import hard_to_read
 from tests.e2e.test_files import shot
-from tests.e2e.test_newcomer import SLICE, TOKEN, drop, opened
+from tests.e2e.test_newcomer import SLICE, TOKEN, draw, drop, opened
 from tests.served_workbench import Served
 
 if TYPE_CHECKING:
@@ -61,6 +61,9 @@ def test_from_the_start_page_to_a_second_project_and_back(browser: Browser, tmp_
         page.get_by_role("dialog", name="Camera of the photograph").wait_for()
         page.keyboard.press("Escape")
 
+        draw(page, "scan")
+        page.locator("#photo-pane .awaits-partner").wait_for()
+
         colleague = opened(others, server)
         colleague.get_by_role("textbox", name="Project name").wait_for()
         page.get_by_role("button", name="Projects").click()
@@ -87,6 +90,7 @@ def test_from_the_start_page_to_a_second_project_and_back(browser: Browser, tmp_
         colleague.get_by_text("opened the project Second.").wait_for()
         page.get_by_role("dialog", name="Open files").wait_for()
         assert page.locator(".notice.bad").count() == 0
+        assert page.locator(".awaits-partner").count() == 0
 
         page.keyboard.press("Escape")
         page.get_by_role("button", name="Projects").click()
@@ -94,6 +98,7 @@ def test_from_the_start_page_to_a_second_project_and_back(browser: Browser, tmp_
         for tab in (page, colleague):
             tab.wait_for_function("document.title.startsWith('office')")
             assert [each["name"] for each in tab.evaluate(SLICE, "photos")] == ["desk.jpg"]
+        page.locator("#photo-pane .awaits-partner").wait_for()  # the line that was half drawn
         mine.close()
         others.close()
     assert not faults

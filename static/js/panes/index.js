@@ -11,6 +11,7 @@ import { readoutOf } from "./readout.js";
 import { listenToReveals } from "./reveal.js";
 import { SimplexPreview } from "./simplex_preview.js";
 import { Tools } from "./tools.js";
+import { keepUnfinished } from "./unfinished.js";
 
 const SIDES = ["scan", "photo"];
 const PICTURE_INTERVAL_MS = 180;
@@ -38,6 +39,8 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
   linkPanes(controller);
   listenToKeys(controller, tools, space);
   listenToReveals(controller);
+
+  keepUnfinished(controller.picking, store);
 
   const showNotes = () => SIDES.forEach((side) => built[side].notes.show());
   controller.onPickingChanged = showNotes;

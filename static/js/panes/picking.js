@@ -167,7 +167,12 @@ export class Picking {
     if (photo === subject) return "nothing";
     this.subject = photo;
     this.#ended = null;
-    if (subject === null) return "nothing"; // the first photograph: what was drawn in the scan may have a partner there
+    if (subject === null) {
+      // the first photograph: what was drawn in the scan may have a partner there
+      this.open ??= this.waiting.get(photo) ?? null;
+      this.waiting.delete(photo);
+      return "nothing";
+    }
     this.drawing = this.predicted = null;
     if (open) this.waiting.set(subject, open);
     this.open = this.waiting.get(photo) ?? null;
@@ -204,6 +209,17 @@ export class Picking {
     const gone = [...this.waiting.keys()].filter((photo) => !photos.includes(photo));
     for (const photo of gone) this.waiting.delete(photo);
     return gone.length > 0;
+  }
+
+  /** @returns {[string, Drawn][]} the open sides with their photographs, as `restore` takes them */
+  kept() {
+    const own = this.open && this.subject !== null ? [[this.subject, this.open]] : [];
+    return [...own, ...this.waiting];
+  }
+
+  /** Take up open sides before the first photograph is shown. @param {[string, Drawn][]} kept */
+  restore(kept) {
+    this.waiting = new Map(kept);
   }
 
   /** @returns {Drawn[]} what is to be drawn as unfinished */

@@ -11,8 +11,8 @@ const TOLD = "ladarreg-project-told";
 
 let present = null;
 
-const startAfresh = (told) => {
-  view.forget();
+const startAfresh = (id, told) => {
+  view.exchange(present, id);
   rememberPhoto(null);
   try {
     if (told) sessionStorage.setItem(TOLD, told);
@@ -24,11 +24,11 @@ const startAfresh = (told) => {
 
 /** Reload when another project is opened, by this page or by another, also while this one was not connected. */
 export const followProject = () => {
-  store.onEvent("project", ({ name, by }) => {
-    startAfresh(by === store.me()?.name ? "" : `${by} opened the project ${name}.`);
+  store.onEvent("project", ({ id, name, by }) => {
+    startAfresh(id, by === store.me()?.name ? "" : `${by} opened the project ${name}.`);
   });
   store.on("project", (project) => {
-    if (present && project && project.id !== present) startAfresh(`The workbench has opened the project ${project.name}.`);
+    if (present && project && project.id !== present) startAfresh(project.id, `The workbench has opened the project ${project.name}.`);
     present = project?.id ?? present;
   });
 };

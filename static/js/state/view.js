@@ -109,29 +109,39 @@ class View {
     return () => this.#listeners.delete(listen);
   }
 
-  /** Keep nothing for the next load of the page. */
-  forget() {
+  /**
+   * Leave this project for another: the next load of the page has what it had when it left that one.
+   * @param {string} from id of this project
+   * @param {string} to id of the other
+   */
+  exchange(from, to) {
+    this.#saveNow();
     clearTimeout(this.#saving);
     this.#saving = null;
     try {
-      sessionStorage.removeItem(KEY);
+      sessionStorage.setItem(`${KEY}:${from}`, sessionStorage.getItem(KEY) ?? "{}");
+      const kept = sessionStorage.getItem(`${KEY}:${to}`);
+      if (kept === null) sessionStorage.removeItem(KEY);
+      else sessionStorage.setItem(KEY, kept);
     } catch {
       // storage is disabled: nothing was kept
     }
   }
 
   #save() {
-    if (this.#saving === null) return; // forgotten
+    if (this.#saving === null) return; // another project is about to be shown
     clearTimeout(this.#saving);
-    this.#saving = setTimeout(() => {
-      const lasting = Object.entries(this.#state).filter(([name]) => !TRANSIENT.has(name));
-      const plain = { ...Object.fromEntries(lasting), selected: [...this.#state.selected] };
-      try {
-        sessionStorage.setItem(KEY, JSON.stringify(plain));
-      } catch {
-        // storage is disabled or full: the page works, but a reload resets it
-      }
-    }, 200);
+    this.#saving = setTimeout(() => this.#saveNow(), 200);
+  }
+
+  #saveNow() {
+    const lasting = Object.entries(this.#state).filter(([name]) => !TRANSIENT.has(name));
+    const plain = { ...Object.fromEntries(lasting), selected: [...this.#state.selected] };
+    try {
+      sessionStorage.setItem(KEY, JSON.stringify(plain));
+    } catch {
+      // storage is disabled or full: the page works, but a reload resets it
+    }
   }
 }
 
