@@ -153,6 +153,7 @@ export const mountHeader = (header) => {
         { type: "button", class: "brand brand-button", "aria-label": "Projects", title: "Projects: open, new, duplicate", on: { click: () => openProjects(openFiles) } },
         element("img", { src: "logo.svg", alt: "", width: 22, height: 22 }),
         element("span", { class: "brand-word" }, "ladar", element("b", {}, "reg")),
+        icon("more"),
       ),
       projectName(),
       scanChip(),

@@ -130,6 +130,12 @@ const build = (chooseFiles) => {
     "Projects",
     { kind: "start-page" },
     element(
+      "p",
+      { class: "start-brand" },
+      element("img", { src: "logo.svg", alt: "", width: 34, height: 34 }),
+      element("span", {}, element("b", {}, "ladarreg"), " registers a laser scan with photographs."),
+    ),
+    element(
       "div",
       { class: "start-acts" },
       element(
