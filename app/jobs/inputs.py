@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Document, PhotoEntry
 from ladarreg_core.project.edits import edited_photo, require_photo
+from ladarreg_core.project.history import Author
 
 from ..session.loader import Loader
 from ..session.session import Session
@@ -102,7 +103,7 @@ class Workspace:
         label: str,
         edit: Callable[[PhotoEntry], PhotoEntry],
         *,
-        author: str,
+        author: Author,
         of_picks: bool = False,
     ) -> None:
         """Commit a job's result if its inputs have not changed.
@@ -111,7 +112,7 @@ class Workspace:
             inputs: the inputs of the job.
             label: description for the history.
             edit: edit of the photograph.
-            author: name of the client.
+            author: the client.
             of_picks: whether the picks were among the inputs.
 
         Raises:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import require_photo
+from ladarreg_core.project.history import Author
 
 from .export import ExportJobs, download_name
 from .inputs import Inputs, Workspace
@@ -76,7 +77,7 @@ class JobRegistry:
             "report": JobKind("Report", self._write_report),
         }
 
-    def run(self, name: str, photo: object, author: str, *, last_solved: bool = False) -> str:
+    def run(self, name: str, photo: object, author: Author, *, last_solved: bool = False) -> str:
         """Start a job and return its id; `last_solved` lets an export write a pose that is out of date.
 
         Raises:
@@ -89,7 +90,7 @@ class JobRegistry:
             self._require_current(photo, last_solved=last_solved)
         return self._start(name, kind, photo, author)
 
-    def run_export(self, folder: Path, photo: object, author: str, *, force: bool, last_solved: bool) -> str:
+    def run_export(self, folder: Path, photo: object, author: Author, *, force: bool, last_solved: bool) -> str:
         """Start an export into a folder; raises as `run`."""
         self._require_current(photo, last_solved=last_solved)
         self._exports.check_folder(folder, self._workspace.session.document, force=force)
@@ -127,7 +128,7 @@ class JobRegistry:
         entry = require_photo(self._workspace.session.document, photo)
         self._exports.require_current(entry, last_solved=last_solved)
 
-    def _start(self, name: str, kind: JobKind, photo: object, author: str) -> str:
+    def _start(self, name: str, kind: JobKind, photo: object, author: Author) -> str:
         inputs = self._workspace.inputs(photo)  # raises at once if an input is missing
 
         def work(context: JobContext) -> str:

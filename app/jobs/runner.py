@@ -12,6 +12,7 @@ from typing import Literal
 
 from ladarreg_core.errors import Cancelled, LadarregError, OptionError
 from ladarreg_core.progress import Progress, Step
+from ladarreg_core.project.history import Author
 
 log = logging.getLogger(__name__)
 State = Literal["running", "paused", "done", "failed", "stopped"]
@@ -31,7 +32,7 @@ class Job:
     kind: str
     label: str
     photo: str
-    author: str
+    author: Author
     can: tuple[Control, ...] = ()
     state: State = "running"
     done: int = 0
@@ -161,7 +162,7 @@ class JobRunner:
         return self._context.job if self._context else None
 
     def start(
-        self, kind: str, work: Work, *, label: str, photo: str, author: str, can: tuple[Control, ...] = ("stop",),
+        self, kind: str, work: Work, *, label: str, photo: str, author: Author, can: tuple[Control, ...] = ("stop",),
         speed: float = FULL_SPEED,
     ) -> str:  # fmt: skip
         """Start a job; a running one of the same kind is stopped first.

@@ -10,11 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ladarreg_core.errors import LadarregError, OptionError, UnsavedError
+from ladarreg_core.errors import LadarregError, UnsavedError
+from ladarreg_core.project import own_steps
 from ladarreg_core.project.delta import check_readable
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.folder import ProjectFolder
-from ladarreg_core.project.history import History
+from ladarreg_core.project.history import NOBODY, Author, Entry, History
 from ladarreg_core.project.rescue import write_rescue_copy
 
 from .debounce import Debouncer
@@ -55,7 +56,8 @@ class Session:
         self._history = history
         self._lock = threading.RLock()
         self._listeners: list[Listener] = []
-        self._last_commit: tuple[str, str, float] = ("", "", 0.0)
+        self._last_commit: tuple[str, Author, float] = ("", NOBODY, 0.0)
+        self._editors = {entry.by for entry in history.entries}
         self._saved_at = now()
         self._unsaved = ""
         self._unsettled = ""
@@ -95,14 +97,14 @@ class Session:
         return lambda: self._listeners.remove(listener)
 
     def commit(
-        self, label: str, edit: Edit, *, author: str, merge_key: str = "", automatic: bool = False
+        self, label: str, edit: Edit, *, author: Author, merge_key: str = "", automatic: bool = False
     ) -> int | None:
         """Edit the document.
 
         Args:
             label: description for the history.
             edit: returns the new document, or the same one if nothing changes.
-            author: name of the client.
+            author: the client, or nobody.
             merge_key: edits of one author with the same key in quick succession become one step; empty: never.
             automatic: the program's own result after the last edit, which undo steps over, see `project.history`.
 
@@ -131,44 +133,60 @@ class Session:
                 self._history = self._history.amended(after, when=now())
             else:
                 self._history = self._history.committed(
-                    after, label=label, author=author, when=now(), automatic=automatic
+                    after, label=label, author=author.name, by=author.id, when=now(), automatic=automatic
                 )
+            self._editors.add(author.id)
             history = self._history
             self._save(lambda: self.folder.save_commit(history, amended=amends))
             self._notify(before)
             return history.present.number
 
-    def undo(self, number: int | None = None) -> None:
-        """Undo the last step.
+    def undoable(self, author: Author, *, alone: bool) -> Entry | None:
+        """Return the step that a client would undo; None if there is none."""
+        if not self._may_have(author, alone=alone):
+            return None
+        return own_steps.undoable(self._history, _mine(author, alone=alone))
 
-        Args:
-            number: the step that is meant; None: whichever is the last.
+    def redoable(self, author: Author, *, alone: bool) -> Entry | None:
+        """Return the step that a client would redo, or the undo that it would take back; None if there is none."""
+        if not self._may_have(author, alone=alone):
+            return None
+        history, mine = self._history, _mine(author, alone=alone)
+        ahead = history.redone
+        return ahead if ahead is not None and mine(ahead) else own_steps.redoable(history, mine)
+
+    def undo(self, author: Author = NOBODY, *, alone: bool = True, number: int | None = None) -> None:
+        """Undo a client's own step: the newest one, or one by its number.
+
+        A client who is alone goes back in the history. Among others, the inverse of the step is applied to the present
+        document and becomes a step of its own, which does not affect what others did since.
 
         Raises:
-            OptionError: if that step is not the last one any more.
+            OptionError: if there is no such step, or what it touched has changed since.
         """
         with self._lock:
-            if number is not None:
-                self._require_last(number)
-            self._move(lambda history: history.moved(-1))
+            history, mine = self._history, _mine(author, alone=alone)
+            step = own_steps.undoable(history, mine)
+            ahead = [entry for entry in history.entries[history.at + 1 :] if not entry.automatic]
+            is_next = step is not None and step is history.edit and number in (None, step.number, step.redoes)
+            if is_next and (alone or (ahead and all(map(mine, ahead)))):
+                self._move(lambda history: history.moved(-1))
+            else:
+                self._append(own_steps.undone(history, mine, author, when=now(), number=number), author)
 
-    def _require_last(self, number: int) -> None:
-        last = self._history.undone
-        if last is not None and last.number == number:
-            return
-        done = self._history.entries[: self._history.at + 1]
-        meant = next((entry for entry in done if entry.number == number), None)
-        if meant is None or last is None:
-            raise OptionError("that step is undone already")
-        by = f" by {last.author}" if last.author and last.author != meant.author else ""
-        raise OptionError(
-            f"'{meant.label}' is not the last step any more: '{last.label}'{by} came after it; undo that first, or "
-            "choose a step in the History"
-        )
+    def redo(self, author: Author = NOBODY, *, alone: bool = True, number: int | None = None) -> None:
+        """Redo a client's own step that was undone last; `number`, if given, must be its number.
 
-    def redo(self) -> None:
-        """Redo the step that was undone last."""
-        self._move(lambda history: history.moved(1))
+        Raises:
+            OptionError: if it is not, or what the step touched has changed since.
+        """
+        with self._lock:
+            history, mine = self._history, _mine(author, alone=alone)
+            ahead = history.redone
+            if ahead is not None and mine(ahead) and number in (None, ahead.number, ahead.redoes):
+                self._move(lambda history: history.moved(1))
+            else:
+                self._append(own_steps.redone(history, mine, author, when=now(), number=number), author)
 
     def go_to(self, number: int) -> None:
         """Go to a step of the history.
@@ -214,12 +232,28 @@ class Session:
         with self._lock:
             before, was = self.document, self._history.at
             self._history = history = way(self._history)
-            self._last_commit = ("", "", 0.0)
+            self._last_commit = ("", NOBODY, 0.0)
             if history.at != was:
                 self._save(lambda: self.folder.save_move(history))
                 self._notify(before)
 
-    def _merges(self, merge_key: str, author: str, clock: float) -> bool:
+    def _append(self, history: History, author: Author) -> None:
+        """Keep a history with an additional commit."""
+        before = self.document
+        if history is self._history:
+            return
+        check_readable(before, history.document)
+        self._history = history
+        self._last_commit = ("", NOBODY, 0.0)
+        self._editors.add(author.id)
+        self._save(lambda: self.folder.save_commit(history))
+        self._notify(before)
+
+    def _may_have(self, author: Author, *, alone: bool) -> bool:
+        """Return whether any step can be a client's own: most that only watch have none among thousands."""
+        return alone or author.id in self._editors
+
+    def _merges(self, merge_key: str, author: Author, clock: float) -> bool:
         last, by, when = self._last_commit
         return last == merge_key and by == author and clock - when < _MERGE_WITHIN_S and self._history.redone is None
 
@@ -255,6 +289,11 @@ class Session:
                 listener(change)
             except Exception:
                 log.exception("a listener failed after a change")
+
+
+def _mine(author: Author, *, alone: bool) -> Callable[[Entry], bool]:
+    """Return which steps a client may undo: all if nobody else is there, else its own."""
+    return lambda entry: alone or (entry.by == author.id and entry.by != "")
 
 
 def now() -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.project.history import Author
 
 from ..gateway.protocol import Visitor
 from ..scene.model_view import ModelChoice
@@ -48,6 +49,11 @@ class Client:
     read_only: bool = False
     """True if this person may look, but not edit."""
 
+    @property
+    def author(self) -> Author:
+        """The author of this person's edits."""
+        return Author(self.name, self.id)
+
 
 @dataclass(slots=True)
 class _Seat:
@@ -79,6 +85,10 @@ class Clients:
         """All clients, in the order in which they joined."""
         with self._changed:
             return [seat.client for seat in self._seats.values()]
+
+    def is_alone(self, client: Client) -> bool:
+        """Return whether nobody else is connected who may edit."""
+        return all(other is client or other.read_only for other in self.present)
 
     def find(self, client_id: object) -> Client | None:
         """Return the connected client of an id; None if there is none."""

@@ -27,6 +27,7 @@ from .files import Files
 from .queries import Queries
 from .selection import Selection
 from .settings_form import check_bounds
+from .state import clock
 
 if TYPE_CHECKING:
     from ..scene import Scene3D
@@ -67,6 +68,9 @@ class Context(Protocol):
 
     def list_served(self) -> None:
         """List the served folder again."""
+
+    def tell_others(self, client: Client, text: str) -> None:
+        """Show a sentence to all other clients."""
 
 
 Fields = Mapping[str, Any]
@@ -213,7 +217,7 @@ def set_settings(context: Context, client: Client, fields: Fields) -> Reply:
 
     names = ", ".join(name.replace("_", " ") for name in values)
     return _step(
-        context.session.commit(f"Set {names}", edit, author=client.name, merge_key=f"settings {sorted(values)}")
+        context.session.commit(f"Set {names}", edit, author=client.author, merge_key=f"settings {sorted(values)}")
     )
 
 
@@ -221,7 +225,9 @@ def rename(context: Context, client: Client, fields: Fields) -> Reply:
     """Rename the project."""
     name = _name(fields.get("name"))
     return _step(
-        context.session.commit(f"Rename to {name}", lambda d: msgspec.structs.replace(d, name=name), author=client.name)
+        context.session.commit(
+            f"Rename to {name}", lambda d: msgspec.structs.replace(d, name=name), author=client.author
+        )
     )
 
 
@@ -230,7 +236,7 @@ def remove_photo(context: Context, client: Client, fields: Fields) -> Reply:
     entry = _photo(context, fields)
     return _step(
         context.session.commit(
-            f"Remove {entry.source.name}", lambda d: edits.without_photo(d, entry.id), author=client.name
+            f"Remove {entry.source.name}", lambda d: edits.without_photo(d, entry.id), author=client.author
         )
     )
 
@@ -243,20 +249,26 @@ def use_stage(context: Context, client: Client, fields: Fields) -> Reply:
 
 
 def undo(context: Context, client: Client, fields: Fields) -> Reply:
-    """Undo the last step, or refuse if another one was meant."""
-    context.session.undo(None if fields.get("n") is None else _step_number(fields["n"]))
+    """Undo the client's own last step, or one of its own by number."""
+    number = None if fields.get("n") is None else _step_number(fields["n"])
+    context.session.undo(client.author, alone=context.clients.is_alone(client), number=number)
     return {}
 
 
 def redo(context: Context, client: Client, fields: Fields) -> Reply:
-    """Redo the step that was undone last."""
-    context.session.redo()
+    """Redo the client's own step that was undone last."""
+    number = None if fields.get("n") is None else _step_number(fields["n"])
+    context.session.redo(client.author, alone=context.clients.is_alone(client), number=number)
     return {}
 
 
 def go_to(context: Context, client: Client, fields: Fields) -> Reply:
     """Go to a step of the history."""
+    was = context.session.history.edit
     context.session.go_to(_step_number(fields.get("n")))
+    entry = context.session.history.edit
+    if entry is not was:
+        context.tell_others(client, f"{client.name} went to '{entry.label}' of {clock(entry.when)} in the history.")
     return {}
 
 
@@ -376,7 +388,7 @@ def run(context: Context, client: Client, fields: Fields) -> Reply:
     if not isinstance(job, str):
         raise OptionError("give the name of a job")
     last_solved = fields.get("last_solved") is True
-    return {"job": context.jobs.run(job, fields.get("photo"), client.name, last_solved=last_solved)}
+    return {"job": context.jobs.run(job, fields.get("photo"), client.author, last_solved=last_solved)}
 
 
 def job_control(context: Context, client: Client, fields: Fields) -> Reply:
@@ -393,7 +405,7 @@ def export_folder(context: Context, client: Client, fields: Fields) -> Reply:
     folder = _folder(fields.get("folder"))
     force, last_solved = fields.get("force") is True, fields.get("last_solved") is True
     photo = fields.get("photo")
-    return {"job": context.jobs.run_export(folder, photo, client.name, force=force, last_solved=last_solved)}
+    return {"job": context.jobs.run_export(folder, photo, client.author, force=force, last_solved=last_solved)}
 
 
 COMMANDS: dict[str, Command] = {
@@ -423,7 +435,7 @@ def _edit_photo(
     photo = _photo(context, fields).id
     return _step(
         context.session.commit(
-            label, partial(edits.edited_photo, photo_id=photo, edit=edit), author=client.name, merge_key=merge_key
+            label, partial(edits.edited_photo, photo_id=photo, edit=edit), author=client.author, merge_key=merge_key
         )
     )
 

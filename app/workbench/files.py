@@ -14,6 +14,7 @@ import msgspec
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
+from ladarreg_core.project.history import NOBODY, Author
 
 from ..session.loader import Loader
 from ..session.session import Session
@@ -209,8 +210,8 @@ class Files:
         return None if self._served is None else {"label": self._served.name, "files": self._listed}
 
 
-def _author(client: Client | None) -> str:
-    return client.name if client else ""
+def _author(client: Client | None) -> Author:
+    return client.author if client else NOBODY
 
 
 def _is_hidden(path: Path) -> bool:

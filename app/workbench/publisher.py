@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ _SLOW_SLICES = "judged:"
 @dataclass(slots=True, eq=False)
 class _Subscriber:
     listener: Listener
+    client: str
     own: Slices
     published: dict[str, Any]
 
@@ -43,15 +44,16 @@ class Publisher:
         self._thread = threading.Thread(target=self._work, name="publisher", daemon=True)
         self._thread.start()
 
-    def subscribe(self, listener: Listener, own: Slices) -> Callable[[], None]:
+    def subscribe(self, listener: Listener, client: str, own: Slices) -> Callable[[], None]:
         """Send every message to a listener; return a function that ends the subscription.
 
         Args:
             listener: receives the messages of one client.
+            client: its id.
             own: returns the slices that differ between the clients, as this one sees them.
         """
         with self._lock:
-            subscriber = _Subscriber(listener, own, own())
+            subscriber = _Subscriber(listener, client, own, own())
             self._subscribers.append(subscriber)
 
         def unsubscribe() -> None:
@@ -80,10 +82,10 @@ class Publisher:
         if slow:
             self._debouncer.request()
 
-    def publish_event(self, event: Message) -> None:
-        """Send an event, which is not part of the state."""
+    def publish_event(self, event: Message, *, to: Container[str] | None = None) -> None:
+        """Send an event, which is not part of the state, to all clients or to some by their ids."""
         with self._lock:
-            subscribers = list(self._subscribers)
+            subscribers = [each for each in self._subscribers if to is None or each.client in to]
         for subscriber in subscribers:
             _send(subscriber.listener, event)
 

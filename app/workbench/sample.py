@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ladarreg_core.project.history import NOBODY
+
 from .workbench import Workbench
 
 SAMPLE_NAME = "Sample"
@@ -29,4 +31,4 @@ def register_sample(workbench: Workbench, *, fresh: bool = False) -> None:
     if fresh:
         workbench.start_over(shown.id)
     if fresh or (not shown.picks and not shown.poses):
-        workbench.jobs.run("auto", shown.id, "")
+        workbench.jobs.run("auto", shown.id, NOBODY)

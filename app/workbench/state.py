@@ -11,6 +11,7 @@ from msgspec import Struct, json
 
 from ladarreg_core.errors import CameraError, LadarregError
 from ladarreg_core.matching.step_labels import step_label
+from ladarreg_core.project.own_steps import plain_label
 
 from ..session.loader import Loader
 from ..session.session import Session
@@ -19,7 +20,7 @@ from .recent import project_id
 if TYPE_CHECKING:
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
-    from ladarreg_core.project.history import Entry, History
+    from ladarreg_core.project.history import Author, Entry, History
 
     from ..jobs.runner import Job
     from ..session.cache import ListCache
@@ -28,10 +29,12 @@ log = logging.getLogger(__name__)
 _MAX_HISTORY = 300
 
 
-def project_slice(session: Session, *, start: bool) -> dict[str, Any]:
-    """Return the slice `project`; with `start`, pages show the start page."""
-    history = session.history
-    undone, redone = history.undone, history.redone
+def project_slice(session: Session, author: Author, *, alone: bool, start: bool) -> dict[str, Any]:
+    """Return the slice `project` of a client: the steps that it would undo and redo are its own, if it is not alone.
+
+    With `start`, pages show the start page.
+    """
+    undone, redone = session.undoable(author, alone=alone), session.redoable(author, alone=alone)
     return {
         "id": project_id(session.folder.path),
         "start": start,
@@ -41,8 +44,8 @@ def project_slice(session: Session, *, start: bool) -> dict[str, Any]:
         "unsaved": bool(session.unsaved),
         "unsaved_why": session.unsaved,
         "amiss": " ".join(session.folder.remarks),
-        "undo": undone.label if undone else None,
-        "redo": redone.label if redone else None,
+        "undo": plain_label(undone) if undone else None,
+        "redo": plain_label(redone) if redone else None,
     }
 
 
@@ -170,7 +173,7 @@ def job_slice(job: Job | None) -> dict[str, Any] | None:
         "kind": job.kind,
         "label": job.label,
         "photo": job.photo,
-        "author": job.author,
+        "author": job.author.name,
         "state": job.state,
         "done": job.done,
         "total": job.total,

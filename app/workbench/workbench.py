@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.project import edits
 from ladarreg_core.project.edits import MOST_PHOTOS
+from ladarreg_core.project.history import NOBODY
 
 from ..jobs.inputs import Workspace
 from ..jobs.registry import JobRegistry
@@ -130,7 +131,7 @@ class Workbench:
 
     def subscribe(self, listener: Callable[[Message], None], client: Client) -> Callable[[], None]:
         """Send every message for a client to a listener; return a function that ends the subscription."""
-        return self.publisher.subscribe(listener, partial(self._own_slices, client))
+        return self.publisher.subscribe(listener, client.id, partial(self._own_slices, client))
 
     def slices(self, client: Client) -> dict[str, Any]:
         """Return all slices for a client that has just connected."""
@@ -225,7 +226,7 @@ class Workbench:
 
     def start_over(self, photo_id: str) -> None:
         """Remove all matches and poses of a photograph; this can be undone."""
-        self.session.commit("Start over", lambda d: edits.edited_photo(d, photo_id, edits.without_work), author="")
+        self.session.commit("Start over", lambda d: edits.edited_photo(d, photo_id, edits.without_work), author=NOBODY)
 
     def attach_scene(self, scene: Scene3D) -> None:
         """Update a 3-D scene from now on."""
@@ -234,6 +235,11 @@ class Workbench:
     def publish_event(self, event: Message) -> None:
         """Send an event to all clients."""
         self.publisher.publish_event(event)
+
+    def tell_others(self, client: Client, text: str) -> None:
+        """Show a sentence to all other clients."""
+        others = {other.id for other in self.clients.present} - {client.id}
+        self.publisher.publish_event({"event": "notice", "level": "info", "text": text}, to=others)
 
     def publish_notice(self, text: str, *, level: str = "info") -> None:
         """Show a sentence to all clients."""
@@ -247,14 +253,9 @@ class Workbench:
     def _quick_slices(self) -> dict[str, Any]:
         session, loader = self.session, self.loader
         document = session.document
-        scan = loader.cached("picture", ("scan slice", document.scan), lambda: scan_slice(loader, document))
         found: dict[str, Any] = {
-            "project": {
-                **project_slice(session, start=self.is_scratch and self.is_empty),
-                "opened": self._opening_message(scan),
-            },
             "history": history_slice(session.history, self._history_entries),
-            "scan": scan,
+            "scan": self._scan_slice(),
             "photos": [photo_slice(loader, entry) for entry in document.photos],
             "settings": self._slices.get(document.settings, lambda: settings_slice(document.settings)),
             "job": job_slice(self.runner.job),
@@ -274,14 +275,18 @@ class Workbench:
     def _own_slices(self, client: Client) -> dict[str, Any]:
         """Return the slices that differ between the clients."""
         shown = self.selection.photo_of(client)
+        alone, opened = self.clients.is_alone(client), self._opening_message()
+        start = self.is_scratch and self.is_empty
         return {
+            "project": {**project_slice(self.session, client.author, alone=alone, start=start), "opened": opened},
             "shown": shown.id if shown else None,
             "people": self.clients.slice(client),
             "model": client.model.slice()
             | self._slices.get(self._shown_parts(shown), partial(self.model_parts.slice, self.session.document, shown)),
         }
 
-    def _opening_message(self, scan: Mapping[str, Any] | None) -> str:
+    def _opening_message(self) -> str:
+        scan = self._scan_slice()
         error = None if scan is None else scan.get("error")
         if not error:
             return self.opening_message
@@ -298,6 +303,10 @@ class Workbench:
             entry = self.selection.photo_of(client)
             people[client.id] = Person(entry.id if entry else None, client.model)
         return people
+
+    def _scan_slice(self) -> dict[str, Any] | None:
+        document, loader = self.session.document, self.loader
+        return loader.cached("picture", ("scan slice", document.scan), lambda: scan_slice(loader, document))
 
     def _slow_slices(self) -> dict[str, Any]:
         document, loader = self.session.document, self.loader

@@ -417,7 +417,8 @@ def _set_aside(path: Path, *, keep: bool = True) -> Path:
 
 def _entry_fields(entry: Entry) -> dict[str, Any]:
     fields = {"number": entry.number, "label": entry.label, "author": entry.author, "when": entry.when}
-    return {**fields, "automatic": True} if entry.automatic else fields
+    more = {"automatic": entry.automatic, "by": entry.by, "undoes": entry.undoes, "redoes": entry.redoes}
+    return fields | {name: value for name, value in more.items() if value}
 
 
 def _places(count: int) -> str:

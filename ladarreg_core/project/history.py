@@ -16,6 +16,20 @@ MOST_STEPS = 10_000
 """Limit of the undo steps: days of work, and a bound on the memory that ten busy clients use."""
 
 
+@dataclass(frozen=True, slots=True)
+class Author:
+    """Who edits."""
+
+    name: str = ""
+    """Name of the operator."""
+    id: str = ""
+    """Stable id of the operator; empty if there is none, as for the command line."""
+
+
+NOBODY = Author()
+"""The author of edits that no operator made."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Entry:
     """One commit."""
@@ -32,6 +46,12 @@ class Entry:
     """Document after the edit."""
     automatic: bool = False
     """Whether the program made it after the edit before it, without being asked."""
+    by: str = ""
+    """Id of the operator; empty if unknown, as in files of older versions."""
+    undoes: int | None = None
+    """Number of the earlier commit that this one takes back."""
+    redoes: int | None = None
+    """Number of the earlier commit that this one restores."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,9 +99,20 @@ class History:
         """The newest commit up to the current one that is not automatic."""
         return self.entries[self._edit_before(self.at)]
 
-    def committed(self, document: Document, *, label: str, author: str, when: str, automatic: bool = False) -> History:
+    def committed(
+        self,
+        document: Document,
+        *,
+        label: str,
+        author: str,
+        when: str,
+        automatic: bool = False,
+        by: str = "",
+        undoes: int | None = None,
+        redoes: int | None = None,
+    ) -> History:
         """Return the history with an additional commit, without the commits that had been undone."""
-        entry = Entry(self.next_number, label, author, when, document, automatic)
+        entry = Entry(self.next_number, label, author, when, document, automatic, by, undoes, redoes)
         entries = (*self.entries[: self.at + 1], entry)[-MOST_STEPS:]
         return History(entries, len(entries) - 1)
 

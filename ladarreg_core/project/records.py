@@ -1,8 +1,9 @@
 """Records of the history file: JSON objects with a checksum, one per line.
 
-A record is `{"commit" | "amend": {number, label, author, when, automatic?}, "document" | "change": ..., "seq": n,
-"crc": "..."}` or `{"at": number, "seq": n, "crc": "..."}`. `seq` counts the writes; records of a rewritten history all
-have the same. Records of older versions of the program have neither `seq` nor `crc`.
+A record is `{"commit" | "amend": {number, label, author, when}, "document" | "change": ..., "seq": n, "crc": "..."}` or
+`{"at": number, "seq": n, "crc": "..."}`; a commit also has `automatic`, `by`, `undoes` and `redoes` where they apply.
+`seq` counts the writes; records of a rewritten history all have the same. Records of older versions of the program
+have neither `seq` nor `crc`.
 """
 
 from __future__ import annotations

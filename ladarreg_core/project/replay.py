@@ -140,12 +140,18 @@ class _Replay:
         after = self._document_after(record)
         if amends and self._entries and self._numbers.get(number) == self._entries[self._at].number:
             number = self._entries[self._at].number
-            self._entries[self._at :] = [_entry(number, fields, after)]
+            self._entries[self._at :] = [self._entry(number, fields, after)]
         else:
             after_present = self._entries[self._at].number + 1 if self._entries else number
             self._numbers[number] = new = max(number, after_present)
-            self._add(_entry(new, fields, after))
+            self._add(self._entry(new, fields, after))
         self._passed.append(after)
+
+    def _entry(self, number: int, fields: dict[str, Any], document: Document) -> Entry:
+        undoes, redoes = (self._numbers.get(fields[name]) if name in fields else None for name in ("undoes", "redoes"))
+        label, author, when = (str(fields[name]) for name in ("label", "author", "when"))
+        automatic, by = fields.get("automatic") is True, str(fields.get("by", ""))
+        return Entry(number, label, author, when, document, automatic, by, undoes, redoes)
 
     def _document_after(self, record: Record) -> Document:
         if "change" in record:
@@ -166,8 +172,3 @@ class _Replay:
 
     def _is_new(self, document: Document) -> bool:
         return document not in reversed(self._passed)
-
-
-def _entry(number: int, fields: dict[str, Any], document: Document) -> Entry:
-    automatic = fields.get("automatic") is True
-    return Entry(number, str(fields["label"]), str(fields["author"]), str(fields["when"]), document, automatic)

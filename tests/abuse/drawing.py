@@ -15,7 +15,7 @@ from ladarreg_core.matches import Pick
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document, Source
 from ladarreg_core.project.folder import ProjectFolder
-from ladarreg_core.project.history import History
+from ladarreg_core.project.history import NOBODY, History
 from tests.abuse.full_disk import largest_file
 
 WHEN = "2026-01-02T03:04:05+00:00"
@@ -33,7 +33,7 @@ def draw(session: Session, k: int) -> bool:
     """Add a pick, and return whether it was reported as saved."""
     pick = Pick("new", "point", np.array([[1.0, k / 20, 0.1]]), np.array([[100.0 + k, 50.0]]))
     session.commit(
-        f"Draw {k}", lambda d: edits.edited_photo(d, "p1", lambda p: edits.with_picks(p, [pick])[0]), author=""
+        f"Draw {k}", lambda d: edits.edited_photo(d, "p1", lambda p: edits.with_picks(p, [pick])[0]), author=NOBODY
     )
     return not session.unsaved
 

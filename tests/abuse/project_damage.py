@@ -17,7 +17,7 @@ from ladarreg_core.errors import FormatError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document, Source
 from ladarreg_core.project.folder import ProjectFolder
-from ladarreg_core.project.history import History
+from ladarreg_core.project.history import Author, History
 from ladarreg_core.simulate.sample import sample_folder
 from tests.unit.project.test_project import a_pick, with_an_answer
 
@@ -57,7 +57,7 @@ def make_project(folder: Path, *, picks: int = 20) -> Reference:
     session = Session(kept, history)
 
     def commit(label: str, edit: Callable[[Document], Document], merge_key: str = "") -> None:
-        session.commit(label, edit, author="Operator 1", merge_key=merge_key)
+        session.commit(label, edit, author=Author("Operator 1", "one"), merge_key=merge_key)
 
     for name in ("first.png", "second.png"):
         source = Source(path=f"inputs/{name}", name=name, size=(kept.inputs / name).stat().st_size)

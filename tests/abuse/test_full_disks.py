@@ -24,6 +24,7 @@ from ladarreg_core.errors import ExportError, UnsavedError
 from ladarreg_core.export.atomic_write import AppendedFile
 from ladarreg_core.project.document import Source
 from ladarreg_core.project.folder import ProjectFolder
+from ladarreg_core.project.history import NOBODY
 from ladarreg_core.project.rescue import write_rescue_copy
 from ladarreg_core.simulate.sample import sample_folder
 from tests.abuse.drawing import begin, draw, work_until_killed
@@ -177,7 +178,7 @@ def test_at_exit_a_rescue_copy_is_written_where_there_is_space(tmp_path: Path) -
     session.commit(
         "Open scan",
         lambda d: msgspec.structs.replace(d, scan=Source(path="inputs/scan.npz", name="scan.npz", size=4)),
-        author="",
+        author=NOBODY,
     )
     session._elsewhere = (tmp_path / "file" / "nowhere", tmp_path / "elsewhere")
     (tmp_path / "file").write_bytes(b"no folder")

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="as in test_workbench")]
 SIZE: Any = {"width": 1366, "height": 768}
+PHOTO = next(sample_folder().glob("photo.*")).name
 SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(name))"
 
 
@@ -101,3 +102,39 @@ def test_a_colleague_who_adds_a_photograph_does_not_disturb_a_line_that_is_being
     ben.page.reload()
     ben.page.get_by_role("button", name="connected").wait_for()
     assert shown_photo(ben.page).startswith("second.png")
+
+
+def test_undo_takes_back_ones_own_edit_and_a_conflict_says_whose(ann: Person, ben: Person) -> None:
+    ann.page.get_by_role("tab", name=PHOTO).click()
+    ben.page.get_by_role("tab", name=PHOTO).click()
+    before = {pick["number"] for pick in ann.slice("picks:p1")}
+
+    def drawn(person: Person, v: float) -> int:
+        there = {pick["number"] for pick in person.slice("picks:p1")}
+        person.draw("scan", [(420, v), (760, v + 80)])
+        person.draw("photo", [(300, v), (410, v + 20)])
+        return person.wait(lambda: {pick["number"] for pick in person.slice("picks:p1")} - there, "a line").pop()
+
+    mine, theirs = drawn(ann, 200), drawn(ben, 300)
+    ann.wait(lambda: theirs in {pick["number"] for pick in ann.slice("picks:p1")}, "the colleague's line")
+    ann.page.keyboard.press("Control+z")
+    ann.wait(lambda: {pick["number"] for pick in ann.slice("picks:p1")} == before | {theirs}, "one's own is undone")
+    ann.page.keyboard.press("Control+Shift+z")
+    ann.wait(lambda: {pick["number"] for pick in ann.slice("picks:p1")} == before | {mine, theirs}, "and redone")
+
+    row = ben.page.locator(".row-line[data-pick]").nth(len(before))
+    row.get_by_role("checkbox").click()
+    ann.page.locator(".row-line[data-pick].disabled").first.wait_for()
+    ann.page.keyboard.press("Control+z")
+    ann.page.get_by_text(f"Ben changed match {mine} since", exact=False).wait_for()
+
+    ann.page.keyboard.press("h")
+    ann.page.get_by_role("button", name="Begin").click()
+    question = ann.page.get_by_role("dialog", name="Go to this state for everybody?")
+    question.get_by_text("also for Ben").wait_for()
+    question.get_by_role("button", name="Cancel").click()
+    assert mine in {pick["number"] for pick in ben.slice("picks:p1")}
+    ann.page.locator(".history-button").click()
+    ann.page.get_by_role("button", name=f"Draw line {theirs}").first.click()
+    question.get_by_role("button", name="Go to this state").click()
+    ben.page.get_by_text(f"Ann went to 'Draw line {theirs}'", exact=False).wait_for()

@@ -119,6 +119,12 @@ export class Store {
     return people?.clients.find(({ id }) => id === people.you) ?? null;
   }
 
+  /** @returns {any[]} the entries of slice `people` of everybody else */
+  colleagues() {
+    const people = this.get("people");
+    return (people?.clients ?? []).filter(({ id }) => id !== people.you);
+  }
+
   /** @returns {string | null} id of the photograph that this page shows */
   shown() {
     return this.get("shown");

@@ -3,9 +3,35 @@
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
 import { button } from "../ui/controls.js";
+import { makeDialog } from "../ui/dialog.js";
 import { element, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { popoverOf } from "../ui/popover.js";
+
+/** Go to a state, which changes the project for everybody: ask first if others are connected. */
+const goTo = (n, label) => {
+  const others = store.colleagues().filter(({ read_only: looks }) => !looks);
+  if (others.length === 0) return request("go_to", { n });
+  const names = others.map(({ name }) => name).join(", ");
+  const question = makeDialog(
+    "Go to this state for everybody?",
+    { kind: "question" },
+    element(
+      "p",
+      {},
+      `“${label}” becomes the state of the project, also for ${names}. Later edits, those of others included, are`,
+      " undone; they can be redone until somebody edits.",
+    ),
+    element(
+      "div",
+      { class: "dialog-buttons" },
+      button({ label: "Cancel", act: () => question.close() }),
+      button({ label: "Go to this state", kind: "primary", act: () => (question.close(), request("go_to", { n })) }),
+    ),
+  );
+  question.dialog.addEventListener("close", () => question.dialog.remove());
+  return question.open();
+};
 
 /** Attach the history to its button. @param {HTMLButtonElement} opener */
 export const mountHistory = (opener) => {
@@ -15,7 +41,12 @@ export const mountHistory = (opener) => {
     "History",
     element("h2", {}, "History"),
     list,
-    element("p", { class: "dim" }, "Shared by all clients. Undone edits can be redone until a new edit is made."),
+    element(
+      "p",
+      { class: "dim" },
+      "Going to a state changes the project for everybody. While others are connected, undo takes back your own edits",
+      " only. Undone edits can be redone until a new edit is made.",
+    ),
   );
   panel.classList.add("history");
 
@@ -24,7 +55,7 @@ export const mountHistory = (opener) => {
     const item = button({
       label,
       kind: "history-entry plain",
-      act: () => current || request("go_to", { n }),
+      act: () => current || goTo(n, label),
       "aria-current": current ? "step" : null,
       autofocus: current, // so that Escape returns the focus to the button
     });

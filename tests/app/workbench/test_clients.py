@@ -11,7 +11,7 @@ from ladarreg.gateway.protocol import Visitor
 from ladarreg.workbench.clients import COLOURS, Client, Clients
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import WorkbenchDriver, sample_bench
+from tests.app.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 
 
 @pytest.fixture(scope="module")
@@ -156,3 +156,105 @@ def test_colours_are_distinct_while_there_are_enough() -> None:
     assert all(1 <= each.colour <= COLOURS for each in everybody)
     clients.leave(everybody[2])
     assert clients.join(Visitor("a")).colour == everybody[2].colour
+
+
+# undo among several people
+
+LINE: dict[str, Any] = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300, 200], [410, 220]]}
+
+
+def numbers(driver: WorkbenchDriver) -> list[int]:
+    return [pick["number"] for pick in driver.slice("picks:p1")]
+
+
+def test_among_others_undo_takes_back_ones_own_last_edit(bench: WorkbenchDriver, colleague: WorkbenchDriver) -> None:
+    before = numbers(bench)
+    mine = int(bench.do("add_pick", photo="p1", **LINE)["pick"])
+    theirs = int(colleague.do("add_pick", photo="p1", **LINE)["pick"])
+    assert bench.slice("project")["undo"] == f"Draw line {mine}"
+    assert colleague.slice("project")["undo"] == f"Draw line {theirs}"
+    bench.do("undo")
+    assert numbers(colleague) == [*before, theirs]
+    assert bench.slice("project")["redo"] == f"Draw line {mine}"
+    assert colleague.slice("project")["redo"] is None
+    bench.do("redo")
+    assert numbers(bench) == [*before, mine, theirs]
+    colleague.do("undo")
+    bench.do("undo")
+    assert numbers(bench) == before
+    entry = bench.slice("history")["entries"][-1]
+    assert (entry["label"], entry["author"]) == (f"Undo Draw line {mine}", bench.client.name)
+
+
+def test_an_undo_that_would_take_back_anothers_edit_says_whose(
+    bench: WorkbenchDriver, colleague: WorkbenchDriver
+) -> None:
+    mine = bench.do("add_pick", photo="p1", **LINE)["pick"]
+    colleague.do("set_pick", photo="p1", pick=mine, weight=2)
+    before = bench.workbench.session.document
+    refusal = bench.refused("undo")
+    assert refusal.startswith(f"{colleague.client.name} changed match {mine} since ('Weight match {mine}', ")
+    assert "open History" in refusal
+    assert bench.workbench.session.document is before
+    colleague.do("undo")
+    bench.do("undo")
+    assert int(mine) not in numbers(bench)
+
+
+def test_whoever_is_alone_undoes_everything_as_before(bench: WorkbenchDriver, colleague: WorkbenchDriver) -> None:
+    theirs = int(colleague.do("add_pick", photo="p1", **LINE)["pick"])
+    assert bench.slice("project")["undo"] != f"Draw line {theirs}"
+    bench.workbench.leave(colleague.client)
+    assert bench.slice("project")["undo"] == f"Draw line {theirs}"
+    at = len(bench.slice("history")["entries"])
+    bench.do("undo")
+    assert theirs not in numbers(bench)
+    assert len(bench.slice("history")["entries"]) == at, "one step back, not a new one"
+    bench.do("redo")
+    assert theirs in numbers(bench)
+    bench.workbench.clients.join(Visitor("elsewhere"))
+    bench.workbench.leave(bench.workbench.clients.present[-1])
+
+
+def test_one_step_can_be_undone_by_its_number(bench: WorkbenchDriver) -> None:
+    first = int(bench.do("add_pick", photo="p1", **LINE)["pick"])
+    step = bench.slice("history")["at"]
+    second = int(bench.do("add_pick", photo="p1", **LINE)["pick"])
+    bench.do("undo", n=step)
+    assert first not in numbers(bench)
+    assert second in numbers(bench)
+    assert "undone already" in bench.refused("undo", n=step)
+    bench.do("redo", n=step)
+    assert first in numbers(bench)
+    assert "not the one" in bench.refused("redo", n=step)
+
+
+def test_everybody_is_told_who_went_to_another_state(bench: WorkbenchDriver, colleague: WorkbenchDriver) -> None:
+    at = bench.slice("history")["at"]
+    label = next(entry["label"] for entry in bench.slice("history")["entries"] if entry["n"] == 1)
+    bench.received.clear()
+    colleague.do("go_to", n=1)
+    (notice,) = [message["text"] for message in bench.received if message.get("event") == "notice"]
+    assert notice.startswith(f"{colleague.client.name} went to '{label}' of ")
+    assert not [message for message in colleague.received if message.get("event") == "notice"]
+    colleague.do("go_to", n=at)
+
+
+def test_own_steps_are_known_after_a_restart(tmp_path_factory: pytest.TempPathFactory) -> None:
+    home = tmp_path_factory.mktemp("restarted") / "project"
+    first = sample_bench(home)
+    ann = first.workbench.join(Visitor("a", tab="browser tab", page="1"))
+    first.workbench.answer(ann, {"id": 1, "do": "add_pick", "photo": "p1", **LINE})
+    mine = numbers(first)[-1]
+    theirs = int(first.do("add_pick", photo="p1", **LINE)["pick"])
+    first.workbench.answer(ann, {"id": 2, "do": "undo"})
+    assert numbers(first) == [theirs]
+    first.workbench.close()
+    again = open_bench(home)
+    try:
+        ann = again.workbench.join(Visitor("a", tab="browser tab", page="1"))
+        reply = again.workbench.answer(ann, {"id": 1, "do": "redo"})
+        assert reply["ok"], reply
+        assert numbers(again) == [mine, theirs]
+    finally:
+        again.workbench.close()

@@ -186,11 +186,13 @@ def test_what_the_statistics_of_a_verified_pose_lack_is_a_note_and_no_reason(fre
 
 def test_an_offer_to_undo_undoes_its_own_step_only(fresh: WorkbenchDriver) -> None:
     first, second = (fresh.do("add_pick", photo="p1", **point) for point in true_points(2))
-    said = fresh.refused("undo", n=first["n"])
-    assert "'Draw point 1' is not the last step any more: 'Draw point 2' came after it" in said
-    assert len(fresh.slice("picks:p1")) == 2
-    fresh.do("undo", n=second["n"])
-    assert "undone already" in fresh.refused("undo", n=second["n"])
-    assert "n" not in fresh.do("set_pick", photo="p1", pick=first["pick"], on=True), "nothing changed"
     fresh.do("undo", n=first["n"])
+    assert ids(fresh) == [second["pick"]]
+    assert "undone already" in fresh.refused("undo", n=first["n"])
+    assert "n" not in fresh.do("set_pick", photo="p1", pick=second["pick"], on=True), "nothing changed"
+    moved = fresh.do("set_pick", photo="p1", pick=second["pick"], weight=2)
+    said = fresh.refused("undo", n=second["n"])
+    assert said.startswith("You changed match 2 since ('Weight match 2', ")
+    fresh.do("undo", n=moved["n"])
+    fresh.do("undo", n=second["n"])
     assert fresh.slice("picks:p1") == []

@@ -23,6 +23,7 @@ from PIL import Image
 
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.formats import read_scan
+from ladarreg_core.project.history import NOBODY
 from ladarreg_core.simulate.sample import sample_folder
 from tests.app.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 
@@ -448,7 +449,7 @@ def test_a_project_whose_scan_has_no_views_opens_with_a_message(tmp_path: Path) 
     assert job.state == "done", job.message
     path = unviewable_scan(bench.workbench.upload_folder() / "sliver.npz")
     source = msgspec.structs.replace(bench.workbench.session.document.scan, path="inputs/sliver.npz", name="sliver")
-    bench.workbench.session.commit("Open it", lambda d: msgspec.structs.replace(d, scan=source), author="older program")
+    bench.workbench.session.commit("Open it", lambda d: msgspec.structs.replace(d, scan=source), author=NOBODY)
     assert path.exists()
     before = bench.workbench.session.history
     bench.workbench.close()
@@ -743,7 +744,7 @@ def test_the_project_of_a_scan_is_reopened(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setenv("LADARREG_HOME", str(tmp_path / "home"))
     scan = sample_folder() / "scan.npz"
     workbench = open_workbench([scan])
-    workbench.session.commit("Rename", lambda d: _named(d, "kept"), author="")
+    workbench.session.commit("Rename", lambda d: _named(d, "kept"), author=NOBODY)
     place = workbench.session.folder.path
     workbench.close()
     for inputs in ([scan], [place]):
