@@ -23,6 +23,8 @@ class Arguments:
     """Folder of the project on the sample."""
     fresh: bool = False
     """Start over; earlier work on the sample stays in the history."""
+    new_token: bool = False
+    """Replace the kept tokens: earlier links, and pages that are open, lose access."""
     debug: bool = False
     """Print a log, and a traceback on failure."""
 
@@ -32,11 +34,10 @@ def run(arguments: Arguments) -> ExitCode:
     from ..session.isolated_readers import READERS
 
     READERS.warm()  # in parallel with the imports below
-    from ..gateway.login import new_token
     from ..gateway.options import GatewayOptions
     from ..process_resources import limit_arenas
     from ..stop_signals import StopSignals
-    from ..workbench.launch import open_workbench, serve_and_close
+    from ..workbench.launch import TokenChoice, open_workbench, serve_and_close
     from ..workbench.sample import SAMPLE_NAME, register_sample, sample_files
 
     limit_arenas()
@@ -56,5 +57,6 @@ def run(arguments: Arguments) -> ExitCode:
         workbench.close()
         raise
     options = GatewayOptions(port=arguments.port)
-    serve_and_close(workbench, token=new_token(), options=options, browser=not arguments.no_browser, stop=stop)
+    tokens = TokenChoice(renew=arguments.new_token)
+    serve_and_close(workbench, tokens=tokens, options=options, browser=not arguments.no_browser, stop=stop)
     return ExitCode.ACCEPTED

@@ -32,7 +32,9 @@ class Arguments:
     port: int = 8700
     """Port; if it is in use, the next free one. 0: any free port."""
     token: Annotated[str | None, tyro.conf.arg(metavar="TOKEN")] = None
-    """Access token, at least 12 characters; safer in LADARREG_TOKEN. Default: a random one for each start."""
+    """Access token, at least 12 characters; safer in LADARREG_TOKEN. Default: a random one, kept for the port."""
+    new_token: bool = False
+    """Replace the kept tokens: earlier links, and pages that are open, lose access."""
     no_browser: bool = False
     """Print the address, but open no browser."""
     certfile: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -56,7 +58,7 @@ def run(arguments: Arguments) -> ExitCode:
     READERS.warm()  # in parallel with the imports below
     from ladarreg_core.errors import OptionError
 
-    from ..gateway.login import checked_token, new_token
+    from ..gateway.login import checked_token
     from ..gateway.options import GatewayOptions
     from ..gateway.server import check_certificate
 
@@ -71,7 +73,7 @@ def run(arguments: Arguments) -> ExitCode:
     )
     check_certificate(options)
     chosen = arguments.token if arguments.token is not None else os.environ.get(_TOKEN_VARIABLE)
-    token = checked_token(chosen) if chosen is not None else new_token()
+    token = checked_token(chosen) if chosen is not None else None
     if arguments.upload_limit_mb < 1:
         raise OptionError(f"--upload-limit-mb is {arguments.upload_limit_mb}; it must be at least 1")
     if arguments.folder is not None and not arguments.folder.is_dir():
@@ -80,10 +82,10 @@ def run(arguments: Arguments) -> ExitCode:
     return ExitCode.ACCEPTED
 
 
-def _serve(arguments: Arguments, token: str, options: GatewayOptions) -> None:
+def _serve(arguments: Arguments, token: str | None, options: GatewayOptions) -> None:
     from ..process_resources import limit_arenas
     from ..stop_signals import StopSignals
-    from ..workbench.launch import open_workbench, serve_and_close
+    from ..workbench.launch import TokenChoice, open_workbench, serve_and_close
 
     limit_arenas()
     stop = StopSignals()
@@ -95,6 +97,7 @@ def _serve(arguments: Arguments, token: str, options: GatewayOptions) -> None:
         upload_bytes=arguments.upload_limit_mb << 20,
         check=stop.check,
     )
+    tokens = TokenChoice(chosen=token, renew=arguments.new_token)
     serve_and_close(
-        workbench, token=token, options=options, browser=not arguments.no_browser, stop=stop, folder=arguments.folder
+        workbench, tokens=tokens, options=options, browser=not arguments.no_browser, stop=stop, folder=arguments.folder
     )

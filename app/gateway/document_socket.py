@@ -241,6 +241,7 @@ def _visitor(websocket: WebSocket) -> Visitor:
         page=query.get("page", "")[:_MAX_FIELD],
         name=query.get("name", "")[:_MAX_FIELD],
         photo=query.get("photo", "")[:_MAX_FIELD],
+        read_only=websocket.state.read_only,
     )
 
 

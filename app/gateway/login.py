@@ -11,6 +11,7 @@ import secrets
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from urllib.parse import parse_qs
 
 from starlette.requests import ClientDisconnect, Request
@@ -75,35 +76,50 @@ def checked_token(token: str) -> str:
     return token
 
 
+@dataclass(frozen=True, slots=True)
+class Browser:
+    """A browser that has shown a token."""
+
+    id: str
+    """Random, part of its cookie."""
+    read_only: bool
+    """True if that token only grants looking."""
+
+
 class Credentials:
-    """The token, and the cookies of the browsers that have shown it.
+    """The tokens, and the cookies of the browsers that have shown one.
 
     A cookie is a random browser id signed with a key derived from the token. A cookie therefore does not reveal the
     token, browsers can be told apart, and with a token of the operator's own they stay logged in across restarts.
 
     Args:
         token: the token that grants access.
+        read_only_token: the token that grants looking only; empty: there is none.
         port: of the gateway; part of the cookie's name, because browsers share cookies between the ports of a host.
     """
 
-    def __init__(self, token: str, *, port: int) -> None:
+    def __init__(self, token: str, *, port: int, read_only_token: str = "") -> None:
         self.cookie_name = f"ladarreg-{port}"
-        self.unguessable = len(token) >= _UNGUESSABLE_LENGTH
-        """True if the token is too long to be found by trying."""
-        self._token = hashlib.sha256(token.encode()).digest()
-        self._key = hmac.digest(token.encode(), b"ladarreg cookie", "sha256")
+        tokens = [token, read_only_token] if read_only_token else [token]
+        self.unguessable = all(len(each) >= _UNGUESSABLE_LENGTH for each in tokens)
+        """True if no token can be found by trying."""
+        self._tokens = [hashlib.sha256(each.encode()).digest() for each in tokens]
+        self._keys = [hmac.digest(each.encode(), b"ladarreg cookie", "sha256") for each in tokens]
 
     def is_token(self, token: str) -> bool:
-        """Return whether this is the token; takes the same time for every wrong one."""
-        return hmac.compare_digest(hashlib.sha256(token.encode(errors="replace")).digest(), self._token)
+        """Return whether this is one of the tokens; takes the same time for every wrong one."""
+        return self._index(token) is not None
 
-    def new_cookie(self) -> str:
-        """Return a cookie for a browser that has shown the token."""
+    def new_cookie(self, token: str) -> str:
+        """Return a cookie for a browser that has shown a token."""
+        index = self._index(token)
+        if index is None:
+            raise ValueError("this is not a token")
         browser = secrets.token_hex(_ID_BYTES)
-        return f"{browser}.{self._signature(browser)}"
+        return f"{browser}.{self._signature(browser, self._keys[index])}"
 
-    def browser_of(self, cookies: str) -> str | None:
-        """Return the browser id of a valid cookie; None if there is none.
+    def browser_of(self, cookies: str) -> Browser | None:
+        """Return the browser of a valid cookie; None if there is none.
 
         Args:
             cookies: the header Cookie.
@@ -111,14 +127,21 @@ class Credentials:
         for part in cookies.split(";"):
             name, _, value = part.strip().partition("=")
             browser, _, signature = value.strip().strip('"').partition(".")
-            if name == self.cookie_name and hmac.compare_digest(
-                signature.encode(errors="replace"), self._signature(browser).encode()
-            ):
-                return browser
+            if name != self.cookie_name:
+                continue
+            for index, key in enumerate(self._keys):
+                if hmac.compare_digest(signature.encode(errors="replace"), self._signature(browser, key).encode()):
+                    return Browser(browser, read_only=index > 0)
         return None
 
-    def _signature(self, browser: str) -> str:
-        return hmac.new(self._key, browser.encode(errors="replace"), "sha256").hexdigest()
+    def _index(self, token: str) -> int | None:
+        digest = hashlib.sha256(token.encode(errors="replace")).digest()
+        same = [hmac.compare_digest(digest, each) for each in self._tokens]
+        return same.index(True) if True in same else None
+
+    @staticmethod
+    def _signature(browser: str, key: bytes) -> str:
+        return hmac.new(key, browser.encode(errors="replace"), "sha256").hexdigest()
 
 
 class AttemptLimiter:
@@ -225,7 +248,7 @@ class LoginPages:
             if delay_s > 0:
                 await asyncio.sleep(delay_s)
         if correct:
-            return self._logged_in(source)
+            return self._logged_in(source, token)
         self._attempts.record_failure(source.address, kind)
         await asyncio.sleep(_WRONG_DELAY_S)
         return _form("This is not the token of the running workbench.", status=401)
@@ -247,11 +270,11 @@ class LoginPages:
         """Return the empty form."""
         return _form("", status=401)
 
-    def _logged_in(self, source: RequestSource) -> Response:
+    def _logged_in(self, source: RequestSource, token: str) -> Response:
         response = continue_page()
         response.set_cookie(
             self._credentials.cookie_name,
-            self._credentials.new_cookie(),
+            self._credentials.new_cookie(token),
             path=source.prefix,
             secure=source.secure,
             httponly=True,

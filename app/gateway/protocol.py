@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+READ_ONLY = "This page is read-only: to change anything, open the workbench with the link that permits editing."
+"""Refusal of everything but looking."""
 Message = dict[str, Any]
 """A message to the clients: `{"slices": {...}, "version": 12}` or `{"event": name, ...}` (docs/workbench.md)."""
 

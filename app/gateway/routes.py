@@ -30,6 +30,7 @@ def build_site(
     workbench: Workbench,
     *,
     token: str,
+    read_only_token: str = "",
     viser: Callable[[], ViserAddress],
     options: GatewayOptions,
     port: int,
@@ -40,6 +41,7 @@ def build_site(
     Args:
         workbench: the application's state.
         token: the token that grants access.
+        read_only_token: the token that grants looking only; empty: there is none.
         viser: returns the address of the locked viser server; may block until it is open.
         options: how the gateway is reached.
         port: that it listens on, for the cookie's name.
@@ -82,4 +84,4 @@ def build_site(
         ]
     )
     inner.router.redirect_slashes = False
-    return Guard(inner, Credentials(token, port=port), options)
+    return Guard(inner, Credentials(token, port=port, read_only_token=read_only_token), options)

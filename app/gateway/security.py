@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from .connections import CONNECTION_KEY, Connection
 from .login import Credentials, LoginPages, continue_page
 from .options import GatewayOptions
+from .protocol import READ_ONLY
 from .request_source import RequestSource, is_loopback, request_source
 
 PAGE_POLICY = (
@@ -35,8 +36,9 @@ class Guard:
     """ASGI middleware that passes permitted requests to the application and answers all others itself.
 
     Args:
-        inner: the application; it finds the browser's id in `scope["state"]["browser"]`.
-        credentials: the token and its cookies.
+        inner: the application; it finds the browser's id in `scope["state"]["browser"]`, and in
+            `scope["state"]["read_only"]` whether the browser may only look.
+        credentials: the tokens and their cookies.
         options: host names under which the gateway is reached.
     """
 
@@ -86,10 +88,13 @@ class Guard:
         logged_in = self._has_cookie(request.scope)
         path, token = request.scope["path"], request.query_params.get("token")
         if path == "/" and token is not None and request.method in _READING:
-            return continue_page() if logged_in else await self._login.submit_token(source, token)
+            may_edit = logged_in and not request.scope["state"]["read_only"]
+            return continue_page() if may_edit else await self._login.submit_token(source, token)
         if path == "/enter" and request.method == "POST":
             return await self._login.submit_form(request, source)
         if logged_in:
+            if request.scope["state"]["read_only"] and request.method not in _READING:
+                return JSONResponse({"ok": False, "error": READ_ONLY}, status_code=403)
             return _refusal_at_limit(request.scope)
         if path in ("/", "/enter") and request.method in _READING:
             return self._login.form()
@@ -98,7 +103,8 @@ class Guard:
     def _has_cookie(self, scope: Scope) -> bool:
         cookies = ";".join(Headers(scope=scope).getlist("cookie"))
         browser = self._credentials.browser_of(cookies)
-        scope["state"]["browser"] = browser
+        scope["state"]["browser"] = browser.id if browser else None
+        scope["state"]["read_only"] = browser is not None and browser.read_only
         return browser is not None
 
     def _with_headers(self, scope: Scope, source: RequestSource, send: Send) -> Send:

@@ -25,6 +25,7 @@ from .connections import PROTOCOLS, LimitedServer, TrackedApp
 from .options import GatewayOptions
 from .protocol import Workbench
 from .routes import build_site
+from .tokens import Tokens
 from .viser_backend import ViserAddress
 
 _PORTS_TRIED = 100
@@ -125,7 +126,7 @@ def serve_until_interrupted(
     workbench: Workbench,
     viser: Callable[[], ViserAddress],
     *,
-    token: str,
+    tokens: Callable[[int], Tokens],
     options: GatewayOptions,
     browser: bool,
     stop: StopSignals,
@@ -136,7 +137,7 @@ def serve_until_interrupted(
     Args:
         workbench: the application's state.
         viser: returns the address of the locked viser server; may block until it is open.
-        token: the token that grants access.
+        tokens: returns the tokens that grant access, given the port.
         options: where to listen.
         browser: whether to open a browser.
         stop: receives the signals.
@@ -146,15 +147,25 @@ def serve_until_interrupted(
         OptionError: if the address is not one of this machine, no port is free, or the certificate is unusable.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    gateway = Gateway(lambda port: build_site(workbench, token=token, viser=viser, options=options, port=port), options)
+
+    found: list[Tokens] = []
+
+    def build(port: int) -> ASGIApp:
+        found.append(tokens(port))
+        edit, look = found[-1].edit, found[-1].look
+        return build_site(workbench, token=edit, read_only_token=look, viser=viser, options=options, port=port)
+
+    gateway = Gateway(build, options)
     try:
         gateway.start()
         if options.port not in (0, gateway.port):
             print(f"ladarreg: port {options.port} is busy, using {gateway.port}", file=sys.stderr)
         if not options.on_loopback:
             print(f"ladarreg: {exposure_warning(options)}", file=sys.stderr)
-        address = f"{gateway.address}?token={quote(token, safe='')}"
-        _print_address(address)
+        address, look = (f"{gateway.address}?token={quote(each, safe='')}" for each in (found[-1].edit, found[-1].look))
+        _print(f"Open {address}  (Ctrl-C ends)")
+        if found[-1].look:
+            _print(f"Read-only: {look}")
         if browser:
             _open_browser(address)
         then()
@@ -165,9 +176,9 @@ def serve_until_interrupted(
         gateway.close()
 
 
-def _print_address(address: str) -> None:
+def _print(line: str) -> None:
     try:
-        print(f"Open {address}  (Ctrl-C ends)", flush=True)
+        print(line, flush=True)
     except OSError as error:
         if error.errno != errno.EIO:  # the terminal has just been closed; the SIGHUP that follows ends the program
             raise

@@ -9,6 +9,7 @@ import re
 import time
 from collections.abc import Callable, Iterator
 
+import msgspec
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response, StreamingResponse
@@ -38,6 +39,17 @@ _UNAVAILABLE = "The 3-D view does not respond; restart the workbench."
 _STRANGER = "This 3-D view belongs to another page; reload the workbench."
 _IMMUTABLE, _REVALIDATE = "private, max-age=31536000, immutable", "private, no-cache"
 _FULL = "{most} pages show the 3-D view, which is the limit; close one of them and reload this page."
+
+
+_LOOKING = frozenset({"ViewerCameraMessage"})
+"""Messages that a browser may send which is only permitted to look."""
+
+
+class _Message(msgspec.Struct):
+    type: str
+
+
+_MESSAGE_TYPE = msgspec.msgpack.Decoder(_Message)
 
 
 class ViserProxy:
@@ -162,11 +174,20 @@ async def _to_viser(websocket: WebSocket, viser: ClientConnection) -> None:
             if data is None:
                 await websocket.close(_NOT_BINARY)
                 return
-            await viser.send(data)
+            if not websocket.state.read_only or _only_looks(data):
+                await viser.send(data)
     except ConnectionClosed:
         await _close(websocket, viser)
     except WebSocketDisconnect:
         return
+
+
+def _only_looks(data: bytes) -> bool:
+    """Return whether a message of the browser only moves its own camera."""
+    try:
+        return _MESSAGE_TYPE.decode(data).type in _LOOKING
+    except msgspec.DecodeError:
+        return False
 
 
 async def _to_browser(viser: ClientConnection, websocket: WebSocket) -> None:

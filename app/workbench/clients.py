@@ -75,6 +75,8 @@ class Clients:
         self._seats: dict[str, _Seat] = {}
         self._known: OrderedDict[str, Client] = OrderedDict()
         self._joined = 0
+        self.read_only_token = ""
+        """The token with which others may look; empty if there is none."""
 
     def listen(self, on_change: Callable[[], None]) -> None:
         """Call another function after changes from now on."""

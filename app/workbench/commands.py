@@ -15,6 +15,7 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry
 
+from ..gateway.protocol import READ_ONLY
 from ..jobs.registry import JobRegistry
 from ..jobs.runner import JobRunner
 from ..scene.person import VIEWPOINTS
@@ -86,6 +87,8 @@ def answer(context: Context, client: Client, message: Fields) -> Reply:
         command = COMMANDS.get(do) if isinstance(do, str) else None
         if command is None:
             raise OptionError(f"there is no command {_quoted(do)}" if do else "the message names no command")
+        if client.read_only and do not in LOOKING:
+            raise OptionError(READ_ONLY)
         return command(context, client, message)
 
     return reply_to(message, execute)
@@ -290,6 +293,13 @@ def call_me(context: Context, client: Client, fields: Fields) -> Reply:
     return {"you": client.name}
 
 
+def read_only_link(context: Context, client: Client, fields: Fields) -> Reply:
+    """Return the token of the link with which others may look."""
+    if not context.clients.read_only_token:
+        raise OptionError("this workbench has no read-only link")
+    return {"token": context.clients.read_only_token}
+
+
 def hover_pick(context: Context, client: Client, fields: Fields) -> Reply:
     """Highlight a match in the client's 3-D view."""
     if context.scene is not None:
@@ -414,9 +424,13 @@ COMMANDS: dict[str, Command] = {
         add_pick, set_pick, remove_picks, switch_picks, reject, set_camera, set_settings, rename, remove_photo,
         use_stage, undo, redo, go_to, show_photo, set_model, call_me, hover_pick, open_served, list_served, open_files,
         add_embedded, discard_files, predict, where, snap, sample_line, probe, run, job_control, export_folder,
-        look,
+        look, read_only_link,
     )
 }  # fmt: skip
+LOOKING = frozenset(
+    {"show_photo", "set_model", "look", "call_me", "hover_pick", "predict", "where", "snap", "sample_line", "probe"}
+)
+"""The commands of a read-only client; it is refused all others."""
 
 
 def _photo(context: Context, fields: Fields) -> PhotoEntry:

@@ -19,12 +19,12 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.project.duplicate import duplicate_project
 from ladarreg_core.project.folder import ProjectFolder, is_project
 
-from ..gateway.protocol import Picture, Visitor
+from ..gateway.protocol import READ_ONLY, Picture, Visitor
 from ..gateway.uploads import remove_partial_uploads
 from ..session.session import Change, now
 from .clients import Client
 from .commands import Reply, reply_to
-from .project_commands import PROJECT_COMMANDS
+from .project_commands import LOOKING_AT_PROJECTS, PROJECT_COMMANDS
 from .recent import RecentProjects, project_id
 from .sample import SAMPLE_NAME, register_sample, sample_files
 from .thumbnail import draw_thumbnail
@@ -128,6 +128,8 @@ class Desk:
                 return reply_to(message, _refuse_other_project)
             if command is None:
                 return workbench.answer(client, message)
+        if client.read_only and do not in LOOKING_AT_PROJECTS:
+            return reply_to(message, _refuse_read_only)
         found = command
         return reply_to(message, lambda: found(self, client, message))
 
@@ -370,6 +372,10 @@ class Desk:
     def _new_folder(self, name: str) -> Path:
         words = re.sub(r"[^\w-]+", "-", name).strip("-")[:40] or "project"
         return self._data / "projects" / f"{words}-{secrets.token_hex(4)}"
+
+
+def _refuse_read_only() -> Reply:
+    raise OptionError(READ_ONLY)
 
 
 def _refuse_other_project() -> Reply:

@@ -109,6 +109,6 @@ class EmbeddedPictures:
             document, made = edits.with_photo(document, source, camera, stated_pose=stated)
             return document
 
-        self._session.commit(f"Open {image.name} of the scan", edit, author=client.name)
+        self._session.commit(f"Open {image.name} of the scan", edit, author=client.author)
         self._selection.show(client, made)
         return made

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from ladarreg_core.project.folder import ProjectFolder
 
     from ..gateway.options import GatewayOptions
+    from ..gateway.tokens import Tokens
     from ..gateway.viser_backend import ViserAddress
     from .clients import Clients
     from .workbench import Workbench
@@ -111,10 +113,20 @@ def open_workbench(
     return workbench
 
 
+@dataclass(frozen=True, slots=True)
+class TokenChoice:
+    """Which access tokens to use: by default those that are kept for the port."""
+
+    chosen: str | None = None
+    """The operator's own token for editing."""
+    renew: bool = False
+    """Replace the kept tokens."""
+
+
 def serve_and_close(
     workbench: Workbench,
     *,
-    token: str,
+    tokens: TokenChoice,
     options: GatewayOptions,
     browser: bool,
     stop: StopSignals,
@@ -126,7 +138,7 @@ def serve_and_close(
 
     Args:
         workbench: the workbench.
-        token: the access token.
+        tokens: which access tokens to use.
         options: where to listen.
         browser: whether to open a browser.
         folder: folder whose files clients may open; None: none.
@@ -153,13 +165,21 @@ def serve_and_close(
     )
     stop.on_second_request(lambda: _save_and_exit(desk.workbench.session))
 
+    def tokens_for(port: int) -> Tokens:
+        from ..gateway.tokens import kept_tokens
+
+        folder = data_folder() / "tokens"
+        found = kept_tokens(folder, port if options.port else None, chosen=tokens.chosen, renew=tokens.renew)
+        workbench.clients.read_only_token = found.look
+        return found
+
     def open_viser() -> None:
         scenes.open(workbench)
         freeze_loaded_objects()
 
     try:
         serve_until_interrupted(
-            desk, scenes.address, token=token, options=options, browser=browser, stop=stop, then=open_viser
+            desk, scenes.address, tokens=tokens_for, options=options, browser=browser, stop=stop, then=open_viser
         )
     finally:
         scenes.refuse()

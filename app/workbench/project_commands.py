@@ -58,7 +58,7 @@ def new_project(projects: Projects, client: Client, fields: Fields) -> Reply:
     if not isinstance(name, str) or len(name.strip()) > _MOST_LETTERS or not name.isprintable():
         raise OptionError(f"the name of a project has at most {_MOST_LETTERS} letters")
     files = file_ids(fields) if "files" in fields else []
-    return projects.new(name.strip(), files, _editor(client), sure=fields.get("sure") is True)
+    return projects.new(name.strip(), files, client, sure=fields.get("sure") is True)
 
 
 def open_project(projects: Projects, client: Client, fields: Fields) -> Reply:
@@ -69,26 +69,24 @@ def open_project(projects: Projects, client: Client, fields: Fields) -> Reply:
         folder = projects.find(wanted)
         if folder is None:
             raise OptionError("this project is not in the list any more; reload the page")
-        return projects.open(folder, _editor(client), sure=sure)
+        return projects.open(folder, client, sure=sure)
     if not isinstance(path, str) or not path.strip() or len(path) > _LONGEST_PATH or "\0" in path:
         raise OptionError("no folder is given; enter the path of a project's folder")
-    return projects.open_path(path.strip(), _editor(client), sure=sure)
+    return projects.open_path(path.strip(), client, sure=sure)
 
 
 def open_sample(projects: Projects, client: Client, fields: Fields) -> Reply:
     """Open the sample."""
-    return projects.open_sample(_editor(client), sure=fields.get("sure") is True)
+    return projects.open_sample(client, sure=fields.get("sure") is True)
 
 
 def duplicate_project(projects: Projects, client: Client, fields: Fields) -> Reply:
     """Copy a project of the list."""
-    _editor(client)
     return projects.duplicate(_wanted(fields))
 
 
 def forget_project(projects: Projects, client: Client, fields: Fields) -> Reply:
     """Remove a project from the list; its folder stays."""
-    _editor(client)
     return projects.forget(_wanted(fields))
 
 
@@ -97,15 +95,12 @@ PROJECT_COMMANDS: dict[str, ProjectCommand] = {
     for command in (list_projects, new_project, open_project, open_sample, duplicate_project, forget_project)
 }
 
+LOOKING_AT_PROJECTS = frozenset({"list_projects"})
+"""The commands of a read-only client; it is refused all others."""
+
 
 def _wanted(fields: Fields) -> str:
     wanted = fields.get("wanted")
     if not isinstance(wanted, str):
         raise OptionError("no project is given; choose one of the list")
     return wanted
-
-
-def _editor(client: Client) -> Client:
-    if client.read_only:
-        raise OptionError("this page may only look; open it with the other token to change projects")
-    return client

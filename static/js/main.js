@@ -3,6 +3,7 @@
 import { mountDividers } from "./layout/dividers.js";
 import { mountDock } from "./layout/dock.js";
 import { mountMaximise } from "./layout/maximise.js";
+import { followAccess } from "./layout/read_only.js";
 import { listenToShortcuts } from "./layout/shortcuts.js";
 import { ask, connect, connectionState, fullReason, onConnection } from "./net/connection.js";
 import { rememberPhoto } from "./net/identity.js";
@@ -46,6 +47,7 @@ mountPanes({
   ask,
 });
 listenToShortcuts();
+followAccess();
 linkHovering();
 acceptDrops(floating);
 
@@ -102,8 +104,8 @@ const welcome = () => {
   const nothing = !store.get("scan") && !(store.get("photos") ?? []).length;
   const told = toldOfProject();
   if (told) notice(told);
-  if (store.get("project").start) openProjects(openFiles);
-  else if (nothing && !document.querySelector("dialog[open]")) openFiles();
+  if (store.get("project").start && !store.readOnly) openProjects(openFiles);
+  else if (nothing && !store.readOnly && !document.querySelector("dialog[open]")) openFiles();
   else noticeOnce(store.get("project").opened);
 };
 store.watch(["project", "scan", "photos"], welcome);

@@ -24,6 +24,7 @@ from websockets.sync.client import ClientConnection, connect
 from ladarreg_core.errors import FormatError, OptionError
 
 TOKEN = "a-token-of-tests"
+LOOK_TOKEN = "a-read-only-token-of-tests"
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(256))
 
 
@@ -159,9 +160,9 @@ class Running:
         finally:
             connection.close()
 
-    def enter(self) -> None:
-        """Submit the token and keep the cookie."""
-        status, headers, _ = self.ask("GET", f"/?token={TOKEN}", known=False)
+    def enter(self, token: str = "") -> None:
+        """Submit a token and keep the cookie."""
+        status, headers, _ = self.ask("GET", f"/?token={token or TOKEN}", known=False)
         assert status == 200
         self.cookie = headers["set-cookie"].partition(";")[0]
 
@@ -192,7 +193,12 @@ def running(
     where = viser or ViserAddress("127.0.0.1", 9, "no server")
     gateway = Gateway(
         lambda port: build_site(
-            bench, token=TOKEN, viser=where if callable(where) else lambda: where, options=settings, port=port
+            bench,
+            token=TOKEN,
+            read_only_token=LOOK_TOKEN,
+            viser=where if callable(where) else lambda: where,
+            options=settings,
+            port=port,
         ),
         settings,
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 from ladarreg.cli import _set_up_log
 from ladarreg.gateway.options import GatewayOptions
 from ladarreg.gateway.server import serve_until_interrupted
+from ladarreg.gateway.tokens import Tokens
 from ladarreg.gateway.viser_backend import close_server, open_locked_server
 from ladarreg.stop_signals import StopSignals
 
@@ -23,7 +24,7 @@ def main(folder: str, port: str = "0") -> None:
         serve_until_interrupted(
             CountingWorkbench(Path(folder)),
             lambda: address,
-            token=TOKEN,
+            tokens=lambda port: Tokens(TOKEN, ""),
             options=GatewayOptions(port=int(port)),
             browser=False,
             stop=stop,

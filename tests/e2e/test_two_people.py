@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import socket
 import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,14 @@ SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(nam
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     with served(tmp_path_factory.mktemp("two") / "project") as (found, _):
+        line = found.process.stdout.readline() if found.process.stdout else ""
+        assert line.startswith("Read-only: "), line
+        LINKS[found.token] = line.split()[-1].partition("token=")[2]
         yield found
+
+
+LINKS: dict[str, str] = {}
+"""The read-only token of a server, by its other token."""
 
 
 class Person(Operator):
@@ -41,6 +49,7 @@ class Person(Operator):
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(f"{server.address}?token={token or server.token}")
         self.page.get_by_role("button", name="connected").wait_for()
+        self.wait(lambda: f"'{name}'" not in str(self.slice("people")), "nobody of an earlier test has the name")
         self.page.locator(".clients-button").click()
         self.page.get_by_label("Your name").fill(name)
         self.page.get_by_role("button", name="Set name").click()
@@ -138,3 +147,64 @@ def test_undo_takes_back_ones_own_edit_and_a_conflict_says_whose(ann: Person, be
     ann.page.get_by_role("button", name=f"Draw line {theirs}").first.click()
     question.get_by_role("button", name="Go to this state").click()
     ben.page.get_by_text(f"Ann went to 'Draw line {theirs}'", exact=False).wait_for()
+
+
+def test_a_read_only_page_looks_and_changes_nothing(browser: Browser, server: Served, ann: Person) -> None:
+    eve = Person(browser, server, "Eve", token=LINKS[server.token])
+    try:
+        page = eve.page
+        page.get_by_text("Read only", exact=True).first.wait_for()
+        for name in ("Undo", "Redo", "Register automatically", "Add photographs", "Draw a line"):
+            assert page.get_by_role("button", name=name).count() == 0, name
+        before, at = eve.slice("picks:p1"), eve.slice("history")["at"]
+        eve.draw("scan", [(420, 180), (760, 260)])
+        eve.draw("photo", [(300, 200), (410, 220)])
+        page.keyboard.press("Control+z")
+        box = page.locator(".row-line[data-pick] input[type=checkbox]").first
+        if box.count():
+            box.dispatch_event("click")
+        name = page.get_by_label("Project name")
+        name.click()
+        page.keyboard.type("changed")
+        said = page.evaluate("import('./js/net/connection.js').then((m) => m.ask('undo').catch((e) => e.message))")
+        assert said.startswith("This page is read-only")
+        status = page.evaluate("fetch('upload?what=scan', { method: 'POST', body: 'x' }).then((r) => r.status)")
+        assert status == 403
+        ann.page.get_by_text("2 clients").wait_for()
+        assert (eve.slice("picks:p1"), eve.slice("history")["at"]) == (before, at)
+        ann.page.locator(".clients-button").click()
+        ann.page.get_by_text("· read only").wait_for()
+        ann.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        ann.page.get_by_role("button", name="Copy read-only link").click()
+        ann.page.get_by_text("The read-only link was copied", exact=False).wait_for()
+        link = ann.page.evaluate("navigator.clipboard.readText()")
+        assert link == f"{server.address}?token={LINKS[server.token]}"
+    finally:
+        eve.context.close()
+
+
+def test_a_page_outlives_a_restart_of_the_workbench(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LADARREG_HOME", str(tmp_path / "home"))
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with served(tmp_path / "project", port=port) as (first, _):
+        person = Person(browser, first, "Ann")
+        person.draw("scan", [(420, 180), (760, 260)])
+        person.draw("photo", [(300, 200), (410, 220)])
+        person.wait(lambda: len(person.slice("picks:p1")) == 1, "a line")
+    try:
+        person.page.get_by_role("button", name=re.compile("connect", re.IGNORECASE)).filter(
+            has_not_text=re.compile("^connected")
+        ).first.wait_for()
+        with served(tmp_path / "project", port=port) as (again, _):
+            assert (again.port, again.token) == (port, first.token)
+            person.page.get_by_text("Reconnected.").wait_for()
+            assert len(person.slice("picks:p1")) == 1
+            assert [each["name"] for each in person.slice("people")["clients"]] == ["Ann"]
+            person.page.keyboard.press("Control+z")
+            person.wait(lambda: person.slice("picks:p1") == [], "the line of before the restart is undone")
+    finally:
+        person.context.close()
+    assert not person.errors

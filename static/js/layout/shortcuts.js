@@ -34,6 +34,7 @@ const commands = (event) => {
   if (key === "s") return reportSaved;
   const figures = event.target.type === "number" || event.target.inputMode === "decimal";
   if (isTyping(event.target) && !figures) return null; // the field has its own undo
+  if (store.readOnly) return null;
   if (key === "z") return event.shiftKey ? () => request("redo") : () => request("undo");
   return key === "y" ? () => request("redo") : null;
 };

@@ -119,6 +119,11 @@ export class Store {
     return people?.clients.find(({ id }) => id === people.you) ?? null;
   }
 
+  /** @returns {boolean} whether this page may only look */
+  get readOnly() {
+    return Boolean(this.me()?.read_only);
+  }
+
   /** @returns {any[]} the entries of slice `people` of everybody else */
   colleagues() {
     const people = this.get("people");

@@ -3,8 +3,23 @@
 import { rememberName } from "../net/identity.js";
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
+import { button } from "../ui/controls.js";
 import { element, newId, setChildren } from "../ui/dom.js";
+import { notice } from "../ui/notices.js";
 import { popoverOf } from "../ui/popover.js";
+
+const copyLink = async () => {
+  const answer = await request("read_only_link");
+  if (!answer) return;
+  const address = new URL("./", location.href);
+  address.searchParams.set("token", answer.token);
+  try {
+    await navigator.clipboard.writeText(address.href);
+    notice("The read-only link was copied: whoever opens it can look at everything, but change nothing.");
+  } catch {
+    notice(`The browser does not allow copying here. The read-only link is ${address.href}`); // not over plain http
+  }
+};
 
 /** Attach the list to its button. @param {HTMLButtonElement} opener */
 export const mountClients = (opener) => {
@@ -18,7 +33,14 @@ export const mountClients = (opener) => {
     input,
     element("button", { type: "submit", class: "button" }, "Set name"),
   );
-  const panel = popoverOf(opener, "Connected clients", element("h2", {}, "Connected clients"), list, form);
+  const share = button({
+    label: "Copy read-only link",
+    icon: "link",
+    kind: "small edits",
+    title: "Copy a link with which others can look at everything, but change nothing",
+    act: copyLink,
+  });
+  const panel = popoverOf(opener, "Connected clients", element("h2", {}, "Connected clients"), list, form, share);
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     const name = input.value.trim();
@@ -32,7 +54,13 @@ export const mountClients = (opener) => {
     setChildren(
       list,
       ...clients.map(
-        ({ id, name }) => element("li", {}, name, id === you ? element("span", { class: "dim" }, " · you") : null),
+        ({ id, name, colour, read_only: looks }) => element(
+          "li",
+          {},
+          element("span", { class: `person person-${colour}`, "aria-hidden": "true" }),
+          element("span", { class: "clip" }, name),
+          element("span", { class: "dim" }, `${id === you ? " · you" : ""}${looks ? " · read only" : ""}`),
+        ),
       ),
     );
     if (document.activeElement !== input) input.value = store.me()?.name ?? "";

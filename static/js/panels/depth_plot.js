@@ -172,7 +172,7 @@ export const mountDepthPlot = () => {
   const status = element("span", { class: "visually-hidden", role: "status" });
   const apply = button({
     label: "Disable",
-    kind: "small warn-button",
+    kind: "small warn-button edits",
     act: () => requestForPhoto("reject", { by: by(), above: chosen() }),
   });
   const inliersToggle = button({

@@ -105,8 +105,24 @@ export const mountExport = () => {
     element("div", { class: "part-body" }, files),
   );
 
+  /** A page that may only look downloads what somebody else has exported. */
+  const downloadLatest = async () => {
+    const url = `export/${encodeURIComponent(store.shown() ?? "")}.zip`;
+    const { ok } = await fetch(url, { method: "HEAD", cache: "no-store" }).catch(() => ({ ok: false }));
+    if (!ok) {
+      notice("Nothing has been exported from this photograph yet: ask somebody who may edit for an export.", "warn");
+      return;
+    }
+    ready.href = url;
+    ready.click();
+  };
+
   const download = async () => {
     ready.hidden = true;
+    if (store.readOnly) {
+      await downloadLatest();
+      return;
+    }
     requested = store.shown();
     if (!(await requestForPhoto("run", { job: "export", last_solved: last.checked }))) requested = null;
   };

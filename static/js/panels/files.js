@@ -288,6 +288,7 @@ const build = () => {
  * @param {"scan" | "photo" | null} [what] type of file to ask for
  */
 export const openFiles = (what = null) => {
+  if (store.readOnly) return;
   files ??= build();
   files.expect(what);
   if (store.get("served")) request("list_served");
@@ -296,6 +297,10 @@ export const openFiles = (what = null) => {
 
 /** Open files that were dropped on the page. @param {Iterable<File>} dropped */
 export const addFiles = (dropped) => {
+  if (store.readOnly) {
+    notice("This page is read-only: files can only be opened with the link that permits editing.", "warn");
+    return;
+  }
   openFiles();
   files.add(dropped);
 };

@@ -76,8 +76,8 @@ const scanChip = () => {
 };
 
 const historyButtons = () => {
-  const undo = button({ label: "Undo", icon: "undo", bare: true, act: () => request("undo") });
-  const redo = button({ label: "Redo", icon: "redo", bare: true, act: () => request("redo") });
+  const undo = button({ label: "Undo", icon: "undo", bare: true, kind: "edits", act: () => request("undo") });
+  const redo = button({ label: "Redo", icon: "redo", bare: true, kind: "edits", act: () => request("redo") });
   const show = () => {
     const project = store.get("project");
     for (const [control, word, key, keys] of [[undo, "Undo", "undo", "Ctrl Z"], [redo, "Redo", "redo", "Ctrl Shift Z"]]) {
@@ -105,7 +105,7 @@ const autoMissing = () => {
 const autoButton = () => {
   const control = button({
     label: "Register automatically",
-    kind: "primary",
+    kind: "primary edits",
     act: () => {
       const missing = autoMissing();
       if (missing) notice(missing, "warn");
@@ -166,6 +166,7 @@ export const mountHeader = (header) => {
       ...historyButtons(),
       history,
       autoButton(),
+      element("span", { class: "read-only-mark", title: "This page may look at everything, but change nothing" }, "Read only"),
       clients,
       themeButton(),
       button({ label: "Keyboard reference (?)", icon: "help", bare: true, act: openKeys }),

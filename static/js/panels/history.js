@@ -55,7 +55,7 @@ export const mountHistory = (opener) => {
     const item = button({
       label,
       kind: "history-entry plain",
-      act: () => current || goTo(n, label),
+      act: () => current || store.readOnly || goTo(n, label),
       "aria-current": current ? "step" : null,
       autofocus: current, // so that Escape returns the focus to the button
     });

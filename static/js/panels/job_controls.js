@@ -41,7 +41,7 @@ export const jobControls = ({ kinds = null } = {}) => {
     ...SPEEDS.map(([value, label]) => element("option", { value }, label)),
   );
   speed.value = String(DEFAULT_SPEED);
-  const box = element("span", { class: "job-controls" }, pause, step, speed, stop);
+  const box = element("span", { class: "job-controls edits" }, pause, step, speed, stop);
   let job = null;
   const show = () => {
     const now = store.get("job");

@@ -53,8 +53,8 @@ export const mountMatchTable = () => {
     });
     return chip;
   });
-  const remove = button({ label: "Remove", kind: "small", act: () => removeSelected() });
-  const switcher = button({ label: "Disable", kind: "small", act: () => switchSelected() });
+  const remove = button({ label: "Remove", kind: "small edits", act: () => removeSelected() });
+  const switcher = button({ label: "Disable", kind: "small edits", act: () => switchSelected() });
   const heads = COLUMNS.map((column) => {
     const { id, label, title: hint, figures } = column;
     const sorter = element(

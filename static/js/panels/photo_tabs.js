@@ -36,16 +36,16 @@ export const mountPhotoTabs = () => {
     label: "Add photographs",
     icon: "plus",
     bare: true,
-    kind: "small",
+    kind: "small edits",
     act: () => openFiles("photo"),
   });
   const discard = button({
     label: "Remove this photograph from the project",
     icon: "close",
     bare: true,
-    kind: "plain small",
+    kind: "plain small edits",
   });
-  const camera = button({ label: "Camera", icon: "warn", kind: "small camera-button" });
+  const camera = button({ label: "Camera", icon: "warn", kind: "small camera-button edits" });
   const shelf = element("div", { class: "photo-shelf" }, list, discard, camera, add);
   navigateByArrows(list);
   discard.addEventListener("click", () => store.photo() && remove(store.photo()));

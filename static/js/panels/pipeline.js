@@ -66,7 +66,7 @@ export const mountPipeline = (which, title) => {
       label: `Run: ${step.label}`,
       icon: "play",
       bare: true,
-      kind: "small",
+      kind: "small edits",
       act: () => run(step),
     }) : null;
     const row = element("li", { class: "pipeline-step" }, open, go);
@@ -75,20 +75,20 @@ export const mountPipeline = (which, title) => {
   }
   const chain = button({
     label: "Thesis chain",
-    kind: "small plain",
+    kind: "small plain edits",
     title: "Run all steps of the thesis in sequence, on matches that it finds itself",
     act: () => requestForPhoto("run", { job: "thesis" }),
   });
   const solve = button({
     label: "Solve from matches",
-    kind: "small primary-quiet",
+    kind: "small primary-quiet edits",
     icon: "play",
     title: "Solve robustly from the enabled matches, and verify the pose against the images",
     act: () => requestForPhoto("run", { job: "solve" }),
   });
   const auto = button({
     label: "Automatic",
-    kind: "small",
+    kind: "small edits",
     icon: "wand",
     title: "Register automatically, from the images alone",
     act: () => requestForPhoto("run", { job: "auto" }),

@@ -38,7 +38,7 @@ const table = (stages, shown) => {
       kind: "stage plain",
       title: present ? `Shown: ${word}` : `Show ${stage.label}: ${word}`,
       "aria-pressed": String(present),
-      act: () => present || requestForPhoto("use_stage", { stage: stage.stage }),
+      act: () => present || store.readOnly || requestForPhoto("use_stage", { stage: stage.stage }),
     });
     setChildren(
       opener,
@@ -99,13 +99,13 @@ export const mountStages = () => {
         { class: "end" },
         button({
           label: "Compare all",
-          kind: "small",
+          kind: "small edits",
           title: "Solve with every method and compare the results",
           act: () => requestForPhoto("run", { job: "compare" }),
         }),
         button({
           label: "Self-test",
-          kind: "small",
+          kind: "small edits",
           title: "Register photographs simulated from this scan and compare with the true poses: estimates what to expect",
           act: () => requestForPhoto("run", { job: "self_test" }),
         }),

@@ -20,7 +20,7 @@ const WORST_FIRST = ["poor", "fair", "good"];
 const solveButton = (enabled) =>
   button({
     label: "Solve from matches",
-    kind: "small",
+    kind: "small edits",
     icon: "play",
     title: "Solve robustly from the enabled matches, and verify the pose against the images",
     disabled: !enabled,

@@ -37,14 +37,14 @@ const rowOf = (file, open) => {
       { class: "row" },
       choice,
       opens
-        ? button({ label: `Open as ${labelOf(kind)}`, kind: "small", act: () => open([id], choice ? { photo: choice.value } : {}) })
+        ? button({ label: `Open as ${labelOf(kind)}`, kind: "small edits", act: () => open([id], choice ? { photo: choice.value } : {}) })
         : null,
     ),
     button({
       label: `Remove ${name}`,
       icon: "close",
       bare: true,
-      kind: "plain small",
+      kind: "plain small edits",
       act: () => request("discard_files", { files: [id] }),
     }),
     element("span", { class: "file-status" }, sentence(said)),

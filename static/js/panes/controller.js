@@ -132,6 +132,11 @@ export class Controller {
     return this.view.get().snap !== this.inverted;
   }
 
+  /** @returns {"line" | "point" | "select"} the tool; a page that may only look does not draw */
+  get tool() {
+    return this.store.readOnly ? "select" : this.view.get().tool;
+  }
+
   /** @returns {boolean} whether a pose is shown */
   get posed() {
     return this.store.stageOf() !== null;
@@ -195,7 +200,7 @@ export class Controller {
   /** Update the hint in the status bar. */
   hint() {
     const ready = Boolean(this.sides.scan.extent && this.sides.photo.extent);
-    const hint = ready ? hintOf(this.picking, this.view.get().tool) : null;
+    const hint = ready ? hintOf(this.picking, this.tool, this.store.readOnly) : null;
     if (hint !== this.view.get().hint) this.view.set({ hint });
   }
 

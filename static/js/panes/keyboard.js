@@ -25,7 +25,7 @@ const actionsOf = (controller) => {
   /** Move the selected end, or all ends if none is selected. */
   const nudge = (by) => {
     const pick = controller.chosen && controller.pick(controller.chosen);
-    if (!pick) return false;
+    if (!pick || controller.store.readOnly) return false;
     const end = view.get().end;
     const side = controller.sides[end?.side ?? controller.active];
     const ends = controller.pendingMoves.endsOf(pick, side.name).map((world, index) => {
@@ -55,7 +55,7 @@ const actionsOf = (controller) => {
     const { picking } = controller;
     const { cursor } = controller;
     if (picking.acceptable && !picking.drawing && !cursor?.moved) return controller.accept();
-    const { tool } = view.get();
+    const { tool } = controller;
     if (!cursor || cursor.side !== controller.active || tool === "select") return false;
     controller.handle(picking.set(cursor.side, tool, controller.positionAt(cursor.side, cursor.uv)));
     cursor.moved = false;
@@ -88,7 +88,7 @@ const actionsOf = (controller) => {
 
   const remove = () => {
     const picks = [...view.get().selected].filter((id) => controller.pick(id));
-    if (picks.length === 0) return false;
+    if (picks.length === 0 || controller.store.readOnly) return false;
     controller.select([]);
     controller.edit("remove_picks", { picks });
     return true;
@@ -96,7 +96,7 @@ const actionsOf = (controller) => {
 
   const toggle = () => {
     const picks = [...view.get().selected].map((id) => controller.pick(id)).filter(Boolean);
-    if (picks.length > 0) controller.edit("switch_picks", { picks: picks.map(({ id }) => id), on: !picks.every(({ on }) => on) });
+    if (picks.length > 0 && !controller.store.readOnly) controller.edit("switch_picks", { picks: picks.map(({ id }) => id), on: !picks.every(({ on }) => on) });
   };
 
   const changeView = (step) => {

@@ -10,9 +10,11 @@ const LOADING_SHOWN_AFTER_MS = 300;
 /**
  * @param {import("./picking.js").Picking} picking
  * @param {string} tool
+ * @param {boolean} readOnly the page may only look
  * @returns {string} for the status bar
  */
-export const hintOf = (picking, tool) => {
+export const hintOf = (picking, tool, readOnly = false) => {
+  if (readOnly) return "Read only: drag to move the picture, click a match to select it";
   const { drawing, open } = picking;
   if (drawing?.clicked) return "Click the other end of the line · Esc cancels";
   if (drawing) return drawing.kind === "line" ? "Release at the other end of the line · Esc cancels" : "Release to set the point · Esc cancels";

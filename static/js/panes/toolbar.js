@@ -28,7 +28,7 @@ export const mountToolbar = (controller, pane) => {
   const { view } = controller;
   const tools = TOOLS.map(([name, label, title]) => {
     const activate = focusing(pane, () => view.set({ tool: name }));
-    return [name, button({ label, title, icon: name, bare: true, kind: "pane-button", act: activate })];
+    return [name, button({ label, title, icon: name, bare: true, kind: name === "select" ? "pane-button" : "pane-button edits", act: activate })];
   });
   const aids = AIDS.map(([name, label, title]) => {
     const toggle = focusing(pane, () => view.set({ [name]: view.get()[name] === false }));

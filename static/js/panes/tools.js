@@ -53,7 +53,7 @@ export class Tools {
 
   /** @returns {"line" | "point" | "select"} the current tool; Ctrl or Command selects with any */
   #tool(event) {
-    return event.ctrlKey || event.metaKey ? "select" : this.#controller.view.get().tool;
+    return event.ctrlKey || event.metaKey ? "select" : this.#controller.tool;
   }
 
   /** @returns {number[]} the corner within reach if snapping is on, else the pixel itself */
@@ -122,6 +122,7 @@ export class Tools {
       return "stroke";
     }
     controller.select([hit.id], hit.index);
+    if (controller.store.readOnly) return "stroke";
     const ends = controller.pendingMoves.endsOf(controller.pick(hit.id), pane.side);
     this.dragged = { id: hit.id, side: pane.side, index: hit.index, ends, from: pane.pixelAt(xy), begun: xy, moved: false };
     return "stroke";

@@ -12,7 +12,7 @@ from urllib.parse import urlencode
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.login import _PACE_S, AttemptLimiter, Credentials, checked_token, new_token
+from ladarreg.gateway.login import _PACE_S, AttemptLimiter, Browser, Credentials, checked_token, new_token
 from ladarreg.gateway.options import GatewayOptions
 from ladarreg.gateway.request_source import is_loopback, request_source
 from ladarreg.gateway.security import PAGE_POLICY, VISER_POLICY
@@ -166,8 +166,8 @@ def test_a_network_of_ipv6_addresses_is_one_peer_and_memory_is_bounded() -> None
 @given(st.text(st.characters(exclude_characters=";"), max_size=80), st.integers(1, 65535))
 def test_only_our_own_cookies_are_valid(value: str, port: int) -> None:
     credentials = Credentials(TOKEN, port=port)
-    good = credentials.new_cookie()
-    assert credentials.browser_of(f"a=b; {credentials.cookie_name}={good}") == good.partition(".")[0]
+    good = credentials.new_cookie(TOKEN)
+    assert credentials.browser_of(f"a=b; {credentials.cookie_name}={good}") == Browser(good.partition(".")[0], False)
     assert Credentials(TOKEN, port=port).browser_of(f"{credentials.cookie_name}={good}") is not None, (
         "known after a new start"
     )

@@ -80,9 +80,9 @@ def test_a_file_without_a_photograph_belongs_to_the_one_that_its_sender_sees(
 
 
 def test_the_display_of_the_model_is_ones_own(bench: WorkbenchDriver, colleague: WorkbenchDriver) -> None:
-    colleague.do("set_model", texture="intensity", light=True)
-    assert (colleague.slice("model")["texture"], colleague.slice("model")["light"]) == ("intensity", True)
-    assert (bench.slice("model")["texture"], bench.slice("model")["light"]) == ("colour", False)
+    colleague.do("set_model", texture="intensity", rays=True)
+    assert (colleague.slice("model")["texture"], colleague.slice("model")["rays"]) == ("intensity", True)
+    assert (bench.slice("model")["texture"], bench.slice("model")["rays"]) == ("colour", False)
 
 
 def test_each_client_is_told_who_it_is(bench: WorkbenchDriver, colleague: WorkbenchDriver) -> None:
