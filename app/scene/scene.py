@@ -163,6 +163,7 @@ class Scene3D:
             view = self._views.get(event.client_id)
         pick = None if view is None else view.clicked(event)
         if view is not None and pick is not None:
+            self.highlight(view.person, pick)
             self._on_pick(view.person, pick)
 
     def _views_of(self, person: str) -> list[ClientView]:

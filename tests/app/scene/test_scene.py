@@ -213,7 +213,6 @@ def test_picks_have_their_colours_and_are_clickable(
     click(server, [3, -0.5, 0])
     click(server, [3, 0.2, 0.4])
     assert clicks == [("ann", "d")]
-    scene.highlight("ann", "d")
     marked: Any = drawn(scene, server)["/highlight/point"]
     np.testing.assert_allclose(marked.points, points[[3]], atol=0.12)
     for nobody in ("b", "nobody", None):
