@@ -374,12 +374,15 @@ def where(context: Context, client: Client, fields: Fields) -> Reply:
 
 
 def snap(context: Context, client: Client, fields: Fields) -> Reply:
-    """Return the corner next to a pixel."""
-    at = edits.pixels([fields.get("at")])[0]
+    """Return where a point or a line snaps to."""
+    ends = edits.pixels(fields.get("ends"))
     view = fields.get("view", 0)
+    scale = fields.get("px_per_screen", 1.0)
+    if isinstance(scale, bool) or not isinstance(scale, (int, float)) or not 1e-3 <= scale <= 1e3:
+        raise OptionError("px_per_screen is a number from 0.001 to 1000")
     view = view if isinstance(view, int) else 0
-    found = context.queries.corner_near(fields.get("side"), view, fields.get("photo"), at)
-    return {"at": list(at) if found is None else found, "found": found is not None}
+    found = context.queries.snapped(fields.get("side"), view, fields.get("photo"), ends, px_per_screen=scale)
+    return {"ends": [list(end) for end in ends] if found is None else found, "found": found is not None}
 
 
 def sample_line(context: Context, client: Client, fields: Fields) -> Reply:

@@ -49,21 +49,29 @@ class Queries:
             raise OptionError("there is no pose yet to predict with; solve first")
         return self._loader.partners(scan, entry.pose)
 
-    def corner_near(self, side: object, view: int, photo: object, at: Sequence[float]) -> list[float] | None:
-        """Return the corner next to a pixel of the scan's view or of the photograph, (u, v); None if there is none."""
-        from ladarreg_core.inspection.corners import gray_of_photo, gray_of_view, nearest_corner
+    def snapped(
+        self, side: object, view: int, photo: object, ends: Sequence[Sequence[float]], *, px_per_screen: float
+    ) -> list[list[float]] | None:
+        """Return the pixels that a point (one end) or a line (two) snaps to; None if it stays where it is."""
+        from ladarreg_core.inspection.snapping import PhotoSnapper, ViewSnapper
 
-        cached = self._loader.cached
+        snapper: ViewSnapper | PhotoSnapper
         if side == "scan":
             views = self._loader.views(self._session.document)
             if not 0 <= view < len(views):
                 return None
-            gray = cached("picture", ("gray", id(views[view])), lambda: gray_of_view(views[view].view))
+            shown = views[view].view
+            snapper = self._loader.cached("picture", ("snapper", id(shown)), lambda: ViewSnapper.of(shown))
         else:
             viewed = self._loader.viewable_photo(require_photo(self._session.document, photo))
-            gray = cached("picture", ("gray", id(viewed)), lambda: (viewed, gray_of_photo(viewed)))[1]
-        found = nearest_corner(gray, at)
-        return None if found is None else found.tolist()
+            snapper = self._loader.cached("picture", ("snapper", id(viewed)), lambda: PhotoSnapper.of(viewed))
+        if len(ends) == 1:
+            corner = snapper.point(ends[0], px_per_screen=px_per_screen)
+            return None if corner is None else [corner.tolist()]
+        if len(ends) != 2:
+            raise OptionError("give one end of a point or two of a line")
+        line = snapper.line(ends, px_per_screen=px_per_screen)
+        return None if line is None else line.tolist()
 
     def sample_line(self, ends: Any) -> dict[str, Any]:
         """Return the sample points of a line on the scan, given by the rays of its ends."""

@@ -127,9 +127,7 @@ def simulate_case(
     Source: models of the thesis's instruments (chapter 2.2); cleaner than reality.
     """
     case_set = _checked_set(scene, set_name, seed, (k1, k1_error, focal_error))
-    # One random stream per purpose: more noise must not move the furniture.
-    streams = np.random.SeedSequence([zlib.crc32(f"{scene}/{set_name}".encode()), seed]).spawn(4)
-    layout, pose_rng, scan_rng, photo_rng = (np.random.default_rng(s) for s in streams)
+    layout, pose_rng, scan_rng, photo_rng = _streams(scene, set_name, seed)
 
     def stage(start: int, share: int, label: str) -> Callable[[float], None]:
         def forward(done: float) -> None:
@@ -140,12 +138,7 @@ def simulate_case(
         return forward
 
     stage(0, 15, "building the room")
-    world = build_scene(
-        scene,
-        layout=layout,
-        independent_inks=case_set.independent_inks,
-        heated=case_set.instrument == "thermal",
-    )
+    world = _build(scene, case_set, layout)
     caster = RayCaster(world.triangles)
     camera_from_scanner = _pose(case_set, seed, world.focus_m, pose_rng)
     true_camera = replace(_CAMERAS[case_set.instrument], distortion=(k1, 0, 0, 0))
@@ -183,6 +176,21 @@ def simulate_case(
         intensity=images.intensity,
         hot_spots_m=hot_spots_m,
     )
+
+
+def case_world(scene: str, *, set_name: str = "standard", seed: int = 0) -> World:
+    """Return the room of a simulated case: its true surfaces and edges, in the scanner frame.
+
+    Args:
+        scene: boxes, desk, office or people.
+        set_name: as in `simulate_case`.
+        seed: not negative.
+
+    Raises:
+        OptionError: if the scene or set does not exist or the seed is out of range.
+    """
+    case_set = _checked_set(scene, set_name, seed, ())
+    return _build(scene, case_set, _streams(scene, set_name, seed)[0])
 
 
 def write_case(case: SimulatedCase, folder: Path | str) -> None:
@@ -228,6 +236,17 @@ def case_files(case: SimulatedCase) -> list[tuple[str, Callable[[Path], None]]]:
         ("camera.json", lambda path: write_camera(path, case.photo.camera)),
         ("truth.json", lambda path: write_json(path, truth)),
     ]
+
+
+def _streams(scene: str, set_name: str, seed: int) -> list[np.random.Generator]:
+    """Return one random stream per purpose: more noise must not move the furniture."""
+    streams = np.random.SeedSequence([zlib.crc32(f"{scene}/{set_name}".encode()), seed]).spawn(4)
+    return [np.random.default_rng(s) for s in streams]
+
+
+def _build(scene: str, case_set: CaseSet, layout: np.random.Generator) -> World:
+    heated = case_set.instrument == "thermal"
+    return build_scene(scene, layout=layout, independent_inks=case_set.independent_inks, heated=heated)
 
 
 def _take_photo(

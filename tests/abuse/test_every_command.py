@@ -107,7 +107,10 @@ SOUND: dict[str, list[dict[str, Any]]] = {
         {"photo": "p1", "side": "photo", "photo_uv": [[300, 200]]},
     ],
     "where": [{"photo": "p1", "scan": [1, 0, 0]}],
-    "snap": [{"photo": "p1", "side": "photo", "at": [300, 200]}, {"side": "scan", "view": 0, "at": [200, 150]}],
+    "snap": [
+        {"photo": "p1", "side": "photo", "ends": [[300, 200]]},
+        {"side": "scan", "view": 0, "ends": [[200, 150], [260, 170]], "px_per_screen": 1.5},
+    ],
     "sample_line": [{"scan": LINE["scan"]}],
     "probe": [{"scan": [1, 0, 0]}],
     "run": [{"photo": "p1", "job": "linear"}],

@@ -219,7 +219,7 @@ def test_a_line_drawn_in_both_panes_is_one_match_at_the_mouses_own_pixels(panes:
 
 def test_points_snap_only_to_a_corner_that_is_near_on_the_screen(panes: Page) -> None:
     panes.evaluate("view.set({ snap: true, tool: 'point' })")
-    near, far = [103.0, 78.5], [110.0, 90.0]  # the nearest corners stand at (100, 80), and 10 px away
+    near, far = [101.2, 79.5], [110.0, 90.0]  # the nearest corners stand at (100, 80), and 10 px away
     for side, uv in (("scan", near), ("photo", far)):
         panes.mouse.move(*place(panes, side, uv))
         panes.mouse.down()
@@ -231,6 +231,32 @@ def test_points_snap_only_to_a_corner_that_is_near_on_the_screen(panes: Page) ->
     (pick,) = wait_for_picks(panes, 1)
     np.testing.assert_allclose(pixels(pick["scan"]), [[100, 80]], atol=1e-6)
     np.testing.assert_allclose(pick["photo"], [[110.0, 90.1]], atol=0.01)
+
+
+def draw_beside_the_edge(page: Page, side: str, *, held: str = "") -> None:
+    """Draw a line beside the edge at v = 100; a key may be pressed before the release."""
+    a, b = [60.0, 101.5], [160.0, 98.5]
+    page.mouse.move(*place(page, side, a))
+    page.mouse.down()
+    page.mouse.move(*place(page, side, [110, 100]))
+    before = len(asked(page, "snap"))
+    page.mouse.move(*place(page, side, b))
+    page.wait_for_function("(n) => asked.filter(([what]) => what === 'snap').length > n", arg=before)
+    page.wait_for_timeout(50)
+    if held:
+        page.keyboard.down(held)
+    page.mouse.up()
+    if held:
+        page.keyboard.up(held)
+
+
+def test_a_line_snaps_across_the_edge_under_it_and_shift_suspends_it(panes: Page) -> None:
+    panes.evaluate("view.set({ snap: true })")
+    draw_beside_the_edge(panes, "scan")
+    draw_beside_the_edge(panes, "photo", held="Shift")
+    (pick,) = wait_for_picks(panes, 1)
+    np.testing.assert_allclose(pixels(pick["scan"]), [[60, 100], [160, 100]], atol=0.01)
+    np.testing.assert_allclose(pick["photo"], [[60, 101.5], [160, 98.5]], atol=0.01)
 
 
 def test_escape_drops_the_open_line_and_a_refusal_keeps_it(panes: Page) -> None:

@@ -32,8 +32,8 @@ export class Controller {
   onSnapped = () => {};
   /** Called after each change of what is being drawn. */
   onPickingChanged = () => {};
-  /** Alt is held, which inverts snapping. */
-  inverted = false;
+  /** Shift is held, which suspends snapping. */
+  suspended = false;
   #marks = {};
   #marked = new Map();
   #markTimer = 0;
@@ -127,9 +127,9 @@ export class Controller {
     return this.store.picksOf().find((pick) => pick.id === id) ?? null;
   }
 
-  /** @returns {boolean} whether ends snap to corners now */
+  /** @returns {boolean} whether lines snap to edges and points to corners now */
   get snaps() {
-    return this.view.get().snap !== this.inverted;
+    return this.view.get().snap && !this.suspended;
   }
 
   /** @returns {"line" | "point" | "select"} the tool; a page that may only look does not draw */

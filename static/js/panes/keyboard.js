@@ -193,7 +193,7 @@ export const listenToKeys = (controller, tools, space) => {
     // other controls keep the keys that they use themselves
     if (event.target.closest?.(USES_KEYS) && !EVERYWHERE.has(event.key.toLowerCase())) return;
     if (event.target.closest?.(PRESSABLE) && PRESS_KEYS.has(event.key)) return;
-    if (event.key === "Alt") setInverted(true);
+    if (event.key === "Shift") setSuspended(true);
     if (event.key === " ") {
       event.preventDefault();
       if (!event.repeat) Object.assign(space, { held: true, used: false });
@@ -203,8 +203,9 @@ export const listenToKeys = (controller, tools, space) => {
     if (handle(event)) event.preventDefault();
   });
 
-  const setInverted = (inverted) => {
-    controller.inverted = inverted;
+  const setSuspended = (suspended) => {
+    controller.suspended = suspended;
+    tools.settle();
     controller.redraw("live");
   };
 
@@ -215,11 +216,11 @@ export const listenToKeys = (controller, tools, space) => {
   };
   document.addEventListener("keyup", (event) => {
     if (event.key === " ") releaseSpace(true);
-    if (event.key === "Alt") setInverted(false);
+    if (event.key === "Shift") setSuspended(false);
   });
   window.addEventListener("blur", () => {
     releaseSpace(false);
-    setInverted(false);
+    setSuspended(false);
   });
 
   for (const { body, side } of Object.values(controller.panes)) {

@@ -1,7 +1,7 @@
 /** The top layer of a pane: unfinished strokes, crosshairs and the loupe. */
 
 import { motionAllowed } from "./pane.js";
-import { drawCrosshair, drawSnap } from "./symbols.js";
+import { drawCrosshair, drawGhost } from "./symbols.js";
 import { outsideBy, toPixel } from "./viewport.js";
 
 const LOUPE_BELOW_ZOOM = 12;
@@ -34,11 +34,9 @@ export class LiveLayer {
     return pointer?.side === this.#pane.side ? pointer : null;
   }
 
-  /** @returns {number[] | null} the corner that an end would snap to now */
-  #snapped() {
-    const controller = this.#controller;
-    if (!this.#pointer || !controller.snaps || this.#tools.dragged || controller.view.get().tool === "select") return null;
-    return controller.snapping.near(this.#pane, this.#pointer.uv);
+  /** @returns {number[][] | null} where the point or line being placed would snap to now */
+  #ghost() {
+    return this.#pointer && this.#tools.ghost(this.#pane, this.#pointer.uv);
   }
 
   /** @returns {number[] | null} the end being moved, by the pointer or by keys */
@@ -87,10 +85,10 @@ export class LiveLayer {
     if (this.#controller.cursorShown(pane.side)) drawCrosshair(context, pane.screenOf(this.#controller.cursor.uv), look);
     const marked = this.#controller.marked(pane.side);
     if (marked) drawCrosshair(context, pane.screenOf(marked), look, MARK_PX);
-    const snapped = this.#snapped();
-    if (snapped) drawSnap(context, pane.screenOf(snapped), look);
+    const ghost = this.#ghost();
+    if (ghost) drawGhost(context, ghost.map((uv) => pane.screenOf(uv)), look);
     const centre = this.#loupeCentre();
-    if (centre) this.#loupe.show(centre, this.#firstEnd(), snapped ? "corner" : "", look.scale);
+    if (centre) this.#loupe.show(centre, this.#firstEnd(), ["", "corner", "edge"][ghost?.length ?? 0], look.scale);
     else this.#loupe.hide();
     if (pulses && moves) pane.invalidate("live");
   }

@@ -53,7 +53,7 @@ export class Picking {
   }
 
   /** @returns {Kind} the partner is of the open side's kind, whatever the tool */
-  #kindFor(side, kind) {
+  kindFor(side, kind) {
     return this.open && this.open.side !== side ? this.open.kind : kind;
   }
 
@@ -75,7 +75,7 @@ export class Picking {
       this.drawing.to = position;
       this.drawing.pressed = true;
     } else {
-      this.drawing = { side, kind: this.#kindFor(side, kind), from: position, to: position, pressed: true, clicked: false };
+      this.drawing = { side, kind: this.kindFor(side, kind), from: position, to: position, pressed: true, clicked: false };
     }
     return true;
   }
@@ -89,9 +89,12 @@ export class Picking {
   }
 
   /**
+   * @param {Side} side
+   * @param {PickPosition} position
+   * @param {number[][] | null} snapped both ends of a line as they are to be taken, rays or pixels; null: as drawn
    * @returns {"nothing" | "drawing" | "open" | Pair} the outcome
    */
-  release(side, position) {
+  release(side, position, snapped = null) {
     const { drawing } = this;
     if (!drawing || drawing.side !== side || !drawing.pressed) return "nothing";
     this.move(side, position);
@@ -105,7 +108,7 @@ export class Picking {
     }
     this.drawing = null;
     this.#ended = { side, position };
-    const ends = drawing.kind === "point" ? [drawing.to.world] : [drawing.from.world, drawing.to.world];
+    const ends = drawing.kind === "point" ? [drawing.to.world] : (snapped ?? [drawing.from.world, drawing.to.world]);
     return this.#drawn({ side, kind: drawing.kind, ends });
   }
 

@@ -1,31 +1,50 @@
-/** Snapping of ends to the nearest corner. Only a corner that is already shown is used. */
+/**
+ * Snapping: a line's ends move onto the edge under the line, a point to a corner. The program computes it on its exact
+ * data; only what is already shown as a ghost is used.
+ */
 
 import { throttled } from "../ui/throttle.js";
 
-export const REACH_PX = 6;
+export const LINE_REACH_PX = 6;
+export const CORNER_REACH_PX = 4;
+const LEAST_REACH_OF_PICTURE_PX = 1;
+const OUT_OF_DATE_PX = 12;
 const INTERVAL_MS = 40;
 
-/** The corner nearest to the pointer, as last answered. */
+const distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+
+/** @returns {number[]} the point of the line through two others that is nearest to a position */
+const nearestOn = ([a, b], at) => {
+  const along = [b[0] - a[0], b[1] - a[1]];
+  const share = ((at[0] - a[0]) * along[0] + (at[1] - a[1]) * along[1]) / (along[0] ** 2 + along[1] ** 2);
+  return [a[0] + share * along[0], a[1] + share * along[1]];
+};
+
+/** The edge or corner that was found last, and what it makes of the ends that are being placed. */
 export class Snapping {
   #found = null;
   #request;
 
   /**
    * @param {(what: string, args: any) => Promise<any>} ask
-   * @param {() => any} where the photograph and view that the question refers to
+   * @param {(side: "scan" | "photo") => any} where the photograph and view that the question refers to
    * @param {() => void} changed
    */
   constructor(ask, where, changed) {
-    this.#request = throttled(async ({ side, uv }) => {
-      const { at, found } = await ask("snap", { ...where(side), side, at: uv });
-      this.#found = found ? { side, uv: at } : null;
+    this.#request = throttled(async ({ side, ends, zoom }) => {
+      const { ends: snapped, found } = await ask("snap", { ...where(side), side, ends, px_per_screen: 1 / zoom });
+      this.#found = found ? { side, asked: ends, ends: snapped } : null;
       changed();
     }, INTERVAL_MS);
   }
 
-  /** Request the corner near a pixel. */
-  request(side, uv) {
-    this.#request({ side, uv });
+  /**
+   * Request what is under a point or a line.
+   * @param {import("./pane.js").Pane} pane
+   * @param {number[][]} ends one pixel or two
+   */
+  request(pane, ends) {
+    this.#request({ side: pane.side, ends, zoom: pane.viewport.zoom });
   }
 
   /** Drop the request and its result. */
@@ -36,12 +55,17 @@ export class Snapping {
 
   /**
    * @param {import("./pane.js").Pane} pane
-   * @param {readonly number[]} uv
-   * @returns {number[] | null} the corner, if it is within reach on the screen
+   * @param {readonly (readonly number[])[]} ends present position of a point or of both ends of a line, pixels
+   * @returns {number[][] | null} their snapped positions, if these are within reach on the screen
    */
-  near(pane, uv) {
-    if (this.#found?.side !== pane.side) return null;
-    const [a, b] = [pane.screenOf(this.#found.uv), pane.screenOf(uv)];
-    return Math.hypot(a[0] - b[0], a[1] - b[1]) <= REACH_PX ? this.#found.uv : null;
+  near(pane, ends) {
+    const found = this.#found;
+    if (found?.side !== pane.side || found.ends.length !== ends.length) return null;
+    const { zoom } = pane.viewport;
+    const within = (a, b, reach) => a.every((at, k) => distance(at, b[k]) * zoom <= reach);
+    if (ends.length === 1) return within(ends, found.ends, CORNER_REACH_PX) ? found.ends : null;
+    if (!within(ends, found.asked, Math.max(OUT_OF_DATE_PX, LEAST_REACH_OF_PICTURE_PX * zoom))) return null;
+    const snapped = ends.map((at) => nearestOn(found.ends, at));
+    return within(ends, snapped, Math.max(LINE_REACH_PX, LEAST_REACH_OF_PICTURE_PX * zoom)) ? snapped : null;
   }
 }

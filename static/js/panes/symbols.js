@@ -185,15 +185,21 @@ export const drawCrosshair = (context, [x, y], look, reach = 12) => {
   strokeHaloed(context, path, look, { colour: look.ink, width: 1.25 });
 };
 
-/** Draw the corner that an end would snap to: a small diamond. */
-export const drawSnap = (context, [x, y], look) => {
+/** Draw where a point or a line would snap to: a small diamond at each end, and the edge between them. */
+export const drawGhost = (context, ends, look) => {
   const path = new Path2D();
   const reach = 6 * look.scale;
-  path.moveTo(x - reach, y);
-  path.lineTo(x, y - reach);
-  path.lineTo(x + reach, y);
-  path.lineTo(x, y + reach);
-  path.closePath();
+  if (ends.length === 2) {
+    path.moveTo(...ends[0]);
+    path.lineTo(...ends[1]);
+  }
+  for (const [x, y] of ends) {
+    path.moveTo(x - reach, y);
+    path.lineTo(x, y - reach);
+    path.lineTo(x + reach, y);
+    path.lineTo(x, y + reach);
+    path.closePath();
+  }
   strokeHaloed(context, path, look, { colour: look.warn, width: 1.5 });
 };
 

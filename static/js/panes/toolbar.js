@@ -9,7 +9,7 @@ const TOOLS = [
   ["select", "Select and move", "Select matches and move their ends (V); with other tools, hold Ctrl"],
 ];
 const AIDS = [
-  ["snap", "Snap to corners", "Snap ends to the nearest corner (N); hold Alt to invert"],
+  ["snap", "Snap to edges and corners", "Snap lines to the edge under them and points to a corner (N); hold Shift to suspend"],
   ["loupe", "Loupe", "Show the loupe before drawing, too (O); while drawing it is always shown"],
   ["corners", "Detected corners", "Show detected corners (C)"],
 ];

@@ -27,11 +27,11 @@ export class Tools {
   /** @param {import("./controller.js").Controller} controller */
   constructor(controller) {
     this.#controller = controller;
-    controller.onSnapped = () => this.#settle();
+    controller.onSnapped = () => this.settle();
   }
 
-  /** Move the end under the pointer to the corner that has just arrived: a release gives what is shown. */
-  #settle() {
+  /** Move what is under the pointer to the edge or corner that holds now: a release gives what is shown. */
+  settle() {
     const { pointer } = this;
     const pane = pointer && this.#controller.panes[pointer.side];
     if (!pane?.extent) return;
@@ -56,14 +56,37 @@ export class Tools {
     return event.ctrlKey || event.metaKey ? "select" : this.#controller.tool;
   }
 
-  /** @returns {number[]} the corner within reach if snapping is on, else the pixel itself */
-  aim(pane, uv) {
-    return (this.#controller.snaps && this.#controller.snapping.near(pane, uv)) || uv;
+  /**
+   * @returns {number[][] | null} where a release at a pixel would put the point or both ends of the line being drawn,
+   *   if that differs from where they were drawn
+   */
+  ghost(pane, uv) {
+    const { snaps, snapping } = this.#controller;
+    const ends = snaps && !this.dragged && this.#ends(pane, uv);
+    return ends ? snapping.near(pane, ends) : null;
   }
 
+  /** @returns {number[]} where a release at a pixel would put the end under the pointer */
+  aim(pane, uv) {
+    return this.ghost(pane, uv)?.at(-1) ?? uv;
+  }
+
+  /** @returns {number[][] | null} unsnapped pixels of the point or line being placed, with its last end at a pixel */
+  #ends(pane, uv) {
+    if (this.dragged) return this.dragged.moved ? this.#shifted(pane, uv) : null;
+    const { picking, view } = this.#controller;
+    const { drawing } = picking;
+    if (this.frame || !this.pointer || this.#tool(this.pointer.event) === "select") return null;
+    if (drawing?.side === pane.side && drawing.kind === "line") return [drawing.from.uv, uv];
+    return !drawing && picking.kindFor(pane.side, view.get().tool) === "line" ? null : [uv];
+  }
+
+  /** A point is put where its corner is; a line is drawn as the pointer moves, beside its ghost. */
   #positionAt(pane, xy, event) {
-    const uv = this.aim(pane, pane.pixelAt(xy));
-    return this.#controller.positionAt(pane.side, uv, event.timeStamp);
+    const { picking, view } = this.#controller;
+    const kind = picking.drawing?.kind ?? picking.kindFor(pane.side, view.get().tool);
+    const uv = pane.pixelAt(xy);
+    return this.#controller.positionAt(pane.side, kind === "point" ? this.aim(pane, uv) : uv, event.timeStamp);
   }
 
   /**
@@ -79,7 +102,7 @@ export class Tools {
   press(pane, xy, event) {
     const controller = this.#controller;
     controller.active = pane.side;
-    controller.inverted = event.altKey;
+    controller.suspended = event.shiftKey;
     this.#accepting = null;
     if (!pane.extent) return "pan";
     const offered = this.offered(pane.side);
@@ -130,7 +153,7 @@ export class Tools {
 
   move(pane, xy, event) {
     const controller = this.#controller;
-    controller.inverted = event.altKey;
+    controller.suspended = event.shiftKey;
     if (!pane.extent) return;
     const uv = pane.pixelAt(xy);
     this.pointer = { side: pane.side, xy, uv, event };
@@ -145,21 +168,10 @@ export class Tools {
     else if (this.dragged) this.#drag(pane, xy, uv);
     else if (controller.picking.drawing) controller.picking.move(pane.side, this.#positionAt(pane, xy, event));
     else this.#hover(pane, xy);
-    if (controller.snaps && this.#placing(event)) controller.snapping.request(pane.side, this.#snapPoint(pane, uv));
+    const placed = controller.view.get().snap ? this.#ends(pane, uv) : null;
+    if (placed) controller.snapping.request(pane, placed);
     else controller.snapping.forget();
     pane.invalidate("live");
-  }
-
-  /** @returns {boolean} whether an end is being placed, or would be with the next press */
-  #placing(event) {
-    return this.dragged ? this.dragged.moved && this.dragged.index !== null : this.#tool(event) !== "select" && !this.frame;
-  }
-
-  /** @returns {number[]} position of the dragged end, which need not be where it was grabbed */
-  #snapPoint(pane, uv) {
-    if (!this.dragged) return uv;
-    const was = this.#controller.sides[pane.side].toPixel(this.dragged.ends[this.dragged.index]);
-    return was ? [was[0] + uv[0] - this.dragged.from[0], was[1] + uv[1] - this.dragged.from[1]] : uv;
   }
 
   #hover(pane, xy) {
@@ -177,24 +189,30 @@ export class Tools {
     if (ends) this.#controller.pendingMoves.show(dragged.id, dragged.side, ends);
   }
 
+  /** @returns {(number[] | null)[] | null} the ends to show and to save, snapped where snapping finds something */
   #moved(pane, uv) {
     const { dragged } = this;
-    const side = this.#controller.sides[pane.side];
-    const by = [uv[0] - dragged.from[0], uv[1] - dragged.from[1]];
-    const shift = (end, index) => {
-      if (dragged.index !== null && dragged.index !== index) return end;
-      const was = side.toPixel(end);
-      if (!was) return null;
-      const to = [was[0] + by[0], was[1] + by[1]];
-      return side.toWorld(dragged.index === null ? to : this.aim(pane, to));
-    };
-    const ends = dragged.ends.map(shift);
+    const { sides, snaps, snapping } = this.#controller;
+    const shifted = this.#shifted(pane, uv);
+    if (!shifted) return null;
+    const placed = (snaps && snapping.near(pane, shifted)) || shifted;
+    const moves = (index) => dragged.index === null || dragged.index === index;
+    const ends = dragged.ends.map((end, index) => (moves(index) ? sides[pane.side].toWorld(placed[index]) : end));
     return ends.every(Boolean) ? ends : null;
+  }
+
+  /** @returns {number[][] | null} pixels of all ends of the dragged match, unsnapped */
+  #shifted(pane, uv) {
+    const { dragged } = this;
+    const ends = dragged.ends.map((end) => this.#controller.sides[pane.side].toPixel(end));
+    if (!ends.every(Boolean)) return null;
+    const by = [uv[0] - dragged.from[0], uv[1] - dragged.from[1]];
+    return ends.map((was, index) => (dragged.index === null || dragged.index === index ? [was[0] + by[0], was[1] + by[1]] : was));
   }
 
   release(pane, xy, event) {
     const controller = this.#controller;
-    controller.inverted = event.altKey;
+    controller.suspended = event.shiftKey;
     const { dragged, frame } = this;
     if (this.#accepting) {
       this.#accepting = null;
@@ -207,7 +225,9 @@ export class Tools {
       this.dragged = null;
       if (ends) controller.pendingMoves.commit(dragged.id, dragged.side, ends);
     } else if (controller.picking.drawing) {
-      controller.handle(controller.picking.release(pane.side, this.#positionAt(pane, xy, event)));
+      const ghost = controller.picking.drawing.kind === "line" ? this.ghost(pane, pane.pixelAt(xy)) : null;
+      const snapped = ghost?.map((end) => controller.sides[pane.side].toWorld(end)) ?? null;
+      controller.handle(controller.picking.release(pane.side, this.#positionAt(pane, xy, event), snapped));
     }
     pane.invalidate("live");
   }

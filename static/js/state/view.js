@@ -10,7 +10,7 @@
  * @property {string | null} hovered id of the pick under the pointer, anywhere
  * @property {"line" | "point" | "select"} tool
  * @property {boolean} linked the panes are linked
- * @property {boolean} snap end points snap to the nearest corner
+ * @property {boolean} snap lines snap to the edge under them, points to a corner
  * @property {boolean} loupe
  * @property {boolean} corners detected corners are shown
  * @property {{show: string, low: number, high: number, equalise: boolean, gamma: number, brightness: number,
