@@ -173,7 +173,8 @@ class Desk:
 
     def listed(self) -> dict[str, Any]:
         """Return the recent projects for pages."""
-        return {"projects": self.recent.listed(self._workbench.session.folder.path), "anywhere": self._anywhere}
+        current = self._workbench.session.folder.path
+        return {"projects": self.recent.listed(current, with_paths=self._anywhere), "anywhere": self._anywhere}
 
     def find(self, wanted: object) -> Path | None:
         """Return the folder of a project of the list; None if it is not in it."""
@@ -203,7 +204,8 @@ class Desk:
         if folder == self._workbench.session.folder.path:
             return {"opened": self._workbench.project_id}
         if not is_project(folder):
-            raise OptionError(f"{folder} is not a project: it has no project.json; give the folder of a project")
+            named = folder if self._anywhere else folder.name
+            raise OptionError(f"{named} is not a project: it has no project.json; give the folder of a project")
         clients = self._workbench.clients
         return self._switch(lambda: self._open((), project=folder, clients=clients), client, sure=sure)
 
@@ -241,7 +243,7 @@ class Desk:
             target = self._duplicate(session.folder, session.history)
         else:
             if not is_project(folder):
-                raise OptionError(f"{folder} is missing; nothing can be copied")
+                raise OptionError(f"the folder of {folder.name} is missing; nothing can be copied")
             kept = ProjectFolder(folder)
             try:
                 target = self._duplicate(kept, kept.read())

@@ -53,9 +53,14 @@ class RecentProjects:
         """Return the folder of a project of the list; None if it is not in it."""
         return next((path for path in self._paths() if project_id(path) == wanted), None)
 
-    def listed(self, current: Path) -> list[dict[str, Any]]:
-        """Return the list for pages, the latest first."""
-        return [self._entry(path, is_current=path == current) for path in self._paths()]
+    def listed(self, current: Path, *, with_paths: bool) -> list[dict[str, Any]]:
+        """Return the list for pages, the latest first.
+
+        Args:
+            current: folder of the open project.
+            with_paths: whether pages may see where the folders lie, beside their names.
+        """
+        return [self._entry(path, is_current=path == current, with_path=with_paths) for path in self._paths()]
 
     def picture(self, wanted: str) -> bytes | None:
         """Return the picture of a project, JPEG; None if there is none."""
@@ -70,9 +75,10 @@ class RecentProjects:
         """Keep the picture of a project."""
         self._replace(self._picture(project_id(project)), jpeg)
 
-    def _entry(self, path: Path, *, is_current: bool) -> dict[str, Any]:
+    def _entry(self, path: Path, *, is_current: bool, with_path: bool) -> dict[str, Any]:
         key = project_id(path)
-        found = {"id": key, "name": path.name, "folder": str(path), "state": "", "edited": "", "missing": False}
+        folder = str(path) if with_path else path.name
+        found = {"id": key, "name": path.name, "folder": folder, "state": "", "edited": "", "missing": False}
         found |= {"current": is_current, "picture": self._picture(key).is_file()}
         try:
             summary = read_summary(path)
@@ -89,8 +95,19 @@ class RecentProjects:
         try:
             entries = json.loads((self._data / _LIST).read_text(encoding="utf-8"))["projects"]
             return [Path(path) for path in entries if isinstance(path, str) and os.path.isabs(path)]
+        except FileNotFoundError:
+            return self._projects_of_earlier_versions()
         except (OSError, ValueError, KeyError, TypeError):
             return []
+
+    def _projects_of_earlier_versions(self) -> list[Path]:
+        """Return the projects in the user's data, which earlier versions did not list, the latest first."""
+        found = []
+        for path in (self._data / "projects").glob("*"):
+            with suppress(LadarregError):
+                summary = read_summary(path)
+                found += [] if summary.is_empty else [(summary.edited, path)]
+        return [path for _, path in sorted(found, reverse=True)]
 
     def _write(self, paths: list[Path]) -> None:
         text = json.dumps({"projects": [str(path) for path in paths[:_MOST]]}, indent=1)

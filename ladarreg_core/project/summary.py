@@ -80,11 +80,13 @@ def read_summary(folder: Path) -> ProjectSummary:
         data = path.read_bytes()
         edited = path.stat().st_mtime
     except OSError as error:
-        raise FormatError(f"{folder} cannot be read: {error.strerror or error}") from None
+        raise FormatError(f"{folder.name} cannot be read: {error.strerror or error}") from None
     try:
         found = msgspec.json.decode(verify_checksum(data).data, type=_Document)
     except (msgspec.DecodeError, UnicodeDecodeError):
-        raise FormatError(f"{path} is damaged; open the project, which repairs it from its history") from None
+        raise FormatError(
+            f"the {_PROJECT} of {folder.name} is damaged; open the project, which repairs it from its history"
+        ) from None
     shown = [{pose.stage: pose for pose in photo.poses}.get(photo.shown_stage or "") for photo in found.photos]
     return ProjectSummary(
         name=found.name,

@@ -182,6 +182,26 @@ def test_an_upload_during_the_change_is_not_put_into_the_other_project(bench: De
     assert bench.slice("waiting") == []
 
 
+def test_where_projects_lie_is_only_told_on_this_machine(bench: DeskDriver, tmp_path: Path) -> None:
+    bench.drop(SCAN)
+    missing = tmp_path / "secret" / "gone"
+    bench.desk.recent.remember(missing)
+    wanted = next(each["id"] for each in bench.do("list_projects")["projects"] if each["missing"])
+    for reply in (bench.do("list_projects"), bench.ask("open_project", wanted=wanted),
+                  bench.ask("duplicate_project", wanted=wanted)):  # fmt: skip
+        assert str(tmp_path) not in json.dumps(reply)
+    bench.desk._anywhere = True
+    assert str(missing) in json.dumps(bench.do("list_projects"))
+
+
+def test_projects_of_earlier_versions_are_listed(bench: DeskDriver, tmp_path: Path) -> None:
+    open_workbench((SCAN,), project=tmp_path / "home/projects/old-one").close()
+    (tmp_path / "home/projects/no-project").mkdir()
+    assert bench.names() == ["scan"]
+    bench.drop(SCAN)
+    assert bench.names() == ["scan", "scan"]
+
+
 def test_folders_are_opened_by_their_path_only_where_that_is_allowed(bench: DeskDriver, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     open_workbench((SCAN,), project=elsewhere).close()
