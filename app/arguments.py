@@ -118,6 +118,10 @@ class RegisterArguments(InputArguments):
     """Thesis: sample points per manual line (9)."""
     intrinsics: Literal["auto", "fixed", "focal", "focal-k1", "focal-k1-centre"] | None = None
     """Camera parameters to estimate; auto: those that the image, or held-out matches, support."""
+    centre_sigma_percent: Annotated[float | None, tyro.conf.arg(metavar="PERCENT")] = None
+    """Without a camera file: standard deviation of the principal point, % of the photo's width (1.5); 0: exact."""
+    k1_sigma: Annotated[float | None, tyro.conf.arg(metavar="K1")] = None
+    """Without a camera file: standard deviation of the distortion coefficient k1 (.05); 0: exact."""
 
 
 def check_method(arguments: RegisterArguments, method: str) -> None:
@@ -133,28 +137,37 @@ def check_method(arguments: RegisterArguments, method: str) -> None:
         raise OptionError(f"{', '.join(given)} can only be used with --method thesis; the method is {method}")
     if arguments.intrinsics is not None and method == "thesis":
         raise OptionError("--intrinsics cannot be used with --method thesis, which takes the camera as calibrated")
+    for name in ("centre_sigma_percent", "k1_sigma"):
+        if getattr(arguments, name) is not None and arguments.camera is not None:
+            flag = f"--{name.replace('_', '-')}"
+            raise OptionError(f"{flag} cannot be used with --camera: a camera file is taken as calibrated")
     if arguments.intrinsics == "focal-k1-centre" and arguments.matches is None:
         raise OptionError("--intrinsics focal-k1-centre needs manual matches (--matches)")
 
 
 def register_options(arguments: RegisterArguments) -> RegisterOptions:
     """Return the options of a registration."""
+    from ladarreg_core.camera.uncertainty import CameraPrior
     from ladarreg_core.matching.thesis.chain import ThesisOptions
     from ladarreg_core.registration import RegisterOptions
 
     default = ThesisOptions()
+    percent = arguments.centre_sigma_percent
+    prior = CameraPrior(**_given(centre_of_width=None if percent is None else percent / 100, k1=arguments.k1_sigma))
     culling = _option_name(arguments.culling)
     thesis = replace(
         default,
         matching=replace(default.matching, **_given(t1=arguments.t1, t2_px=arguments.t2_px, culling=culling)),
         pose=replace(
-            default.pose, simplex=replace(default.pose.simplex, **_given(reject_depth_m=arguments.reject_depth_m))
+            default.pose,
+            camera_prior=prior,
+            simplex=replace(default.pose.simplex, **_given(reject_depth_m=arguments.reject_depth_m)),
         ),
         **_given(first_pose=_option_name(arguments.first_pose), residual=arguments.residual),
     )
     intrinsics = _option_name(arguments.intrinsics)
     options = RegisterOptions()
-    pose = replace(options.pose, **_given(intrinsics=intrinsics))
+    pose = replace(options.pose, camera_prior=prior, **_given(intrinsics=intrinsics))
     auto = options.auto if intrinsics == "focal_k1_centre" else replace(options.auto, **_given(intrinsics=intrinsics))
     return RegisterOptions(
         seed=arguments.seed, thesis=thesis, pose=pose, auto=auto, **_given(samples_per_line=arguments.samples_per_line)

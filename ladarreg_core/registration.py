@@ -27,6 +27,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.validation import LARGEST_INT, require_choice, require_int, require_type
 
 _LOSSES_SHOWN = 3
+_SHOWN_BY_BLOCKS = 0.37  # of an offset of the principal point; the pose has absorbed the rest of what blocks can show
 _KAPPA_ROUNDS = 2  # positions of samples along a line in the photo depend on the pose, and converge at once
 
 RegistrationMethod = Literal["auto", "thesis", "manual"]
@@ -140,7 +141,7 @@ def _register(
     with steps.step("result"):
         result = _auto_result(found, scan, photo)
         if photo.assumed:
-            result = with_assumed_camera(result, options.pose.camera_prior)
+            result = with_assumed_camera(result, options.pose.camera_prior, shown=_SHOWN_BY_BLOCKS)
         steps.pose, steps.matches = result.camera_from_scanner, result.matches
     return _registration(result, "auto", steps, options)
 

@@ -4,7 +4,9 @@ The principal point and k1 have a prior about their stated values (`CameraPrior`
 the pose, each prior as one more measurement; for the other estimators, which keep the camera as stated, the errors of
 the camera are propagated into the pose:
 
-    p_true - p = -G (theta_true - theta),   G = H_pp^-1 H_pt
+    p_true - p = G (theta_true - theta) + noise,   G = -H_pp^-1 H_pt
+
+with the distribution of theta_true after the matches were seen. Its mean counts as an error as well.
 
 Source: Schmidt, Application of state-space methods to navigation problems (1966), for the latter.
 """
@@ -19,7 +21,7 @@ import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.camera.uncertainty import CameraPrior, CameraUncertainty
+from ladarreg_core.camera.uncertainty import INTRINSICS, CameraPrior, CameraUncertainty
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.covariance import pose_covariance
@@ -102,47 +104,84 @@ def _off_by_matches(
     return off, off_sigma
 
 
-def with_assumed_camera(result: PoseResult, prior: CameraPrior) -> PoseResult:
+def with_assumed_camera(result: PoseResult, prior: CameraPrior, *, shown: float = 1.0) -> PoseResult:
     """Return a result with the errors of its camera, as assumed, propagated into its covariance.
 
     Args:
         result: a pose by any method, with its covariance for an exact camera.
         prior: what is assumed of the camera; intrinsics that were estimated with the pose are no longer assumed.
+        shown: share of the effect of a wrong camera that the residuals show.
     """
-    sigmas = {k: v for k, v in prior.sigmas(result.camera).items() if k not in result.camera_sigmas}
+    free = tuple(name for name in INTRINSICS if name in result.camera_sigmas)
+    sigmas = {k: v for k, v in prior.sigmas(result.camera).items() if k not in free}
     if not sigmas or result.camera_uncertainty is not None or np.count_nonzero(result.inliers) < _LEAST_MATCHES:
         return result
-    H, g = _information(result, result.inliers, sigmas)
-    inverse = pose_covariance(H[:6, :6])
-    gain = -inverse @ H[:6, 6:]
-    P = np.diag([sigma**2 for sigma in sigmas.values()])
-    covariance = np.block([[result.covariance + gain @ P @ gain.T, gain @ P], [P @ gain.T, P]])
-    # one step of pose and camera: the principal point that the matches would choose
+    if not result.is_determined:
+        return result
+    try:
+        return _with_errors_of_camera(result, sigmas, free, shown)
+    except np.linalg.LinAlgError:
+        return result  # its covariance is singular: the matches do not determine it
+
+
+def _with_errors_of_camera(
+    result: PoseResult, sigmas: dict[str, float], free: tuple[str, ...], shown: float
+) -> PoseResult:
+    H, g = _information(result, result.inliers, sigmas, free)
+    fitted = 6 + len(free)  # the pose and what was estimated with it; then what is assumed
+    inverse = pose_covariance(H[:fitted, :fitted])
+    own, scale = _enlarged(inverse, result.covariance)
+    information = shown**2 * (H[fitted:, fitted:] - H[fitted:, :fitted] @ inverse @ H[:fitted, fitted:]) / scale
+    gradient = shown * (g[fitted:] - H[fitted:, :fitted] @ inverse @ g[:fitted]) / scale
+    before = np.diag([sigma**-2 for sigma in sigmas.values()])
+    P = np.linalg.inv(information + before)
+    gain = -inverse @ H[:fitted, fitted:]
+    covariance = np.block([[own + gain @ P @ gain.T, gain @ P], [P @ gain.T, P]])
+    moved = np.concatenate([gain @ P @ gradient, P @ gradient])  # to the most probable camera, which is not adopted
+    covariance += np.outer(moved, moved)
+    if "focal_px" in free:  # from log f
+        covariance[6] *= result.camera.focal_px
+        covariance[:, 6] *= result.camera.focal_px
     names = list(sigmas)
     off: dict[str, float] = {}
     off_sigma: dict[str, float] = {}
-    information = H[6:, 6:] - H[6:, :6] @ inverse @ H[:6, 6:]
-    gradient = g[6:] - H[6:, :6] @ inverse @ g[:6]
     for name in ("cx", "cy"):
         if name in names:
             others = [k for k, other in enumerate(names) if other != name]
             k = names.index(name)
-            nuisance = information[np.ix_(others, others)] + np.diag(1 / np.diag(P)[others])
+            nuisance = (information + before)[np.ix_(others, others)]
             by_others = np.linalg.solve(nuisance, information[others, k])
-            own = float(information[k, k] - information[k, others] @ by_others)
-            if own > 0:
-                off[name] = float(gradient[k] - gradient[others] @ by_others) / own
-                off_sigma[name] = float(1 / np.sqrt(own))
-    uncertainty = _uncertainty(tuple(names), covariance, result.camera, sigmas, off, off_sigma)
+            alone = float(information[k, k] - information[k, others] @ by_others)
+            if alone > 0:
+                off[name] = float(gradient[k] - gradient[others] @ by_others) / alone
+                off_sigma[name] = float(1 / np.sqrt(alone))
+    uncertainty = _uncertainty((*free, *names), covariance, result.camera, sigmas, off, off_sigma)
     return replace(result, covariance=uncertainty.covariance[:6, :6], camera_uncertainty=uncertainty)
 
 
-def _information(result: PoseResult, members: BoolArray, sigmas: dict[str, float]) -> tuple[FloatArray, FloatArray]:
-    """Return the information (6 + K, 6 + K) of the inliers on pose and camera, and the gradient (6 + K,)."""
+def _enlarged(inverse: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float]:
+    """Return the covariance (6 + F, 6 + F) of independent matches changed to that of the result, and its mean factor.
+
+    Errors that neighbouring matches share make the covariance of the pose (6, 6) larger than that of independent ones.
+    """
+    unit = np.sqrt(np.maximum(np.diag(inverse)[:6], 1e-300))
+    square = np.outer(unit, unit)
+    whiten = np.linalg.inv(np.linalg.cholesky(inverse[:6, :6] / square))
+    scale = max(1.0, float(np.trace(whiten @ (covariance / square) @ whiten.T)) / 6)
+    change = np.sqrt(scale) * np.eye(len(inverse))
+    change[:6, :6] = unit[:, None] * (np.linalg.cholesky(covariance / square) @ whiten) / unit
+    return np.asarray(change @ inverse @ change.T), scale
+
+
+def _information(
+    result: PoseResult, members: BoolArray, sigmas: dict[str, float], free: tuple[str, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the information of the inliers on the pose, the free and the assumed intrinsics, and the gradient."""
+    anchor = Anchor.of(result.camera, sigmas, free)
     descent = Descent.start(
         result.matches, result.camera, result.camera_from_scanner, 0,
         sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m,
-        anchor=replace(Anchor.of(result.camera, sigmas), information=np.zeros(len(sigmas))),
+        anchor=replace(anchor, information=np.zeros(len(anchor.free))),
     )  # fmt: skip
     H, g, _, _ = descent.normal_equations(members[None].astype(np.float64))
     return H, g

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
+from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.features.corners import CornerOptions
 from ladarreg_core.matching.thesis.matcher import ThesisMatchOptions
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE
@@ -59,6 +60,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """Largest number of restarts from other starting poses."""
     intrinsics: Literal["auto", "fixed", "focal", "focal_k1"] = "auto"
     """Intrinsics that are estimated together with the pose."""
+    centre_sigma_percent: float = 100 * DEFAULT_CAMERA_PRIOR.centre_of_width
+    """Standard deviation of the principal point of a camera that is not calibrated, % of the photo's width."""
+    k1_sigma: float = DEFAULT_CAMERA_PRIOR.k1
+    """Standard deviation of its distortion coefficient k1."""
     sigma_px: float | None = None
     """Pixel noise, px; None: estimated from the data."""
     sigma_range_m: float | None = None
@@ -103,6 +108,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
             sigma_px=self.sigma_px,
             sigma_range_m=self.sigma_range_m,
             intrinsics=self.intrinsics,
+            camera_prior=CameraPrior(centre_of_width=self.centre_sigma_percent / 100, k1=self.k1_sigma),
             simplex=self.simplex_options,
             seed=self.seed,
         )

@@ -10,6 +10,7 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import look_along, rotation_from_rotvec
+from ladarreg_core.quality.assessment import assess
 from ladarreg_core.surface.render import render_scan_colors
 
 
@@ -38,6 +39,20 @@ def test_kinect_agrees_with_its_factory_calibration(kinect: tuple[lr.Scan, lr.Ph
     assert result.evidence == "image"
     assert np.degrees(result.camera_from_scanner.angle_to(truth)) <= 0.25
     assert result.camera_from_scanner.distance_to(truth) <= 0.006
+
+
+def test_kinect_with_nothing_but_a_focal_length_states_what_is_not_known(
+    kinect: tuple[lr.Scan, lr.Photo], real_data: Path
+) -> None:
+    """The true principal point lies 6 px off the middle: as an exact camera the pose would be 13 sigmas off."""
+    photo = lr.read_photo(real_data / "kinect" / "color_1.jpg", focal_px=612)
+    result = lr.register(kinect[0], photo)
+    assert result.accepted, result.reasons
+    off = float(result.camera_from_scanner.angle_to(truth_of(real_data / "kinect")))
+    assert off / 2 < result.sigma_angle_rad < 4 * off
+    uncertainty = assess(kinect[0], result).uncertainty
+    assert uncertainty is not None
+    assert uncertainty.median_px < 1  # the pose compensates the camera in the picture
 
 
 PUMP_CAMERA = lr.Camera(width=900, height=1000, fx=700, fy=700, cx=449.5, cy=499.5)
