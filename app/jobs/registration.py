@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from .runner import JobContext
 from .solve import SolveJobs
 
 if TYPE_CHECKING:
+    from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Pick
     from ladarreg_core.project.document import PhotoEntry
     from ladarreg_core.results import PoseResult, Registration, StageId
@@ -44,6 +46,18 @@ class RegistrationJobs:
             report=context.step,
         )
         return self._commit(inputs, "auto", result, context)
+
+    def refine(self, initial: Rigid) -> Callable[[Inputs, JobContext], str]:
+        """Return the work of a job that registers from the images, starting from a rough pose."""
+
+        def work(inputs: Inputs, context: JobContext) -> str:
+            import ladarreg_core as lr
+
+            options = inputs.settings.register_options
+            result = lr.register(inputs.scan, inputs.photo, initial=initial, options=options, report=context.step)
+            return self._commit(inputs, "auto", result, context)
+
+        return work
 
     def thesis(self, inputs: Inputs, context: JobContext) -> str:
         """Register by the chain of the thesis."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.frames import Rigid
 from ladarreg_core.project.edits import require_photo
 from ladarreg_core.project.history import Author
 
@@ -89,6 +90,11 @@ class JobRegistry:
         if name == "export":
             self._require_current(photo, last_solved=last_solved)
         return self._start(name, kind, photo, author)
+
+    def run_refine(self, photo: object, author: Author, initial: Rigid) -> str:
+        """Start a registration from a rough pose; raises as `run`."""
+        kind = JobKind("Refine the rough pose", self._registration.refine(initial))
+        return self._start("refine", kind, photo, author)
 
     def run_export(self, folder: Path, photo: object, author: Author, *, force: bool, last_solved: bool) -> str:
         """Start an export into a folder; raises as `run`."""

@@ -11,10 +11,12 @@ from .cameras_layer import CamerasLayer
 from .person import Person, ViewpointName
 from .picks_layer import PicksLayer
 from .simplex_layer import SimplexLayer
+from .viewer_pose import viewer_pose
 
 if TYPE_CHECKING:
     import viser
 
+    from ladarreg_core.frames import Rigid
     from ladarreg_core.inspection.viewpoints import Viewpoint
 
     from .picks_layer import Picks
@@ -90,6 +92,12 @@ class ClientView:
         near_m = _NEAR_PER_FRUSTUM * subject.shown.frustum_depth_m if inside else _NEAR_M
         self._looks, self._looked_from = name, viewpoint
         _move(self._place, viewpoint, near_m=near_m)
+
+    @property
+    def pose(self) -> Rigid | None:
+        """Pose of a camera that stands where the client looks from; None while that is not known."""
+        camera = getattr(self._place, "camera", None)
+        return None if camera is None else viewer_pose(camera)
 
     def clicked(self, event: viser.SceneClickEvent) -> str | None:
         """Return the id of the match that a click hits."""

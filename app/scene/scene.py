@@ -21,6 +21,8 @@ from .person import ANYBODY, Person, ViewpointName
 if TYPE_CHECKING:
     import viser
 
+    from ladarreg_core.frames import Rigid
+
     from .picks_layer import Picks
     from .place import Place
     from .simplex_frame import SimplexFrame
@@ -114,6 +116,10 @@ class Scene3D:
                 view.look(name)
 
         self._queue.request(f"viewpoint {person}", move)
+
+    def pose_of(self, person: str) -> Rigid | None:
+        """Return the pose of a camera that stands where a client looks from; None without an open view."""
+        return next((pose for view in self._views_of(person) if (pose := view.pose) is not None), None)
 
     def simplex_started(self, photo: str) -> None:
         """Start a simplex of a photograph."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import msgspec
 
 from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.frames import Rigid
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry
 
@@ -404,6 +405,17 @@ def run(context: Context, client: Client, fields: Fields) -> Reply:
     return {"job": context.jobs.run(job, fields.get("photo"), client.author, last_solved=last_solved)}
 
 
+def refine(context: Context, client: Client, fields: Fields) -> Reply:
+    """Start a registration from a rough pose: the given one, or the client's 3-D view."""
+    if "camera_from_scanner" in fields:
+        initial: Rigid | None = edits.pose(fields["camera_from_scanner"])
+    else:
+        initial = None if context.scene is None else context.scene.pose_of(client.id)
+    if initial is None:
+        raise OptionError("the 3-D view is not open yet; wait until the model is shown")
+    return {"job": context.jobs.run_refine(fields.get("photo"), client.author, initial)}
+
+
 def job_control(context: Context, client: Client, fields: Fields) -> Reply:
     """Pause, resume, stop, step or change the speed of the job."""
     action = fields.get("action")
@@ -426,7 +438,7 @@ COMMANDS: dict[str, Command] = {
     for command in (
         add_pick, set_pick, remove_picks, switch_picks, reject, set_camera, set_settings, rename, remove_photo,
         use_stage, undo, redo, go_to, show_photo, set_model, call_me, hover_pick, open_served, list_served, open_files,
-        add_embedded, discard_files, predict, where, snap, sample_line, probe, run, job_control, export_folder,
+        add_embedded, discard_files, predict, where, snap, sample_line, probe, run, refine, job_control, export_folder,
         look, read_only_link,
     )
 }  # fmt: skip

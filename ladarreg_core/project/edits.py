@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
-from ladarreg_core.errors import OptionError
+from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick, unit_rays
 from ladarreg_core.project.document import (
     STAGES,
@@ -27,6 +28,7 @@ MOST_PICKS = 5000
 MOST_PIXEL = 1e6
 """Largest absolute pixel coordinate of a match."""
 _LONGEST_LINE_RAD = math.radians(150)
+_FARTHEST_M = 1e5
 WEIGHTS = 1e-6, 1e6
 """Smallest and largest weight of a match."""
 
@@ -208,6 +210,21 @@ def rays(values: object) -> Rows:
         longest = math.degrees(_LONGEST_LINE_RAD)
         raise OptionError(f"a line's ends are more than {longest:.0f} degrees apart; draw a shorter line")
     return rows(found.tolist(), 3)
+
+
+def pose(values: object) -> Rigid:
+    """Return a pose from the rows of its matrix (4, 4).
+
+    Raises:
+        OptionError: if it is not a rigid transform, or its camera is absurdly far away.
+    """
+    try:
+        found = Rigid.from_matrix(np.array(values, dtype=np.float64))
+    except (LadarregError, TypeError, ValueError):
+        raise OptionError("a pose is the 4 rows of a rigid transform, camera_from_scanner") from None
+    if float(np.abs(found.centre).max()) > _FARTHEST_M:
+        raise OptionError(f"the camera is more than {_FARTHEST_M:.0f} m from the scanner; give a pose near the scene")
+    return found
 
 
 def pixels(values: object) -> Rows:

@@ -190,3 +190,18 @@ def test_two_people_have_their_own_textures_and_views(browser: Browser, server: 
         visit.errors[:] = [text for text in visit.errors if "403" not in text]
     finally:
         other.context.close()
+
+
+def test_the_view_serves_as_a_rough_pose(visit: Visit, server: Served) -> None:
+    """The registration starts from where the person looks from in the 3-D view."""
+    visit.drawn()
+    page, socket = visit.page, Socket(server)
+    page.get_by_role("button", name="Scanner", exact=True).click()
+    page.get_by_role("button", name="Display", exact=True).click()
+    sheet = page.get_by_role("region", name="Rough pose")
+    sheet.get_by_text("until it looks like the photograph").wait_for()
+    sheet.get_by_role("button", name="Refine from here").click()
+    sheet.wait_for(state="hidden")
+    socket.until(lambda slices: (slices["job"]["kind"], slices["job"]["state"]) == ("refine", "done"), 240)
+    socket.until(lambda slices: slices["photos"][0]["state"] == "accepted", 60)
+    socket.socket.close()

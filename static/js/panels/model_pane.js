@@ -9,6 +9,7 @@ import { mountModelCover } from "./model_cover.js";
 import { mountModelFrame } from "./model_frame.js";
 import { mountModelLegend } from "./model_legend.js";
 import { ModelLoader, usableTexture } from "./model_loader.js";
+import { roughPose } from "./rough_pose.js";
 import { drawsInSoftware, mountSoftwareHint } from "./software_drawing.js";
 
 const VIEWPOINTS = [
@@ -98,6 +99,7 @@ const display = (legend) => {
   };
   store.watch(["model"], show);
   show();
+  fold.sheet.append(roughPose(fold.sheet));
   return [fold.opener, fold.sheet];
 };
 
