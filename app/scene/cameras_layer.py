@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ladarreg_core.export.viser_colors import line_colours_for_viewer
 from ladarreg_core.inspection.model_textures import small_picture, view_picture
 from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
@@ -26,6 +28,8 @@ NOT_ACCEPTED = "not accepted"
 _DASHES = 9
 _JPEG_QUALITY = 88
 _PICTURE_PX = 512
+_SCANNER_SIZE = 0.6
+"""Size of the mark of a scanner that looks all around, in depths of a frustum."""
 
 
 class CamerasLayer:
@@ -56,6 +60,18 @@ class CamerasLayer:
         self._scanner, self._camera, self._drawn = [], [], (None, None, None)
 
     def _draw_scanner(self, subject: Subject) -> None:
+        if subject.shown.all_around:  # a frustum would show one direction out of all
+            self._scanner.append(
+                self._place.scene.add_point_cloud(
+                    "/scanner",
+                    np.zeros((1, 3), dtype=np.float32),
+                    np.array([SCANNER], dtype=np.uint8),
+                    point_size=_SCANNER_SIZE * subject.shown.frustum_depth_m,
+                    point_shape="diamond",
+                    precision="float32",
+                )
+            )
+            return
         view = subject.view
         picture = view_picture(view, intensity_picture(subject.scan))
         depth = subject.shown.frustum_depth_m

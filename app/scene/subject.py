@@ -95,7 +95,9 @@ class Subject:
         return perspective_view(self.scan, reduced)
 
     def from_scanner(self) -> Viewpoint:
-        """Return the viewpoint of the scanner."""
+        """Return the viewpoint of the scanner, along the scan pane's picture if it looks all around."""
+        if self.shown.all_around:
+            return inside(self.scan, self.scanner_centre, self.shown.axis)
         return from_pose(self.scan, self.view.camera, self.view.view_from_scanner)
 
     def from_camera(self) -> Viewpoint | None:

@@ -271,6 +271,9 @@ def test_a_scan_all_around_is_seen_from_inside_along_its_first_view(server: vise
     assert scene.settle()
     assert viewer.faces(axis) > 0.999
     assert np.linalg.norm(viewer.camera.position) < 0.1
+    scene.look("ann", "scanner")
+    assert isinstance(drawn(scene, server)["/scanner"], viser.PointCloudHandle), "a frustum would show one direction"
+    assert viewer.faces(axis) > 0.999
 
 
 def frames(count: int) -> list[SimplexFrame]:
