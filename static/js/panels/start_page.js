@@ -154,6 +154,7 @@ const build = (chooseFiles) => {
     cards,
   );
   page.dialog.addEventListener("cancel", (event) => isStart() && event.preventDefault());
+  page.dialog.addEventListener("close", () => isStart() && page.open()); // a second Escape cannot be prevented
   const closer = page.dialog.querySelector(".dialog-head button");
   const show = () => {
     closer.hidden = isStart();
