@@ -51,7 +51,8 @@ th { color: var(--dim); font-weight: 500; border-bottom: 1px solid var(--line); 
   h2 { font-size: 14px; margin-top: 16px; padding-top: 8px; }
   h3 { font-size: 11.5px; } .lead { font-size: 12.5px; } figcaption, .legend, .keys { font-size: 9px; }
   .code, code { font-size: 8.5px; } .options, .options code { font-size: 7.5px; }
-  h1, h2, h3 { break-after: avoid; } figure, tr, dl, .legend, .note { break-inside: avoid; }
+  h1, h2, h3 { break-after: avoid; } figure, table, tr, dl, .legend, .note { break-inside: avoid; }
+  .findings, .steps table { break-inside: auto; } .keys { break-after: avoid; }
   .pictures, .worst, .tables { gap: 9px; }
   .wide img { max-height: 118mm; width: auto; margin: 0 auto; }
 }
