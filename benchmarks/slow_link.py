@@ -106,10 +106,10 @@ def kind_of(path: str) -> str:
     path = path.partition("?")[0]
     if path.endswith((".js", ".css", ".svg")):
         return "scripts and styles"
+    if path.startswith(("/picture/model/", "websocket /viser")):
+        return "model"
     if path.startswith("/picture/"):
         return "pictures"
-    if path.startswith("websocket /viser"):
-        return "model"
     if path.startswith("/viser"):
         return "viser's page"
     return "document" if path.startswith("websocket ") else "the page itself"
