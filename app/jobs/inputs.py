@@ -105,6 +105,7 @@ class Workspace:
         *,
         author: Author,
         of_picks: bool = False,
+        automatic: bool = False,
     ) -> None:
         """Commit a job's result if its inputs have not changed.
 
@@ -114,6 +115,7 @@ class Workspace:
             edit: edit of the photograph.
             author: the client.
             of_picks: whether the picks were among the inputs.
+            automatic: whether nobody asked for the job, see `Session.commit`.
 
         Raises:
             OptionError: if the inputs have changed.
@@ -128,4 +130,4 @@ class Workspace:
                 raise OptionError(f"the {what} changed while the job ran, so its result was discarded; run it again")
             return edited_photo(document, was.id, edit)
 
-        self.session.commit(label, apply, author=author)
+        self.session.commit(label, apply, author=author, automatic=automatic)

@@ -12,6 +12,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.project.edits import require_photo
 from ladarreg_core.project.history import Author
 
+from .automatic import IDLE, AutomaticSolver
 from .export import ExportJobs, download_name
 from .inputs import Inputs, Workspace
 from .matching import MatchingJobs
@@ -42,6 +43,7 @@ class JobRegistry:
         runner: runs the jobs.
         watch: called with the iterations of the simplex.
         publish_event: sends an event to all clients.
+        on_change: called when automatic solving starts and ends; None: there is none.
     """
 
     def __init__(
@@ -50,11 +52,13 @@ class JobRegistry:
         runner: JobRunner,
         watch: Callable[[Frame], None],
         publish_event: Callable[[dict[str, Any]], None],
+        on_change: Callable[[], None] | None,
     ) -> None:
         self._workspace, self._runner, self._publish_event = workspace, runner, publish_event
         self._watch = watch
         self._matching = MatchingJobs(workspace)
         solve = SolveJobs(workspace)
+        self._automatic = AutomaticSolver(workspace, runner, solve, on_change) if on_change else None
         simplex = SimplexJobs(solve, self._show_frame)
         self._registration = RegistrationJobs(workspace, solve)
         self._exports = ExportJobs(workspace)
@@ -110,6 +114,15 @@ class JobRegistry:
     def self_test(self, photo: str) -> dict[str, Any] | None:
         """Return the present results of a photograph's self-test."""
         return self._registration.self_tests.get(photo)
+
+    def solving(self, photo: str) -> dict[str, Any]:
+        """Return the state of the automatic solving of a photograph."""
+        return IDLE if self._automatic is None else self._automatic.state(photo)
+
+    def close(self) -> None:
+        """End automatic solving; the runner ends the jobs."""
+        if self._automatic is not None:
+            self._automatic.close()
 
     def export_file(self, photo: str) -> tuple[Path, str] | None:
         """Return the last zip of a photograph and its download name; None before there is one."""

@@ -161,6 +161,12 @@ class JobRunner:
         """The present job, or the last one."""
         return self._context.job if self._context else None
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether a job is running or paused."""
+        job = self.job
+        return job is not None and job.runs
+
     def start(
         self, kind: str, work: Work, *, label: str, photo: str, author: Author, can: tuple[Control, ...] = ("stop",),
         speed: float = FULL_SPEED,

@@ -43,7 +43,7 @@ class SolveJobs:
 
     def solve(self, inputs: Inputs, context: JobContext) -> str:
         """Solve all matches by the default estimator and verify the pose against the images: one verdict."""
-        result, sentence = self._solved(inputs, context.step)
+        result, sentence = self.solved(inputs, context.step)
         context.check()
         self.commit(inputs, "robust", result, context)
         return f"{verdict(result)} {sentence}"
@@ -79,7 +79,8 @@ class SolveJobs:
             report=report,
         )
 
-    def _solved(self, inputs: Inputs, report: StepReport) -> tuple[Registration, str]:
+    def solved(self, inputs: Inputs, report: StepReport) -> tuple[Registration, str]:
+        """Return the robust solution with its image verification, and the sentence on that."""
         return self._checked(inputs, self._robust(inputs, report), report)
 
     def _checked(self, inputs: Inputs, result: Registration, report: StepReport) -> tuple[Registration, str]:

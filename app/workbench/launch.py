@@ -51,6 +51,7 @@ def open_workbench(
     name: str = "",
     camera: Path | None = None,
     clients: Clients | None = None,
+    solve_automatically: bool = True,
     check: Callable[[], None] = lambda: None,
 ) -> Workbench:
     """Open a workbench; the caller closes it.
@@ -63,6 +64,7 @@ def open_workbench(
         name: name of a project that is started with a scan and photographs; empty: that of the scan.
         camera: a camera file for new photographs.
         clients: the clients of the workbench that this one replaces; None: it is the first.
+        solve_automatically: whether matches are solved after edits, where the project's settings want it.
         check: called between files; may raise `Cancelled`.
 
     Raises:
@@ -98,7 +100,14 @@ def open_workbench(
             message = ""
         remove_leftovers(kept.path)
         session = Session(kept, history, elsewhere=_fallback_folders(kept.path))
-        workbench = Workbench(session, Loader(kept), upload_bytes=upload_bytes, served=folder, clients=clients)
+        workbench = Workbench(
+            session,
+            Loader(kept),
+            upload_bytes=upload_bytes,
+            served=folder,
+            clients=clients,
+            solve_automatically=solve_automatically,
+        )
         workbench.is_scratch = is_scratch
     except BaseException:
         kept.close()

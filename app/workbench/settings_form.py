@@ -63,6 +63,10 @@ FIELDS: dict[str, Field] = {
     "k1_sigma": Field("Distortion k1", "robust", "Not calibrated: standard deviation about 0; 0: exact.", 0, 1, 0.01),
     "sigma_px": Field("Pixel noise", "robust", "Empty: estimated from the data.", 0.01, 50, 0.05, "px"),
     "sigma_range_m": Field("Range noise", "robust", "Empty: estimated from the data.", 0.0001, 1, 0.001, "m"),
+    "solve_automatically": Field(
+        "Solve after edits", "all", "Solve and verify by itself as soon as drawn matches pause to change."
+    ),
+    "solve_up_to": Field("Solve up to", "all", "More matches are solved only when asked.", 4, 5000, 50, "matches"),
     "seed": Field("Random seed", "all", "Equal seeds give equal results.", 0, 2**31 - 1, 1),
 }
 CHOICES = {

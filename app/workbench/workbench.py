@@ -77,6 +77,7 @@ class Workbench:
         upload_bytes: the largest upload.
         served: a folder whose files clients may open; None: none.
         clients: the clients of the workbench that this one replaces; None: it is the first.
+        solve_automatically: whether matches are solved after edits, where the project's settings want it.
     """
 
     def __init__(
@@ -87,6 +88,7 @@ class Workbench:
         upload_bytes: int,
         served: Path | None = None,
         clients: Clients | None = None,
+        solve_automatically: bool = True,
     ) -> None:
         self.session = session
         self.loader = loader
@@ -103,7 +105,10 @@ class Workbench:
         self.embedded = EmbeddedPictures(session, loader, self.selection)
         self.runner = JobRunner(self._job_changed)
         workspace = Workspace(session, loader)
-        self.jobs = JobRegistry(workspace, self.runner, self.scene_sync.watch_simplex, self.publish_event)
+        watch = self.scene_sync.watch_simplex
+        self.jobs = JobRegistry(
+            workspace, self.runner, watch, self.publish_event, self._publish if solve_automatically else None
+        )
         self.images = Images(session, loader)
         self.model_parts = ModelParts(session, loader)
         self._pick_entries, self._history_entries = ListCache(pick_entry), ListCache(history_entry)
@@ -198,6 +203,7 @@ class Workbench:
             UnsavedError: if some are not; it names the folder that the project was saved to instead, if any.
         """
         self._unsubscribe()
+        self.jobs.close()
         self.runner.close()
         self.publisher.close()
         self.scene_sync.close()
@@ -268,6 +274,7 @@ class Workbench:
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self._pick_entries.get(entry.id, entry.picks)
             found[f"poses:{entry.id}"] = self._poses_slice(entry)
+            found[f"solving:{entry.id}"] = self.jobs.solving(entry.id)
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
             found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
         return found

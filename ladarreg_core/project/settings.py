@@ -70,6 +70,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """Range noise, m; None: estimated from the data."""
     seed: int = 0
     """Random seed."""
+    solve_automatically: bool = True
+    """Whether the workbench solves and verifies after edits of the matches."""
+    solve_up_to: int = 200
+    """Largest number of enabled matches that are solved after edits."""
 
     @property
     def match_options(self) -> ThesisMatchOptions:

@@ -70,8 +70,8 @@ class WorkbenchDriver:
 
 
 def open_bench(home: Path, *inputs: Path, camera: Path | None = None, **options: Any) -> WorkbenchDriver:
-    """Open a workbench whose project lies in `home`."""
-    workbench = open_workbench(inputs, project=home, camera=camera, **options)
+    """Open a workbench whose project lies in `home`; it solves by itself only with `solve_automatically`."""
+    workbench = open_workbench(inputs, project=home, camera=camera, **{"solve_automatically": False, **options})
     bench = WorkbenchDriver(workbench, workbench.join(Visitor("test")))
     workbench.subscribe(bench.received.append, bench.client)
     return bench

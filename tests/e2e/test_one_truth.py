@@ -42,6 +42,7 @@ def operator(browser: Browser, server: Served, checkout: Path, request: pytest.F
     found = Operator(page, server, checkout / "artifacts" / request.node.name)
     camera = json.loads((sample_folder() / "camera.json").read_text())
     found.socket.ask("set_camera", photo="p1", focal_px=camera["fx"])
+    assert found.socket.ask("set_settings", solve_automatically=False)["ok"]
     left = [pick["id"] for pick in found.slice("picks:p1")]
     if left:
         found.socket.ask("remove_picks", photo="p1", picks=left)
@@ -52,6 +53,7 @@ def operator(browser: Browser, server: Served, checkout: Path, request: pytest.F
     found.open()
     yield found
     found.shot("end")
+    found.slice("photos")  # unread messages would delay the end of the connection
     found.socket.socket.close()
     context.close()
     assert not faults
@@ -122,3 +124,19 @@ def test_solving_is_one_button_with_one_verdict(operator: Operator) -> None:
     row = page.locator(".pipeline-step").filter(has=page.get_by_role("button", name="Run: Verify"))
     assert row.filter(visible=True).get_attribute("data-state") == "failed"
     operator.shot("contradicted")
+
+
+def test_drawn_matches_are_solved_by_themselves(operator: Operator) -> None:
+    """The verdict follows an edit without a click, a notice or a step of its own, and undo takes it back."""
+    page = operator.page
+    assert operator.socket.ask("set_settings", solve_automatically=True)["ok"]
+    page.locator(".row-line[data-pick]").first.locator(".col-kind").click()
+    page.keyboard.press("Delete")
+    verdict(page).filter(has_text="verified against the image").wait_for(timeout=60_000)
+    page.locator("#step-judge.done").wait_for()
+    assert page.locator(".notice").count() == 0
+    assert page.get_by_role("button", name="Undo: Remove a match").count() == 1
+    page.keyboard.press("Control+z")
+    verdict(page).filter(has_text="Accepted on match statistics only").wait_for()
+    operator.wait(lambda: len(operator.slice("picks:p1")) == 16, "undone")
+    assert page.locator(".row-line[data-pick]").count() > 10

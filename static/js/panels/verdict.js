@@ -27,7 +27,7 @@ const solveButton = (enabled) =>
     act: () => requestForPhoto("run", { job: "solve" }),
   });
 
-const head = (stage, { busy, missing }) => {
+const head = (stage, { busy, missing, solving, why }) => {
   if (stage.stale) return element(
     "div",
     { class: "verdict warn", role: "status" },
@@ -36,8 +36,9 @@ const head = (stage, { busy, missing }) => {
       "p",
       {},
       element("strong", {}, "Out of date: "),
-      `${stage.stale}. ${missing || "What follows is the last solved state."}`,
-      missing ? null : solveButton(!busy),
+      solving ? "solving after the last edit." :
+        `${stage.stale}. ${missing || why || "What follows is the last solved state."}`,
+      missing || solving ? null : solveButton(!busy),
     ),
   );
   const level = stage.accepted ? "ok" : "bad";
@@ -134,14 +135,23 @@ export const mountVerdict = () => {
     const next = stage || !store.picksOf().length ? "" : nextAction({ scan, photo, picks: store.picksOf(), poses: store.posesOf() });
     const busy = isRunning(store.get("job"));
     const missing = missingMatches(store.picksOf());
+    const automatic = store.get(`solving:${store.shown()}`);
+    const solving = Boolean(automatic?.busy);
+    const why = automatic?.sentence ?? "";
     const solvable = Boolean(scan && photo?.camera) && !missing;
-    const text = JSON.stringify([stage, limits, next, busy, missing, solvable]);
+    const text = JSON.stringify([stage, limits, next, busy, missing, solvable, solving, why]);
     if (text === drawn) return;
     drawn = text;
     setChildren(stageLabel, stage ? stage.label : "");
     if (!stage) {
-      setChildren(body, element("p", { class: "empty" }, EMPTY, element("strong", {}, next)),
-        solvable ? solveButton(!busy) : null, ...warnings(limits));
+      setChildren(
+        body,
+        element("p", { class: "empty" }, EMPTY, element("strong", {}, next)),
+        why ? element("p", { class: "empty" }, `Not solved: ${why}`) : null,
+        solving ? element("p", { class: "empty" }, "Solving after the last edit.") : null,
+        solvable && !solving ? solveButton(!busy) : null,
+        ...warnings(limits),
+      );
       return;
     }
     const findings = (stage.findings ?? []).toSorted(
@@ -149,7 +159,7 @@ export const mountVerdict = () => {
     );
     setChildren(
       body,
-      head(stage, { busy, missing }),
+      head(stage, { busy, missing, solving, why }),
       stage.stale ? element("p", { class: "dim" }, sentences([stage.verdict, ...(stage.reasons ?? [])])) : null,
       stage.note ? element("p", { class: "dim" }, stage.note) : null,
       stage.parameters?.length ? six(stage.parameters) : null,
@@ -158,7 +168,7 @@ export const mountVerdict = () => {
       ...warnings(limits),
     );
   };
-  store.watch(["poses:*", "judged:*", "shown", "scan", "photos", "picks:*", "job"], show);
+  store.watch(["poses:*", "judged:*", "shown", "scan", "photos", "picks:*", "job", "solving:*"], show);
   show();
   return part;
 };
