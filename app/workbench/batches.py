@@ -149,16 +149,19 @@ class Batches:
         return given
 
     def slice(self) -> list[dict[str, Any]]:
-        """Return the slice `waiting`."""
-        with self._lock:
-            listed = []
-            for file in self._waiting.values():
-                reason = self._reason(file)
-                if reason is not None:
-                    kind = "part" if reason.part_of else file.survey.kind
-                    known = {"id": file.id, "name": file.name, "size": file.size}
-                    listed.append({**known, "kind": kind, "said": reason.said, "lacks": self._lacks(file)})
-            return listed
+        """Return the slice `waiting`.
+
+        It is computed without the lock, which a batch holds while its edits are published: whoever publishes at that
+        moment would wait for it for ever.
+        """
+        listed = []
+        for file in list(self._waiting.values()):
+            reason = self._reason(file)
+            if reason is not None:
+                kind = "part" if reason.part_of else file.survey.kind
+                known = {"id": file.id, "name": file.name, "size": file.size}
+                listed.append({**known, "kind": kind, "said": reason.said, "lacks": self._lacks(file)})
+        return listed
 
     def _reason(self, file: BatchFile) -> Reason | None:
         """Return why a file waits; None while the rest of its batch is probably still arriving."""

@@ -6,6 +6,7 @@ import itertools
 import json
 import random
 import shutil
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -237,3 +238,19 @@ def test_a_camera_alone_belongs_to_the_shown_photograph_unless_it_fits_another()
     for shown, size, owner in (("p1", (720, 540), "p1"), ("p1", (320, 240), "p2"), ("p2", (64, 64), "p2")):
         plan = plan_batch(batch(k__json=camera(*size)), photos, shown=shown, has_scan=False)
         assert pairs(plan) == {"k__json": (owner,)}
+
+
+def test_others_are_answered_while_a_batch_is_opened(bench: WorkbenchDriver) -> None:
+    """What is published meanwhile must not wait for the batch, which waits for what is published."""
+    answered: list[bool] = []
+
+    def opening(_: object) -> None:
+        other = threading.Thread(target=bench.workbench.batches.slice, daemon=True)
+        other.start()
+        other.join(10)
+        answered.append(not other.is_alive())
+
+    bench.workbench.session.subscribe(opening)
+    assert kinds(drop(bench, {"photo.png": PHOTO.read_bytes()})) == ["photo"]
+    assert answered
+    assert all(answered)
