@@ -65,11 +65,13 @@ def sigma_angle(result: PoseResult) -> str:
 
 def matches(result: PoseResult) -> str:
     """Return the number of inliers and their residual."""
+    from ladarreg_core.matches import count_picks
+
     if not len(result.matches):
         return "no matches"
-    inliers = int(result.inliers.sum())
-    text = f"{inliers} of {len(result.matches)} inliers"
-    if inliers:
+    inliers, count = count_picks(result.matches, result.inliers)
+    text = f"{inliers} of {count} matches are inliers"
+    if result.inliers.any():
         squares = (result.residuals_px[result.inliers] ** 2).sum(axis=-1)
         text += f", {float(squares.mean()) ** 0.5:.2f} px rms"
     return text

@@ -201,3 +201,14 @@ def across_lines(matches: Matches, vectors: FloatArray) -> FloatArray:
         return vectors
     along = (vectors * matches.directions).sum(axis=1, keepdims=True) * matches.directions
     return np.where(matches.across[:, None], vectors - along, vectors)
+
+
+def count_picks(matches: Matches, inliers: BoolArray) -> tuple[int, int]:
+    """Return how many picks are inliers with all their parts, and how many there are.
+
+    A line is one match to whoever counts, though solvers use its ends, or samples along it, one by one.
+    """
+    agrees: dict[str, bool] = {}
+    for name, inlier in zip(matches.pick_ids, inliers.tolist(), strict=True):
+        agrees[name] = agrees.get(name, True) and inlier
+    return sum(agrees.values()), len(agrees)

@@ -125,7 +125,6 @@ def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
         "note": " ".join(filter(None, [pose.note, statistics_note(registration)])),
         **({"image": {name: verification[name] for name in ("outcome", "sentence")}} if checked else {}),
         "parameters": [asdict(parameter) for parameter in parameters(registration)],
-        "matches": len(registration.matches),
         **{name: number(value) for name, value in asdict(figures(registration)).items()},
         "cost": number(registration.chi2_per_dof),
         "centre": registration.camera_from_scanner.centre.tolist(),

@@ -49,6 +49,7 @@ from ladarreg_core.export.layout import (
 )
 from ladarreg_core.export.match_panels import best_enlargement, match_panel
 from ladarreg_core.export.panels import BADGES, marked, scan_panel, window_aspect, window_size, with_edges
+from ladarreg_core.matches import count_picks
 from ladarreg_core.palette import (
     ACCENT,
     BACKGROUND,
@@ -304,7 +305,7 @@ def _inlier_summary(result: PoseResult) -> str:
     if not len(result.matches):
         return "no matches"
     rms = rms_px(result)
-    text = f"{int(result.inliers.sum())} of {len(result.matches)} matches are inliers"
+    text = "{} of {} matches are inliers".format(*count_picks(result.matches, result.inliers))
     return f"{text}, {rms:.2f} px rms" if np.isfinite(rms) else text
 
 

@@ -183,7 +183,7 @@ class _Report:
         rows = []
         if len(r.matches):
             rms = f", {format_number(found.rms_px)} px rms" if np.isfinite(found.rms_px) else ""
-            rows.append(("Matches", f"{found.inliers} of {len(r.matches)} inliers (line ends counted singly){rms}"))
+            rows.append(("Matches", f"{found.inliers} of {found.matches} are inliers{rms}"))
         rows.append(
             ("Position", f"{r.thesis_parameters.describe_position()}, sigma {format_length(r.sigma_position_m)}")
         )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.matches import count_picks
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 
@@ -33,8 +34,10 @@ class Parameter:
 class Figures:
     """Agreement of the inliers with a pose; NaN where there are none."""
 
+    matches: int
+    """Number of matches; a line counts once."""
     inliers: int
-    """Number of inliers."""
+    """Number of them that are inliers with all their parts."""
     median_px: float
     """Median pixel residual."""
     rms_px: float
@@ -48,8 +51,10 @@ def figures(result: PoseResult) -> Figures:
     lengths = np.linalg.norm(result.residuals_px[result.inliers], axis=1)
     depth = result.stereo_depth_error_m[result.inliers]
     depth = depth[np.isfinite(depth)]
+    inliers, matches = count_picks(result.matches, result.inliers)
     return Figures(
-        int(result.inliers.sum()),
+        matches,
+        inliers,
         float(np.median(lengths)) if len(lengths) else math.nan,
         float(np.sqrt(np.mean(lengths**2))) if len(lengths) else math.nan,
         float(np.sqrt(np.mean(depth**2))) if len(depth) else math.nan,

@@ -17,7 +17,7 @@ from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.formatting import format_length
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matches import Matches
+from ladarreg_core.matches import Matches, count_picks
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
 from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
 from ladarreg_core.results import is_determined
@@ -107,13 +107,16 @@ def decide_acceptance(
     agree, count = count_distinct(matches.points[inliers], matches.uv[inliers]) - (halves + 1) // 2, len(matches)
     # a line end known only across the line is an inlier more easily, so it does not count towards the share
     share = np.count_nonzero(inliers & (matches.dimensions == 2)) / count
+    of_lines = " among points and line ends" if len(set(matches.pick_ids)) < count else ""
     against = []
     if agree < options.least_inliers:
-        against.append(f"only {agree} distinct inliers, {options.least_inliers} are needed; add or correct matches")
+        against.append(
+            f"only {agree} distinct inliers{of_lines}, {options.least_inliers} are needed; add or correct matches"
+        )
     if share < options.least_share:
         against.append(
-            f"only {share:.0%} of {count} matches are inliers, {options.least_share:.0%} are needed; "
-            "correct or remove the outliers"
+            f"only {share:.0%} of {count} {'points and line ends' if of_lines else 'matches'} are inliers, "
+            f"{options.least_share:.0%} are needed; correct or remove the outliers"
         )
     if not np.isfinite(chi2_per_dof):
         against.append("there are too few inliers to check their residuals; add or correct matches")
@@ -160,7 +163,7 @@ def decide_acceptance(
     if stated_covariance is not None:
         angle, position = (float(np.sqrt(np.trace(C))) for C in (stated_covariance[:3, :3], stated_covariance[3:, 3:]))
     return True, (
-        f"{np.count_nonzero(inliers)} of {count} inliers (chi^2/dof {chi2_per_dof:.2f})",
+        "{} of {} matches are inliers ".format(*count_picks(matches, inliers)) + f"(chi^2/dof {chi2_per_dof:.2f})",
         f"uncertainty (1 sigma): position {format_length(position)}, orientation {np.degrees(angle):.2g} deg",
         *(("no second pose explains the matches",) if second_pose_sought else ()),
     )

@@ -21,7 +21,7 @@ RESIDUALS = {
 SLICES = {
     "shown": "p1",
     "picks:p1": PICKS,
-    "judged:p1": {"by_pick": RESIDUALS, "lines": {"m1": {"used": 9, "sampled": 12}, "m3": {"used": 5, "sampled": 5}}},
+    "judged:p1": {"by_pick": RESIDUALS, "lines": {"m1": {"used": 6, "sampled": 13}, "m3": {"used": 5, "sampled": 5}}},
 }
 MOUNTED = """async ([slices, extra]) => {
   const { COLUMNS } = await import('/js/panels/match_columns.js');
@@ -107,11 +107,12 @@ def test_one_more_entry_is_one_more_column(table: Page) -> None:
 def test_cells_show_residuals_and_mark_what_is_disabled_short_of_samples_or_an_outlier(table: Page) -> None:
     mount(table)
     rows = {k: table.locator(f".row-line[data-pick='m{k}']") for k in (1, 2, 3)}
-    assert rows[1].locator(".col-samples.warns").inner_text() == "9/12"
+    assert rows[1].locator(".col-samples.warns").inner_text() == "6/13"
     assert rows[3].locator(".col-samples:not(.warns)").inner_text() == "5"
     assert rows[1].locator(".col-depth_m").inner_text() == "\N{MINUS SIGN}0.300"
     assert rows[2].locator(".col-px").inner_text() == "\N{EN DASH}"
     assert rows[2].get_by_role("checkbox").is_checked() is False
     assert rows[2].locator(".mark").text_content() == "disabled"
-    assert rows[3].locator(".mark").inner_text() == "outlier"
+    assert rows[3].locator(".mark").text_content() == "outlier"
+    assert rows[3].locator(".mark .icon-cross").is_visible(), "a sign that fits into the column"
     assert rows[2].get_by_label("Weight of match 2").input_value() == "2.50"

@@ -65,8 +65,9 @@ const weightCell = () => {
   return { content: [input], show };
 };
 
+/** A line without a straight edge under it is not lost: its ends are used as they were drawn. */
 const samplesText = ({ used, sampled }) =>
-  used === null ? NONE : used === sampled ? String(used) : `${used}/${sampled}`;
+  used === null ? NONE : used === 0 ? "ends" : used === sampled ? String(used) : `${used}/${sampled}`;
 
 /** @type {Column[]} */
 export const COLUMNS = [
@@ -106,10 +107,11 @@ export const COLUMNS = [
   {
     id: "samples",
     label: "samples",
-    title: "Samples along the line that have a range",
+    title: "Samples along the line that lie on one straight edge of the scan; ends: none, so that only the ends of the " +
+      "line are used",
     value: (row) => row.used,
     text: samplesText,
-    warns: (row) => row.used !== null && row.used < row.sampled,
+    warns: (row) => row.used !== null && row.used < row.sampled / 2,
     width: "minmax(0, 1fr)",
     figures: true,
     hidden: "narrowest",

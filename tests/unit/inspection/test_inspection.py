@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 
 import cv2
@@ -315,7 +316,12 @@ def test_parameters_are_rounded_to_their_significant_digits() -> None:
     assert float(found["Tx"].value) == pytest.approx(result.thesis_parameters.Tx, abs=float(found["Tx"].sigma))
     for parameter in found.values():
         assert len(parameter.sigma.split(".")[-1]) == len(parameter.value.split(".")[-1])
-    assert figures(result).inliers == int(result.inliers.sum())
+    count, agree = len(result.matches), int(result.inliers.sum())
+    assert (figures(result).matches, figures(result).inliers) == (count, agree)
+    ids = tuple(str(k // 2) for k in range(count // 2 * 2)) + ("last",) * (count % 2)
+    lines = dataclasses.replace(result, matches=dataclasses.replace(result.matches, pick_ids=ids))
+    both = sum(result.inliers[np.array(ids) == name].all() for name in set(ids))
+    assert (figures(lines).matches, figures(lines).inliers) == (len(set(ids)), both), "a line counts once"
     assert 0 < figures(result).median_px <= figures(result).rms_px * 1.2
     assert pose_at_scanner(c.scan).centre == pytest.approx(np.zeros(3))
 
