@@ -38,9 +38,14 @@ const jobBar = () => {
   const announcement = element("span", { class: "visually-hidden", role: "status" }); // at the start and the end
   const show = () => {
     const job = store.get("job");
-    box.hidden = !job;
-    if (!job) return;
     const busy = isRunning(job);
+    // a finished job goes with what it worked on
+    const open = job?.photo ? (store.get("photos") ?? []).some(({ id }) => id === job.photo) : store.get("scan");
+    box.hidden = !job || !(busy || open);
+    if (box.hidden) {
+      setText(announcement, "");
+      return;
+    }
     const share = shareDone(job);
     const stale = !busy && job.photo === store.shown() ? store.stageOf()?.stale : "";
     const [shape, level] = busy ? [
@@ -73,7 +78,7 @@ const jobBar = () => {
     setAttribute(bar, "aria-label", `${job.label}, progress`);
     setText(announcement, busy ? `${job.label} started` : `${job.label}: ${job.state}. ${job.said ?? ""}`);
   };
-  store.watch(["job", "poses:*", "shown"], show);
+  store.watch(["job", "poses:*", "shown", "photos", "scan"], show);
   show();
   return [box, announcement];
 };

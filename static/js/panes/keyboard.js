@@ -22,12 +22,24 @@ const actionsOf = (controller) => {
   const { view } = controller;
   const pane = () => controller.panes[controller.active];
 
-  /** Move the selected end, or all ends if none is selected. */
+  /** @returns {boolean} whether the only selected match, or its selected end, can be seen in the pane with the keys */
+  const nudgeable = () => {
+    const pick = controller.chosen && controller.pick(controller.chosen);
+    if (!pick || !pane().extent) return false;
+    const { end } = view.get();
+    const seen = ([x, y]) => x >= 0 && y >= 0 && x <= pane().size[0] && y <= pane().size[1];
+    return controller.pendingMoves.endsOf(pick, controller.active).some((world, index) => {
+      const uv = (!end || end.index === index) && controller.sides[controller.active].toPixel(world);
+      return uv && seen(pane().screenOf(uv));
+    });
+  };
+
+  /** Move the selected end, or all ends if none is selected, in the pane with the keys. */
   const nudge = (by) => {
     const pick = controller.chosen && controller.pick(controller.chosen);
     if (!pick || controller.store.readOnly) return false;
-    const end = view.get().end;
-    const side = controller.sides[end?.side ?? controller.active];
+    const { end } = view.get();
+    const side = controller.sides[controller.active];
     const ends = controller.pendingMoves.endsOf(pick, side.name).map((world, index) => {
       if (end && end.index !== index) return world;
       const uv = side.toPixel(world);
@@ -106,7 +118,7 @@ const actionsOf = (controller) => {
     return true;
   };
 
-  return { nudge, moveCrosshair, enter, stepMatch, chooseEnd, remove, toggle, changeView };
+  return { nudgeable, nudge, moveCrosshair, enter, stepMatch, chooseEnd, remove, toggle, changeView };
 };
 
 /**
@@ -118,13 +130,13 @@ const actionsOf = (controller) => {
 export const listenToKeys = (controller, tools, space) => {
   const { view } = controller;
   const pane = () => controller.panes[controller.active];
-  const { nudge, moveCrosshair, enter, stepMatch, chooseEnd, remove, toggle, changeView } = actionsOf(controller);
+  const { nudgeable, nudge, moveCrosshair, enter, stepMatch, chooseEnd, remove, toggle, changeView } = actionsOf(controller);
   let freed = false; // after Esc, Tab leaves the panes
 
   const arrow = (event) => {
     const [dx, dy] = ARROWS[event.key];
-    const nudges = controller.picking.idle && view.get().selected.size > 0;
-    if (nudges) return nudge([dx, dy].map((step) => step * (event.shiftKey ? 1 : NUDGE_PX)));
+    if (!tools.pointer && !inPane(document.activeElement)) return false;
+    if (controller.picking.idle && nudgeable()) return nudge([dx, dy].map((step) => step * (event.shiftKey ? 1 : NUDGE_PX)));
     const step = event.shiftKey ? 10 : event.ctrlKey || event.metaKey ? 0.1 : 1;
     return moveCrosshair([dx * step, dy * step]);
   };
@@ -173,13 +185,10 @@ export const listenToKeys = (controller, tools, space) => {
     if (key === "Tab") return focused && !freed && !command && !event.altKey && stepMatch(event.shiftKey ? -1 : 1);
     freed = freed && focused && key === "Shift";
     if (ARROWS[key] && !event.altKey) return arrow(event);
-    if (command && key.toLowerCase() === "a") {
-      controller.select(controller.store.picksOf().map(({ id }) => id));
-      return true;
-    }
     if (command || event.altKey) return false;
     const tool = TOOLS[key.toLowerCase()];
     if (tool) {
+      if (tool !== "select") controller.select([]); // arrows then move the crosshair, not a match drawn before
       view.set({ tool });
       return true;
     }
@@ -190,6 +199,12 @@ export const listenToKeys = (controller, tools, space) => {
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented || isTyping(event.target)) return;
     if (document.querySelector("dialog:modal, :popover-open")) return;
+    if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "a") {
+      // wherever the focus is: the browser would select the text of the whole page
+      controller.select(controller.store.picksOf().map(({ id }) => id));
+      event.preventDefault();
+      return;
+    }
     // other controls keep the keys that they use themselves
     if (event.target.closest?.(USES_KEYS) && !EVERYWHERE.has(event.key.toLowerCase())) return;
     if (event.target.closest?.(PRESSABLE) && PRESS_KEYS.has(event.key)) return;

@@ -1,5 +1,6 @@
 /** The pointer tools: what press, move and release do: draw, accept, select, drag, frame. */
 
+import { isTyping } from "../ui/dom.js";
 import { hitAt, within } from "./hits.js";
 import { CLICK_PX } from "./picking.js";
 import { accepts } from "./prediction.js";
@@ -156,6 +157,7 @@ export class Tools {
     controller.suspended = event.shiftKey;
     if (!pane.extent) return;
     const uv = pane.pixelAt(xy);
+    if (this.pointer?.side !== pane.side) this.#enter(pane);
     this.pointer = { side: pane.side, xy, uv, event };
     controller.cursor = controller.nudged = null;
     for (const listen of this.#listeners) listen(pane, uv);
@@ -179,6 +181,13 @@ export class Tools {
     const hit = hitAt(controller.marks(pane.side), pane.viewport, xy, controller.view.get().selected, controller.look.scale);
     if (controller.view.get().hovered !== (hit?.id ?? null)) controller.view.set({ hovered: hit?.id ?? null });
     pane.body.classList.toggle("grabs", Boolean(hit) && this.#tool(this.pointer.event) === "select");
+  }
+
+  /** Keys go to the pane under the pointer, unless somebody is typing; the 3-D view and the table give them back. */
+  #enter(pane) {
+    this.#controller.active = pane.side;
+    if (isTyping(document.activeElement) || document.querySelector("dialog:modal, :popover-open")) return;
+    pane.body.focus({ preventScroll: true });
   }
 
   #drag(pane, xy, uv) {
