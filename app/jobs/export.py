@@ -94,6 +94,11 @@ class ExportJobs:
         from ladarreg_core.export.replacement import MATCHES_FILE
         from ladarreg_core.formats.matches_file import write_matches
 
+        if inputs.entry.pose is None:
+            drawn = [pick.as_pick() for pick in inputs.entry.picks]
+            if not drawn:
+                raise OptionError("there is nothing to export yet; draw matches and solve, or register automatically")
+            return [(MATCHES_FILE, lambda path: write_matches(path, drawn))]
         pose = self._pose(inputs)
         files = registration_files(
             pose.registration,

@@ -9,10 +9,11 @@ import { icon } from "../ui/icons.js";
 import { notice } from "../ui/notices.js";
 import { sentences } from "../ui/numbers.js";
 
+const MATCHES = "matches.json";
 const FILES = [
   ["registration.json", "pose, covariance, matches, options", false],
   ["report.html", "verdict, pictures, residuals and maps, to read and to print", false],
-  ["matches.json", "the matches, which can be opened again", false],
+  [MATCHES, "the matches, which can be opened again", false],
   ["registered.png", "the photograph resampled to the scan grid", true],
   ["labels.png", "visibility class of each cell, as codes", true],
   ["visibility.png", "the same in colours, with their legend", true],
@@ -22,9 +23,10 @@ const FILES = [
 ];
 const FOLDER_KEY = "ladarreg-folder";
 
-const listed = (accepted, any) =>
+const listed = (accepted, any, posed) =>
   FILES.map(([name, description, needsAcceptance]) => {
-    const written = any && (accepted || !needsAcceptance);
+    const known = posed || (name === MATCHES && store.picksOf().length > 0);
+    const written = any && known && (accepted || !needsAcceptance);
     return element(
       "li",
       { class: written ? "" : "left-out" },
@@ -169,12 +171,14 @@ export const mountExport = () => {
     lastRow.hidden = !stale;
     if (!stale) last.checked = false;
     const outdated = stale && !last.checked;
-    zip.disabled = write.disabled = !stage || busy || Boolean(outdated);
-    zip.title = stage ? (busy ? "A job is running" : outdated ? "Solve again first" : "") : "Solve first";
+    const matches = store.picksOf().length;
+    const empty = !stage && !matches;
+    zip.disabled = write.disabled = empty || busy || Boolean(outdated);
+    zip.title = empty ? "Solve first" : busy ? "A job is running" : outdated ? "Solve again first" : "";
     report.disabled = !stage || busy;
     report.title = stage ? (busy ? "A job is running" : "The report alone, to read and to print") : "Solve first";
     const text = !stage
-      ? "There is no pose yet: solve first, or register automatically."
+      ? `There is no pose yet: solve first, or register automatically.${matches ? " The matches are written." : ""}`
       : stale
         ? `${stage.label}: out of date. ${stale}, or export the last solved state.`
       : accepted
@@ -189,9 +193,9 @@ export const mountExport = () => {
         element("p", {}, text, stage && !accepted && !stale ? ` ${sentences(stage.reasons ?? [])}` : ""),
       ),
     );
-    setChildren(files, ...listed(accepted, !outdated));
+    setChildren(files, ...listed(accepted, !outdated, Boolean(stage)));
   };
-  store.watch(["poses:*", "shown", "job"], show);
+  store.watch(["poses:*", "shown", "job", "picks:*"], show);
   show();
   return [left, right];
 };

@@ -117,6 +117,17 @@ def test_a_stale_pose_is_exported_only_on_request_with_the_matches_it_rests_on(
     assert [match["id"] for match in files["matches"]["matches"]] == [pick["id"] for pick in before]
 
 
+def test_matches_without_a_pose_are_exported(fresh: WorkbenchDriver) -> None:
+    for point in true_points(2):
+        fresh.do("add_pick", photo="p1", **point)
+    job = fresh.job("export")
+    assert job.state == "done", job.message
+    path, _ = fresh.workbench.export_file("p1") or (Path(), "")
+    with zipfile.ZipFile(path) as file:
+        assert file.namelist() == ["matches.json"]
+        assert len(json.loads(file.read("matches.json"))["matches"]) == 2
+
+
 def test_a_comparison_does_not_change_the_chosen_pose(solved: WorkbenchDriver) -> None:
     assert solved.job("linear").state == "done"
     solved.do("use_stage", photo="p1", stage="robust")

@@ -167,7 +167,10 @@ def test_a_refused_command_returns_a_sentence_and_changes_nothing(
         bench.workbench.runner.wait(60)
         job = bench.workbench.runner.job
         assert job is not None
-        assert (job.state, job.message) == ("failed", "There is no pose to export; solve first.")
+        assert (job.state, job.message) == (
+            "failed",
+            "There is nothing to export yet; draw matches and solve, or register automatically.",
+        )
     else:
         assert says.lower() in bench.refused(do, **fields).lower()
     assert bench.workbench.session.document is before
