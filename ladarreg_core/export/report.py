@@ -243,7 +243,8 @@ class _Report:
         return section(name, title, *parts)
 
     def _camera(self) -> Html:
-        sigmas = dict(self._r.camera_sigmas)
+        joint = self._r.camera_uncertainty
+        sigmas = {**({} if joint is None else joint.sigmas), **self._r.camera_sigmas}
         fields = dict(self._r.camera.as_fields())
         coefficients = fields.pop("distortion", None) or ()
         fields |= dict(zip(_COEFFICIENTS, coefficients, strict=False))
