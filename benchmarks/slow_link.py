@@ -26,7 +26,7 @@ from tests.served_workbench import Served
 
 ASKED_S = {"first two pictures": 4.0, "verdict": 6.0, "coarse model": 12.0, "everything": 25.0}
 ASKED_MB = 3.5
-_QUIET_S, _QUIET_BYTES = 3.0, 4096
+_QUIET_S, _QUIET_BYTES = 6.0, 4096
 """Quiet: the connections carry no more than this many bytes within this time (websockets are kept alive)."""
 _PATIENCE_S = 120.0
 _MODEL_INDICES = 5000
@@ -158,7 +158,15 @@ def measure(found: Served, *, kbit: float, round_trip_s: float) -> dict[str, Any
             "requests": proxy.requests,
             "uploaded": proxy.uploaded,
             "indices of the models": stamps.get("models", []),
-            "bytes of each request": dict(sorted(proxy.downloaded.items(), key=lambda item: -item[1])),
+            "each request": [
+                {
+                    "path": path,
+                    "bytes": count,
+                    "from": proxy.arrived[path][0] - begun,
+                    "to": proxy.arrived[path][1] - begun,
+                }
+                for path, count in sorted(proxy.downloaded.items(), key=lambda item: -item[1])
+            ],
         }
 
 
@@ -183,15 +191,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kbit", type=float, default=1500.0, help="bandwidth of the link each way, kbit/s")
     parser.add_argument("--round-trip-ms", type=float, default=150.0, help="latency of the link, there and back")
-    parser.add_argument("--list", action="store_true", help="list the bytes of every request")
+    parser.add_argument("--list", action="store_true", help="list every request with its bytes and times")
     parser.add_argument("--json", type=Path, help="write the figures here")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, registered_sample(Path(folder) / "project") as found:
         figures = measure(found, kbit=options.kbit, round_trip_s=options.round_trip_ms / 1e3)
     report(figures)
     if options.list:
-        for path, count in figures["bytes of each request"].items():
-            print(f"{count:>9} {path}")
+        for one in figures["each request"]:
+            print(f"{one['bytes']:>9} {one['from']:6.2f} - {one['to']:6.2f} s  {one['path']}")
     load = os.getloadavg()[0]
     print(f"load of the machine during the last minute: {load:.1f}")
     if options.json:

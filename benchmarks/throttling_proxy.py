@@ -108,6 +108,8 @@ class ThrottlingProxy:
         self.port = 0
         self.downloaded: dict[str, int] = {}
         """Bytes by request, headers included: `/path?query`, or `websocket /path`."""
+        self.arrived: dict[str, tuple[float, float]] = {}
+        """When the first and the last byte of each request arrived, as `time.time()`."""
         self.requests = 0
         self.uploaded = 0
         self._busy: deque[tuple[float, int]] = deque()
@@ -196,6 +198,7 @@ class ThrottlingProxy:
     def _note_download(self, count: int, request: str) -> None:
         self.downloaded[request] = self.downloaded.get(request, 0) + count
         now = time.time()
+        self.arrived[request] = self.arrived.get(request, (now, now))[0], now
         if self._busy and now - self._busy[-1][0] < _SAMPLES_S:
             self._busy[-1] = (self._busy[-1][0], self._busy[-1][1] + count)
         else:
