@@ -34,6 +34,7 @@ _IMPORTED = re.compile(r"""^(?:import|export)\s(?:[^;]*?\sfrom\s)?["'](\.[^"']+)
 _ENTRY = re.compile(r'<script type="module" src="([\w/.-]+)">')
 _PRELOADS, _PICTURE = "<!-- preloads: {what} -->", "<!-- picture of the {side} -->"
 
+_VIEWER = "<!-- viewer -->"
 _FIRST = '<img class="first-picture" alt="" draggable="false" fetchpriority="high" src="{}">'
 
 
@@ -70,13 +71,14 @@ class PageFiles:
         self._lock = threading.Lock()
         self._edition = _Edition((), "", {})
 
-    def front_page(self, pictures: Mapping[str, str], headers: Headers) -> Response:
+    def front_page(self, pictures: Mapping[str, str], headers: Headers, *, viewer: str | None = None) -> Response:
         """Return `index.html`, with links to the present version of its scripts and styles.
 
         Args:
             pictures: URL, relative to the page, of the first picture of each pane: `scan`, `photo`. The browser
                 requests them before everything else, and shows them until the scripts do.
             headers: of the request.
+            viewer: URL of viser's page, which scripts request after the pictures; None: it is not known yet.
         """
         try:
             text = (self._folder / "index.html").read_text(encoding="utf-8")
@@ -92,6 +94,7 @@ class PageFiles:
         }
         for what, links in preloads.items():
             text = text.replace(_PRELOADS.format(what=what), "\n    ".join(links))
+        text = text.replace(_VIEWER, f'<meta name="viewer" content="{html.escape(viewer)}">' if viewer else "")
         for side in ("scan", "photo"):
             url = pictures.get(side)
             image = _FIRST.format(html.escape(url)) if url else ""

@@ -50,11 +50,14 @@ def build_site(
     limits = options.limits.within(raise_descriptor_limit())
     clients = ClientRegistry()
     proxy = ViserProxy(viser, clients, most=limits.views)
+    proxy.prepare()
     folder = folder or static_folder()
     pages, files = Pages(folder), PageFiles(folder)
 
     async def page(request: Request) -> Response:
-        return await run_in_threadpool(lambda: files.front_page(workbench.first_pictures(), request.headers))
+        return await run_in_threadpool(
+            lambda: files.front_page(workbench.first_pictures(), request.headers, viewer=proxy.known_address)
+        )
 
     async def versioned(request: Request) -> Response:
         return await run_in_threadpool(files.versioned, request)

@@ -6,6 +6,7 @@ import asyncio
 import http.client
 import logging
 import re
+import threading
 import time
 from collections.abc import Callable, Iterator
 
@@ -66,6 +67,22 @@ class ViserProxy:
         self._own_page: ViserPage | None = None
         self._views = 0
         self._next_start_s = 0.0
+
+    @property
+    def known_address(self) -> str | None:
+        """URL, relative to the workbench's page, of the page that all clients share; None until viser delivered it."""
+        return None if self._own_page is None else f"viser/{PAGE_NAME}?{self._own_page.digest}"
+
+    def prepare(self) -> None:
+        """Load the page that all clients share as soon as viser is open, in a thread."""
+
+        def load() -> None:
+            try:
+                self._page()
+            except (OSError, http.client.HTTPException) as error:  # who requests the page gets the error
+                log.debug("viser does not respond: %s", error)
+
+        threading.Thread(target=load, name="viser page", daemon=True).start()
 
     async def page(self, request: Request) -> Response:
         """Return the page of a client, the page that all share, or another file of viser."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the proxy needs a Unix loop")]
 SLOW_BYTES_PER_S = 400_000
+PICTURE = re.compile("^Loading the picture")
 SIZE: Any = {"width": 1600, "height": 900}
 CANVAS = """
 (side) => document.querySelector(`#${side}-pane .pane-body > .pane-picture`).toDataURL("image/png").split(",")[1]
@@ -81,7 +83,7 @@ def test_on_a_slow_link_only_what_is_looked_at_is_loaded_exactly(tab: Page, serv
         enter(tab, server, link.port)
 
         def pictures() -> list[str]:
-            return [path for path in link.downloaded if path.startswith("/picture/")]
+            return [path for path in link.downloaded if path.startswith(("/picture/scan", "/picture/photo"))]
 
         until(tab, lambda: shown(tab, "scan").max() > 100 and shown(tab, "photo").max() > 100, "both pictures")
         assert not tab.locator(".first-picture").count(), "the canvas has taken over"
@@ -110,7 +112,7 @@ def test_on_a_slow_link_only_what_is_looked_at_is_loaded_exactly(tab: Page, serv
         spent = pictures()
         assert all("&form=quick" in path or "&part=0." in path for path in spent)
         assert sum("&part=" in path for path in spent) < np.prod(np.ceil(np.array(truth.shape[:2]) / 256))
-        until(tab, lambda: tab.get_by_role("progressbar").count() == 0, "nothing is being loaded")
+        until(tab, lambda: tab.get_by_role("progressbar", name=PICTURE).count() == 0, "no picture is being loaded")
         assert body.is_visible()
 
 
@@ -119,7 +121,7 @@ def test_dragging_the_contrast_loads_nothing_until_it_is_released(tab: Page, ser
     until(tab, lambda: shown(tab, "scan").max() > 100, "the scan")
     tab.wait_for_load_state("networkidle")
     requested: list[str] = []
-    tab.on("request", lambda request: requested.append(request.url) if "/picture/" in request.url else None)
+    tab.on("request", lambda request: requested.append(request.url) if "/picture/scan" in request.url else None)
     tab.locator("#scan-pane").get_by_role("button", name="Contrast").click()
     slider = tab.get_by_role("slider", name="White at")
     box = slider.bounding_box()

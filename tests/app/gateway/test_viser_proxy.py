@@ -130,6 +130,17 @@ def test_the_lock_is_removed_and_requires_a_server() -> None:
 # --- through the gateway ---------------------------------------------------------------------------------------------
 
 
+def test_the_workbenchs_page_names_the_page_that_all_clients_share(run: Running) -> None:
+    def named() -> list[str]:
+        return re.findall(r'<meta name="viewer" content="([^"]+)">', run.ask("GET", "/")[2].decode())
+
+    assert soon(lambda: bool(named())), "it is loaded as soon as viser is open"
+    status, headers, body = run.ask("GET", f"/{named()[0]}")
+    assert status == 200
+    assert "immutable" in headers["cache-control"]
+    assert b"<html" in body
+
+
 @pytest.mark.parametrize("path", ["/viser/", "/viser/?fixedDpr=0.5", "/viser/index.html"])
 def test_its_page_is_forwarded(run: Running, path: str) -> None:
     status, headers, body = run.ask("GET", path)
