@@ -5,6 +5,7 @@ import { mountDock } from "./layout/dock.js";
 import { mountMaximise } from "./layout/maximise.js";
 import { followAccess } from "./layout/read_only.js";
 import { listenToShortcuts } from "./layout/shortcuts.js";
+import { mountSwitcher } from "./layout/switcher.js";
 import { ask, connect, connectionState, fullReason, onConnection } from "./net/connection.js";
 import { rememberPhoto } from "./net/identity.js";
 import { store } from "./net/store.js";
@@ -37,6 +38,7 @@ mountStatusBar(byId("status"));
 mountMaximise(byId("panes"));
 mountModelPane(byId("model-pane"));
 mountDividers(byId("workbench"), byId("panes"));
+mountSwitcher(byId("workbench"));
 mountPanes({
   scanHead: part("scan-pane", "pane-head"),
   scanBody: part("scan-pane", "pane-body"),

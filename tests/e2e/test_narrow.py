@@ -1,0 +1,30 @@
+"""A narrow screen: one part at a time, everything within reach."""
+
+from __future__ import annotations
+
+from tests.e2e.test_workbench import Operator, operator, server
+
+__all__ = ["operator", "server"]  # fixtures
+
+
+def test_one_part_at_a_time_on_a_narrow_screen(operator: Operator) -> None:
+    page = operator.page
+    page.set_viewport_size({"width": 390, "height": 844})
+    bar = page.get_by_role("navigation", name="Shown part")
+    parts = {"Scan": "#scan-pane", "Photograph": "#photo-pane", "Model": "#model-pane", "Matches": "#dock"}
+    for name, shown in parts.items():
+        bar.get_by_role("button", name=name, exact=True).click()
+        for part in parts.values():
+            page.locator(part).wait_for(state="visible" if part == shown else "hidden")
+        box = page.locator(shown).bounding_box()
+        assert box is not None
+        assert box["width"] > 380
+        assert box["height"] > 400
+        operator.shot(name.lower())
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    start = len(operator.slice("picks:p1"))
+    page.keyboard.press("n")
+    for name, side in (("Scan", "scan"), ("Photograph", "photo")):
+        bar.get_by_role("button", name=name, exact=True).click()
+        operator.draw(side, [(200.0, 150.0), (420.0, 260.0)])
+    operator.wait(lambda: len(operator.slice("picks:p1")) == start + 1, "a line in the document")
