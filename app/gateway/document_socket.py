@@ -32,8 +32,8 @@ _MAX_REASON_BYTES = 123
 _MAX_EVENTS = 200
 _SECRET = re.compile(r"[A-Za-z0-9_-]{16,64}")
 _MAX_FIELD = 100
-_LATEST_ONLY = frozenset({"simplex", "hover"})
-"""Events of which only the latest needs to be sent."""
+_LATEST_ONLY = frozenset({"simplex", "hover", "cursor", "view"})
+"""Events of which only the latest needs to be sent, of each client that they name."""
 _NOT_JSON = "The message is not a JSON object: page and program are of different versions; reload the page."
 _INTERNAL_ERROR = "Internal error: the command may or may not have taken effect; restart with --debug for details."
 
@@ -176,7 +176,7 @@ class Outbox:
                 self._slices.update(message["slices"])
                 self._other_fields = {name: value for name, value in message.items() if name != "slices"}
             elif message.get("event") in _LATEST_ONLY:
-                self._latest[message["event"]] = message
+                self._latest[f"{message['event']} {message.get('client')} {message.get('side')}"] = message
             else:
                 self._events.append(message)
         if idle:

@@ -142,8 +142,35 @@ class Clients:
             client.name = self._free_name(name, client)
         self._on_change()
 
-    def slice(self, client: Client) -> dict[str, Any]:
-        """Return the slice `people` of a client."""
+    def follow(self, client: Client, client_id: object) -> None:
+        """Let a client see what another one sees; None: what it selects itself.
+
+        Raises:
+            OptionError: if the other one is not connected, or follows this one.
+        """
+        leader = self.find(client_id)
+        if client_id is not None and (leader is None or leader is client):
+            raise OptionError("this person is not connected any more; choose another")
+        chain = leader
+        for _ in range(MAX_CLIENTS):
+            chain = self.find(chain.follows) if chain else None
+            if chain is client and leader is not None:
+                raise OptionError(f"{leader.name} follows you already; one of the two has to lead")
+        client.follows = leader.id if leader else None
+        self._on_change()
+
+    def leader_of(self, client: Client) -> Client:
+        """Return the client whose view a client sees: the end of the chain of those who follow."""
+        leader = client
+        for _ in range(MAX_CLIENTS):
+            followed = self.find(leader.follows)
+            if followed is None or followed is client:
+                break
+            leader = followed
+        return leader
+
+    def slice(self, client: Client, photo_of: Callable[[Client], str | None]) -> dict[str, Any]:
+        """Return the slice `people` of a client; `photo_of` returns the photograph that each sees."""
         people = self.present
         return {
             "count": len(people),
@@ -153,7 +180,7 @@ class Clients:
                     "id": each.id,
                     "name": each.name,
                     "colour": each.colour,
-                    "photo": each.photo,
+                    "photo": photo_of(each),
                     "follows": each.follows,
                     "read_only": each.read_only,
                 }

@@ -26,6 +26,7 @@ from .batches import Batches
 from .clients import Client, Clients, valid_name
 from .embedded import EmbeddedPictures
 from .files import Files
+from .people_commands import PEOPLE_COMMANDS
 from .queries import Queries
 from .selection import Selection
 from .settings_form import check_bounds
@@ -70,6 +71,9 @@ class Context(Protocol):
 
     def list_served(self) -> None:
         """List the served folder again."""
+
+    def tell(self, event: dict[str, Any], to: set[str]) -> None:
+        """Send an event to clients by their ids."""
 
     def tell_others(self, client: Client, text: str) -> None:
         """Show a sentence to all other clients."""
@@ -439,11 +443,25 @@ COMMANDS: dict[str, Command] = {
         add_pick, set_pick, remove_picks, switch_picks, reject, set_camera, set_settings, rename, remove_photo,
         use_stage, undo, redo, go_to, show_photo, set_model, call_me, hover_pick, open_served, list_served, open_files,
         add_embedded, discard_files, predict, where, snap, sample_line, probe, run, refine, job_control, export_folder,
-        look, read_only_link,
+        look, read_only_link, *PEOPLE_COMMANDS,
     )
 }  # fmt: skip
 LOOKING = frozenset(
-    {"show_photo", "set_model", "look", "call_me", "hover_pick", "predict", "where", "snap", "sample_line", "probe"}
+    {
+        "show_photo",
+        "set_model",
+        "look",
+        "follow",
+        "point",
+        "show_view",
+        "call_me",
+        "hover_pick",
+        "predict",
+        "where",
+        "snap",
+        "sample_line",
+        "probe",
+    }
 )
 """The commands of a read-only client; it is refused all others."""
 

@@ -19,9 +19,16 @@ class Selection:
     Args:
         session: the session.
         on_change: called after another photograph was selected.
+        leader_of: returns the client whose view a client sees.
     """
 
-    def __init__(self, session: Session, on_change: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        session: Session,
+        on_change: Callable[[], None],
+        leader_of: Callable[[Client], Client] = lambda client: client,
+    ) -> None:
+        self._leader_of = leader_of
         self._session = session
         self._on_change = on_change
         self._latest = _last_edited(session.history)
@@ -35,8 +42,10 @@ class Selection:
         """Return the photograph that a client sees; without one the first, None if there is none."""
         if client is None:
             return self.photo
-        if client.photo is None:
-            client.photo = self._latest
+        leader = self._leader_of(client)
+        if leader.photo is None:
+            leader.photo = self._latest
+        client.photo = leader.photo  # it stays when the leader leaves
         return self._entry(client.photo)
 
     def show(self, client: Client | None, photo_id: str) -> None:
@@ -44,6 +53,7 @@ class Selection:
         self._latest = photo_id
         if client is not None:
             client.photo = photo_id
+            client.follows = None
         self._on_change()
 
     def _entry(self, photo_id: str | None) -> PhotoEntry | None:

@@ -97,7 +97,7 @@ class Workbench:
         self._reported_unsaved = False
         self.is_scratch = False
         self.clients = clients or Clients(self._publish)
-        self.selection = Selection(session, self._selection_changed)
+        self.selection = Selection(session, self._selection_changed, self.clients.leader_of)
         self.queries = Queries(session, loader)
         self.scene_sync = SceneSync(session, loader, self._people)
         self.files = Files(session, loader, self.queries, self.selection, served)
@@ -247,6 +247,10 @@ class Workbench:
         others = {other.id for other in self.clients.present} - {client.id}
         self.publisher.publish_event({"event": "notice", "level": "info", "text": text}, to=others)
 
+    def tell(self, event: Message, to: set[str]) -> None:
+        """Send an event to clients by their ids."""
+        self.publisher.publish_event(event, to=to)
+
     def publish_notice(self, text: str, *, level: str = "info") -> None:
         """Show a sentence to all clients."""
         self.publish_event({"event": "notice", "level": level, "text": text})
@@ -287,10 +291,14 @@ class Workbench:
         return {
             "project": {**project_slice(self.session, client.author, alone=alone, start=start), "opened": opened},
             "shown": shown.id if shown else None,
-            "people": self.clients.slice(client),
+            "people": self.clients.slice(client, self._photo_id_of),
             "model": client.model.slice()
             | self._slices.get(self._shown_parts(shown), partial(self.model_parts.slice, self.session.document, shown)),
         }
+
+    def _photo_id_of(self, client: Client) -> str | None:
+        entry = self.selection.photo_of(client)
+        return entry.id if entry else None
 
     def _opening_message(self) -> str:
         scan = self._scan_slice()

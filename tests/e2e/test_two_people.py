@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import socket
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -15,8 +17,6 @@ from tests.e2e.test_workbench import Operator, no_model
 from tests.served_workbench import Served, served
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from playwright.sync_api import Browser, Page
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="as in test_workbench")]
@@ -46,6 +46,7 @@ class Person(Operator):
         self.page, self.server = self.context.new_page(), server
         self.page.route("**/viser/**", no_model)
         self.errors: list[str] = []
+        self.pictures, self._shots = Path("artifacts") / "two-people" / name, 0
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(f"{server.address}?token={token or server.token}")
         self.page.get_by_role("button", name="connected").wait_for()
@@ -131,6 +132,7 @@ def test_undo_takes_back_ones_own_edit_and_a_conflict_says_whose(ann: Person, be
     ann.page.keyboard.press("Control+Shift+z")
     ann.wait(lambda: {pick["number"] for pick in ann.slice("picks:p1")} == before | {mine, theirs}, "and redone")
 
+    ben.wait(lambda: mine in {pick["number"] for pick in ben.slice("picks:p1")}, "the colleague sees it, too")
     row = ben.page.locator(".row-line[data-pick]").nth(len(before))
     row.get_by_role("checkbox").click()
     ann.page.locator(".row-line[data-pick].disabled").first.wait_for()
@@ -147,6 +149,45 @@ def test_undo_takes_back_ones_own_edit_and_a_conflict_says_whose(ann: Person, be
     ann.page.get_by_role("button", name=f"Draw line {theirs}").first.click()
     question.get_by_role("button", name="Go to this state").click()
     ben.page.get_by_text(f"Ann went to 'Draw line {theirs}'", exact=False).wait_for()
+
+
+POINTER_SEEN = """() => {
+  const canvas = document.querySelector('#photo-pane canvas.pane-live');
+  if (canvas.hidden) return 0;
+  const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let k = 3; k < data.length; k += 4) count += data[k] > 200;
+  return count;
+}"""
+
+
+def test_one_sees_the_others_pointer_and_follows_the_others_view(ann: Person, ben: Person) -> None:
+    for person in (ann, ben):
+        person.page.get_by_role("tab", name=PHOTO).click()
+        person.wait(lambda p=person: p.slice("shown") == "p1", "the same photograph")
+    assert ben.page.evaluate(POINTER_SEEN) == 0
+    path = itertools.cycle([ann.place("photo", (200 + 4 * k, 150 + 3 * k)) for k in range(10)])
+
+    def seen() -> bool:
+        ann.page.mouse.move(*next(path))
+        return bool(ben.page.evaluate(POINTER_SEEN) > 100)
+
+    ben.wait(seen, "a pointer with a name")
+    ben.shot("pointer")
+    ben.wait(lambda: ben.page.evaluate(POINTER_SEEN) == 0, "it fades")
+
+    ben.page.locator(".clients-button").click()
+    ben.page.get_by_role("button", name="Follow Ann").click()
+    ben.page.get_by_text("Following Ann").wait_for()
+    ben.shot("following")
+    ben.page.keyboard.press("Escape")
+    zoom = "() => document.querySelector('#photo-pane .pane-zoom, #photo-pane [class*=zoom]')?.textContent"
+    ann.page.mouse.wheel(0, -600)
+    ben.wait(lambda: ben.page.evaluate(zoom) == ann.page.evaluate(zoom) != None, "the same zoom")  # noqa: E711
+    ben.page.mouse.move(*ben.place("photo", (240, 180)))
+    ben.page.mouse.wheel(0, 300)
+    ben.page.get_by_text("You no longer follow Ann.").wait_for()
+    ben.wait(lambda: not ben.page.get_by_text("Following Ann").is_visible(), "the mark is gone")
 
 
 def test_a_read_only_page_looks_and_changes_nothing(browser: Browser, server: Served, ann: Person) -> None:

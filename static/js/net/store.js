@@ -57,7 +57,7 @@ export class Store {
   }
 
   /**
-   * Call `listen(event)` at each event of a kind: `simplex`, `hover`, `notice`, `export_ready`.
+   * Call `listen(event)` at each event of a kind: `simplex`, `hover`, `cursor`, `view`, `notice`, `export_ready`.
    * @param {string} kind
    * @param {(event: any) => void} listen
    * @returns {() => void} removes the listener

@@ -6,6 +6,7 @@ import { store } from "../net/store.js";
 import { button } from "../ui/controls.js";
 import { element, newId, setChildren } from "../ui/dom.js";
 import { notice } from "../ui/notices.js";
+import { counted } from "../ui/numbers.js";
 import { popoverOf } from "../ui/popover.js";
 
 const copyLink = async () => {
@@ -19,6 +20,24 @@ const copyLink = async () => {
   } catch {
     notice(`The browser does not allow copying here. The read-only link is ${address.href}`); // not over plain http
   }
+};
+
+/** A switch: see the photograph and the part of the pictures that another person sees. */
+const followButton = (id, name) => {
+  const follows = store.me()?.follows === id;
+  return button({
+    label: `Follow ${name}`,
+    kind: "small toggle follow",
+    title: `See the photograph and the part of the pictures that ${name} sees, until you move a picture yourself`,
+    "aria-pressed": String(follows),
+    act: () => request("follow", { client: follows ? null : id }),
+  });
+};
+
+/** @returns {string} for the button in the header: whose view is followed, or how many people are connected */
+export const clientsText = () => {
+  const leader = store.colleagues().find(({ id }) => id === store.me()?.follows);
+  return leader ? `Following ${leader.name}` : counted(store.get("people")?.count ?? 1, "client");
 };
 
 /** Attach the list to its button. @param {HTMLButtonElement} opener */
@@ -60,6 +79,7 @@ export const mountClients = (opener) => {
           element("span", { class: `person person-${colour}`, "aria-hidden": "true" }),
           element("span", { class: "clip" }, name),
           element("span", { class: "dim" }, `${id === you ? " · you" : ""}${looks ? " · read only" : ""}`),
+          id === you ? null : followButton(id, name),
         ),
       ),
     );

@@ -9,7 +9,7 @@ import { icon } from "../ui/icons.js";
 import { notice } from "../ui/notices.js";
 import { counted } from "../ui/numbers.js";
 import { chosenTheme, nextTheme, onTheme } from "../ui/theme.js";
-import { mountClients } from "./clients.js";
+import { clientsText, mountClients } from "./clients.js";
 import { namesOf } from "./file_kinds.js";
 import { openFiles } from "./files.js";
 import { mountHistory } from "./history.js";
@@ -174,7 +174,10 @@ export const mountHeader = (header) => {
   );
   mountHistory(history);
   mountClients(clients);
-  const count = () => setText(clients.querySelector("span"), counted(store.get("people")?.count ?? 1, "client"));
+  const count = () => {
+    setText(clients.querySelector("span"), clientsText());
+    clients.classList.toggle("following", clientsText().startsWith("Following"));
+  };
   store.watch(["people"], count);
   count();
 };

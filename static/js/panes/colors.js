@@ -3,11 +3,12 @@
  */
 
 const MATCH_COLOURS = 6;
+const PEOPLE_COLOURS = 6;
 
 const ROOT_PX = 13;
 
 /**
- * @returns {{matches: string[], ink: string, dim: string, warn: string, halo: string, font: string, scale: number}}
+ * @returns {{matches: string[], people: string[], ink: string, dim: string, warn: string, halo: string, font: string, scale: number}}
  *   `scale` multiplies strokes and symbols: they grow with the page's font size on very large screens
  */
 export const readLook = () => {
@@ -16,6 +17,7 @@ export const readLook = () => {
   const token = (name) => tokens.getPropertyValue(`--lr-${name}`).trim();
   return {
     matches: Array.from({ length: MATCH_COLOURS }, (_, k) => token(`match-${k + 1}`)),
+    people: Array.from({ length: PEOPLE_COLOURS }, (_, k) => token(`person-${k + 1}`)),
     ink: "#ffffff",
     dim: "#c3ccd8",
     warn: "#f2b84b",

@@ -34,6 +34,8 @@ export class Controller {
   onPickingChanged = () => {};
   /** Shift is held, which suspends snapping. */
   suspended = false;
+  /** @type {import("./colleagues.js").Colleagues | null} other people in the pictures */
+  colleagues = null;
   #marks = {};
   #marked = new Map();
   #markTimer = 0;

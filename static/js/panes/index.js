@@ -1,6 +1,7 @@
 /** The two image panes: scan and photograph side by side, with the matches drawn in them. */
 
 import { throttled } from "../ui/throttle.js";
+import { Colleagues } from "./colleagues.js";
 import { mountSwipe } from "./compare.js";
 import { Controller } from "./controller.js";
 import { mountPhotoHead, mountScanHead } from "./heads.js";
@@ -37,6 +38,8 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
   mountPhotoHead(controlsOf(photoHead), controller);
   mountSwipe(controller);
   linkPanes(controller);
+  controller.colleagues = new Colleagues(controller, tools);
+  controller.colleagues.watchPanes();
   listenToKeys(controller, tools, space);
   listenToReveals(controller);
 

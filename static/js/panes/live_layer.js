@@ -87,6 +87,7 @@ export class LiveLayer {
     if (marked) drawCrosshair(context, pane.screenOf(marked), look, MARK_PX);
     const ghost = this.#ghost();
     if (ghost) drawGhost(context, ghost.map((uv) => pane.screenOf(uv)), look);
+    this.#controller.colleagues?.paint(context, pane, look);
     const centre = this.#loupeCentre();
     if (centre) this.#loupe.show(centre, this.#firstEnd(), ["", "corner", "edge"][ghost?.length ?? 0], look.scale);
     else this.#loupe.hide();

@@ -24,6 +24,7 @@ export class Tools {
   #controller;
   #accepting = null;
   #listeners = new Set();
+  #leaveListeners = new Set();
 
   /** @param {import("./controller.js").Controller} controller */
   constructor(controller) {
@@ -256,7 +257,13 @@ export class Tools {
     return true;
   }
 
+  /** @param {(pane: any) => void} listen called when the pointer leaves a picture */
+  onLeave(listen) {
+    this.#leaveListeners.add(listen);
+  }
+
   leave(pane) {
+    for (const listen of this.#leaveListeners) listen(pane);
     if (this.pointer?.side === pane.side) this.pointer = null;
     this.#controller.snapping.forget();
     this.#controller.view.set({ hovered: null, readout: null });

@@ -258,3 +258,61 @@ def test_own_steps_are_known_after_a_restart(tmp_path_factory: pytest.TempPathFa
         assert numbers(again) == [mine, theirs]
     finally:
         again.workbench.close()
+
+
+# following, and the pointers of others
+
+
+def events(driver: WorkbenchDriver, kind: str) -> list[dict[str, Any]]:
+    return [message for message in driver.received if message.get("event") == kind]
+
+
+def test_whoever_follows_sees_what_the_other_sees(bench: WorkbenchDriver, colleague: WorkbenchDriver) -> None:
+    added = second_photo(bench, bench.client)
+    bench.do("show_photo", photo="p1")
+    colleague.do("show_photo", photo="p1")
+    colleague.do("follow", client=bench.client.id)
+    colleague.received.clear()
+    bench.do("show_photo", photo=added)
+    assert colleague.slice("shown") == added
+    assert told(colleague, "shown") == [added]
+    assert "follows you already" in bench.refused("follow", client=colleague.client.id)
+    assert "not connected" in colleague.refused("follow", client=colleague.client.id)
+    assert "not connected" in colleague.refused("follow", client="nobody")
+    colleague.do("show_photo", photo="p1")
+    bench.do("show_photo", photo="p1")
+    bench.do("show_photo", photo=added)
+    assert colleague.slice("shown") == "p1", "selecting a photograph ends it"
+    colleague.do("follow", client=bench.client.id)
+    colleague.do("follow", client=None)
+    assert colleague.slice("shown") == added, "what was seen last stays"
+    bench.do("show_photo", photo="p1")
+    assert colleague.slice("shown") == added
+
+
+def test_pointers_go_to_the_others_and_views_to_those_who_follow(
+    bench: WorkbenchDriver, colleague: WorkbenchDriver
+) -> None:
+    bench.received.clear()
+    where = {"side": "photo", "photo": "p1", "view": 0}
+    bench.do("point", uv=[10.5, 20], **where)
+    assert events(colleague, "cursor") == [{"event": "cursor", "client": bench.client.id, "uv": [10.5, 20.0], **where}]
+    bench.do("show_view", centre=[1, 2], zoom=2, **where)
+    assert events(colleague, "view") == []
+    colleague.do("follow", client=bench.client.id)
+    bench.do("show_view", centre=[1, 2], zoom=2, **where)
+    assert [event["zoom"] for event in events(colleague, "view")] == [2]
+    bench.do("point", uv=None, **where)
+    assert events(colleague, "cursor")[-1]["uv"] is None
+    assert events(bench, "cursor") == events(bench, "view") == []
+    for wrong in ({"side": "left"}, {"view": -1}, {"view": 10**9}, {"uv": [1]}, {"uv": ["a", 2]}, {"uv": [1e9, 0]}):
+        bench.refused("point", **{"uv": [1, 2], **where, **wrong})
+    for zoom in (0, -1, "big", None, 1e99):
+        bench.refused("show_view", centre=[1, 2], zoom=zoom, **where)
+    colleague.do("follow", client=None)
+
+
+def test_alone_nobody_is_sent_a_pointer(bench: WorkbenchDriver) -> None:
+    bench.received.clear()
+    bench.do("point", side="scan", photo=None, view=0, uv=[1, 2])
+    assert bench.received == []
