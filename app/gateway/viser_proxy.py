@@ -152,6 +152,7 @@ class ViserProxy:
             )
         except (OSError, WebSocketException) as error:  # a TimeoutError is an OSError
             log.warning("viser does not respond: %s", error)
+            self._own_page = None  # whoever opens the page again is told, too
             await websocket.send_denial_response(PlainTextResponse(f"{_UNAVAILABLE}\n", status_code=502))
             return
         try:

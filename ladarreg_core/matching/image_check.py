@@ -27,7 +27,6 @@ Outcome = Literal["verified", "contradicted", "undecidable"]
 ResultT = TypeVar("ResultT", bound=PoseResult)
 _SIGNIFICANT = 22.46  # chi^2 of 6 degrees of freedom, exceeded by chance once in 1000
 _SAMPLES = 10_000
-_STEP = "image check"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +69,7 @@ def check_against_images(scan: Scan, photo: Photo, result: PoseResult, steps: St
 
 def _checked(scan: Scan, photo: Photo, result: PoseResult, steps: StepLog, seed: int) -> ImageCheck:
     pose = result.camera_from_scanner
-    with steps.step(_STEP) as note:
+    with steps.step("image check") as note:
         found = verify_pose(scan, photo, pose, seed=seed)
         note.update(verified=found is not None and found.accepted)
     if found is None:

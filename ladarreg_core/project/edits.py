@@ -220,7 +220,7 @@ def pose(values: object) -> Rigid:
     """
     try:
         found = Rigid.from_matrix(np.array(values, dtype=np.float64))
-    except (LadarregError, TypeError, ValueError):
+    except (LadarregError, TypeError, ValueError, OverflowError):
         raise OptionError("a pose is the 4 rows of a rigid transform, camera_from_scanner") from None
     if float(np.abs(found.centre).max()) > _FARTHEST_M:
         raise OptionError(f"the camera is more than {_FARTHEST_M:.0f} m from the scanner; give a pose near the scene")

@@ -52,6 +52,7 @@ HOSTILE = (*NUMBERS, *WORDS, *OTHERS, *ROWS, *LISTS)
 BAD_FOLDERS = tuple(json.dumps(name) for name in ("\0", "a\0b", "a" * 300, "a/" * 3000, "\u202e\u2028", "\ud800"))
 FEW = {
     ("open_served", "photo"): OTHERS[:3],
+    ("refine", "photo"): OTHERS,
     ("export_folder", "photo"): (*OTHERS, *WORDS),
     ("export_folder", "folder"): BAD_FOLDERS,
     ("export_folder", "force"): OTHERS[:2],
@@ -88,6 +89,7 @@ SOUND: dict[str, list[dict[str, Any]]] = {
         {
             "residual": "stereo", "start_from": "robust", "step_m": 0.1, "step_rad": 0.2, "restarts": 1,
             "reject_sigma": 3, "intrinsics": "fixed", "sigma_px": 0.7, "sigma_range_m": None, "seed": 7,
+            "solve_automatically": False, "solve_up_to": 50, "centre_sigma_percent": 1.0, "k1_sigma": 0.02,
         },
     ],
     "rename": [{"name": "Office 7"}],
@@ -97,11 +99,19 @@ SOUND: dict[str, list[dict[str, Any]]] = {
     "redo": [{}],
     "go_to": [{"n": 3}],
     "show_photo": [{"photo": "p1"}],
-    "set_model": [{"texture": "range", "z_buffer": False, "light": True, "cameras": False, "matches": False}],
+    "set_model": [{"texture": "range", "z_buffer": False, "detail": "coarse", "cameras": False, "rays": True}],
     "call_me": [{"name": "Ann"}],
     "hover_pick": [{"pick": "1"}],
     "open_served": [{"path": "matches.csv", "what": "matches", "photo": "p1"}, {"path": "scan.npz", "what": "scan"}],
     "list_served": [{}],
+    "open_files": [{"files": ["nobody"], "scan": "replace", "photo": "p1"}],
+    "discard_files": [{"files": ["nobody"]}],
+    "add_embedded": [{"images": [0]}],
+    "look": [{"viewpoint": "scanner"}],
+    "follow": [{"client": None}],
+    "point": [{"side": "photo", "photo": "p1", "view": 0, "uv": [300, 200]}],
+    "show_view": [{"side": "photo", "photo": "p1", "view": 0, "centre": [300, 200], "zoom": 2.0}],
+    "read_only_link": [{}],
     "predict": [
         {"photo": "p1", "side": "scan", "scan": [[1, 0, 0]]},
         {"photo": "p1", "side": "photo", "photo_uv": [[300, 200]]},
@@ -114,6 +124,7 @@ SOUND: dict[str, list[dict[str, Any]]] = {
     "sample_line": [{"scan": LINE["scan"]}],
     "probe": [{"scan": [1, 0, 0]}],
     "run": [{"photo": "p1", "job": "linear"}],
+    "refine": [{"photo": "p1", "camera_from_scanner": [[1, 0, 0, 9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}],
     "job_control": [{"action": "speed", "value": 3}],
     "export_folder": [{"photo": "p1", "folder": "FOLDER", "force": False}],
 }  # fmt: skip

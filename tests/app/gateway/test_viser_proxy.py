@@ -249,7 +249,7 @@ def test_when_viser_ends_the_page_is_closed(tmp_path_factory: pytest.TempPathFac
             page.recv(timeout=10)
             close_server(server)
             assert closing_code(page) != 1006
-        assert run.ask("GET", "/viser/")[0] == 502
         with pytest.raises(InvalidStatus) as caught, run.socket("/viser"):
             pass
         assert caught.value.response.status_code == 502
+        assert run.ask("GET", "/viser/")[0] == 502
