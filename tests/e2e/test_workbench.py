@@ -195,7 +195,8 @@ def test_the_whole_workflow(operator: Operator, browser: Browser, tmp_path: Path
     operator.wait(lambda: len(operator.slice("picks:p1")) == 2, "delete")
 
     operator.button("Register automatically").click()
-    operator.wait(lambda: operator.slice("photos")[0]["state"] == "accepted", "registered", 240)
+    operator.wait(lambda: operator.slice("poses:p1")["shown"] == "auto", "registered", 240)
+    assert operator.slice("photos")[0]["state"] == "accepted"
     page.get_by_text("Accepted", exact=False).first.wait_for()
     assert len(operator.slice("picks:p1")) > 30
     operator.shot("registered")
