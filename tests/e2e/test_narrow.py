@@ -1,10 +1,28 @@
-"""A narrow screen: one part at a time, everything within reach."""
+"""Narrow screens: labels are whole, and on a phone there is one part at a time, everything within reach."""
 
 from __future__ import annotations
+
+import pytest
 
 from tests.e2e.test_workbench import Operator, operator, server
 
 __all__ = ["operator", "server"]  # fixtures
+CLIPPED = """
+() => [...document.querySelectorAll("button, h2, h3, label, th, select, [role=tab]")]
+  .filter((each) => each.checkVisibility({visibilityProperty: true}) && each.innerText.trim())
+  .filter((each) => getComputedStyle(each).overflowX !== "visible" && each.scrollWidth > each.clientWidth + 1)
+  .map((each) => `${each.tagName}: ${each.innerText.trim()}`)
+"""
+
+
+@pytest.mark.parametrize("width", [1024, 1280, 1440])
+def test_no_label_is_clipped(operator: Operator, width: int) -> None:
+    page = operator.page
+    page.set_viewport_size({"width": width, "height": 800})
+    for step in ("Match", "Solve", "Judge", "Export"):
+        operator.step(step)
+        operator.shot(f"{width}-{step.lower()}")
+        assert page.evaluate(CLIPPED) == [], step
 
 
 def test_one_part_at_a_time_on_a_narrow_screen(operator: Operator) -> None:
