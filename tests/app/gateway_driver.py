@@ -177,7 +177,7 @@ class Running:
             additional_headers={name: value for name, value in sent.items() if value},
             ssl=self.tls,
             proxy=None,
-            open_timeout=10,
+            open_timeout=60,  # a crowded machine may take its time; whatever hangs is still found
             **({"max_size": None, "compression": None} | more),
         )
 
