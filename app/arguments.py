@@ -59,7 +59,41 @@ def condense(box: str) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InputArguments:
+class ScanArguments:
+    """What the file of a scan does not say itself."""
+
+    scan_index: Annotated[int, tyro.conf.arg(aliases=["--scan"], metavar="N")] = 0
+    """Index of the scan in a file with several, from 0; `ladarreg info FILE` lists them."""
+    origin: Annotated[str | None, tyro.conf.arg(metavar="X,Y,Z")] = None
+    """Where the scanner stood, in the coordinates of the file, m; for clouds that are not in the scanner's frame."""
+    intensity: Literal["auto", "luma"] = "auto"
+    """Source of the intensity; luma: the luminance of the points' colours."""
+    columns: Annotated[str | None, tyro.conf.arg(metavar="NAMES")] = None
+    """Columns of a text file without a header, e.g. x,y,z,intensity; - skips one."""
+    topic: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Topic of the clouds in a recording."""
+    seconds: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """Duration over which the clouds of a recording are accumulated."""
+
+    @property
+    def scan_options(self) -> dict[str, Any]:
+        """The arguments of `read_scan`.
+
+        Raises:
+            OptionError: if the origin is not three numbers.
+        """
+        return {
+            "scan_index": self.scan_index,
+            "origin": None if self.origin is None else _coordinates(self.origin),
+            "intensity": self.intensity,
+            "columns": tuple(name.strip() for name in self.columns.split(",")) if self.columns else (),
+            "topic": self.topic,
+            "seconds": self.seconds,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputArguments(ScanArguments):
     """Scan, photo, and what is known about them; output folder."""
 
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
@@ -80,8 +114,6 @@ class InputArguments:
     """Focal length of the photo in mm; needs --sensor-mm."""
     sensor_mm: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None
     """Sensor width in mm."""
-    scan_index: int = 0
-    """Index of the scan in a file with several."""
     seed: int = 0
     """Random seed; equal seeds give equal results."""
     force: bool = False
@@ -172,6 +204,18 @@ def register_options(arguments: RegisterArguments) -> RegisterOptions:
     return RegisterOptions(
         seed=arguments.seed, thesis=thesis, pose=pose, auto=auto, **_given(samples_per_line=arguments.samples_per_line)
     )
+
+
+def _coordinates(text: str) -> tuple[float, ...]:
+    from ladarreg_core.errors import OptionError
+
+    try:
+        numbers = tuple(float(word) for word in text.replace(",", " ").split())
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 3:
+        raise OptionError(f"--origin is {text[:60]!r}; give three coordinates in metres, e.g. --origin 12.5,-3,1.8")
+    return numbers
 
 
 def _given(**values: Any) -> dict[str, Any]:

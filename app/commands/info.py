@@ -9,12 +9,13 @@ from typing import Annotated, Any
 
 import tyro
 
+from ..arguments import ScanArguments
 from ..exit_codes import ExitCode
 from ..messages import one_line
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(ScanArguments):
     """Arguments of `info`."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
@@ -29,7 +30,7 @@ def run(arguments: Arguments) -> ExitCode:
     """Print a description of the file, one property a line, and extract its images on request."""
     from ladarreg_core.formats import describe, extract_images
 
-    facts = list(_facts(describe(arguments.file)))
+    facts = list(_facts(describe(arguments.file, **arguments.scan_options)))
     if arguments.extract is not None:
         for image in extract_images(arguments.file, arguments.extract):
             written = (image.picture, image.camera, image.pose)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from ..arguments import ScanArguments
 from ..exit_codes import ExitCode
 from ..inputs import timed
 from ..progress_bar import ProgressBar, progress_bar
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(ScanArguments):
     """Arguments of `report`."""
 
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")]
@@ -28,8 +29,6 @@ class Arguments:
     """Folders with the scan and the photo of the results; they are also looked for beside the results."""
     photo: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Photo of a project with several: its file name, or its id such as p2."""
-    scan_index: int = 0
-    """Index of the scan in a file with several, for a folder of results."""
     force: bool = False
     """Replace FILE if it exists."""
     quiet: bool = False
@@ -79,7 +78,7 @@ def _of_results(arguments: Arguments, bar: ProgressBar) -> Path:
     places = [*arguments.inputs, folder, folder.resolve().parent, Path.cwd()]
     scan_path, photo_path = timed("Find inputs", bar, lambda: find_inputs(recorded[:2], places))
     out = _target(arguments, folder / REPORT_FILE)
-    scan = timed("Read scan", bar, lambda: lr.read_scan(scan_path, scan_index=arguments.scan_index))
+    scan = timed("Read scan", bar, lambda: lr.read_scan(scan_path, **arguments.scan_options))
     photo = timed("Read photo", bar, lambda: lr.read_photo(photo_path, camera=registration.camera))
     with replaced_file(out) as new:
         try:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from ..arguments import ScanArguments
 from ..exit_codes import ExitCode
 from ..inputs import timed
 from ..messages import self_test_report
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(ScanArguments):
     """Arguments of `selftest`."""
 
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
@@ -33,8 +34,6 @@ class Arguments:
     """Number of photos of other scenes, which must be refused."""
     seconds: float = 120.0
     """Time limit; the kinds of trials take turns."""
-    scan_index: int = 0
-    """Index of the scan in a file with several."""
     seed: int = 0
     """Random seed; equal seeds give equal results."""
     quiet: bool = False
@@ -58,7 +57,7 @@ def run(arguments: Arguments) -> ExitCode:
     )
     with progress_bar(quiet=arguments.quiet) as bar:
         camera = _camera(arguments.camera)
-        scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, scan_index=arguments.scan_index))
+        scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, **arguments.scan_options))
         found = self_test(scan, camera, options, report=bar.progress)
     print(found.summary() if arguments.quiet else self_test_report(found))
     return ExitCode.NOT_ACCEPTED if found.accepted_wrongly else ExitCode.ACCEPTED

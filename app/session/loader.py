@@ -83,7 +83,7 @@ class Loader:
         """Read a scan's file."""
         from ladarreg_core.formats import read_scan
 
-        return READERS.run(read_scan, self._folder.source_path(source.path), scan_index=source.index)
+        return READERS.run(read_scan, self._folder.source_path(source.path), **source.scan_options)
 
     def read_matches(self, path: Path, scan: Scan) -> list[Pick]:
         """Read a matches file."""

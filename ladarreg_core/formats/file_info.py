@@ -20,6 +20,7 @@ from ladarreg_core.formats.image_file import read_image
 from ladarreg_core.formats.json_file import begins_with_brace, read_json_object
 from ladarreg_core.formats.matches_file import csv_rows
 from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.scan_request import ScanRequest
 from ladarreg_core.formats.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.scan import Scan
@@ -69,9 +70,11 @@ class FileInfo:
     """Remarks that the operator should read."""
 
 
-def scan_describer(read: Callable[[Path], Scan], format_name: str) -> Callable[[Path], FileInfo]:
-    """Return the `describe` function of a format with one scan a file."""
-    return lambda path: _describe_scan(path, read(path), format_name)
+def scan_describer(
+    format_name: str, read: Callable[[Path, ScanRequest], Scan]
+) -> Callable[[Path, ScanRequest], FileInfo]:
+    """Return the `describe` function of a format whose scans are described by reading them."""
+    return lambda path, asked: _describe_scan(path, read(path, asked), format_name)
 
 
 def _describe_scan(path: Path, scan: Scan, format_name: str, **more: Any) -> FileInfo:

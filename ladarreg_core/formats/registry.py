@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ladarreg_core.errors import FormatError, LadarregError, OptionError
+from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.formats.camera_file import sniff_camera_yaml
 from ladarreg_core.formats.descriptor import KINDS as DESCRIPTOR_KINDS
 from ladarreg_core.formats.descriptor import read_descriptor
@@ -33,6 +33,7 @@ from ladarreg_core.formats.json_file import parsed_once, read_json_object
 from ladarreg_core.formats.npz import read_npz, sniff_npz
 from ladarreg_core.formats.pcd import read_pcd, sniff_pcd
 from ladarreg_core.formats.pose_file import POSE_FIELD
+from ladarreg_core.formats.scan_request import IntensitySource, ScanRequest
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
@@ -63,10 +64,12 @@ class FileFormat:
     """Usual file name extensions, lower case, with their dot."""
     sniff: Callable[[bytes, Path], bool]
     """Returns whether a file has this format, from its first bytes or, where they are not enough, from the file."""
-    describe: Callable[[Path], FileInfo]
-    """Describes a file of this format."""
-    read_scan: Callable[[Path, int, int | None, Report | None], Scan] | None = None
-    """Reads the scan: path, scan index, memory that may be used (None: the default), report. Scan formats only."""
+    describe: Callable[[Path, ScanRequest], FileInfo]
+    """Describes a file of this format; the request concerns scans only."""
+    read_scan: Callable[[Path, ScanRequest], Scan] | None = None
+    """Reads the scan. Scan formats only."""
+    takes: tuple[str, ...] = ()
+    """Names of the options of `ScanRequest` that this format has a use for; others are refused."""
     is_generic_text: bool = False
     """Whether files of other programs commonly have the same extensions, so that a listing must check the content."""
     examples: tuple[str, ...] = ()
@@ -103,40 +106,59 @@ def _sniff_csv(head: bytes, file: Path) -> bool:
     return [cell.strip() for cell in line.split(b",")][-2:] == [b"u", b"v"]
 
 
+def _by_path(describe: Callable[[Path], FileInfo]) -> Callable[[Path, ScanRequest], FileInfo]:
+    return lambda path, _: describe(path)
+
+
+def _read_npz(path: Path, asked: ScanRequest) -> Scan:
+    return read_npz(path, memory_bytes=asked.memory_bytes, report=asked.report)
+
+
+def _read_pcd(path: Path, asked: ScanRequest) -> Scan:
+    return read_pcd(path, memory_bytes=asked.memory_bytes, report=asked.report)
+
+
+def _read_descriptor(path: Path, asked: ScanRequest) -> Scan:
+    return read_descriptor(path, memory_bytes=asked.memory_bytes, report=asked.report)
+
+
 FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
-        "E57", "scan", (".e57",), lambda head, _: sniff_e57(head), describe_e57,
-        lambda path, index, memory, report: read_e57(path, scan_index=index, memory_bytes=memory, report=report),
+        "E57", "scan", (".e57",), lambda head, _: sniff_e57(head), _by_path(describe_e57),
+        lambda path, asked: read_e57(
+            path, scan_index=asked.scan_index, memory_bytes=asked.memory_bytes, report=asked.report
+        ),
+        takes=("scan_index",),
     ),
     FileFormat(
-        "NPZ", "scan", (".npz",), lambda head, _: sniff_npz(head), scan_describer(read_npz, "NPZ"),
-        lambda path, _, memory, report: read_npz(path, memory_bytes=memory, report=report),
+        "NPZ", "scan", (".npz",), lambda head, _: sniff_npz(head), scan_describer("NPZ", _read_npz), _read_npz,
     ),
     FileFormat(
-        "PCD", "scan", (".pcd",), lambda head, _: sniff_pcd(head), scan_describer(read_pcd, "PCD"),
-        lambda path, _, memory, report: read_pcd(path, memory_bytes=memory, report=report),
+        "PCD", "scan", (".pcd",), lambda head, _: sniff_pcd(head), scan_describer("PCD", _read_pcd), _read_pcd,
     ),
     FileFormat(
         "descriptor JSON", "scan", (".json",), _sniff_json("scan"),
-        scan_describer(read_descriptor, f"descriptor ({' or '.join(DESCRIPTOR_KINDS)})"),
-        lambda path, _, memory, report: read_descriptor(path, memory_bytes=memory, report=report),
+        scan_describer(f"descriptor ({' or '.join(DESCRIPTOR_KINDS)})", _read_descriptor), _read_descriptor,
         is_generic_text=True,
     ),
     FileFormat(
         "image", "photo", (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"),
-        lambda head, _: image_format(head) is not None, describe_photo,
+        lambda head, _: image_format(head) is not None, _by_path(describe_photo),
         examples=("PNG", "JPEG", "TIFF", "WebP", "BMP"),
     ),
     FileFormat(
-        "camera JSON", "camera", (".json",), _sniff_json("camera"), describe_camera_file, is_generic_text=True
+        "camera JSON", "camera", (".json",), _sniff_json("camera"), _by_path(describe_camera_file), is_generic_text=True
     ),
     FileFormat(
-        "camera YAML", "camera", (".yaml", ".yml"), lambda head, _: sniff_camera_yaml(head), describe_camera_file,
+        "camera YAML", "camera", (".yaml", ".yml"), lambda head, _: sniff_camera_yaml(head),
+        _by_path(describe_camera_file),
         is_generic_text=True,
     ),
-    FileFormat("pose JSON", "pose", (".json",), _sniff_json("pose"), describe_pose, is_generic_text=True),
-    FileFormat("matches JSON", "matches", (".json",), _sniff_json("matches"), describe_matches, is_generic_text=True),
-    FileFormat("matches CSV", "matches", (".csv",), _sniff_csv, describe_matches, is_generic_text=True),
+    FileFormat("pose JSON", "pose", (".json",), _sniff_json("pose"), _by_path(describe_pose), is_generic_text=True),
+    FileFormat(
+        "matches JSON", "matches", (".json",), _sniff_json("matches"), _by_path(describe_matches), is_generic_text=True
+    ),
+    FileFormat("matches CSV", "matches", (".csv",), _sniff_csv, _by_path(describe_matches), is_generic_text=True),
 )  # fmt: skip
 """All formats, in the order in which they are tried."""
 
@@ -195,13 +217,28 @@ def listed_kind(path: Path) -> FileKind | None:
 
 
 def read_scan(
-    path: PathLike, *, scan_index: int = 0, memory_bytes: int | None = None, report: Report | None = None
+    path: PathLike,
+    *,
+    scan_index: int = 0,
+    origin: tuple[float, float, float] | None = None,
+    intensity: IntensitySource = "auto",
+    columns: Sequence[str] = (),
+    topic: str | None = None,
+    seconds: float | None = None,
+    memory_bytes: int | None = None,
+    report: Report | None = None,
 ) -> Scan:
     """Read a scan, its format recognised by content.
 
     Args:
-        path: an E57, NPZ, PCD or descriptor file.
+        path: a file of one of the scan formats.
         scan_index: index of the scan in files that contain several.
+        origin: where the scanner stood, (3,) in the coordinates of the file, m; for clouds that are not in the
+            scanner's frame.
+        intensity: `luma` takes the luminance of the points' colours as the intensity.
+        columns: names of the columns of a text file without a header.
+        topic: topic of the clouds in a recording.
+        seconds: duration over which the clouds of a recording are accumulated.
         memory_bytes: memory that the read may use at its peak, bytes; None: 1 GB, or 64 times the file's size if that
             is more.
         report: receives the progress.
@@ -209,21 +246,48 @@ def read_scan(
     Raises:
         FormatError: if it is not a scan, is damaged, has no intensity, or would need more memory than it may use.
         ShapeError: if its arrays disagree, or there are no returns.
-        OptionError: if there is no scan of that index.
+        OptionError: if there is no scan of that index, or the format has no use for an option.
     """
+    asked = ScanRequest(
+        scan_index=scan_index,
+        origin=origin,
+        intensity=intensity,
+        columns=columns,
+        topic=topic,
+        seconds=seconds,
+        memory_bytes=memory_bytes,
+        report=report,
+    )
     with parsed_once():
         found = recognise(path, kinds=("scan",))
-        if scan_index != 0 and found.name != "E57":
-            raise OptionError(f"scan_index is {scan_index}, but a {found.name} file contains one scan; leave it out")
+        asked.require_only(found.takes, found.name)
         assert found.read_scan is not None, "every scan format has a reader"
-        return found.read_scan(Path(path), scan_index, memory_bytes, report)
+        return found.read_scan(Path(path), asked)
 
 
-def describe(path: PathLike) -> FileInfo:
+def describe(
+    path: PathLike,
+    *,
+    scan_index: int = 0,
+    origin: tuple[float, float, float] | None = None,
+    intensity: IntensitySource = "auto",
+    columns: Sequence[str] = (),
+    topic: str | None = None,
+    seconds: float | None = None,
+) -> FileInfo:
     """Describe a file of any supported format: scan, photograph, camera, pose or matches.
+
+    Args:
+        path: the file.
+        scan_index: as `read_scan`, and so are the other options.
 
     Raises:
         LadarregError: if it cannot be read.
     """
+    asked = ScanRequest(
+        scan_index=scan_index, origin=origin, intensity=intensity, columns=columns, topic=topic, seconds=seconds
+    )
     with parsed_once():
-        return recognise(path).describe(Path(path))
+        found = recognise(path)
+        asked.require_only(found.takes, found.name)
+        return found.describe(Path(path), asked)

@@ -32,6 +32,22 @@ class Source(msgspec.Struct, frozen=True, kw_only=True):
     """File size, bytes."""
     index: int = 0
     """Index of the scan in a file with several."""
+    origin: tuple[float, float, float] | None = None
+    """Where the scanner stood, in the coordinates of the file, m, if that was given."""
+    intensity: Literal["auto", "luma"] = "auto"
+    """Source of a scan's intensity."""
+    columns: tuple[str, ...] = ()
+    """Names of the columns of a text file, if they were given."""
+    topic: str | None = None
+    """Topic of the clouds in a recording, if it was chosen."""
+    seconds: float | None = None
+    """Duration over which the clouds of a recording are accumulated, s."""
+
+    @property
+    def scan_options(self) -> dict[str, Any]:
+        """The arguments of `read_scan` for this file."""
+        names = ("origin", "intensity", "columns", "topic", "seconds")
+        return {"scan_index": self.index, **{name: getattr(self, name) for name in names}}
 
 
 class CameraGiven(msgspec.Struct, frozen=True, kw_only=True):

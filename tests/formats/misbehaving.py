@@ -118,10 +118,10 @@ def read_photo(path: Path, **options: Any) -> Photo:
     return photo_file.read_photo(path, **options)
 
 
-def read_scan_or_misbehave(path: Path, *, scan_index: int = 0, report: Report | None = None) -> Scan:
+def read_scan_or_misbehave(path: Path, *, report: Report | None = None, **asked: Any) -> Scan:
     """Read a scan, unless its name requests misbehaviour."""
     _misbehave(path)
-    return read_scan(path, scan_index=scan_index, report=report)
+    return read_scan(path, report=report, **asked)
 
 
 def _misbehave(path: Path) -> None:
