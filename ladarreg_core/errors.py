@@ -37,6 +37,10 @@ class ExportError(LadarregError):
     """A result that could not be written to its destination."""
 
 
+class UnderspecifiedError(FormatError):
+    """A file that is intact but does not say all that reading it needs; the text names the option that does."""
+
+
 class NewerVersionError(FormatError):
     """A file written by a newer version of the program; it is left unchanged."""
 

@@ -67,6 +67,8 @@ class Reason:
     """Whether the operator has to choose; otherwise further files may settle it."""
     part_of: str = ""
     """Id of the file that names this one; empty: none."""
+    is_underspecified: bool = False
+    """Whether it is a scan that can be opened once the operator says what its file does not."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,12 @@ import secrets
 import shutil
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.errors import FormatError, LadarregError, OptionError
+from ladarreg_core.errors import FormatError, LadarregError, OptionError, UnderspecifiedError
 
 from ..session.isolated_readers import READERS
 from ..session.loader import Loader
@@ -85,7 +85,13 @@ class Batches:
         return file.id
 
     def open(
-        self, ids: Sequence[str], *, replace_scan: bool = False, photo: str | None = None, client: Client | None = None
+        self,
+        ids: Sequence[str],
+        *,
+        replace_scan: bool = False,
+        photo: str | None = None,
+        reading: Mapping[str, Any] | None = None,
+        client: Client | None = None,
     ) -> dict[str, Any]:
         """Open files together with those that waited for them.
 
@@ -93,6 +99,7 @@ class Batches:
             ids: the files; ids of files that are gone are ignored.
             replace_scan: whether a scan may replace the one of the project.
             photo: id of the photograph that cameras and matches belong to; None: the one that the files suggest.
+            reading: options of `read_scan` for the scan among them.
             client: who opens them.
 
         Returns:
@@ -118,7 +125,7 @@ class Batches:
                 self._reasons |= {file.id: kept for file in files if file.id not in plan.waiting}
                 found: dict[str, Any] = {"opened": [], "refused": [], "asks": "scan", "scan": scans[0].name}
             else:
-                found = self._execute(plan.steps, client)
+                found = self._execute(plan.steps, reading or {}, client)
             self._save()
             found["waiting"] = [file.id for file in files if file.id in self._waiting]
         self._on_change()
@@ -160,7 +167,8 @@ class Batches:
             if reason is not None:
                 kind = "part" if reason.part_of else file.survey.kind
                 known = {"id": file.id, "name": file.name, "size": file.size}
-                listed.append({**known, "kind": kind, "said": reason.said, "lacks": self._lacks(file)})
+                takes = list(file.survey.takes) if reason.is_underspecified else []
+                listed.append({**known, "kind": kind, "said": reason.said, "lacks": self._lacks(file), "takes": takes})
         return listed
 
     def _reason(self, file: BatchFile) -> Reason | None:
@@ -189,7 +197,7 @@ class Batches:
             found.append(PhotoTarget(entry.id, entry.source.name, width, height))
         return found
 
-    def _execute(self, steps: Sequence[Step], client: Client | None) -> dict[str, Any]:
+    def _execute(self, steps: Sequence[Step], reading: Mapping[str, Any], client: Client | None) -> dict[str, Any]:
         opened: list[dict[str, Any]] = []
         refused: list[dict[str, Any]] = []
         made: dict[str, str] = {}
@@ -198,7 +206,7 @@ class Batches:
             kind = file.survey.kind
             try:
                 if kind == "scan":
-                    self._open_scan(step, path, client)
+                    self._open_scan(step, path, reading, client)
                     opened.append({"file": file.id, "kind": kind})
                 for photo in step.photos or ((None,) if kind == "photo" else ()):
                     target = made.get(photo or "", photo)
@@ -208,17 +216,20 @@ class Batches:
             except LadarregError as error:
                 said = str(error).replace(str(path), file.name).replace(path.name, file.name)
                 refused.append({"file": file.id, "name": file.name, "error": said})
+                if isinstance(error, UnderspecifiedError) and not step.companions:
+                    self._reasons[file.id] = Reason(said, needs_choice=True, is_underspecified=True)
+                    continue
                 if not self._files.is_in_project(path):
                     path.unlink(missing_ok=True)
             for each in (file, *step.companions.values()):
                 self._forget(each.id)
         return {"opened": opened, "refused": refused}
 
-    def _open_scan(self, step: Step, path: Path, client: Client | None) -> None:
+    def _open_scan(self, step: Step, path: Path, reading: Mapping[str, Any], client: Client | None) -> None:
         """Open a scan; a descriptor gets a folder of its own, with the files that it names under these names."""
         name = step.file.name
         if not step.companions:
-            self._files.open(path, name, "scan", None, client)
+            self._files.open(path, name, "scan", None, client, reading)
             return
         folder = path.parent / secrets.token_hex(16)
         try:
@@ -228,7 +239,7 @@ class Batches:
                 target = folder / named  # its parts were checked when the descriptor was surveyed
                 target.parent.mkdir(parents=True, exist_ok=True)
                 self._paths[companion.id].replace(target)
-            self._files.open(descriptor, name, "scan", None, client)
+            self._files.open(descriptor, name, "scan", None, client, reading)
         except BaseException as error:
             shutil.rmtree(folder, ignore_errors=True)
             if isinstance(error, OSError):

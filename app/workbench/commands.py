@@ -28,6 +28,7 @@ from .embedded import EmbeddedPictures
 from .files import Files
 from .people_commands import PEOPLE_COMMANDS
 from .queries import Queries
+from .reading import reading_of
 from .selection import Selection
 from .settings_form import check_bounds
 from .state import clock
@@ -328,7 +329,8 @@ def open_served(context: Context, client: Client, fields: Fields) -> Reply:
     path, what, photo = fields.get("path"), fields.get("what"), fields.get("photo")
     if not isinstance(path, str) or not isinstance(what, str):
         raise OptionError("give the file to open and its kind")
-    opened = context.files.open_served(path, what, photo if isinstance(photo, str) else None, client)
+    reading = reading_of(fields.get("reading"))
+    opened = context.files.open_served(path, what, photo if isinstance(photo, str) else None, client, reading)
     return {"opened": opened}
 
 
@@ -344,7 +346,8 @@ def open_files(context: Context, client: Client, fields: Fields) -> Reply:
     if photo is not None:
         photo = edits.require_photo(context.session.document, photo).id
     replaces = fields.get("scan") == "replace"
-    return context.batches.open(file_ids(fields), replace_scan=replaces, photo=photo, client=client)
+    reading = reading_of(fields.get("reading"))
+    return context.batches.open(file_ids(fields), replace_scan=replaces, photo=photo, reading=reading, client=client)
 
 
 def add_embedded(context: Context, client: Client, fields: Fields) -> Reply:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -20,6 +20,7 @@ from ..session.loader import Loader
 from ..session.session import Session
 from .clients import Client
 from .queries import Queries
+from .reading import with_reading
 from .selection import Selection
 
 What = Literal["scan", "photo", "camera", "matches"]
@@ -62,8 +63,10 @@ class Files:
                 path.unlink(missing_ok=True)
             raise
 
-    def open_served(self, path: str, what: str, photo: str | None, client: Client | None) -> str:
-        """Open a file of the served folder.
+    def open_served(
+        self, path: str, what: str, photo: str | None, client: Client | None, reading: Mapping[str, Any] | None = None
+    ) -> str:
+        """Open a file of the served folder; `reading` as for `open`.
 
         Raises:
             LadarregError: if it does not exist, or is not of the stated kind.
@@ -74,10 +77,26 @@ class Files:
         if offered is None:  # files that are not listed must not be read: errors of the readers quote contents
             raise OptionError("there is no such file in the served folder; refresh the list")
         wanted, _ = offered
-        return self.open(wanted, wanted.name, what, photo, client)
+        return self.open(wanted, wanted.name, what, photo, client, reading)
 
-    def open(self, path: Path, name: str, what: str, photo: str | None, client: Client | None) -> str:
+    def open(
+        self,
+        path: Path,
+        name: str,
+        what: str,
+        photo: str | None,
+        client: Client | None,
+        reading: Mapping[str, Any] | None = None,
+    ) -> str:
         """Add a file to the project; return `scan` or the id of its photograph.
+
+        Args:
+            path: the file.
+            name: its name for display.
+            what: its kind of content.
+            photo: id of the photograph that it belongs to, if any.
+            client: who opens it.
+            reading: options of `read_scan`, for a scan.
 
         Raises:
             LadarregError: if it is not of the stated kind, or there is no photograph that it could belong to.
@@ -92,7 +111,7 @@ class Files:
             raise OptionError(f"the file cannot be read: {error.strerror or error}; choose another") from None
         source = Source(path=self._session.folder.relative(path), name=name, size=size)
         if what == "scan":
-            return self._scan(source, client)
+            return self._scan(with_reading(source, reading or {}), client)
         if what == "photo":
             return self._photo(source, client)
         entry = self._target_photo(photo, client)

@@ -29,6 +29,8 @@ class FileSurvey:
     """Width of a photograph, or of a camera's pictures, pixels; 0 where it is unknown."""
     height: int = 0
     """Height, likewise."""
+    takes: tuple[str, ...] = ()
+    """Names of the options of `ScanRequest` that the reader of a scan takes."""
 
 
 def survey_file(path: PathLike) -> FileSurvey:
@@ -51,4 +53,4 @@ def survey_file(path: PathLike) -> FileSurvey:
                 return FileSurvey(found.kind, found.name, (), camera.width, camera.height)
         except LadarregError:  # it is damaged, which its reader says when it is opened
             pass
-        return FileSurvey(found.kind, found.name)
+        return FileSurvey(found.kind, found.name, takes=found.takes)

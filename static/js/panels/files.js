@@ -85,7 +85,7 @@ class FileEntry {
   settle({ opened, refused, waiting }) {
     const error = refused.find(({ file }) => file === this.id)?.error;
     const made = opened.find(({ file }) => file === this.id);
-    if (error) this.refuse(new Error(error));
+    if (error && !waiting.includes(this.id)) this.refuse(new Error(error));
     else if (made) {
       this.state = "opened";
       this.setStatus(`Opened as ${labelOf(made.kind)}.`, "ok");

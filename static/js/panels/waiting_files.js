@@ -7,11 +7,12 @@ import { element, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { bytes } from "../ui/numbers.js";
 import { labelOf } from "./file_kinds.js";
+import { readingForm } from "./reading_form.js";
 
 const NEEDS_PHOTO = new Set(["camera", "matches"]);
 const OPENS = new Set(["scan", "photo"]);
 
-const sentence = (text) => `${text.charAt(0).toUpperCase()}${text.slice(1)}.`;
+const sentence = (text) => `${text.charAt(0).toUpperCase()}${text.slice(1).replace(/\.$/u, "")}.`;
 
 const photoChoice = ({ name }) => {
   const photos = store.get("photos") ?? [];
@@ -22,8 +23,35 @@ const photoChoice = ({ name }) => {
   );
 };
 
+const removal = ({ id, name }) =>
+  button({
+    label: `Remove ${name}`,
+    icon: "close",
+    bare: true,
+    kind: "plain small edits",
+    act: () => request("discard_files", { files: [id] }),
+  });
+
+/** A scan whose file does not say all that reading it needs, with a form for it. */
+const underspecifiedRow = (file, open) => {
+  const { id, name, size, said, takes } = file;
+  const form = readingForm(takes, (reading) => open([id], { reading }));
+  return element(
+    "li",
+    { class: "file-row waiting-file" },
+    icon("file"),
+    element("span", { class: "clip", title: name }, name),
+    element("span", { class: "dim figures" }, bytes(size)),
+    element("span", {}),
+    removal(file),
+    element("span", { class: "file-status" }, sentence(said)),
+    form,
+  );
+};
+
 const rowOf = (file, open) => {
-  const { id, name, size, kind, said, lacks } = file;
+  const { id, name, size, kind, said, lacks, takes } = file;
+  if (takes.length) return underspecifiedRow(file, open);
   const choice = NEEDS_PHOTO.has(kind) && store.get("photos")?.length && store.get("scan") ? photoChoice(file) : null;
   const opens = (OPENS.has(kind) && !lacks.length) || choice;
   return element(
@@ -40,13 +68,7 @@ const rowOf = (file, open) => {
         ? button({ label: `Open as ${labelOf(kind)}`, kind: "small edits", act: () => open([id], choice ? { photo: choice.value } : {}) })
         : null,
     ),
-    button({
-      label: `Remove ${name}`,
-      icon: "close",
-      bare: true,
-      kind: "plain small edits",
-      act: () => request("discard_files", { files: [id] }),
-    }),
+    removal(file),
     element("span", { class: "file-status" }, sentence(said)),
   );
 };
