@@ -173,8 +173,9 @@ class Desk:
 
     def listed(self) -> dict[str, Any]:
         """Return the recent projects for pages."""
-        current = self._workbench.session.folder.path
-        return {"projects": self.recent.listed(current, with_paths=self._anywhere), "anywhere": self._anywhere}
+        session = self._workbench.session
+        projects = self.recent.listed(session.folder.path, session.document.name, with_paths=self._anywhere)
+        return {"projects": projects, "anywhere": self._anywhere}
 
     def find(self, wanted: object) -> Path | None:
         """Return the folder of a project of the list; None if it is not in it."""

@@ -53,14 +53,16 @@ class RecentProjects:
         """Return the folder of a project of the list; None if it is not in it."""
         return next((path for path in self._paths() if project_id(path) == wanted), None)
 
-    def listed(self, current: Path, *, with_paths: bool) -> list[dict[str, Any]]:
+    def listed(self, current: Path, name: str, *, with_paths: bool) -> list[dict[str, Any]]:
         """Return the list for pages, the latest first.
 
         Args:
             current: folder of the open project.
+            name: its present name, which its folder may not have yet: saving takes a moment.
             with_paths: whether pages may see where the folders lie, beside their names.
         """
-        return [self._entry(path, is_current=path == current, with_path=with_paths) for path in self._paths()]
+        entries = [self._entry(path, is_current=path == current, with_path=with_paths) for path in self._paths()]
+        return [{**entry, "name": name} if entry["current"] else entry for entry in entries]
 
     def picture(self, wanted: str) -> bytes | None:
         """Return the picture of a project, JPEG; None if there is none."""

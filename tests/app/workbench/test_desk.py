@@ -77,7 +77,7 @@ def test_the_start_page_ends_with_the_first_file(bench: DeskDriver) -> None:
     assert bench.names() == []
     bench.drop(SCAN)
     assert not bench.slice("project")["start"]
-    assert soon(lambda: bench.names() == ["scan"])  # it is saved a moment later
+    assert bench.names() == ["scan"]
 
 
 def test_an_unused_project_leaves_no_folder(bench: DeskDriver, tmp_path: Path) -> None:
