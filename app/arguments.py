@@ -105,7 +105,7 @@ class InputArguments(ScanArguments):
     matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Manual matches: JSON, or CSV of points."""
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Initial pose: a pose JSON or an earlier registration.json."""
+    """Initial pose: a pose JSON, from the scanner or from the world, or an earlier registration.json."""
     camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Camera of the photo: JSON, OpenCV YAML or ROS camera_info."""
     focal_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None

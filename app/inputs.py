@@ -40,10 +40,10 @@ def read_inputs(arguments: InputArguments, bar: ProgressBar) -> tuple[Scan, Phot
 def read_start(arguments: InputArguments, scan: Scan) -> tuple[list[Pick] | None, Rigid | None]:
     """Read the manual matches and the initial pose; None for each that was not given."""
     from ladarreg_core.formats.matches_file import read_matches
-    from ladarreg_core.formats.pose_file import read_pose
+    from ladarreg_core.formats.pose_file import read_initial
 
     picks = read_matches(arguments.matches, scan) if arguments.matches else None
-    initial = read_pose(arguments.initial) if arguments.initial else None
+    initial = read_initial(arguments.initial, scan.world_from_scanner) if arguments.initial else None
     return picks, initial
 
 

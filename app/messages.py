@@ -84,6 +84,7 @@ def report(result: PoseResult) -> str:
         lines += [
             f"Camera   {position(result)}",
             f"Rotation {orientation(result)}",
+            *([] if result.in_world is None else [f"World    {result.in_world}"]),
             f"Matches  {matches(result)}",
         ]
     return "\n".join(lines)
@@ -145,6 +146,8 @@ def comparison_report(comparison: Comparison, scan: Scan) -> str:
         reasons = [column.stage.note, *(() if result is None else result.reasons)]
         lines.append(f"{title_of(column)}: {verdict_of(column)}")
         lines += [f"  {one_line(reason)}" for reason in reasons if reason]
+        if result is not None and result.accepted and result.in_world is not None:
+            lines.append(f"  World: {result.in_world}.")
     return "\n".join(lines)
 
 

@@ -45,6 +45,7 @@ def carry_over(registration: Registration, offset: Offset | Rigid, photo_b: Phot
     )
     result = replace(
         described,
+        world_from_scanner=registration.world_from_scanner,
         accepted=registration.accepted,
         evidence="statistics" if registration.accepted else "none",
         reasons=_reasons(registration, mount, described),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from threadpoolctl import threadpool_limits
 
@@ -92,6 +92,7 @@ def compare(
 def _column(scan: Scan, photo: Photo, stage: Stage, seconds: float) -> Column:
     result, texture = stage.result, None
     if result is not None:
+        stage = replace(stage, result=replace(result, world_from_scanner=scan.world_from_scanner))
         texture = texture_scan(
             scan, photo, result.camera_from_scanner, camera=result.camera, covariance=result.joint_covariance
         )

@@ -1,9 +1,10 @@
-"""Rigid transforms, the two coordinate frames, and the thesis's six pose parameters.
+"""Rigid transforms, the coordinate frames, and the thesis's six pose parameters.
 
 | frame | axes |
 |---|---|
 | scanner | X forward, Y left, Z up |
 | camera, view | x right, y down, z forward |
+| world | those of the survey, as the scan's file states them; Z up |
 
 A transform is named by both ends: `p_camera = camera_from_scanner @ p_scanner`.
 """
@@ -25,6 +26,7 @@ CAMERA_AXES_FROM_SCANNER.flags.writeable = False
 
 _STEREO_AXES = np.diag([-1.0, -1.0, 1.0])  # the thesis's stereo frame (x = -lambda X/Z) from the OpenCV one
 _ORTHONORMAL_TOLERANCE = 1e-3
+_LEAST_FROM_VERTICAL_DEG = 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,6 +251,38 @@ def rotation_about(axis: str, angle_rad: float) -> NDArray[np.float64]:
     R[i, i] = R[j, j] = c
     R[i, j], R[j, i] = -s, s
     return R
+
+
+def describe_position(point_m: ArrayLike) -> str:
+    """Return a position (3,), m, in the world as text, to the millimetre however large its coordinates are."""
+    x, y, z = np.asarray(point_m, dtype=np.float64).reshape(3).tolist()
+    return f"X {x + 0.0:.3f}, Y {y + 0.0:.3f}, Z {z + 0.0:.3f} m"
+
+
+def describe_direction(direction: ArrayLike) -> str:
+    """Return a direction (3,) in the world as text: '31.20 deg clockwise from the Y axis, 2.10 deg up'.
+
+    Where Y is north, as in the coordinates of most surveys, the first angle is the azimuth. A vertical direction has
+    none.
+    """
+    x, y, z = np.asarray(direction, dtype=np.float64).reshape(3).tolist()
+    level = float(np.hypot(x, y))
+    pitch = float(np.degrees(np.arctan2(z, level)))
+    if 90 - abs(pitch) < _LEAST_FROM_VERTICAL_DEG:
+        return "straight up" if pitch > 0 else "straight down"
+    heading = round(float(np.degrees(np.arctan2(x, y))) % 360, 2) % 360
+    return f"{heading:.2f} deg clockwise from the Y axis, {abs(pitch):.2f} deg {'down' if pitch < 0 else 'up'}"
+
+
+def describe_world(world_from_scanner: Rigid) -> dict[str, str]:
+    """Return where a scanner stands in the world, as texts: its position, heading (of its X axis) and tilt."""
+    x_axis, z_axis = world_from_scanner.rotation[:, 0], world_from_scanner.rotation[:, 2]
+    tilt = float(np.degrees(np.arctan2(np.hypot(z_axis[0], z_axis[1]), z_axis[2])))
+    return {
+        "position": describe_position(world_from_scanner.translation),
+        "heading": f"the scanner's X axis points {describe_direction(x_axis)}",
+        "tilt": f"{tilt:.2f} deg from upright",
+    }
 
 
 def principal_extents(points: FloatArray) -> FloatArray:

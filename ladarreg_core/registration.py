@@ -134,16 +134,17 @@ def _register(
         result = _thesis_result(chain, scan, photo)
         if photo.assumed:
             result = with_assumed_camera(result, options.thesis.pose.camera_prior)
-        return _registration(result, "thesis", steps, options)
+        return _registration(result, scan, "thesis", steps, options)
     if picks:
-        return _registration(_manual_result(scan, photo, steps, picks, initial, options), "manual", steps, options)
+        result = _manual_result(scan, photo, steps, picks, initial, options)
+        return _registration(result, scan, "manual", steps, options)
     found = register_by_modality(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
     with steps.step("result"):
         result = _auto_result(found, scan, photo)
         if photo.assumed:
             result = with_assumed_camera(result, options.pose.camera_prior, shown=_SHOWN_BY_BLOCKS)
         steps.pose, steps.matches = result.camera_from_scanner, result.matches
-    return _registration(result, "auto", steps, options)
+    return _registration(result, scan, "auto", steps, options)
 
 
 def _manual_result(
@@ -256,6 +257,9 @@ def _no_pose(scan: Scan, photo: Photo) -> PoseResult:
     )
 
 
-def _registration(result: PoseResult, method: str, steps: StepLog, options: RegisterOptions) -> Registration:
+def _registration(
+    result: PoseResult, scan: Scan, method: str, steps: StepLog, options: RegisterOptions
+) -> Registration:
     fields = {name: getattr(result, name) for name in PoseResult.__dataclass_fields__}
+    fields["world_from_scanner"] = scan.world_from_scanner
     return Registration(**fields, method=method, steps=steps.steps, options=asdict(options), seed=options.seed)

@@ -11,7 +11,7 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.camera.uncertainty import CameraUncertainty
-from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
+from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
 from ladarreg_core.validation import require_number
@@ -79,6 +79,8 @@ class PoseResult:
     """(M,) laser minus stereo depth as in the thesis, m; NaN where undefined. Source: thesis Eq 2.19-2.21."""
     covariance: FloatArray
     """(6, 6) of (w, c): R_true = exp([w]x) R_estimated (rad), c = C_true - C_estimated in the scanner frame (m)."""
+    world_from_scanner: Rigid | None = None
+    """The scanner's pose in the world, from the scan; None: the scan's file states none."""
     chi2_per_dof: float
     """Over the inliers, with 2n - 6 degrees of freedom, minus one for each match known only across a line and
     for each intrinsic estimated; NaN: none."""
@@ -104,6 +106,26 @@ class PoseResult:
     def joint_covariance(self) -> FloatArray | CameraUncertainty:
         """The uncertainty to propagate into pixels: with the camera's, if there is one; else the pose's."""
         return self.covariance if self.camera_uncertainty is None else self.camera_uncertainty
+
+    @property
+    def camera_from_world(self) -> Rigid | None:
+        """The pose in the world; None where the scanner's is not known."""
+        world = self.world_from_scanner
+        return None if world is None else self.camera_from_scanner @ world.inverse
+
+    @property
+    def camera_centre_world(self) -> FloatArray | None:
+        """The camera's centre (3,) in the world, m, float64; None where the scanner's pose is not known."""
+        world = self.world_from_scanner
+        return None if world is None else world @ self.camera_from_scanner.centre
+
+    @property
+    def in_world(self) -> str | None:
+        """Where the camera stands in the world and looks, as text; None where the scanner's pose is not known."""
+        pose, centre = self.camera_from_world, self.camera_centre_world
+        if pose is None or centre is None:
+            return None
+        return f"{describe_position(centre)}; the camera looks {describe_direction(pose.rotation[2])}"
 
     @property
     def thesis_parameters(self) -> ThesisParameters:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,7 +70,7 @@ def exported_pose(
     sources = [document.scan, entry.source, entry.camera.file]
     stale, then = loader.stale(entry, pose), loader.solved_on(pose)
     return ExportedPose(
-        loader.registration(pose),
+        replace(loader.registration(pose), world_from_scanner=scan.world_from_scanner),
         loader.assessment(scan, pose),
         [folder.source_path(source.path) for source in sources if source is not None],
         [pick.as_pick() for pick in (then if stale and then is not None else entry.picks)],

@@ -31,6 +31,7 @@ from ladarreg_core.export.json import (
     plain,
     software_document,
     thesis_document,
+    world_document,
     write_document,
 )
 from ladarreg_core.photo import Photo
@@ -169,7 +170,17 @@ def _result_document(result: PoseResult | None) -> dict[str, Any]:
     if result is None:
         return {
             **dict.fromkeys(
-                ("camera_from_scanner", "thesis_parameters", "matches", "inliers", "rms_px", "rms_depth_error_m")
+                (
+                    "camera_from_scanner",
+                    "world_from_scanner",
+                    "camera_from_world",
+                    "camera_centre_world",
+                    "thesis_parameters",
+                    "matches",
+                    "inliers",
+                    "rms_px",
+                    "rms_depth_error_m",
+                )
             ),
             "accepted": False,
             "evidence": "none",
@@ -178,6 +189,7 @@ def _result_document(result: PoseResult | None) -> dict[str, Any]:
     thesis = result.thesis_parameters
     return {
         "camera_from_scanner": result.camera_from_scanner.matrix,
+        **world_document(result),
         "thesis_parameters": {
             **thesis_document(thesis),
             **{f"{name}_deg": np.degrees(getattr(thesis, name)) for name in ("alpha", "beta", "gamma")},

@@ -18,7 +18,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import write_bytes
 from ladarreg_core.frames import ThesisParameters
-from ladarreg_core.results import Registration
+from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.surface.texture import Label
 
 if TYPE_CHECKING:
@@ -30,6 +30,11 @@ CAMERA_FROM_SCANNER_IS = (
     "p_camera = camera_from_scanner @ p_scanner"
 )
 """Explanation of the direction of `camera_from_scanner`; written next to every such matrix."""
+WORLD_FROM_SCANNER_IS = (
+    "the scanner's pose as the scan's file states it: maps scanner points to the world's coordinates (m); null: the "
+    "file states none, and camera_from_world is not known either"
+)
+"""Explanation of `world_from_scanner`."""
 _REGISTRATION_VERSION = 1
 _READ_BYTES = 1 << 20
 
@@ -71,6 +76,7 @@ def registration_document(
         "scanner_from_camera": scanner_from_camera.matrix,
         "scanner_from_camera_is": "the inverse: maps camera points to the scanner; its last column is the camera's "
         "centre in the scanner frame",
+        **world_document(r),
         "camera": r.camera.as_fields(),
         "camera_sigmas": dict(r.camera_sigmas),
         **({} if r.camera_uncertainty is None else {"camera_uncertainty": r.camera_uncertainty.as_fields()}),
@@ -164,6 +170,16 @@ def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
             for place in (a.advice or () if a is not None else ())
         ],
         "not_assessed": {} if a is None else a.absent,
+    }
+
+
+def world_document(result: PoseResult) -> dict[str, Any]:
+    """Return where the scanner and the camera stand in the world, in double precision; None where it is not known."""
+    matrices = {"world_from_scanner": result.world_from_scanner, "camera_from_world": result.camera_from_world}
+    return {
+        **{name: None if pose is None else pose.matrix for name, pose in matrices.items()},
+        "world_from_scanner_is": WORLD_FROM_SCANNER_IS,
+        "camera_centre_world": result.camera_centre_world,
     }
 
 

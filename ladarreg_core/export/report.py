@@ -190,6 +190,8 @@ class _Report:
         rows.append(
             ("Orientation", f"{r.thesis_parameters.describe_orientation()}, sigma {format_angle(r.sigma_angle_rad)}")
         )
+        if r.in_world is not None:
+            rows.append(("In the world", r.in_world))
         uncertainty = self._document.get("uncertainty")
         if uncertainty:
             rows.append(
@@ -256,8 +258,22 @@ class _Report:
         return table(("intrinsics", "value", "sigma", "unit"), rows, numbers=(1, 2))
 
     def _matrix(self) -> Html:
-        rows = [tuple(f"{value:.9g}" for value in row) for row in self._r.camera_from_scanner.matrix]
-        return joined(tag("p", CAMERA_FROM_SCANNER_IS, class_="dim"), table((), rows, numbers=(0, 1, 2, 3)))
+        shown = [(CAMERA_FROM_SCANNER_IS, self._r.camera_from_scanner, ".9g")]
+        for words, pose in (
+            ("camera_from_world: the same from the world's coordinates", self._r.camera_from_world),
+            ("world_from_scanner: the scanner's pose as the scan's file states it", self._r.world_from_scanner),
+        ):
+            if pose is not None:  # its coordinates may be millions of metres
+                shown.append((words, pose, ".15g"))
+        return joined(
+            *(
+                joined(
+                    tag("p", words, class_="dim"),
+                    table((), [tuple(f"{v:{digits}}" for v in row) for row in pose.matrix], numbers=(0, 1, 2, 3)),
+                )
+                for words, pose, digits in shown
+            )
+        )
 
     def _refused_guess(self) -> Html:
         if not self._has_guess:

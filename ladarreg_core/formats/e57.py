@@ -176,6 +176,8 @@ def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDA
     notes: list[str] = []
     if len(info.scans) > 1:
         notes.append(f"the file contains {len(info.scans)} scans; this is {scan.name!r}")
+    if scan.pose_problem:
+        notes.append(scan.pose_problem)
     if info.images:
         count = len(info.images)
         notes.append(f"the file contains {count} embedded image{'s' * (count > 1)} that can be extracted")

@@ -6,6 +6,7 @@ claims more than it contains is refused before memory is allocated.
 
 from __future__ import annotations
 
+import math
 import struct
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ import numpy as np
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.pcd import pose_of_quaternion
 from ladarreg_core.formats.untrusted import one_line
+from ladarreg_core.formats.world_pose import LARGEST_COORDINATE_M
 from ladarreg_core.frames import Rigid
 
 SIGNATURE = b"ASTM-E57"
@@ -29,6 +31,8 @@ _LARGEST_XML = 32 << 20
 _DEEPEST = 64
 _MOST_ELEMENTS = 500_000
 _MOST_CHILDREN = 4_000  # the native reader compares the names of all of them
+_UNIT_TOLERANCE = 1e-3
+_LEAST_LENGTH = 1e-9
 _LEAST_BITS = 8  # smallest point record
 
 
@@ -54,6 +58,8 @@ class E57ScanInfo:
     world_from_scanner: Rigid | None
     color_largest: float
     """Largest value of a colour channel; 255 where the file gives none."""
+    pose_problem: str = ""
+    """A sentence on a pose that is not a rigid transformation; empty: it is one, or there is none."""
 
     @property
     def field_names(self) -> frozenset[str]:
@@ -253,6 +259,7 @@ def _scan(node: _Node, index: int, file_bytes: int) -> E57ScanInfo:
         grid,
         _pose(_child(node, "pose")),
         _number(_child(node, "colorLimits", "colorRedMaximum"), 255.0),
+        _pose_problem(_child(node, "pose")),
     )
 
 
@@ -268,11 +275,36 @@ def _field(node: _Node) -> E57Field:
 
 
 def _pose(node: _Node | None) -> Rigid | None:
-    if node is None:
+    if node is None or _beyond_repair(*_rotation_and_translation(node)):
         return None
+    return pose_of_quaternion(*_rotation_and_translation(node))
+
+
+def _pose_problem(node: _Node | None) -> str:
+    if node is None:
+        return ""
+    quaternion, translation = _rotation_and_translation(node)
+    length = math.hypot(*quaternion)
+    if _beyond_repair(quaternion, translation):
+        return (
+            "the scan's pose in the file is not a rotation and a translation in metres (quaternion "
+            f"{', '.join(f'{q:g}' for q in quaternion)}; translation {', '.join(f'{t:g}' for t in translation)}): it "
+            "is ignored, and where the scanner stands in the world is not known"
+        )
+    if abs(length - 1) > _UNIT_TOLERANCE:
+        return f"the quaternion of the scan's pose has the length {length:.4g} instead of 1 and was normalised"
+    return ""
+
+
+def _rotation_and_translation(node: _Node) -> tuple[list[float], list[float]]:
     quaternion = [_number(_child(node, "rotation", axis), float(axis == "w")) for axis in "wxyz"]
-    translation = [_number(_child(node, "translation", axis)) for axis in "xyz"]
-    return pose_of_quaternion(quaternion, translation)
+    return quaternion, [_number(_child(node, "translation", axis)) for axis in "xyz"]
+
+
+def _beyond_repair(quaternion: list[float], translation: list[float]) -> bool:
+    length = math.hypot(*quaternion)
+    largest = max(map(abs, translation))
+    return not (_LEAST_LENGTH < length < math.inf and largest <= LARGEST_COORDINATE_M)
 
 
 def _images(root: _Node, file_bytes: int) -> Iterator[E57ImageInfo]:

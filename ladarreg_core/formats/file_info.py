@@ -17,12 +17,12 @@ from ladarreg_core.formats.e57_header import E57ImageInfo, E57ScanInfo, read_e57
 from ladarreg_core.formats.e57_images import camera_of_image
 from ladarreg_core.formats.exif import exif_facts, focal_from_exif, orientation_of, upright
 from ladarreg_core.formats.image_file import read_image
-from ladarreg_core.formats.json_file import begins_with_brace, read_json_object
+from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
 from ladarreg_core.formats.matches_file import csv_rows
-from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD, read_pose
 from ladarreg_core.formats.scan_request import ScanRequest
 from ladarreg_core.formats.untrusted import one_line, reading, shown_name
-from ladarreg_core.frames import ThesisParameters
+from ladarreg_core.frames import ThesisParameters, describe_direction, describe_position, describe_world
 from ladarreg_core.scan import Scan
 
 FileKind = Literal["scan", "photo", "camera", "pose", "matches"]
@@ -64,6 +64,8 @@ class FileInfo:
     """EXIF facts."""
     pose: Mapping[str, Any] = field(default_factory=dict)
     """Pose, formatted."""
+    world: Mapping[str, Any] = field(default_factory=dict)
+    """Where the scanner stands in the world, formatted; empty: the file does not state it."""
     matches: str | None = None
     """Number of points and lines."""
     notes: tuple[str, ...] = ()
@@ -93,6 +95,7 @@ def _describe_scan(path: Path, scan: Scan, format_name: str, **more: Any) -> Fil
         intensity=(float(intensity.min()), float(intensity.max())),
         step_deg=(float(np.degrees(scan.geometry.step_rad[0])), float(np.degrees(scan.geometry.step_rad[1]))),
         color=scan.color is not None,
+        world={} if scan.world_from_scanner is None else describe_world(scan.world_from_scanner),
         notes=scan.notes,
         **more,
     )
@@ -119,7 +122,9 @@ def describe_e57(path: Path) -> FileInfo:
 def _scan_line(scan: E57ScanInfo) -> str:
     grid = f"grid {scan.grid[0]} x {scan.grid[1]}" if scan.grid else "no grid"
     has = [word for word, name in (("intensity", "intensity"), ("colour", "colorRed")) if name in scan.field_names]
-    return f"{scan.name}: {scan.points:,} points, {grid}, {' and '.join(has) or 'neither intensity nor colour'}"
+    pose = scan.world_from_scanner
+    place = "" if pose is None else f", scanner at {describe_position(pose.translation)}"
+    return f"{scan.name}: {scan.points:,} points, {grid}, {' and '.join(has) or 'neither intensity nor colour'}{place}"
 
 
 def _image_line(image: E57ImageInfo) -> str:
@@ -167,6 +172,17 @@ def describe_camera_file(path: Path) -> FileInfo:
 
 def describe_pose(path: Path) -> FileInfo:
     """Describe a pose file."""
+    with reading(path) as file, parsed_once():
+        fields = read_json_object(file, "a pose file")
+        in_world = read_pose(path, field=WORLD_FIELD) if fields.get(WORLD_FIELD) is not None else None
+        camera_in_world: dict[str, Any] = {}
+        if in_world is not None:
+            camera_in_world["in_the_world"] = describe_position(in_world.centre)
+            camera_in_world["looks"] = describe_direction(in_world.rotation[2])
+        if fields.get(POSE_FIELD) is None and in_world is not None:
+            return FileInfo(
+                file=shown_name(file), bytes=file.stat().st_size, kind="pose", format="JSON", pose=camera_in_world
+            )
     pose = read_pose(path)
     six = ThesisParameters.from_pose(pose)
     angles = (np.degrees(angle) for angle in (six.alpha, six.beta, six.gamma))
@@ -178,6 +194,7 @@ def describe_pose(path: Path) -> FileInfo:
         pose={
             "camera": six.describe_position(),
             "pan_tilt_roll_deg": ", ".join(f"{angle:.2f}" for angle in angles),
+            **camera_in_world,
         },
     )
 

@@ -27,6 +27,8 @@ from ladarreg_core.formats.untrusted import (
     shown_name,
     unit_notes,
 )
+from ladarreg_core.formats.world_pose import world_pose
+from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import IntensityKind, Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, ScanGeometry, TabulatedGrid, range_from_counts
@@ -35,6 +37,8 @@ SCALARS = ("r0_m", "dr_m", "d_azimuth_rad", "d_elevation_rad")
 OFFSETS = ("azimuth_offset_rad", "elevation_offset_rad")
 _LONGEST_HEADER = 4096
 _PIECE = 1 << 20
+_MOST_APART_RAD = 5e-3
+_MOST_APART_SHARE = 0.01
 # Measured peak memory per cell of a read, beyond the file's arrays.
 _XYZ_BYTES = 330
 _COUNTS_BYTES = 40
@@ -51,6 +55,8 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
     Args:
         path: a file with `intensity` (H, W) and either `xyz` (H, W, 3), m, NaN or (0, 0, 0) = no return, or `counts`
             (H, W), 0 = no return, with `r0_m`, `dr_m`, `d_azimuth_rad`, `d_elevation_rad` and optional offsets.
+            Optional: `color` (H, W, 3) uint8, `rays` (H, W, 3), directions also of cells without a return (those of
+            the points are their own), `world_from_scanner` (4, 4).
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress.
 
@@ -83,20 +89,26 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         color = members.get("color")
         if color is not None and (color.shape != (*intensity.shape, 3) or color.dtype != np.uint8):
             raise ShapeError(f"'color' is {color.dtype} {color.shape}; it must be uint8 {(*intensity.shape, 3)}")
-        arrays = sum(member.bytes_per_cell for member in (intensity, measured, color) if member is not None)
+        rays = members.get("rays")
+        if rays is not None and (rays.shape != (*intensity.shape, 3) or rays.dtype.kind != "f"):
+            raise ShapeError(f"'rays' is {rays.dtype} {rays.shape}; it must be float {(*intensity.shape, 3)}")
+        world_from_scanner = _world_pose(archive, members)
+        arrays = sum(member.bytes_per_cell for member in (intensity, measured, color, rays) if member is not None)
         budget = ReadBudget.of(file.stat().st_size, memory_bytes)
-        budget.require_cells(*intensity.shape, arrays + (_XYZ_BYTES if name == "xyz" else _COUNTS_BYTES))
+        in_tables = name == "xyz" or rays is not None
+        budget.require_cells(*intensity.shape, arrays + (_XYZ_BYTES if in_tables else _COUNTS_BYTES))
         total = 2 + (color is not None)
         _report(report, 0, total)
         shown = as_float32(intensity.read(archive))
         _report(report, 1, total)
         values = measured.read(archive)
         _report(report, 2, total)
+        directions = None if rays is None else rays.read(archive)
         if name == "xyz":
-            geometry, metres, notes = _from_xyz(values)
+            geometry, metres, notes = _from_xyz(values, directions)
         else:
             geometry, metres = _from_counts(values, _scalars(archive, members))
-            notes = ()
+            geometry, notes = geometry if directions is None else TabulatedGrid(_unit(directions)), ()
         ranges = as_float32(metres)
         return Scan(
             geometry,
@@ -104,6 +116,7 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
             shown,
             color=None if color is None else color.read(archive),
             intensity_is=_intensity_is(archive, members),
+            world_from_scanner=world_from_scanner,
             name=file.stem,
             notes=(*notes, *unit_notes(ranges)),
         )
@@ -145,10 +158,19 @@ def write_npz_counts(
 def write_npz_xyz(path: PathLike, scan: Scan) -> None:
     """Write a scan in the xyz form, float32 metres in the scanner frame, NaN = no return.
 
+    With `rays`, the directions of all cells, and `world_from_scanner` if it is known.
+
     Raises:
         ExportError: if the file cannot be written.
     """
-    arrays: dict[str, Any] = {"xyz": scan.points, "intensity": scan.intensity, "intensity_is": scan.intensity_is}
+    arrays: dict[str, Any] = {
+        "xyz": scan.points,
+        "intensity": scan.intensity,
+        "intensity_is": scan.intensity_is,
+        "rays": scan.rays.astype(np.float32),
+    }
+    if scan.world_from_scanner is not None:
+        arrays["world_from_scanner"] = scan.world_from_scanner.matrix
     if scan.color is not None:
         arrays["color"] = scan.color
     _save(path, arrays)
@@ -204,7 +226,8 @@ class _Member:
 
 def _members(archive: zipfile.ZipFile) -> dict[str, _Member]:
     """Return the known arrays of an archive by name; other arrays are ignored, even pickled ones."""
-    wanted = {"intensity", "xyz", "counts", "color", "intensity_is", *SCALARS, *OFFSETS}
+    optional = {"color", "rays", "world_from_scanner", "intensity_is"}
+    wanted = {"intensity", "xyz", "counts", *optional, *SCALARS, *OFFSETS}
     found: dict[str, _Member] = {}
     for entry in archive.infolist():
         name = entry.filename.removesuffix(".npy")
@@ -305,7 +328,9 @@ def _from_counts(counts: NDArray[Any], scalars: dict[str, float]) -> tuple[ScanG
     return geometry, range_from_counts(counts, scalars["r0_m"], scalars["dr_m"])
 
 
-def _from_xyz(xyz: NDArray[Any]) -> tuple[ScanGeometry, NDArray[np.float64], tuple[str, ...]]:
+def _from_xyz(
+    xyz: NDArray[Any], directions: NDArray[Any] | None
+) -> tuple[ScanGeometry, NDArray[np.float64], tuple[str, ...]]:
     points = xyz.astype(np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
         ranges = np.linalg.norm(points, axis=-1)
@@ -316,11 +341,47 @@ def _from_xyz(xyz: NDArray[Any]) -> tuple[ScanGeometry, NDArray[np.float64], tup
         )
     points[missing] = np.nan
     ranges[missing] = np.nan
-    rays = unit_rays(points)
+    if directions is not None:
+        table = _unit(directions)
+        _require_same(points, ranges, table)
+        points[missing] = table[missing]  # a point's own direction is exact, that of a table may be rounded
+    rays = unit_rays(points) if directions is None else unit_rays(np.where(missing[..., None], np.nan, points))
     # The file's order is kept: the cells in matches files refer to it.
     wrong = is_scan_grid(rays) and order_of(rays)
     note = "row 0 is not the top or column 0 not the left: the scan is shown rotated or mirrored"
     return TabulatedGrid(points), ranges, (note,) if wrong else ()
+
+
+def _unit(directions: NDArray[Any]) -> NDArray[np.float64]:
+    """Return directions (H, W, 3) as unit vectors; NaN for those that are zero or not finite."""
+    rays = directions.astype(np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.linalg.norm(rays, axis=-1, keepdims=True)
+        rays /= lengths
+    rays[~(np.isfinite(lengths) & (lengths > 0))[..., 0]] = np.nan
+    return rays
+
+
+def _require_same(points: NDArray[np.float64], ranges: NDArray[np.float64], table: NDArray[np.float64]) -> None:
+    """Refuse directions that are not those of the points."""
+    with np.errstate(invalid="ignore"):
+        apart = np.linalg.norm(points / ranges[..., None] - table, axis=-1)
+    apart = apart[np.isfinite(apart)]
+    share = float(np.mean(apart > _MOST_APART_RAD)) if apart.size else 0.0
+    if share > _MOST_APART_SHARE:
+        raise FormatError(
+            f"{100 * share:.0f} % of the points of 'xyz' do not lie on their 'rays' (median difference "
+            f"{np.degrees(np.median(apart)):.2g} deg); both must be in the scanner's frame"
+        )
+
+
+def _world_pose(archive: zipfile.ZipFile, members: dict[str, _Member]) -> Rigid | None:
+    member = members.get("world_from_scanner")
+    if member is None:
+        return None
+    if member.shape != (4, 4):
+        raise ShapeError(f"'world_from_scanner' has the shape {member.shape}; it must be (4, 4)")
+    return world_pose(member.read(archive), "'world_from_scanner'")
 
 
 def _intensity_is(archive: zipfile.ZipFile, members: dict[str, _Member]) -> IntensityKind:

@@ -1,13 +1,16 @@
-"""Pose files: `{"camera_from_scanner": 4 x 4}`; every `registration.json` is one, too."""
+"""Pose files: `{"camera_from_scanner": 4 x 4}`, or `camera_from_world`; every `registration.json` is one, too."""
 
 from __future__ import annotations
 
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, ShapeError
-from ladarreg_core.formats.json_file import number, read_json_object, write_json
+from ladarreg_core.formats.json_file import number, parsed_once, read_json_object, write_json
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.frames import Rigid
 
 POSE_FIELD = "camera_from_scanner"
+WORLD_FIELD = "camera_from_world"
+_SAME_PLACE_M = 1e-4
+_SAME_PLACE_RAD = 1e-5
 
 
 def read_pose(path: PathLike, *, field: str = POSE_FIELD) -> Rigid:
@@ -31,6 +34,37 @@ def read_pose(path: PathLike, *, field: str = POSE_FIELD) -> Rigid:
             return Rigid.from_matrix(matrix)
         except (DegenerateGeometryError, ShapeError) as error:
             raise FormatError(f"{field!r} is not a rigid transform: {error}") from error
+
+
+def read_initial(path: PathLike, world_from_scanner: Rigid | None) -> Rigid:
+    """Read an initial pose for a scan, `camera_from_scanner`, from a pose file that may state it in the world.
+
+    Of a file with both poses, such as a `registration.json`, the pose in the world is used if the file's own
+    `world_from_scanner` is another than the scan's: the camera was then registered with another scan of the survey.
+
+    Args:
+        path: a file with `camera_from_scanner` or `camera_from_world`.
+        world_from_scanner: the scan's; None: not known.
+
+    Raises:
+        FormatError: as `read_pose`, or if the file states the pose in the world only and the scan's is not known.
+    """
+    with reading(path) as file, parsed_once():
+        fields = read_json_object(file, "a pose file")
+        in_world = fields.get(WORLD_FIELD) is not None
+        if in_world and world_from_scanner is not None and fields.get("world_from_scanner") is not None:
+            other = read_pose(path, field="world_from_scanner")
+            moved = other.distance_to(world_from_scanner) > _SAME_PLACE_M
+            if moved or other.angle_to(world_from_scanner) > _SAME_PLACE_RAD:
+                return read_pose(path, field=WORLD_FIELD) @ world_from_scanner
+        if fields.get(POSE_FIELD) is not None or not in_world:
+            return read_pose(path)
+        if world_from_scanner is None:
+            raise FormatError(
+                f"it states the camera's pose in the world ({WORLD_FIELD!r}), but the scan's file does not say where "
+                f"the scanner stands in the world; give {POSE_FIELD!r}, or a scan with its pose (E57, PTX, NPZ)"
+            )
+        return read_pose(path, field=WORLD_FIELD) @ world_from_scanner
 
 
 def write_pose(path: PathLike, camera_from_scanner: Rigid) -> None:

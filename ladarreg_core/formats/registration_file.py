@@ -49,6 +49,9 @@ def read_registration(path: PathLike) -> Registration:
             residuals_px=np.zeros((0, 2)),
             residuals_m=np.zeros(0),
             stereo_depth_error_m=np.zeros(0),
+            world_from_scanner=None
+            if fields.get("world_from_scanner") is None
+            else read_pose(path, field="world_from_scanner"),
             covariance=_covariance(fields.get("covariance")),
             camera_uncertainty=_camera_uncertainty(fields.get("camera_uncertainty")),
             chi2_per_dof=float("nan"),

@@ -32,7 +32,7 @@ from ladarreg_core.formats.image_file import image_format
 from ladarreg_core.formats.json_file import parsed_once, read_json_object
 from ladarreg_core.formats.npz import read_npz, sniff_npz
 from ladarreg_core.formats.pcd import read_pcd, sniff_pcd
-from ladarreg_core.formats.pose_file import POSE_FIELD
+from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD
 from ladarreg_core.formats.scan_request import IntensitySource, ScanRequest
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.progress import Report
@@ -84,9 +84,9 @@ def _json_kind(head: bytes, file: Path) -> FileKind | None:
     try:
         fields = read_json_object(file, "a JSON file")
     except FormatError:  # damaged or too large: decide by the names in its first bytes, so that its reader says why
-        fields = {word: True for word in ("kind", "matches", POSE_FIELD, "fx", "camera_matrix")
+        fields = {word: True for word in ("kind", "matches", POSE_FIELD, WORLD_FIELD, "fx", "camera_matrix")
                   if json.dumps(word).encode() in head}  # fmt: skip
-    if POSE_FIELD in fields:
+    if POSE_FIELD in fields or WORLD_FIELD in fields:
         return "pose"
     if "matches" in fields:
         return "matches"

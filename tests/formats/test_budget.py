@@ -97,7 +97,7 @@ def test_large_valid_files_are_within_the_budget() -> None:
 
 def test_the_budget_is_an_option_and_named(tmp_path: Path, wall: Scan) -> None:
     write_npz_xyz(tmp_path / "a.npz", wall)
-    with pytest.raises(FormatError, match=r"its grid of 24 x 36 cells would need 0\.000299 GB .* may use 0\.0001 GB"):
+    with pytest.raises(FormatError, match=r"its grid of 24 x 36 cells would need 0\.000309 GB .* may use 0\.0001 GB"):
         read_scan(tmp_path / "a.npz", memory_bytes=100_000)
     assert read_scan(tmp_path / "a.npz", memory_bytes=1_000_000).shape == (24, 36)
     for wrong in (0, -1, 1.5, True):
