@@ -103,7 +103,7 @@ class InputArguments(ScanArguments):
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
     matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Manual matches: JSON, or CSV of points."""
+    """Manual matches: JSON, or CSV of points; rays, cells, or points with their lengths."""
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Initial pose: a pose JSON, from the scanner or from the world, or an earlier registration.json."""
     camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -148,6 +148,8 @@ class RegisterArguments(InputArguments):
     """Thesis: stereo depth error above which a match is an outlier; default: estimated from the data."""
     samples_per_line: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Thesis: sample points per manual line (9)."""
+    match_tolerance_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    """Largest difference allowed between lengths of matches and the scan's ranges; default: 3 sigma, at least .05."""
     intrinsics: Literal["auto", "fixed", "focal", "focal-k1", "focal-k1-centre"] | None = None
     """Camera parameters to estimate; auto: those that the image, or held-out matches, support."""
     centre_sigma_percent: Annotated[float | None, tyro.conf.arg(metavar="PERCENT")] = None
@@ -202,7 +204,11 @@ def register_options(arguments: RegisterArguments) -> RegisterOptions:
     pose = replace(options.pose, camera_prior=prior, **_given(intrinsics=intrinsics))
     auto = options.auto if intrinsics == "focal_k1_centre" else replace(options.auto, **_given(intrinsics=intrinsics))
     return RegisterOptions(
-        seed=arguments.seed, thesis=thesis, pose=pose, auto=auto, **_given(samples_per_line=arguments.samples_per_line)
+        seed=arguments.seed,
+        thesis=thesis,
+        pose=pose,
+        auto=auto,
+        **_given(samples_per_line=arguments.samples_per_line, match_tolerance_m=arguments.match_tolerance_m),
     )
 
 

@@ -24,7 +24,8 @@ ACCEPTED = {
 """The verdict on an accepted pose, by its evidence."""
 _HEAD_WIDTH = 16
 _MOST_FINDINGS = 4
-_IN_REASONS = {"matches", "inliers", "residuals"}
+_MOST_LENGTHS = 40
+_IN_REASONS = {"matches", "inliers", "residuals", "lengths"}
 """Findings that the reasons of a refusal already state."""
 _IN_CAUTIONS = {"matches", "spread", "relief", "baseline", "disparity"}
 """Findings that the cautions of the thesis's methods already state."""
@@ -88,6 +89,31 @@ def report(result: PoseResult) -> str:
             f"Matches  {matches(result)}",
         ]
     return "\n".join(lines)
+
+
+def length_lines(result: PoseResult) -> list[str]:
+    """Return the lengths that came with matches beside the scan's ranges as a table; empty without lengths."""
+    from ladarreg_core.export.comparison_table import Table
+
+    listed = (result.diagnostics.get("lengths") or {}).get("matches") or []
+    if not listed:
+        return []
+    rows = [
+        (
+            one_line(one["name"]) + (" (end)" if one["end"] else ""),
+            f"{one['length_m']:.3f}",
+            "-" if one["scan_range_m"] is None else f"{one['scan_range_m']:.3f}",
+            "-" if one["difference_m"] is None else f"{one['difference_m']:+.3f}",
+            f"{one['tolerance_m']:.3f}",
+            "beyond" if one["beyond"] else "" if one["state"] == "compared" else one["state"],
+        )
+        for one in listed[:_MOST_LENGTHS]
+    ]
+    lines = ["Lengths of the matches and the scan's own ranges, m:"]
+    lines += aligned(Table(heads=("length", "scan", "difference", "tolerance", ""), rows=tuple(rows))).splitlines()
+    if len(listed) > _MOST_LENGTHS:
+        lines.append(f"and {len(listed) - _MOST_LENGTHS} more in registration.json")
+    return [line.rstrip() for line in lines]
 
 
 def assessment_lines(assessment: Assessment, result: Registration) -> list[str]:

@@ -11,6 +11,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.matching.thesis.chain import thesis_stages
 from ladarreg_core.photo import Photo
+from ladarreg_core.picks.lengths import with_lengths_checked
 from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.results import Stage
@@ -84,9 +85,17 @@ def compare(
         result=default if known else None,
         note="" if known else " ".join(default.reasons),
     )
-    columns = [_column(scan, photo, stage, spent.get(stage.name, 0.0)) for stage in found.stages]
+    stages = [_checked(scan, stage, picks or (), o) for stage in found.stages]
+    columns = [_column(scan, photo, stage, spent.get(stage.name, 0.0)) for stage in stages]
     columns.append(_column(scan, photo, last, sum(step.seconds for step in default.steps)))
     return Comparison(columns=tuple(columns), cautions=(*found.cautions, *found.losses), seed=o.seed)
+
+
+def _checked(scan: Scan, stage: Stage, picks: Sequence[Pick], options: RegisterOptions) -> Stage:
+    if stage.result is None:
+        return stage
+    result = with_lengths_checked(stage.result, scan, picks, tolerance_m=options.match_tolerance_m)
+    return replace(stage, result=result)
 
 
 def _column(scan: Scan, photo: Photo, stage: Stage, seconds: float) -> Column:

@@ -38,6 +38,10 @@ class Pick:
     """Relative weight, > 0."""
     origin: str = "manual"
     """Source: `manual`, `file`, or the name of a detector."""
+    lengths_m: FloatArray | None = None
+    """(1 or 2,) distances from the scanner that came with the match, m, used as its ranges; None: the scan's are."""
+    name: str = ""
+    """Name for users, e.g. of a target; empty: none."""
 
     def __post_init__(self) -> None:
         require_choice(self.kind, get_args(PickKind), f"the kind of match {self.id!r}", error=ShapeError)
@@ -47,6 +51,11 @@ class Pick:
         if not (np.isfinite(scan).all() and np.isfinite(photo).all() and scan.any(axis=-1).all()):
             raise ShapeError(f"match {self.id!r} has a coordinate that is not finite, or a ray of length zero")
         require_positive(self.weight, f"the weight of match {self.id!r}", error=ShapeError)
+        if self.lengths_m is not None:
+            lengths = read_only(self.lengths_m, np.float64, (ends,), f"the lengths of match {self.id!r}")
+            if not (np.isfinite(lengths).all() and (lengths > 0).all()):
+                raise ShapeError(f"match {self.id!r} has a length that is not a positive number")
+            object.__setattr__(self, "lengths_m", lengths)
         object.__setattr__(self, "scan", read_only(unit_rays(scan), np.float64, (ends, 3), "rays"))
         object.__setattr__(self, "photo", photo)
 

@@ -16,6 +16,7 @@ from ladarreg_core.matching.auto import AutoOptions, AutoResult
 from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.thesis.chain import ThesisOptions, ThesisResult, thesis_stages
 from ladarreg_core.photo import Photo
+from ladarreg_core.picks.lengths import with_lengths_checked
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE, LineUse, check_line_use, check_samples, matches_from_picks
 from ladarreg_core.pose.assumed_camera import with_assumed_camera
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
@@ -24,7 +25,7 @@ from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.validation import LARGEST_INT, require_choice, require_int, require_type
+from ladarreg_core.validation import LARGEST_INT, require_choice, require_int, require_positive, require_type
 
 _LOSSES_SHOWN = 3
 _SHOWN_BY_BLOCKS = 0.37  # of an offset of the principal point; the pose has absorbed the rest of what blocks can show
@@ -49,6 +50,9 @@ class RegisterOptions:
     """Use of lines drawn by hand in `manual`; `thesis` samples them at equal intervals."""
     samples_per_line: int = SAMPLES_PER_LINE
     """Number of samples along a line drawn by hand, if it is sampled."""
+    match_tolerance_m: float | None = None
+    """Largest difference allowed between the lengths that came with matches and the scan's own ranges, m; None: three
+    standard deviations of the range, and 5 cm at least."""
 
     @property
     def seeded_thesis(self) -> ThesisOptions:
@@ -59,6 +63,8 @@ class RegisterOptions:
         require_int(self.seed, "the seed", least=0, most=LARGEST_INT)
         check_samples(self.samples_per_line)
         check_line_use(self.lines)
+        if self.match_tolerance_m is not None:
+            require_positive(self.match_tolerance_m, "match_tolerance_m")
 
 
 def register(
@@ -134,9 +140,11 @@ def _register(
         result = _thesis_result(chain, scan, photo)
         if photo.assumed:
             result = with_assumed_camera(result, options.thesis.pose.camera_prior)
+        result = with_lengths_checked(result, scan, picks or (), tolerance_m=options.match_tolerance_m)
         return _registration(result, scan, "thesis", steps, options)
     if picks:
         result = _manual_result(scan, photo, steps, picks, initial, options)
+        result = with_lengths_checked(result, scan, picks, tolerance_m=options.match_tolerance_m)
         return _registration(result, scan, "manual", steps, options)
     found = register_by_modality(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
     with steps.step("result"):

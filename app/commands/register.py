@@ -12,7 +12,7 @@ import tyro
 from ..arguments import RegisterArguments, check_method, register_options
 from ..exit_codes import ExitCode
 from ..inputs import print_notes, read_inputs, read_start, timed
-from ..messages import assessment_lines, report, verdict
+from ..messages import assessment_lines, length_lines, report, verdict
 from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def run(arguments: Arguments) -> ExitCode:
         print(verdict(result))
     else:
         print_notes(scan, photo)
-        print("\n".join([report(result), *assessment_lines(assessment, result)]))
+        print("\n".join([report(result), *length_lines(result), *assessment_lines(assessment, result)]))
         if arguments.smooth:
             print(
                 f"Smooth   {smoothed.sentence if smoothed else 'Skipped: only an accepted registration is smoothed.'}"

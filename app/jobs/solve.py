@@ -105,6 +105,11 @@ class SolveJobs:
         of_picks: bool = True,
     ) -> str:
         """Commit a result, show its stage, and return a summary; `of_picks`: whether it was solved on the picks."""
+        from ladarreg_core.picks.lengths import with_lengths_checked
+
+        if of_picks:
+            tolerance_m = inputs.settings.register_options.match_tolerance_m
+            result = with_lengths_checked(result, inputs.scan, inputs.picks, tolerance_m=tolerance_m)
         picks = inputs.entry.picks if of_picks else None
         entry = pose_entry(stage, result, picks=picks, method=method, seconds=seconds, note=note)
         self._workspace.commit(

@@ -18,6 +18,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import write_bytes
 from ladarreg_core.frames import ThesisParameters
+from ladarreg_core.picks.lengths import lengths_by_end
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.surface.texture import Label
 
@@ -69,6 +70,7 @@ def registration_document(
     """
     r = registration
     scanner_from_camera = r.camera_from_scanner.inverse
+    lengths = lengths_by_end(r.diagnostics)
     document = {
         "version": _REGISTRATION_VERSION,
         "camera_from_scanner": r.camera_from_scanner.matrix,
@@ -105,6 +107,7 @@ def registration_document(
                 "ray": r.matches.rays[k],
                 "range_m": r.matches.ranges[k],
                 "influence": _influence(assessment, k),
+                **_length_document(lengths.get((pick_id, round(float(r.matches.fractions[k]))))),
             }
             for k, pick_id in enumerate(r.matches.pick_ids)
         ],
@@ -140,6 +143,20 @@ def _influence(assessment: Assessment | None, k: int) -> dict[str, float] | None
     if found is None:
         return None
     return {name: getattr(found, name)[k] for name in ("position_m", "angle_rad", "pixels", "cook")}
+
+
+def _length_document(length: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return how the length that came with a match compares with the scan's own range; empty without a length."""
+    if length is None:
+        return {}
+    return {
+        "name": length["name"],
+        "range_is": "as stated with the match",
+        "scan_range_m": length["scan_range_m"],
+        "length_minus_scan_m": length["difference_m"],
+        "length_tolerance_m": length["tolerance_m"],
+        "length_state": length["state"],
+    }
 
 
 def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:

@@ -211,6 +211,8 @@ def describe_matches(path: Path) -> FileInfo:
             entries = fields["matches"] if isinstance(fields["matches"], list) else []
             lines = sum(isinstance(entry, dict) and entry.get("kind") == "line" for entry in entries)
             count, coordinates = f"{len(entries) - lines} points, {lines} lines", fields.get("scan_coordinates", "?")
+            if coordinates == "point":
+                coordinates = f"{fields.get('frame', 'scanner')} point"
         return FileInfo(
             file=shown_name(file),
             bytes=file.stat().st_size,

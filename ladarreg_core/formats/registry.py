@@ -103,7 +103,7 @@ def _sniff_json(kind: FileKind) -> Callable[[bytes, Path], bool]:
 
 def _sniff_csv(head: bytes, file: Path) -> bool:
     line = head.removeprefix(b"\xef\xbb\xbf").lstrip().partition(b"\n")[0].lower()
-    return [cell.strip() for cell in line.split(b",")][-2:] == [b"u", b"v"]
+    return {b"u", b"v"} <= {cell.strip() for cell in line.split(b",")}
 
 
 def _by_path(describe: Callable[[Path], FileInfo]) -> Callable[[Path, ScanRequest], FileInfo]:

@@ -70,11 +70,12 @@ class PickMeasurements:
     """The scan."""
     photo: Photo
     """The photo."""
-    _cache: dict[tuple[str, bytes, bytes, str, float], tuple[Matches, tuple[str, ...]]] = field(default_factory=dict)
+    _cache: dict[tuple[object, ...], tuple[Matches, tuple[str, ...]]] = field(default_factory=dict)
 
     def of(self, pick: Pick) -> tuple[Matches, tuple[str, ...]]:
         """Return the matches of one pick, on or off, and sentences on any loss of samples."""
-        key = (pick.id, pick.scan.tobytes(), pick.photo.tobytes(), pick.kind, pick.weight)
+        lengths = None if pick.lengths_m is None else pick.lengths_m.tobytes()
+        key = (pick.id, pick.scan.tobytes(), pick.photo.tobytes(), pick.kind, pick.weight, lengths, pick.name)
         if key not in self._cache:
             if len(self._cache) >= _MOST_CACHED:
                 self._cache.clear()
@@ -166,7 +167,10 @@ def pick_points(scan: Scan, picks: Sequence[Pick]) -> tuple[FloatArray, list[str
     if not rays:
         return np.zeros((0, 3)), ids, on
     directions = np.concatenate(rays)
-    return directions * measured_ranges(scan, directions).outline[:, None], ids, on
+    ranges = measured_ranges(scan, directions).outline
+    stated = [np.full(len(pick.scan), np.nan) if pick.lengths_m is None else pick.lengths_m for pick in picks]
+    ranges = np.where(np.isnan(np.concatenate(stated)), ranges, np.concatenate(stated))
+    return directions * ranges[:, None], ids, on
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from ladarreg_core.matching.auto import AutoOptions, AutoResult
 from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.verification import GateOptions, Verification
 from ladarreg_core.photo import Photo
+from ladarreg_core.picks.lengths import refused_by_lengths
 from ladarreg_core.progress import StepLog
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -88,8 +89,13 @@ def _checked(scan: Scan, photo: Photo, result: PoseResult, steps: StepLog, seed:
 def with_image_check(result: ResultT, check: ImageCheck) -> ResultT:
     """Return a result with the verdict that follows from its image verification.
 
-    The verdict on the match statistics is kept under the diagnostics `statistics`, on which a later check builds.
+    The verdict on the match statistics is kept under the diagnostics `statistics`, on which a later check builds. What
+    was refused for the lengths of its matches stays refused: those concern where the scan stands, which no image shows.
     """
+    return refused_by_lengths(_with_outcome(result, check))
+
+
+def _with_outcome(result: ResultT, check: ImageCheck) -> ResultT:
     before = result.diagnostics.get("statistics") or {
         "accepted": bool(result.accepted),
         "evidence": result.evidence,

@@ -82,6 +82,10 @@ class PickEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Relative weight."""
     origin: str = "manual"
     """Who created it: the operator, a file or a detector."""
+    lengths_m: Numbers | None = None
+    """Distances from the scanner that came with it, m; None: the scan's own ranges are used."""
+    name: str = ""
+    """Name for users, e.g. of a target; empty: none."""
 
     def as_pick(self) -> Pick:
         """Return the input of the solvers.
@@ -89,7 +93,17 @@ class PickEntry(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             ShapeError: if the pick is invalid.
         """
-        return Pick(self.id, self.kind, self.scan, self.photo, self.on, self.weight, self.origin)  # type: ignore[arg-type]
+        return Pick(
+            self.id,
+            self.kind,
+            self.scan,  # type: ignore[arg-type]
+            self.photo,  # type: ignore[arg-type]
+            self.on,
+            self.weight,
+            self.origin,
+            self.lengths_m,  # type: ignore[arg-type]
+            self.name,
+        )
 
 
 class PoseEntry(msgspec.Struct, frozen=True, kw_only=True):

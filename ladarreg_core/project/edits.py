@@ -105,6 +105,8 @@ def with_picks(photo: PhotoEntry, picks: Iterable[Pick]) -> tuple[PhotoEntry, tu
                 on=bool(pick.on),
                 weight=weight(pick.weight),
                 origin=pick.origin,
+                lengths_m=None if pick.lengths_m is None else tuple(pick.lengths_m.tolist()),
+                name=pick.name,
             )
         )
     if len(photo.picks) + len(new) > MOST_PICKS:
@@ -150,6 +152,7 @@ def changed_pick(photo: PhotoEntry, pick_id: str, fields: Mapping[str, Any]) -> 
         scan=rays(sound.scan.tolist()) if "scan" in fields else old.scan,
         photo=pixels(new.photo) if "photo" in fields else old.photo,
         weight=weight(new.weight) if "weight" in fields else old.weight,
+        lengths_m=None if "scan" in fields else old.lengths_m,  # of the point that it was, not of where it is now
     )
     return replace(photo, picks=tuple(new if p.id == pick_id else p for p in photo.picks))
 

@@ -69,4 +69,4 @@ def _matches(count: int) -> str:
 
 def _substance(pick: PickEntry) -> tuple[object, ...]:
     """Return what solvers use of a pick."""
-    return pick.kind, pick.scan, pick.photo, pick.weight
+    return pick.kind, pick.scan, pick.photo, pick.weight, pick.lengths_m

@@ -72,7 +72,7 @@ class Finding:
 
     name: str
     """The aspect: `matches`, `inliers`, `residuals`, `spread`, `depth`, `relief`, `conditioning`, `baseline`,
-    `disparity`, `bias`, `lens` or `camera`."""
+    `disparity`, `bias`, `lens`, `camera` or `lengths`."""
     level: Level
     """`good`, `fair` or `poor`."""
     sentence: str
@@ -94,7 +94,7 @@ def findings(result: PoseResult) -> tuple[Finding, ...]:
     )
     conditioning = assess_conditioning(result)
     inliers, lens = _matches_first(_inliers(result), _lens(result) if result.is_determined else None)
-    found = [_matches(result), inliers, _residuals(result)]
+    found = [_matches(result), inliers, _residuals(result), _lengths(result)]
     if conditioning is not None:
         found += [
             _spread(result, conditioning),
@@ -194,6 +194,38 @@ def _residuals(result: PoseResult) -> Finding | None:
         ),
         {"chi2_per_dof": chi2, "sigma_px": result.sigma_px, "sigma_range_m": result.sigma_range_m},
     )
+
+
+def _lengths(result: PoseResult) -> Finding | None:
+    """Return how the lengths that came with the matches compare with the scan's ranges; None without lengths."""
+    check = result.diagnostics.get("lengths")
+    if not check:
+        return None
+    count, compared = len(check["matches"]), int(check["compared"])
+    if check["refusal"]:
+        advice = "Correct or remove the matches named, check unit and frame, or state a larger tolerance."
+        return Finding("lengths", "poor", " ".join(check["refusal"]), advice, _figures_of(check))
+    if compared < count:
+        level: Level = "fair"
+        advice = "Give targets where the scan has returns, so that their lengths can be checked."
+    else:
+        level, advice = "good", ""
+    if not compared:
+        words = f"None of the {count} lengths of the matches could be compared with the scan, which has no range there."
+    else:
+        words = (
+            f"{compared} of {count} lengths of the matches were compared with the scan's ranges; they differ by "
+            f"{format_length(check['largest_m'])} at most."
+        )
+    return Finding("lengths", level, words, advice, _figures_of(check))
+
+
+def _figures_of(check: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of the lengths, with the difference of each match by its name."""
+    return {
+        **{name: check[name] for name in ("compared", "largest_m", "scale", "tolerance_m")},
+        "difference_m": {str(one["name"]): one["difference_m"] for one in check["matches"]},
+    }
 
 
 def _spread(result: PoseResult, conditioning: Conditioning) -> Finding:

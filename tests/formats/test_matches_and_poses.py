@@ -82,7 +82,7 @@ GOOD = {"id": "a", "kind": "point", "scan": [[1, 0, 0]], "photo": [[3, 4]]}
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        ({"version": 2}, "version 2"),
+        ({"version": 3}, "version 3"),
         ({"scan_coordinates": "pixel"}, "scan_coordinates"),
         ({"scan_coordinates": None}, "scan_coordinates"),
         ({"matches": None}, "'matches'"),
