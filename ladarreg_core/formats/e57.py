@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
+from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.e57_header import E57Info, E57ScanInfo, read_e57_info
 from ladarreg_core.formats.grid_order import order_of, unit_rays
 from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, unit_notes
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.gridding import LARGEST_GRID, grid_points
+from ladarreg_core.scanner.gridding import LARGEST_GRID
 from ladarreg_core.scanner.grids import TabulatedGrid
 
 _CHUNK = 500_000
@@ -38,13 +39,20 @@ _CELL_BYTES = 300
 
 
 def read_e57(
-    path: PathLike, *, scan_index: int = 0, memory_bytes: int | None = None, report: Report | None = None
+    path: PathLike,
+    *,
+    scan_index: int = 0,
+    origin: tuple[float, float, float] | None = None,
+    memory_bytes: int | None = None,
+    report: Report | None = None,
 ) -> Scan:
     """Read one scan of an E57 file.
 
     Args:
         path: the file.
         scan_index: index of the scan, from 0.
+        origin: where the scanner stood in the scan's coordinates, (3,) m, for a scan without a grid; None: at their
+            zero point, unless the pattern of the points says otherwise.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress, in points.
 
@@ -67,7 +75,8 @@ def read_e57(
         budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
         with e57_file(file) as image_file:
             columns = _read_points(image_file, scan, scan_index, report)
-        return _to_scan(file.stem, info, scan, columns, budget.cells_that_fit(_CELL_BYTES, besides_bytes=held))
+        most_cells = budget.cells_that_fit(_CELL_BYTES, besides_bytes=held)
+        return _to_scan(file.stem, info, scan, columns, most_cells, origin)
 
 
 def _chosen(info: E57Info, scan_index: int) -> E57ScanInfo:
@@ -127,7 +136,9 @@ def _read_points(image_file: Any, scan: E57ScanInfo, scan_index: int, report: Re
     from pye57 import libe57
 
     position = _CARTESIAN if scan.field_names >= set(_CARTESIAN) else _SPHERICAL
-    precision = np.float32 if position is _CARTESIAN else np.float64
+    # Points without a grid may be in the coordinates of a survey, which float32 would round to decimetres.
+    gridded = scan.field_names >= set(_INDICES)
+    precision = np.float32 if position is _CARTESIAN and gridded else np.float64
     types: dict[str, tuple[str, Any]] = dict.fromkeys(position, ("d", precision))
     types |= {"intensity": ("d", np.float32)}
     types |= dict.fromkeys(_COLORS, ("d", np.float32))
@@ -161,7 +172,14 @@ def _read_points(image_file: Any, scan: E57ScanInfo, scan_index: int, report: Re
     return columns
 
 
-def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDArray[Any]], most_cells: int) -> Scan:
+def _to_scan(
+    name: str,
+    info: E57Info,
+    scan: E57ScanInfo,
+    columns: dict[str, NDArray[Any]],
+    most_cells: int,
+    origin: tuple[float, float, float] | None,
+) -> Scan:
     points, state = _positions(columns)
     intensity = columns["intensity"]
     if "isIntensityInvalid" in columns:
@@ -186,15 +204,20 @@ def _to_scan(name: str, info: E57Info, scan: E57ScanInfo, columns: dict[str, NDA
     if grid is None:
         keep = np.flatnonzero(returned)
         paint = None if color is None else color[keep]
-        cloud = grid_points(points[keep], intensity[keep], paint, most_cells=most_cells)
-        return Scan(
-            cloud.geometry,
-            cloud.ranges,
-            cloud.intensity,
-            color=cloud.color,
-            world_from_scanner=scan.world_from_scanner,
+        return scan_of_cloud(
+            points[keep],
+            intensity[keep],
+            paint,
             name=name,
-            notes=(*notes, cloud.describe(), *unit_notes(cloud.ranges)),
+            origin=origin,
+            coordinates="scanner",
+            world_from_scanner=scan.world_from_scanner,
+            most_cells=most_cells,
+            notes=notes,
+        )
+    if any(origin or ()):
+        raise OptionError(
+            f"origin is {origin}, but scan {scan.name!r} has a grid, which is centred on its scanner; leave it out"
         )
     row, column, shape, thinned = grid
     if thinned > 1:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.errors import FormatError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
+from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, require_cells, unit_notes
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.gridding import grid_points
 from ladarreg_core.scanner.grids import TabulatedGrid
 
 INTENSITY_NAMES = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "amplitude", "signal")
@@ -44,17 +44,25 @@ def sniff_pcd(head: bytes) -> bool:
     return head.lstrip().startswith(b"# .PCD") or (bool(words) and words[0] in (b"VERSION", b"FIELDS"))
 
 
-def read_pcd(path: PathLike, *, memory_bytes: int | None = None, report: Report | None = None) -> Scan:
+def read_pcd(
+    path: PathLike,
+    *,
+    origin: tuple[float, float, float] | None = None,
+    memory_bytes: int | None = None,
+    report: Report | None = None,
+) -> Scan:
     """Read a PCD cloud as a scan.
 
     Args:
         path: a cloud with x, y, z (m) and intensity; a `ring` field is used if present.
+        origin: where the scanner stood, (3,) m in the file's coordinates; None: at their zero point, unless the pattern
+            of the points says otherwise.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress.
 
     Returns:
-        The scan in the file's frame. An organised cloud keeps its grid if its directions confirm it; any other cloud is
-        gridded.
+        The scan in the scanner's frame, whose axes are the file's. An organised cloud keeps its grid if its directions
+        confirm it; any other cloud is gridded.
 
     Raises:
         FormatError: if the header is damaged, claims more than the file contains or than fits into memory, or if there
@@ -84,7 +92,7 @@ def read_pcd(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         points = np.stack([columns[names[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
         color = next((_unpack_rgb(columns[names[name]]) for name in _COLOR_NAMES if name in names), None)
         ring = next((columns[names[name]] for name in RING_NAMES if name in names), None)
-        scan = _to_scan(file.stem, header, points, as_float32(columns[found]), color, ring, most_cells)
+        scan = _to_scan(file.stem, header, points, as_float32(columns[found]), color, ring, most_cells, origin)
         _report(report, 2)
         return scan
 
@@ -324,13 +332,14 @@ def _to_scan(
     color: ByteArray | None,
     ring: NDArray[Any] | None,
     most_cells: int,
+    origin: tuple[float, float, float] | None,
 ) -> Scan:
     notes: list[str] = []
     pose = _pose(header.viewpoint)
     if pose is not None:
         notes.append("VIEWPOINT was read as the scanner's pose in the world; the points stay in the scanner's frame")
     shape = (header.height, header.width)
-    if min(shape) > 1:
+    if min(shape) > 1 and not any(origin or ()):  # a moved origin makes another grid
         rays = unit_rays(points.reshape(*shape, 3))
         if not np.isfinite(rays[..., 0]).any():
             raise ShapeError("the scan has no returns: every point is missing or zero; it needs measured points")
@@ -351,16 +360,17 @@ def _to_scan(
                 notes=(*notes, *unit_notes(ranges)),
             )
         notes.append(f"the header says {header.width} x {header.height}, but the points are not in this order")
-    cloud = grid_points(points, intensity, color, ring=_whole_rings(ring), most_cells=most_cells)
-    notes.append(cloud.describe())
-    return Scan(
-        cloud.geometry,
-        cloud.ranges,
-        cloud.intensity,
-        color=cloud.color,
-        world_from_scanner=pose,
+    return scan_of_cloud(
+        points,
+        intensity,
+        color,
         name=name,
-        notes=(*notes, *unit_notes(cloud.ranges)),
+        origin=origin,
+        coordinates="scanner",
+        ring=_whole_rings(ring),
+        world_from_scanner=pose,
+        most_cells=most_cells,
+        notes=notes,
     )
 
 

@@ -115,7 +115,7 @@ def _read_npz(path: Path, asked: ScanRequest) -> Scan:
 
 
 def _read_pcd(path: Path, asked: ScanRequest) -> Scan:
-    return read_pcd(path, memory_bytes=asked.memory_bytes, report=asked.report)
+    return read_pcd(path, origin=asked.origin, memory_bytes=asked.memory_bytes, report=asked.report)
 
 
 def _read_descriptor(path: Path, asked: ScanRequest) -> Scan:
@@ -126,15 +126,16 @@ FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "E57", "scan", (".e57",), lambda head, _: sniff_e57(head), _by_path(describe_e57),
         lambda path, asked: read_e57(
-            path, scan_index=asked.scan_index, memory_bytes=asked.memory_bytes, report=asked.report
+            path, scan_index=asked.scan_index, origin=asked.origin, memory_bytes=asked.memory_bytes, report=asked.report
         ),
-        takes=("scan_index",),
+        takes=("scan_index", "origin"),
     ),
     FileFormat(
         "NPZ", "scan", (".npz",), lambda head, _: sniff_npz(head), scan_describer("NPZ", _read_npz), _read_npz,
     ),
     FileFormat(
         "PCD", "scan", (".pcd",), lambda head, _: sniff_pcd(head), scan_describer("PCD", _read_pcd), _read_pcd,
+        takes=("origin",),
     ),
     FileFormat(
         "descriptor JSON", "scan", (".json",), _sniff_json("scan"),

@@ -33,6 +33,8 @@ _LEAST_RINGS = 4
 _LEAST_ON_A_RING = 8
 _MOST_OVERLAP = 0.25
 _CLEAN_OVERLAP = 0.02
+_SAME_M = 0.1
+_SAME = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +53,15 @@ class GriddedCloud:
     """Returns given."""
     points_kept: int
     """Returns with a cell of their own."""
+    points_merged: int
+    """Returns that share the cell of a kept one at about its range: nothing is lost but their density."""
     rings: int
     """Rings found; 0: none, rows are equal steps."""
+
+    @property
+    def lost_share(self) -> float:
+        """Share of the returns that were dropped because they lie behind others."""
+        return 1 - (self.points_kept + self.points_merged) / self.points_in
 
     def describe(self) -> str:
         """Return a sentence on the gridding, for the notes of the scan."""
@@ -109,6 +118,10 @@ def grid_points(
     flat = cells[order, 0] * width + cells[order, 1]
     _, first = np.unique(flat, return_index=True)
     kept = order[first]
+    nearest = np.empty(height * width)
+    nearest[flat[first]] = distance[kept]
+    nearest = nearest[flat]
+    merged = int(np.count_nonzero(distance[order] - nearest <= np.maximum(_SAME_M, _SAME * nearest))) - len(kept)
     row, column = cells[kept, 0], cells[kept, 1]
     table = np.array((law if rotation is None else RotatedGrid(law, rotation)).rays)
     table[row, column] = rays[kept]
@@ -121,7 +134,7 @@ def grid_points(
         rgb = np.zeros((height, width, 3), np.uint8)
         rgb[row, column] = paint[returns[kept]]
     geometry = TabulatedGrid(table, law=law if rotation is None else RotatedGrid(law, rotation))
-    return GriddedCloud(geometry, ranges, out, rgb, len(returns), len(kept), rings)
+    return GriddedCloud(geometry, ranges, out, rgb, len(returns), len(kept), merged, rings)
 
 
 def rotation_from_pole(rays: FloatArray) -> FloatArray | None:

@@ -1,0 +1,115 @@
+"""Where the scanner stood: given, found from the points, or asked for; what is dropped is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ladarreg_core.errors import UnderspecifiedError
+from ladarreg_core.formats.cloud import scan_of_cloud
+from ladarreg_core.formats.registry import read_scan
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.origin import estimate_origin
+from tests.formats.simulated_clouds import brightness, dome, in_room, in_street, rosette, spinning
+
+IN_ROOM = np.array([0.4, -0.6, 1.5])
+IN_STREET = np.array([0.0, 0.0, 1.8])
+UTM = np.array([691_234.567, 5_334_321.125, 519.25])
+
+
+def cloud(kind: str) -> np.ndarray:
+    """Return the points (N, 3) of a pattern of beams in a place, scanner frame."""
+    if kind == "room, terrestrial":
+        return in_room(dome(1.0)) - IN_ROOM
+    if kind == "room, spinning":
+        return in_room(spinning(16, 900)) - IN_ROOM
+    if kind == "room, rosette":
+        return in_room(rosette(150_000)) - IN_ROOM
+    if kind == "street, terrestrial":
+        return in_street(dome(1.0)) - IN_STREET
+    return in_street(spinning(32, 900)) - IN_STREET
+
+
+@pytest.mark.parametrize(
+    ("kind", "moved", "within_m"),
+    [
+        ("room, terrestrial", UTM, 0.03),
+        ("room, spinning", np.array([14.0, 5.0, 1.0]), 0.03),
+        ("room, rosette", np.array([14.0, 5.0, 1.0]), 0.4),
+        ("street, terrestrial", np.array([60.0, -80.0, 3.0]), 0.05),
+        ("street, spinning", UTM, 0.05),
+    ],
+)
+def test_the_scanner_is_found_wherever_the_cloud_was_moved(kind: str, moved: np.ndarray, within_m: float) -> None:
+    points = cloud(kind)
+    found = estimate_origin(points + moved)
+    assert found.position is not None
+    assert np.linalg.norm(np.array(found.position) - moved) < within_m
+    assert found.hidden_share < 0.5 * found.hidden_from_centre
+    assert estimate_origin(points).position == (0, 0, 0), "a centred cloud must stay where it is, exactly"
+
+
+def test_a_cloud_from_two_places_has_no_origin_and_asks_for_one() -> None:
+    two = np.concatenate([in_room(dome(1.2)), in_room(dome(1.2), (-3.2, 3.4, 1.4))]) + UTM
+    assert estimate_origin(two).position is None
+    with pytest.raises(UnderspecifiedError, match="--origin x,y,z"):
+        scan_of_cloud(two, brightness(two - UTM), name="two", coordinates="any")
+    given = scan_of_cloud(two, brightness(two - UTM), name="two", coordinates="any", origin=UTM + IN_ROOM)
+    assert any("as given" in note for note in given.notes)
+
+
+def test_points_without_the_pattern_of_a_scanner_have_no_origin() -> None:
+    generator = np.random.default_rng(4)
+    floor = np.column_stack([generator.uniform(-20, 20, (20_000, 2)), generator.normal(0, 0.005, 20_000)])
+    assert estimate_origin(floor + UTM).position is None
+
+
+def _pcd(path: Path, points: np.ndarray, code: str = "f4") -> Path:
+    size = int(code[1])
+    record = np.zeros(len(points), [("x", code), ("y", code), ("z", code), ("intensity", "f4")])
+    for axis, name in enumerate("xyz"):
+        record[name] = points[:, axis]
+    record["intensity"] = brightness(points - points.mean(axis=0))
+    header = (
+        f"VERSION .7\nFIELDS x y z intensity\nSIZE {size} {size} {size} 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
+        f"WIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA binary\n"
+    )
+    path.write_bytes(header.encode() + record.tobytes())
+    return path
+
+
+def _share(scan: Scan, points: np.ndarray) -> float:
+    return float(scan.valid.sum() / len(points))
+
+
+def test_a_moved_cloud_is_noticed_and_keeps_its_points(tmp_path: Path) -> None:
+    points = cloud("room, terrestrial")
+    file = _pcd(tmp_path / "moved.pcd", points + np.array([14, 5, 1]))
+    scan = read_scan(file)
+    assert _share(scan, points) > 0.95
+    assert any("was estimated" in note and "--origin" in note for note in scan.notes)
+    assert scan.world_from_scanner is not None
+    np.testing.assert_allclose(scan.world_from_scanner.translation, [14, 5, 1], atol=0.03)
+
+    wrong = read_scan(file, origin=(0, 0, 0))  # the control: as it was read before
+    assert _share(wrong, points) < 0.7
+    assert any("lie behind others and were dropped" in note and "--origin" in note for note in wrong.notes)
+
+
+def test_coordinates_of_millions_of_metres_keep_their_millimetres(tmp_path: Path) -> None:
+    points = cloud("room, terrestrial")[::3]
+    scan = read_scan(_pcd(tmp_path / "utm.pcd", points + UTM, "f8"), origin=tuple(UTM.tolist()))
+    assert scan.world_from_scanner is not None
+    np.testing.assert_array_equal(scan.world_from_scanner.translation, UTM)
+    expected = np.sort(np.linalg.norm(points, axis=1))
+    found = np.sort(scan.ranges[scan.valid])
+    spread = np.interp(np.linspace(0, 1, 200), np.linspace(0, 1, len(expected)), expected)
+    np.testing.assert_allclose(
+        np.interp(np.linspace(0, 1, 200), np.linspace(0, 1, len(found)), found), spread, atol=0.02
+    )
+    nearest = np.abs(expected[np.searchsorted(expected, found).clip(max=len(expected) - 1)] - found)
+    assert np.median(nearest) < 1e-4
+    rounded = (points + UTM).astype(np.float32).astype(np.float64) - UTM  # the control: subtracted too late
+    assert np.abs(np.linalg.norm(rounded, axis=1) - np.linalg.norm(points, axis=1)).max() > 0.1
