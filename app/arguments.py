@@ -108,6 +108,8 @@ class InputArguments(ScanArguments):
     """Initial pose: a pose JSON, from the scanner or from the world, or an earlier registration.json."""
     camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Camera of the photo: JSON, OpenCV YAML or ROS camera_info."""
+    camera_name: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Camera of a file with several; default: chosen by the photo's name and size."""
     focal_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
     """Focal length of the photo in pixels, if there is no camera file."""
     focal_mm: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None

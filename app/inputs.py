@@ -29,6 +29,7 @@ def read_inputs(arguments: InputArguments, bar: ProgressBar) -> tuple[Scan, Phot
         lambda: lr.read_photo(
             arguments.photo,
             camera=arguments.camera,
+            camera_name=arguments.camera_name,
             focal_px=arguments.focal_px,
             focal_mm=arguments.focal_mm,
             sensor_mm=arguments.sensor_mm,

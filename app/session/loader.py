@@ -14,6 +14,7 @@ from .isolated_readers import READERS
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from ladarreg_core.camera import Camera
     from ladarreg_core.inspection.picks import PickMeasurements, PickPredictor
     from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.matches import Pick
@@ -127,17 +128,27 @@ class Loader:
 
     def _read_photo(self, entry: PhotoEntry) -> Photo | LadarregError:
         from ladarreg_core.formats import read_photo
-        from ladarreg_core.formats.camera_file import read_camera
+        from ladarreg_core.formats.camera_file import read_noted_camera
 
         given = entry.camera
         try:
             # In a run of its own, so that errors name the camera file and not the photograph.
-            file = given.file
-            camera = None if file is None else READERS.run(read_camera, self._folder.source_path(file.path))
+            file, picture = given.file, self._folder.source_path(entry.source.path)
+            camera: Camera | None = None
+            notes: tuple[str, ...] = ()
+            if file is not None:
+                camera, notes = READERS.run(
+                    read_noted_camera,
+                    self._folder.source_path(file.path),
+                    name=given.name,
+                    picture=entry.source.name,
+                    picture_file=picture,
+                )
             return READERS.run(
                 read_photo,
-                self._folder.source_path(entry.source.path),
+                picture,
                 camera=camera,
+                camera_notes=notes,
                 focal_px=given.focal_px,
                 focal_mm=given.focal_mm,
                 sensor_mm=given.sensor_mm,

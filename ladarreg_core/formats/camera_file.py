@@ -1,50 +1,211 @@
-"""Camera files: ladarreg's JSON, OpenCV's YAML or JSON storage, and ROS camera_info YAML."""
+"""Camera files: the table of their formats, the choice among the cameras of one file, and ladarreg's own JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError, FormatError
-from ladarreg_core.formats.json_file import number, read_json_object, whole_number, write_json
-from ladarreg_core.formats.opencv_yaml import parse_yaml
+from ladarreg_core.errors import CameraError, FormatError, OptionError
+from ladarreg_core.formats.camera_agisoft import read_agisoft, sniff_agisoft
+from ladarreg_core.formats.camera_calibration import cameras_of_calibration, read_calibration, sniff_calibration
+from ladarreg_core.formats.camera_colmap import (
+    read_colmap_binary,
+    read_colmap_text,
+    sniff_colmap_binary,
+    sniff_colmap_text,
+)
+from ladarreg_core.formats.camera_fields import LARGEST_BYTES
+from ladarreg_core.formats.camera_in_file import FileCamera, lens_of, numbers_of, refuse_model
+from ladarreg_core.formats.camera_kalibr import read_kalibr, sniff_kalibr
+from ladarreg_core.formats.camera_nerfstudio import is_nerfstudio, read_nerfstudio
+from ladarreg_core.formats.image_file import image_size
+from ladarreg_core.formats.json_file import (
+    begins_with_brace,
+    number,
+    parsed_once,
+    read_json_object,
+    whole_number,
+    write_json,
+)
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 
-_LARGEST_BYTES = 1_000_000
-_MATRIX = ("cameramatrix", "k", "intrinsicmatrix", "intrinsics", "mtx", "m1", "m")
-_DISTORTION = ("distortioncoefficients", "distcoeffs", "distortioncoeffs", "distcoefs", "distortion", "dist", "d", "d1")
-_WIDTH, _HEIGHT = ("imagewidth", "width", "cols"), ("imageheight", "height", "rows")
-_SIZE = ("imagesize", "size", "resolution")
-_PINHOLE_MODELS = ("", "plumb_bob", "rational_polynomial", "radtan", "opencv", "brown", "pinhole", "none")
+_HEAD_BYTES = 4096
+_MOST_LISTED = 12
 
 
-def read_camera(path: PathLike) -> Camera:
-    """Read a camera, its format recognised by content.
+@dataclass(frozen=True, slots=True)
+class CameraFormat:
+    """One format of camera files."""
+
+    name: str
+    """Name for users."""
+    extensions: tuple[str, ...]
+    """Usual file name extensions, lower case, with their dot."""
+    sniff: Callable[[bytes, Path], bool]
+    """Returns whether a file has this format, from its first bytes or, where they are not enough, from the file."""
+    read: Callable[[Path], tuple[FileCamera, ...]]
+    """Reads all cameras of a file."""
+    is_json: bool = False
+    """Whether it is JSON, which the table of all files recognises by its fields."""
+
+
+def _read_json(path: Path) -> tuple[FileCamera, ...]:
+    if (size := path.stat().st_size) > LARGEST_BYTES:
+        raise FormatError(f"it has {size:,} bytes; a camera file has at most {LARGEST_BYTES:,}: give the right file")
+    return _cameras_of_fields(read_json_object(path, "a camera file"))
+
+
+def _sniff_nerfstudio(head: bytes, file: Path) -> bool:
+    if not begins_with_brace(file):
+        return False
+    try:
+        return is_nerfstudio(read_json_object(file, "transforms.json"))
+    except FormatError:  # damaged: decide by the names in its first bytes, so that its reader says why
+        return b'"fl_x"' in head or b'"transform_matrix"' in head
+
+
+CAMERA_FORMATS: tuple[CameraFormat, ...] = (
+    CameraFormat("nerfstudio transforms.json", (".json",), _sniff_nerfstudio, read_nerfstudio, is_json=True),
+    CameraFormat("camera JSON", (".json",), lambda _, file: begins_with_brace(file), _read_json, is_json=True),
+    CameraFormat("Agisoft XML", (".xml",), sniff_agisoft, read_agisoft),
+    CameraFormat("Kalibr camchain", (".yaml", ".yml"), sniff_kalibr, read_kalibr),
+    CameraFormat("COLMAP cameras.txt", (".txt",), sniff_colmap_text, read_colmap_text),
+    CameraFormat("camera YAML or XML", (".yaml", ".yml", ".xml"), sniff_calibration, read_calibration),
+    CameraFormat("COLMAP cameras.bin", (".bin",), sniff_colmap_binary, read_colmap_binary),
+)
+"""All formats of camera files, in the order in which they are tried."""
+
+
+def camera_format(path: PathLike) -> str:
+    """Return the name of the format that a camera file is read as."""
+    with reading(path) as file, parsed_once():
+        found = _format_of(file)
+        return found.name if found else "YAML"
+
+
+def _format_of(file: Path) -> CameraFormat | None:
+    with open(file, "rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    return next((known for known in CAMERA_FORMATS if known.sniff(head, file)), None)
+
+
+def read_cameras(path: PathLike) -> tuple[FileCamera, ...]:
+    """Read all cameras of a file, its format recognised by content.
 
     Raises:
         FormatError: if it is not a camera file.
-        CameraError: if its parameters are invalid.
+        CameraError: if the parameters of a camera are invalid, or its model is unknown.
     """
-    with reading(path) as file:
-        size = file.stat().st_size
-        if size > _LARGEST_BYTES:
-            raise FormatError(
-                f"it has {size:,} bytes; a camera file has at most {_LARGEST_BYTES:,}: give the right file"
-            )
-        with open(file, "rb") as stream:
-            start = stream.read(256).removeprefix(b"\xef\xbb\xbf").lstrip()
-        if start.startswith(b"{"):
-            return camera_from_fields(read_json_object(file, "a camera file"))
-        if start.startswith(b"<"):
-            raise FormatError(
-                "it is XML; a camera is read from JSON, OpenCV YAML or ROS camera_info YAML: save as .yml"
-            )
-        try:
-            text = file.read_text(encoding="utf-8-sig")
-        except UnicodeDecodeError:
-            raise FormatError("it is not text; a camera is JSON, OpenCV YAML or ROS camera_info YAML") from None
-        return camera_from_fields(parse_yaml(text))
+    with reading(path) as file, parsed_once():
+        found = _format_of(file)
+        return read_calibration(file) if found is None else found.read(file)
+
+
+def read_camera(
+    path: PathLike, *, name: str | None = None, picture: str = "", picture_file: PathLike | None = None
+) -> Camera:
+    """Read a camera, its format recognised by content; arguments and errors as `read_noted_camera`."""
+    return read_noted_camera(path, name=name, picture=picture, picture_file=picture_file)[0]
+
+
+def read_noted_camera(
+    path: PathLike, *, name: str | None = None, picture: str = "", picture_file: PathLike | None = None
+) -> tuple[Camera, tuple[str, ...]]:
+    """Read the camera of a photograph, with notes, from a file that may have several cameras.
+
+    The camera is the one called `name`, or else the only one, the one that took a picture of the photograph's name, or
+    the only one whose pictures have the photograph's size.
+
+    Args:
+        path: the file.
+        name: name of the camera in the file; None: chosen by the photograph.
+        picture: file name of the photograph; empty: unknown.
+        picture_file: the photograph, whose header gives its size; None: unknown.
+
+    Raises:
+        FormatError: if it is not a camera file.
+        CameraError: if the parameters of a camera are invalid, its model is unknown, or the camera is ambiguous.
+        OptionError: if there is no camera of that name.
+    """
+    cameras = read_cameras(path)
+    with reading(path):
+        if name is not None:
+            chosen, why = _named(cameras, name), "as chosen"
+        elif len(cameras) == 1:
+            chosen, why = cameras[0], ""
+        else:
+            chosen, why = _of_picture(cameras, picture, picture_file)
+    said = (f"the file has {len(cameras)} cameras; this is {one_line(chosen.name, 40)}, {why}",) if why else ()
+    return chosen.camera, said + chosen.notes
+
+
+def _of_picture(cameras: tuple[FileCamera, ...], picture: str, picture_file: PathLike | None) -> tuple[FileCamera, str]:
+    """Return the camera that a photograph's name or size decides on, and a phrase that says how."""
+    sizes = _sizes_of(picture_file)
+    ways: tuple[tuple[Callable[[FileCamera], bool], str], ...] = (
+        (lambda each: _took(each, picture), "which took a picture of that name"),
+        (lambda each: _is_in_name(each.name, picture), "named in the photograph's name"),
+        (lambda each: each.camera.size in sizes, "chosen by the photograph's size"),
+    )
+    for fits, why in ways:
+        found = [each for each in cameras if fits(each)]
+        if found and all(each.camera == found[0].camera for each in found):
+            return found[0], why
+        cameras = tuple(found) or cameras
+    raise CameraError(
+        f"it has {len(cameras)} cameras that could be meant, {_listed(cameras)}; choose one by its name (--camera-name)"
+    )
+
+
+def _sizes_of(picture_file: PathLike | None) -> tuple[tuple[int, int], ...]:
+    """Return the sizes that a photograph may have, raw and turned; none where it is unknown."""
+    if picture_file is None:
+        return ()
+    try:
+        width, height, _ = image_size(Path(picture_file))
+    except FormatError:  # its reader says what is wrong with it
+        return ()
+    return (width, height), (height, width)
+
+
+def _named(cameras: Sequence[FileCamera], name: str) -> FileCamera:
+    wanted = name.strip().casefold()
+    by_name = [each for each in cameras if each.name.casefold() == wanted]
+    by_picture = [each for each in cameras if wanted in (_base(other).casefold() for other in each.pictures)]
+    for found in (by_name, by_picture):
+        if found and all(each.camera == found[0].camera for each in found):
+            return found[0]
+    if len(cameras) == 1 and not cameras[0].name:
+        raise OptionError(f"it has one camera without a name, but {one_line(name, 40)!r} is asked for; omit the name")
+    raise OptionError(f"it has no camera {one_line(name, 40)!r}; its cameras are {_listed(cameras)}: give one of these")
+
+
+def _base(name: str) -> str:
+    return PurePosixPath(name.replace("\\", "/")).name
+
+
+def _took(camera: FileCamera, picture: str) -> bool:
+    """Return whether a camera took the picture of a name; programs leave out folders and extensions."""
+    name = _base(picture).casefold()
+    stem = PurePosixPath(name).stem
+    return bool(name) and any(_base(other).casefold() in (name, stem) for other in camera.pictures)
+
+
+def _is_in_name(name: str, picture: str) -> bool:
+    """Return whether a camera's name is one of the words of a photograph's name: `cam1` in `cam1_00023.png`."""
+    words = "".join(c if c.isalnum() else " " for c in PurePosixPath(_base(picture)).stem.casefold()).split()
+    return bool(name) and not name.isdigit() and name.casefold() in words
+
+
+def _listed(cameras: Sequence[FileCamera]) -> str:
+    shown = [
+        f"{one_line(each.name or '(no name)', 30)} ({each.camera.width} x {each.camera.height})" for each in cameras
+    ]
+    more = [f"{len(shown) - _MOST_LISTED} more"] if len(shown) > _MOST_LISTED else []
+    return ", ".join([*shown[:_MOST_LISTED], *more])
 
 
 def write_camera(path: PathLike, camera: Camera) -> None:
@@ -69,25 +230,26 @@ def camera_from_fields(fields: Mapping[str, Any]) -> Camera:
 
     Raises:
         FormatError: if fields are missing.
-        CameraError: if their values are invalid.
+        CameraError: if their values are invalid, or its model is unknown.
     """
+    return _cameras_of_fields(fields)[0].camera
+
+
+def _cameras_of_fields(fields: Mapping[str, Any]) -> tuple[FileCamera, ...]:
     if "fx" in fields or "fy" in fields:
-        return _camera_from_own_fields(fields)
+        return (FileCamera(camera=_camera_from_own_fields(fields)),)
     if isinstance(fields.get("camera"), Mapping):
-        return camera_from_fields(fields["camera"])
-    by_name = {"".join(c for c in str(key).lower() if c.isalnum()): value for key, value in fields.items()}
-    matrix = _first(by_name, _MATRIX)
-    if matrix is None:
-        raise FormatError(
-            f"it contains {_first_names(fields)} but neither fx, fy, cx, cy nor a camera_matrix; give a camera file"
-        )
-    return _camera_from_tool_fields(by_name, _numbers(matrix, "the camera matrix"))
+        return _cameras_of_fields(fields["camera"])
+    return cameras_of_calibration(fields)
 
 
 def _camera_from_own_fields(fields: Mapping[str, Any]) -> Camera:
     terms = fields.get("distortion", [])
     if not isinstance(terms, list):
         raise FormatError(f"the field 'distortion' is {one_line(repr(terms), 60)}; it must be a list of numbers")
+    model = fields.get("model", "pinhole")
+    if not isinstance(model, str) or lens_of(model) != "pinhole":
+        refuse_model(model)
     return Camera(
         width=whole_number(fields, "width"),
         height=whole_number(fields, "height"),
@@ -95,71 +257,7 @@ def _camera_from_own_fields(fields: Mapping[str, Any]) -> Camera:
         fy=number(fields, "fy"),
         cx=number(fields, "cx"),
         cy=number(fields, "cy"),
-        distortion=tuple(_numbers(terms, "the distortion")),
-    )
-
-
-def _camera_from_tool_fields(by_name: Mapping[str, Any], K: list[float]) -> Camera:
-    model = str(by_name.get("distortionmodel") or "").lower()
-    if model not in _PINHOLE_MODELS:
-        raise CameraError(
-            f"the distortion model is {one_line(model, 40)!r}; only OpenCV's pinhole models with 4, 5 or 8 terms are "
-            "read: calibrate with plumb_bob or rational_polynomial"
-        )
-    if len(K) != 9:
-        raise FormatError(f"the camera matrix has {len(K)} numbers; it must have 9 (3 x 3)")
-    fx, skew, cx, zero, fy, cy, *last = K
-    if last != [0, 0, 1] or zero != 0 or abs(skew) > 1e-6 * abs(fx):
-        raise CameraError("the camera matrix is not [fx 0 cx; 0 fy cy; 0 0 1]; cameras with skew are not supported")
-    width, height = _first(by_name, _WIDTH), _first(by_name, _HEIGHT)
-    size = _first(by_name, _SIZE)
-    if (width is None or height is None) and size is not None:
-        pair = _numbers(size, "the image size")
-        if len(pair) == 2:
-            width, height = pair
-    if width is None or height is None:
-        raise FormatError("the image size is missing; add image_width and image_height")
-    sides = {"image_width": width, "image_height": height}
-    raw = _first(by_name, _DISTORTION)
-    terms = _numbers(raw, "the distortion") if raw is not None else []
-    if len(terms) in (12, 14):
-        if any(terms[8:]):
-            raise CameraError(
-                f"the distortion has {len(terms)} terms; thin-prism and tilt terms are not supported: use 8"
-            )
-        terms = terms[:8]
-    return Camera(whole_number(sides, "image_width"), whole_number(sides, "image_height"), fx, fy, cx, cy, tuple(terms))
-
-
-def _first(by_name: Mapping[str, Any], names: Sequence[str]) -> Any:
-    return next((by_name[name] for name in names if by_name.get(name) is not None), None)
-
-
-def _numbers(value: Any, what: str) -> list[float]:
-    """Return the numbers in a list, a list of lists, or an OpenCV matrix with its `data`."""
-    if isinstance(value, Mapping):
-        data = value.get("data")
-        numbers = _numbers(data if data is not None else [], what)
-        rows, columns = value.get("rows"), value.get("cols")
-        if isinstance(rows, int) and isinstance(columns, int) and rows * columns != len(numbers):
-            raise FormatError(f"{what} has {len(numbers)} numbers; its rows and cols say {rows} x {columns}")
-        return numbers
-    if not isinstance(value, list):
-        raise FormatError(f"{what} is {one_line(repr(value), 60)}; it must be a list of numbers")
-    if value and all(isinstance(item, list) for item in value):
-        value = [item for row in value for item in row]
-    return [number({what: item}, what) for item in value]
-
-
-def _first_names(fields: Mapping[str, Any]) -> str:
-    names = ", ".join(one_line(name, 20) for name in list(fields)[:5])
-    return names or "nothing"
-
-
-def sniff_camera_yaml(head: bytes) -> bool:
-    """Return whether the first bytes look like a calibration in YAML."""
-    return head.lstrip().startswith(b"%YAML") or any(
-        word in head for word in (b"camera_matrix", b"image_width", b"distortion_model", b"cameraMatrix")
+        distortion=tuple(numbers_of(terms, "the distortion")),
     )
 
 

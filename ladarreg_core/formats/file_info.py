@@ -11,7 +11,8 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.formats.camera_file import describe_camera, read_camera
+from ladarreg_core.formats.camera_file import camera_format, describe_camera, read_cameras
+from ladarreg_core.formats.camera_in_file import FileCamera
 from ladarreg_core.formats.e57 import read_e57
 from ladarreg_core.formats.e57_header import E57ImageInfo, E57ScanInfo, read_e57_info
 from ladarreg_core.formats.e57_images import camera_of_image
@@ -26,6 +27,7 @@ from ladarreg_core.frames import ThesisParameters, describe_direction, describe_
 from ladarreg_core.scan import Scan
 
 FileKind = Literal["scan", "photo", "camera", "pose", "matches"]
+_MOST_LISTED = 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +62,8 @@ class FileInfo:
     """Embedded images."""
     camera: Mapping[str, Any] = field(default_factory=dict)
     """Camera intrinsics."""
+    cameras: tuple[str, ...] = ()
+    """Cameras of a file with several."""
     exif: Mapping[str, Any] = field(default_factory=dict)
     """EXIF facts."""
     pose: Mapping[str, Any] = field(default_factory=dict)
@@ -159,15 +163,29 @@ def describe_photo(path: Path) -> FileInfo:
 
 
 def describe_camera_file(path: Path) -> FileInfo:
-    """Describe a camera file."""
-    camera = read_camera(path)
+    """Describe a camera file: its camera, or a list of its cameras."""
+    cameras = read_cameras(path)
+    only = cameras[0] if len(cameras) == 1 else None
     return FileInfo(
         file=shown_name(path),
         bytes=path.stat().st_size,
         kind="camera",
-        format="JSON" if begins_with_brace(path) else "YAML",
-        camera=describe_camera(camera),
+        format=camera_format(path),
+        camera={} if only is None else describe_camera(only.camera),
+        cameras=() if only is not None else tuple(map(_camera_line, cameras[:_MOST_LISTED])),
+        notes=tuple(dict.fromkeys(note for each in cameras for note in each.notes))[:_MOST_LISTED],
     )
+
+
+def _camera_line(each: FileCamera) -> str:
+    """Return a line on one of several cameras: its name, its figures, and where it stands in a rig."""
+    facts = describe_camera(each.camera)
+    said = ", ".join(f"{name.removesuffix('_px').replace('_', ' ')} {value}" for name, value in facts.items())
+    if each.camera_from_first is not None:
+        said += f", its centre at {describe_position(each.camera_from_first.centre)} of the first camera"
+    if each.pictures:
+        said += f", {len(each.pictures)} pictures ({one_line(each.pictures[0], 40)}, ...)"
+    return f"{one_line(each.name or '(no name)', 60)}: {said}"
 
 
 def describe_pose(path: Path) -> FileInfo:

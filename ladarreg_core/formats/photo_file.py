@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
@@ -14,7 +16,7 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.camera_file import read_noted_camera
 from ladarreg_core.formats.exif import focal_from_exif, orientation_of, upright
 from ladarreg_core.formats.image_file import as_rgb, read_image
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
@@ -31,6 +33,8 @@ def read_photo(
     path: PathLike,
     *,
     camera: Camera | PathLike | None = None,
+    camera_name: str | None = None,
+    camera_notes: Sequence[str] = (),
     focal_px: float | None = None,
     focal_mm: float | None = None,
     sensor_mm: float | None = None,
@@ -44,6 +48,8 @@ def read_photo(
         path: a PNG, JPEG, TIFF, WebP or BMP. Gray and 16-bit images are converted to 8-bit RGB; gray images with 16
             bits in centikelvin or floating point in kelvin (`kelvin_of`) are thermal images.
         camera: a camera or a camera file. Its size shows whether it was calibrated on raw or on rotated pixels.
+        camera_name: name of the camera in a file with several; None: chosen by the photograph's name and size.
+        camera_notes: remarks on a given camera, which become notes of the photograph.
         focal_px: focal length, pixels of this image.
         focal_mm: focal length, mm; needs `sensor_mm`.
         sensor_mm: sensor width, mm, along the image's width before the rotation by EXIF.
@@ -55,12 +61,17 @@ def read_photo(
         OptionError: if the options contradict each other or are not positive.
     """
     _check_options(camera, focal_px, focal_mm, sensor_mm)
-    given = camera if camera is None or isinstance(camera, Camera) else read_camera(camera)
+    if camera_name is not None and (camera is None or isinstance(camera, Camera)):
+        raise OptionError("a camera's name is given without a camera file; give --camera FILE with --camera-name")
+    given = camera if isinstance(camera, Camera) else None
+    if camera is not None and not isinstance(camera, Camera):
+        name = Path(path).name if isinstance(path, str | os.PathLike) else ""
+        given, camera_notes = read_noted_camera(camera, name=camera_name, picture=name, picture_file=path)
     with reading(path) as file:
         image = read_image(file, budget=ReadBudget.of(file.stat().st_size, memory_bytes))
         kelvin = kelvin_of(image.values)
         values, depth_note = as_rgb(image.values) if kelvin is None else (kelvin, _thermal_note(kelvin))
-        notes = [depth_note] if depth_note else []
+        notes = [*camera_notes, *([depth_note] if depth_note else [])]
         orientation = orientation_of(image.exif)
         raw_height, raw_width = values.shape[:2]
         if given is not None:

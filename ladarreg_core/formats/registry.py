@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ladarreg_core.errors import FormatError, LadarregError
-from ladarreg_core.formats.camera_file import sniff_camera_yaml
+from ladarreg_core.formats.camera_file import CAMERA_FORMATS, CameraFormat
+from ladarreg_core.formats.camera_nerfstudio import is_nerfstudio
 from ladarreg_core.formats.descriptor import KINDS as DESCRIPTOR_KINDS
 from ladarreg_core.formats.descriptor import read_descriptor
 from ladarreg_core.formats.e57 import read_e57
@@ -84,7 +85,8 @@ def _json_kind(head: bytes, file: Path) -> FileKind | None:
     try:
         fields = read_json_object(file, "a JSON file")
     except FormatError:  # damaged or too large: decide by the names in its first bytes, so that its reader says why
-        fields = {word: True for word in ("kind", "matches", POSE_FIELD, WORLD_FIELD, "fx", "camera_matrix")
+        fields = {word: True for word in ("kind", "matches", POSE_FIELD, WORLD_FIELD, "fx", "camera_matrix", "fl_x",
+                                             "transform_matrix")
                   if json.dumps(word).encode() in head}  # fmt: skip
     if POSE_FIELD in fields or WORLD_FIELD in fields:
         return "pose"
@@ -92,7 +94,14 @@ def _json_kind(head: bytes, file: Path) -> FileKind | None:
         return "matches"
     if "kind" in fields and "fx" not in fields:
         return "scan"
-    if "fx" in fields or any("cameramatrix" in key.lower().replace("_", "") for key in fields) or "K" in fields:
+    if is_nerfstudio(fields) or "transform_matrix" in fields:
+        return "camera"
+    if (
+        "fx" in fields
+        or fields.get("model") == "equirectangular"
+        or any("cameramatrix" in key.lower().replace("_", "") for key in fields)
+        or "K" in fields
+    ):
         return "camera"
     return "scan"  # the descriptor's reader says what is missing
 
@@ -122,6 +131,15 @@ def _read_descriptor(path: Path, asked: ScanRequest) -> Scan:
     return read_descriptor(path, memory_bytes=asked.memory_bytes, report=asked.report)
 
 
+def _camera_format(known: CameraFormat) -> FileFormat:
+    def sniff(head: bytes, file: Path) -> bool:
+        return (not known.is_json or _json_kind(head, file) == "camera") and known.sniff(head, file)
+
+    return FileFormat(
+        known.name, "camera", known.extensions, sniff, _by_path(describe_camera_file), is_generic_text=True
+    )
+
+
 FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "E57", "scan", (".e57",), lambda head, _: sniff_e57(head), _by_path(describe_e57),
@@ -147,14 +165,7 @@ FORMATS: tuple[FileFormat, ...] = (
         lambda head, _: image_format(head) is not None, _by_path(describe_photo),
         examples=("PNG", "JPEG", "TIFF", "WebP", "BMP"),
     ),
-    FileFormat(
-        "camera JSON", "camera", (".json",), _sniff_json("camera"), _by_path(describe_camera_file), is_generic_text=True
-    ),
-    FileFormat(
-        "camera YAML", "camera", (".yaml", ".yml"), lambda head, _: sniff_camera_yaml(head),
-        _by_path(describe_camera_file),
-        is_generic_text=True,
-    ),
+    *(_camera_format(known) for known in CAMERA_FORMATS),
     FileFormat("pose JSON", "pose", (".json",), _sniff_json("pose"), _by_path(describe_pose), is_generic_text=True),
     FileFormat(
         "matches JSON", "matches", (".json",), _sniff_json("matches"), _by_path(describe_matches), is_generic_text=True

@@ -6,13 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.camera_file import read_cameras
 from ladarreg_core.formats.descriptor import named_files
 from ladarreg_core.formats.file_info import FileKind
 from ladarreg_core.formats.image_file import image_size
 from ladarreg_core.formats.json_file import parsed_once, read_json_object
 from ladarreg_core.formats.registry import recognise
 from ladarreg_core.formats.untrusted import PathLike
+
+_MOST_SIZES = 100
+_MOST_PICTURES = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +32,10 @@ class FileSurvey:
     """Width of a photograph, or of a camera's pictures, pixels; 0 where it is unknown."""
     height: int = 0
     """Height, likewise."""
+    sizes: tuple[tuple[int, int], ...] = ()
+    """Sizes of the pictures of all cameras of a camera file, (width, height), pixels."""
+    pictures: tuple[str, ...] = ()
+    """File names of the photographs that the cameras of a camera file took, where it states them."""
     takes: tuple[str, ...] = ()
     """Names of the options of `ScanRequest` that the reader of a scan takes."""
 
@@ -49,8 +56,17 @@ def survey_file(path: PathLike) -> FileSurvey:
                 width, height, _ = image_size(file)
                 return FileSurvey(found.kind, found.name, (), width, height)
             if found.kind == "camera":
-                camera = read_camera(file)
-                return FileSurvey(found.kind, found.name, (), camera.width, camera.height)
+                cameras = read_cameras(file)
+                sizes = tuple(dict.fromkeys(each.camera.size for each in cameras))
+                taken = dict.fromkeys(picture for each in cameras for picture in each.pictures)
+                return FileSurvey(
+                    found.kind,
+                    found.name,
+                    (),
+                    *sizes[0],
+                    sizes=sizes[:_MOST_SIZES],
+                    pictures=tuple(taken)[:_MOST_PICTURES],
+                )
         except LadarregError:  # it is damaged, which its reader says when it is opened
             pass
         return FileSurvey(found.kind, found.name, takes=found.takes)

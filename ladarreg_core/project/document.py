@@ -55,6 +55,8 @@ class CameraGiven(msgspec.Struct, frozen=True, kw_only=True):
 
     file: Source | None = None
     """Camera file."""
+    name: str | None = None
+    """Name of the camera in a file with several; None: chosen by the photograph."""
     focal_px: float | None = None
     """Focal length, pixels."""
     focal_mm: float | None = None

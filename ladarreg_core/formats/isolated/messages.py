@@ -241,6 +241,7 @@ def _field_types() -> dict[str, Callable[[Any], bool]]:
         "Rigid": is_a(Rigid),
         "ScanGeometry": is_a(*_geometries()),
         "tuple[str, ...]": is_tuple_of(str),
+        "tuple[tuple[int, int], ...]": is_tuple_of(tuple),
         "tuple[float, ...]": is_tuple_of(int, float),
         "tuple[float, float]": is_tuple_of(int, float),
         "Mapping[str, Any]": is_a(dict),
