@@ -31,6 +31,8 @@ class Arguments(RegisterArguments):
     """Registration method. With --matches, auto means manual, and thesis solves these matches."""
     smooth: bool = False
     """Replace range spikes at matches by their stereo range in model.glb and cloud.ply."""
+    frame: Literal["scanner", "world"] = "scanner"
+    """Coordinates of model.glb and cloud.ply; world: those of the survey, less the offset stated in offset.json."""
     carry: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Carry the pose over from this registration.json of another camera on the same mount; needs --offset."""
     offset: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -40,6 +42,7 @@ class Arguments(RegisterArguments):
 def run(arguments: Arguments) -> ExitCode:
     """Read, register, export, and print the verdict."""
     from ladarreg_core.export.folder import check_folder
+    from ladarreg_core.export.output_frame import OutputFrame
     from ladarreg_core.quality.assessment import assess
 
     started = time.perf_counter()
@@ -48,6 +51,7 @@ def run(arguments: Arguments) -> ExitCode:
     _check_carry(arguments)
     with progress_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
+        OutputFrame.of(scan, arguments.frame)  # refuse before the work
         result = _register(arguments, scan, photo, bar)
         assessment = timed("Assess", bar, lambda: assess(scan, result))
         smoothed = _smooth(arguments, result, scan, bar)
@@ -130,6 +134,7 @@ def _export(
         assessment=assessment,
         smoothed=smoothed,
         inputs=_input_files(arguments),
+        frame=arguments.frame,
         force=arguments.force,
         report=bar.progress,
     )

@@ -15,6 +15,7 @@ from .runner import JobContext
 
 if TYPE_CHECKING:
     from ladarreg_core.export.folder import FileJob
+    from ladarreg_core.export.output_frame import FrameName
     from ladarreg_core.project.document import Document, PhotoEntry
 
 Work = Callable[[Inputs, JobContext], str]
@@ -40,12 +41,22 @@ class ExportJobs:
         if stale and not last_solved:
             raise OptionError(f"{stale}, or choose 'export the last solved state'")
 
-    def export(self, inputs: Inputs, context: JobContext) -> str:
+    def check_frame(self, inputs: Inputs, frame: object) -> FrameName:
+        """Return the frame of exported models.
+
+        Raises:
+            OptionError: if it is unknown, or `world` and the scan does not state where it stands.
+        """
+        from ladarreg_core.export.output_frame import OutputFrame
+
+        return OutputFrame.of(inputs.scan, frame).name
+
+    def export(self, inputs: Inputs, context: JobContext, *, frame: FrameName = "scanner") -> str:
         """Write a zip."""
         from ladarreg_core.export.zip_file import write_zip
 
         target = self.zip_path(inputs.entry.id)
-        write_zip(target, lambda: self._files(inputs), report=context.progress)
+        write_zip(target, lambda: self._files(inputs, frame), report=context.progress)
         return f"Wrote a zip of {_size(target.stat().st_size)}."
 
     def report_path(self, photo: str) -> Path:
@@ -72,14 +83,14 @@ class ExportJobs:
             raise OptionError(f"{folder} is not an absolute path; give one")
         check_folder(folder, force=force, inputs=self._sources(document), apart_from=self._projects)
 
-    def into_folder(self, folder: Path, *, force: bool) -> Work:
+    def into_folder(self, folder: Path, *, force: bool, frame: FrameName = "scanner") -> Work:
         """Return the work of a job that exports into a folder."""
         from ladarreg_core.export.folder import write_folder
 
         def work(inputs: Inputs, context: JobContext) -> str:
             write_folder(
                 folder,
-                lambda: self._files(inputs),
+                lambda: self._files(inputs, frame),
                 inputs=self._sources(inputs.document),
                 apart_from=self._projects,
                 force=force,
@@ -89,7 +100,7 @@ class ExportJobs:
 
         return work
 
-    def _files(self, inputs: Inputs) -> list[FileJob]:
+    def _files(self, inputs: Inputs, frame: FrameName) -> list[FileJob]:
         from ladarreg_core.export.folder import registration_files
         from ladarreg_core.export.replacement import MATCHES_FILE
         from ladarreg_core.formats.matches_file import write_matches
@@ -107,6 +118,7 @@ class ExportJobs:
             inputs=pose.inputs,
             assessment=pose.assessment,
             rests_on=pose.rests_on,
+            frame=frame,
         )
         return [*files, (MATCHES_FILE, lambda path: write_matches(path, pose.picks))] if pose.picks else files
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
@@ -20,6 +20,9 @@ from .registration import RegistrationJobs
 from .runner import FULL_SPEED, WATCHED_SPEED, Control, JobContext, JobRunner
 from .simplex import Frame, SimplexJobs, frame_event
 from .solve import SolveJobs
+
+if TYPE_CHECKING:
+    from ladarreg_core.export.output_frame import FrameName
 
 Work = Callable[[Inputs, JobContext], str]
 _WATCHED: tuple[Control, ...] = ("pause", "stop", "speed", "step")
@@ -78,12 +81,16 @@ class JobRegistry:
             "thesis": JobKind("Thesis chain", self._registration.thesis),
             "compare": JobKind("Compare all stages", self._registration.compare),
             "self_test": JobKind("Self-test", self._registration.self_test),
-            "export": JobKind("Export", self._export_zip),
+            "export": JobKind("Export", self._export_zip_in("scanner")),
             "report": JobKind("Report", self._write_report),
         }
 
-    def run(self, name: str, photo: object, author: Author, *, last_solved: bool = False) -> str:
+    def run(
+        self, name: str, photo: object, author: Author, *, last_solved: bool = False, frame: object = "scanner"
+    ) -> str:
         """Start a job and return its id; `last_solved` lets an export write a pose that is out of date.
+
+        `frame` is that of the models that an export writes.
 
         Raises:
             LadarregError: if there is no such job, an input is missing, or another job is running.
@@ -93,6 +100,7 @@ class JobRegistry:
             raise OptionError(f"there is no job {name[:40]!r}")
         if name == "export":
             self._require_current(photo, last_solved=last_solved)
+            kind = replace(kind, work=self._export_zip_in(self._frame(photo, frame)))
         return self._start(name, kind, photo, author)
 
     def run_refine(self, photo: object, author: Author, initial: Rigid) -> str:
@@ -100,11 +108,16 @@ class JobRegistry:
         kind = JobKind("Refine the rough pose", self._registration.refine(initial))
         return self._start("refine", kind, photo, author)
 
-    def run_export(self, folder: Path, photo: object, author: Author, *, force: bool, last_solved: bool) -> str:
+    def run_export(
+        self, folder: Path, photo: object, author: Author, *, force: bool, last_solved: bool, frame: object = "scanner"
+    ) -> str:
         """Start an export into a folder; raises as `run`."""
         self._require_current(photo, last_solved=last_solved)
         self._exports.check_folder(folder, self._workspace.session.document, force=force)
-        kind = JobKind(f"Export into {folder.name}", self._exports.into_folder(folder, force=force))
+        kind = JobKind(
+            f"Export into {folder.name}",
+            self._exports.into_folder(folder, force=force, frame=self._frame(photo, frame)),
+        )
         return self._start("export", kind, photo, author)
 
     def corners(self, photo: str) -> dict[str, Any] | None:
@@ -164,10 +177,17 @@ class JobRegistry:
 
         return work
 
-    def _export_zip(self, inputs: Inputs, context: JobContext) -> str:
-        sentence = self._exports.export(inputs, context)
-        self._publish_event({"event": "export_ready", "photo": inputs.entry.id, "url": f"export/{inputs.entry.id}.zip"})
-        return sentence
+    def _frame(self, photo: object, frame: object) -> FrameName:
+        return self._exports.check_frame(self._workspace.inputs(photo), frame)
+
+    def _export_zip_in(self, frame: FrameName) -> Work:
+        def work(inputs: Inputs, context: JobContext) -> str:
+            sentence = self._exports.export(inputs, context, frame=frame)
+            url = f"export/{inputs.entry.id}.zip"
+            self._publish_event({"event": "export_ready", "photo": inputs.entry.id, "url": url})
+            return sentence
+
+        return work
 
     def _write_report(self, inputs: Inputs, context: JobContext) -> str:
         sentence = self._exports.report(inputs, context)

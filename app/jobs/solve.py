@@ -110,6 +110,7 @@ class SolveJobs:
         if of_picks:
             tolerance_m = inputs.settings.register_options.match_tolerance_m
             result = with_lengths_checked(result, inputs.scan, inputs.picks, tolerance_m=tolerance_m)
+        result = replace(result, world_from_scanner=inputs.scan.world_from_scanner)
         picks = inputs.entry.picks if of_picks else None
         entry = pose_entry(stage, result, picks=picks, method=method, seconds=seconds, note=note)
         self._workspace.commit(

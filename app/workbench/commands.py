@@ -409,7 +409,8 @@ def run(context: Context, client: Client, fields: Fields) -> Reply:
     if not isinstance(job, str):
         raise OptionError("give the name of a job")
     last_solved = fields.get("last_solved") is True
-    return {"job": context.jobs.run(job, fields.get("photo"), client.author, last_solved=last_solved)}
+    frame = fields.get("frame", "scanner")
+    return {"job": context.jobs.run(job, fields.get("photo"), client.author, last_solved=last_solved, frame=frame)}
 
 
 def refine(context: Context, client: Client, fields: Fields) -> Reply:
@@ -436,8 +437,9 @@ def export_folder(context: Context, client: Client, fields: Fields) -> Reply:
     """Export the results into a folder of the server."""
     folder = _folder(fields.get("folder"))
     force, last_solved = fields.get("force") is True, fields.get("last_solved") is True
-    photo = fields.get("photo")
-    return {"job": context.jobs.run_export(folder, photo, client.author, force=force, last_solved=last_solved)}
+    photo, frame = fields.get("photo"), fields.get("frame", "scanner")
+    job = context.jobs.run_export(folder, photo, client.author, force=force, last_solved=last_solved, frame=frame)
+    return {"job": job}
 
 
 COMMANDS: dict[str, Command] = {

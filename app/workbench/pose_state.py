@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import LadarregError
@@ -18,7 +18,7 @@ from ladarreg_core.results import STAGE_LABELS
 from ..messages import verdict
 
 if TYPE_CHECKING:
-    from ladarreg_core.matches import Matches
+    from ladarreg_core.matches import Matches, Pick
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import PhotoEntry, PoseEntry
     from ladarreg_core.quality.assessment import Assessment
@@ -43,6 +43,7 @@ def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEn
         "by_pick": {},
         "predicted": {},
         "lines": lines,
+        "lengths": _lengths(scan, picks),
         "losses": [],
         "cautions": [],
     }
@@ -70,6 +71,20 @@ def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEn
             "influence": number(judged.influence_px) if known else None,
         }
         found["predicted"][name] = [None if math.isnan(at[0]) else at for at in judged.photo.tolist()]
+    return found
+
+
+def _lengths(scan: Scan, picks: Sequence[Pick]) -> dict[str, Any]:
+    """Return the lengths that came with picks beside the scan's own ranges, by pick; of a line, of its worse end."""
+    from ladarreg_core.picks.lengths import check_lengths
+
+    check = check_lengths(scan, [replace(pick, on=True) for pick in picks if pick.lengths_m is not None])
+    found: dict[str, Any] = {}
+    for one in () if check is None else check.lengths:
+        before = found.get(one.pick_id)
+        if before is None or abs(before["difference_m"] or 0) < abs(one.difference_m or 0):
+            names = ("length_m", "scan_range_m", "difference_m", "tolerance_m", "state")
+            found[one.pick_id] = {**{name: getattr(one, name) for name in names}, "beyond": one.is_beyond}
     return found
 
 
@@ -128,6 +143,7 @@ def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
         **{name: number(value) for name, value in asdict(figures(registration)).items()},
         "cost": number(registration.chi2_per_dof),
         "centre": registration.camera_from_scanner.centre.tolist(),
+        "in_world": registration.in_world if registration.is_determined else None,
         "focal_px": registration.camera.focal_px,
         "camera_sigmas": dict(registration.camera_sigmas),
         "seconds": pose.seconds,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct, json
 
 from ladarreg_core.errors import CameraError, LadarregError
+from ladarreg_core.frames import describe_world
 from ladarreg_core.matching.step_labels import step_label
 from ladarreg_core.project.own_steps import plain_label
 
@@ -83,6 +84,7 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
         "columns": columns,
         "returns": int(scan.valid.sum()),
         "notes": [*scan.notes, *([note] if note else [])],
+        "world": None if scan.world_from_scanner is None else describe_world(scan.world_from_scanner),
         "has_color": scan.color is not None,
         "has_intensity": True,
         "views": [
@@ -161,6 +163,7 @@ def pick_entry(pick: PickEntry) -> dict[str, Any]:
         "on": pick.on,
         "weight": pick.weight,
         "origin": pick.origin,
+        **({"name": pick.name} if pick.name else {}),
     }
 
 

@@ -19,8 +19,10 @@ from ladarreg_core.export.images import (
     write_visibility_png,
 )
 from ladarreg_core.export.json import registration_document, write_document
+from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.export.ply import write_ply
 from ladarreg_core.export.replacement import (
+    OFFSET_FILE,
     REGISTRATION_FILES,
     REPORT_FILE,
     display_path,
@@ -55,14 +57,15 @@ def export_registration(
     inputs: Sequence[str | Path] = (),
     apart_from: Sequence[str | Path] = (),
     more: Sequence[FileJob] = (),
+    frame: FrameName = "scanner",
     force: bool = False,
     report: Report | None = None,
 ) -> None:
     """Write a registration into a new folder.
 
     `registration.json` and `report.html` always; `registered.png`, `labels.png`, `visibility.png`, `uncertainty.png`,
-    `model.glb` and `cloud.ply` only if the registration is accepted. The folder is written atomically, see
-    `write_folder`.
+    `model.glb` and `cloud.ply` (in the world with `offset.json`) only if the registration is accepted. The folder is
+    written atomically, see `write_folder`.
 
     Args:
         folder: output folder; missing parents are created.
@@ -74,16 +77,18 @@ def export_registration(
         inputs: the files that scan and photo were read from, recorded in `registration.json`.
         apart_from: as in `write_folder`.
         more: additional files, such as the picks.
+        frame: of `model.glb` and `cloud.ply`; in the world, `offset.json` states what was subtracted.
         force: replace the results of an earlier run.
         report: receives the progress, per file.
 
     Raises:
+        OptionError: if the frame is `world` and the scan does not state where it stands.
         ExportError: if the folder exists and must not be replaced, see `check_folder`, or if something cannot be
             written.
     """
     write_folder(
         folder,
-        lambda: [*registration_files(registration, scan, photo, inputs, assessment, smoothed), *more],
+        lambda: [*registration_files(registration, scan, photo, inputs, assessment, smoothed, frame=frame), *more],
         inputs=inputs,
         apart_from=apart_from,
         more_names=[name for name, _ in more],
@@ -236,16 +241,20 @@ def registration_files(
     assessment: Assessment | None = None,
     smoothed: SmoothedScan | None = None,
     rests_on: Mapping[str, Any] | None = None,
+    *,
+    frame: FrameName = "scanner",
 ) -> list[FileJob]:
     """Return the names and writers of a registration's files; the arguments are those of `export_registration`.
 
     `rests_on` states the matches that the pose was solved on, where they are known.
     """
+    placed = OutputFrame.of(scan, frame)
     found = assess(scan, registration) if assessment is None else assessment
 
     @cache  # hashing the inputs takes longest
     def document() -> dict[str, Any]:
         described = registration_document(registration, assessment=found, smoothed=smoothed, inputs=inputs)
+        described["models"] = placed.as_dict()
         return described if rests_on is None else {**described, "rests_on": rests_on}
 
     texture = _textured(registration, scan, photo) if registration.accepted else None
@@ -263,8 +272,8 @@ def registration_files(
     if (uncertainty := found.uncertainty) is not None:
         jobs.append(("uncertainty.png", lambda path: write_uncertainty_png(path, uncertainty.sigma_px)))
     if smoothed is None or smoothed.scan is scan:
-        return jobs + _models(scan, texture)
-    return jobs + _models(smoothed.scan, _textured(registration, smoothed.scan, photo))
+        return jobs + _models(scan, texture, placed)
+    return jobs + _models(smoothed.scan, _textured(registration, smoothed.scan, photo), placed)
 
 
 def _textured(registration: Registration, scan: Scan, photo: Photo) -> RegisteredTexture:
@@ -277,11 +286,12 @@ def _textured(registration: Registration, scan: Scan, photo: Photo) -> Registere
     )
 
 
-def _models(scan: Scan, texture: RegisteredTexture) -> list[FileJob]:
-    return [
-        ("model.glb", lambda path: write_glb(path, scan_mesh(scan), model_picture(scan, texture))),
-        ("cloud.ply", lambda path: write_ply(path, scan, texture)),
+def _models(scan: Scan, texture: RegisteredTexture, frame: OutputFrame) -> list[FileJob]:
+    jobs: list[FileJob] = [
+        ("model.glb", lambda path: write_glb(path, scan_mesh(scan), model_picture(scan, texture), frame=frame)),
+        ("cloud.ply", lambda path: write_ply(path, scan, texture, frame=frame)),
     ]
+    return jobs if frame.name == "scanner" else [*jobs, (OFFSET_FILE, frame.write)]
 
 
 def _missing_parents(target: Path) -> list[Path]:

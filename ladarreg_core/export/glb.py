@@ -13,39 +13,56 @@ import numpy as np
 from ladarreg_core.arrays import ByteArray, read_only
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import write_bytes
+from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.viser_colors import VISER_BASE_COLOUR, texture_for_viewer
 from ladarreg_core.surface.mesh import Mesh
 
 _LARGEST_TEXTURE_PX = 8192
 # glTF is Y up, and viewers start by looking along -Z: the scanner's X goes there, its Y to -X, its Z to Y.
 _GLTF_FROM_SCANNER_XYZW = [-0.5, 0.5, 0.5, 0.5]
+_GLTF_FROM_WORLD_XYZW = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # X stays, Y goes to -Z, Z goes to Y
+SCANNER_FRAME = OutputFrame()
 _FLOAT, _UINT = 5126, 5125
 _ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
 _LINEAR, _LINEAR_MIPMAP, _CLAMP = 9729, 9987, 33071
 _PNG_COMPRESSION = 4
 
 
-def write_glb(path: str | Path, mesh: Mesh, picture: ByteArray, *, for_viser: bool = False) -> None:
+def write_glb(
+    path: str | Path,
+    mesh: Mesh,
+    picture: ByteArray,
+    *,
+    for_viser: bool = False,
+    frame: OutputFrame = SCANNER_FRAME,
+) -> None:
     """Write a model to a GLB file; see `glb_bytes`.
 
     Raises:
         ExportError: if the mesh has no faces or the file cannot be written.
     """
-    write_bytes(path, glb_bytes(mesh, picture, for_viser=for_viser))
+    write_bytes(path, glb_bytes(mesh, picture, for_viser=for_viser, frame=frame))
 
 
 def glb_bytes(
-    mesh: Mesh, picture: ByteArray, *, for_viser: bool = False, largest_texture_px: int = _LARGEST_TEXTURE_PX
+    mesh: Mesh,
+    picture: ByteArray,
+    *,
+    for_viser: bool = False,
+    frame: OutputFrame = SCANNER_FRAME,
+    largest_texture_px: int = _LARGEST_TEXTURE_PX,
 ) -> bytes:
     """Return a model as GLB: one unlit mesh with its texture, in metres.
 
-    Vertices are in the scanner frame (X forward, Y left, Z up) under a root node that rotates them into glTF's frame.
+    Vertices are in the scanner frame (X forward, Y left, Z up), or in the world's less the offset that the root node's
+    extras state; that node rotates them into glTF's frame.
 
     Args:
         mesh: the mesh.
         picture: texture over the whole scan grid, (h, w, 3) uint8 RGB of any size; reduced if it is too large.
         for_viser: target viser's scene, which uses the scanner frame and tone mapping: no root rotation, and a texture
             that has the true colours after tone mapping.
+        frame: the frame of the vertices; viser's scene has the scanner's.
         largest_texture_px: limit of the texture's longer side, at most 8192.
 
     Raises:
@@ -64,7 +81,7 @@ def glb_bytes(
     done, encoded = cv2.imencode(".png", pixels[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, _PNG_COMPRESSION])
     assert done, "an 8-bit image can always be encoded"
 
-    vertices = np.ascontiguousarray(mesh.vertices, dtype="<f4")
+    vertices = np.ascontiguousarray(frame.place(mesh.vertices), dtype="<f4")
     chunks = [
         vertices.tobytes(),
         np.ascontiguousarray(mesh.uv, dtype="<f4").tobytes(),
@@ -83,6 +100,8 @@ def glb_bytes(
     node: dict[str, Any] = {"name": "scanner frame: X forward, Y left, Z up, metres", "mesh": 0}
     if not for_viser:
         node["rotation"] = _GLTF_FROM_SCANNER_XYZW
+    if frame.name == "world":
+        node |= {"name": frame.sentence, "extras": frame.as_dict(), "rotation": _GLTF_FROM_WORLD_XYZW}
     base = VISER_BASE_COLOUR if for_viser else 1.0
     document = {
         "asset": {"version": "2.0", "generator": "ladarreg"},

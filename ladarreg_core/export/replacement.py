@@ -24,6 +24,8 @@ REGISTRATION_FILES = (
     "registered.png", "labels.png", "visibility.png", "uncertainty.png", "model.glb", "cloud.ply",
 )  # fmt: skip
 """Files of a registration; all but the first two are only written if it is accepted."""
+OFFSET_FILE = "offset.json"
+"""File beside models that are written in the world."""
 MATCHES_FILE = "matches.json"
 """File of the picks next to a registration."""
 _COMPARISON_FILES = ("comparison.json", "table.md", "contact_sheet.png")
@@ -151,7 +153,8 @@ def is_project(folder: Path) -> bool:
 
 def remove_results(folder: Path, *, more_names: Collection[str] = ()) -> None:
     """Remove the files that exports write into a folder, and the folder if it is empty then."""
-    own = {*REGISTRATION_FILES, MATCHES_FILE, *_COMPARISON_FILES, *_SIMULATION_FILES, *_FILE_MANAGER_FILES, *more_names}
+    registration = {*REGISTRATION_FILES, OFFSET_FILE, MATCHES_FILE}
+    own = {*registration, *_COMPARISON_FILES, *_SIMULATION_FILES, *_FILE_MANAGER_FILES, *more_names}
     with contextlib.suppress(OSError):
         with os.scandir(folder) as listed:
             entries = [entry for entry in listed if entry.is_file(follow_symlinks=False)]
@@ -185,7 +188,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 def _files_of_registration(fields: Mapping[str, Any]) -> Collection[str] | None:
     ours = _is_export_document(fields) and isinstance(fields.get("accepted"), bool) and "camera_from_scanner" in fields
-    return (*REGISTRATION_FILES, MATCHES_FILE) if ours else None
+    return (*REGISTRATION_FILES, OFFSET_FILE, MATCHES_FILE) if ours else None
 
 
 def _files_of_comparison(fields: Mapping[str, Any]) -> Collection[str] | None:

@@ -125,6 +125,16 @@ class LengthCheck:
             )
         return tuple(found)
 
+    @property
+    def note(self) -> str:
+        """A sentence on the lengths that the scan has no range for; empty: there are none."""
+        alone = list(dict.fromkeys(one.name for one in self.lengths if one.scan_range_m is None))
+        if not alone:
+            return ""
+        named = f"{', '.join(alone[:_NAMED])}" + (f" and {len(alone) - _NAMED} more" if len(alone) > _NAMED else "")
+        own = "its own length is" if len(alone) == 1 else "their own lengths are"
+        return f"The scan has no range to compare with at {named}: {own} used."
+
     def as_dict(self) -> dict[str, Any]:
         """Return the check, JSON-ready."""
         differences = [abs(one.difference_m) for one in self.compared if one.difference_m is not None]
@@ -184,7 +194,13 @@ def with_lengths_checked(
     check = check_lengths(scan, picks, tolerance_m=tolerance_m)
     if check is None:
         return result
-    return refused_by_lengths(replace(result, diagnostics={**result.diagnostics, "lengths": check.as_dict()}))
+    return refused_by_lengths(
+        replace(
+            result,
+            diagnostics={**result.diagnostics, "lengths": check.as_dict()},
+            reasons=tuple(dict.fromkeys((*result.reasons, *filter(None, [check.note])))),
+        )
+    )
 
 
 def refused_by_lengths(result: ResultT) -> ResultT:

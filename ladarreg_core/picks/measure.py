@@ -106,7 +106,7 @@ class _MatchBuilder:
         """Add points at fractions of a pick, each with the range of the surface under it."""
         rays = pick.scan if pick.kind == "point" else along_line(pick.scan, along)
         if pick.lengths_m is not None:
-            self._stated(scan, pick, rays, along, uv, weight)
+            self._stated(pick, rays, along, uv, weight)
             return
         found = measured_ranges(scan, rays)
         self._add(pick, rays, found.ranges, found.edge, uv, along, weight, range_quality(scan, rays))
@@ -114,7 +114,7 @@ class _MatchBuilder:
     def line(self, scan: Scan, pick: Pick) -> None:
         """Add both ends of a line with the ranges of the edge under it."""
         if pick.lengths_m is not None:
-            self._stated(scan, pick, pick.scan, np.array([0.0, 1.0]), pick.photo, pick.weight)
+            self._stated(pick, pick.scan, np.array([0.0, 1.0]), pick.photo, pick.weight)
             return
         edge = line_on_scan(scan, pick.scan)
         if edge is None:
@@ -128,22 +128,13 @@ class _MatchBuilder:
         along = np.array([0.0, 1.0])
         self._add(pick, edge.rays, edge.ranges, no_edge, pick.photo, along, pick.weight, edge.range_weights)
 
-    def _stated(
-        self, scan: Scan, pick: Pick, rays: FloatArray, along: FloatArray, uv: FloatArray, weight: float
-    ) -> None:
+    def _stated(self, pick: Pick, rays: FloatArray, along: FloatArray, uv: FloatArray, weight: float) -> None:
         """Add points with the lengths that came with the pick; between the ends of a line, those of a straight edge."""
         lengths = pick.lengths_m
         assert lengths is not None
         if pick.kind == "line":
             shares = rays @ np.linalg.pinv(pick.scan)  # of the two ends' directions, (K, 2)
             lengths = 1 / (shares / lengths).sum(axis=1)
-        lost = np.flatnonzero(~np.isfinite(measured_ranges(scan, pick.scan).ranges))
-        if len(lost):
-            stated = " and ".join(f"{pick.lengths_m[k]:.3f} m" for k in lost)  # type: ignore[index]
-            self.notes.append(
-                f"Match {pick.name or pick.id}: the scan has no range there to compare with; its own length of "
-                f"{stated} is used."
-            )
         no_edge = np.zeros(len(rays), dtype=np.bool_)
         self._add(pick, rays, lengths, no_edge, uv, along, weight, np.ones(len(rays)))
 

@@ -121,6 +121,8 @@ class PoseEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Pose matrix (4, 4)."""
     camera: dict[str, Any]
     """Intrinsics used or estimated."""
+    world_from_scanner: Rows | None = None
+    """The scanner's pose in the world (4, 4) when this was solved; None: not known."""
     covariance: Rows
     """Covariance (6, 6) of the pose."""
     chi2_per_dof: float | None

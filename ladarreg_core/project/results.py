@@ -64,6 +64,7 @@ def pose_entry(
         arrays=StoredArrays.of(arrays),
         camera_from_scanner=_rows(result.camera_from_scanner.matrix),
         camera=plain(result.camera.as_fields()),
+        world_from_scanner=None if result.world_from_scanner is None else _rows(result.world_from_scanner.matrix),
         covariance=_rows(result.covariance),
         chi2_per_dof=float(result.chi2_per_dof) if math.isfinite(result.chi2_per_dof) else None,
         sigma_px=float(result.sigma_px),
@@ -121,6 +122,9 @@ def registration_of(entry: PoseEntry) -> Registration:
         return Registration(
             camera_from_scanner=Rigid.from_matrix(np.array(entry.camera_from_scanner)),
             camera=camera_from_fields(entry.camera),
+            world_from_scanner=None
+            if entry.world_from_scanner is None
+            else Rigid.from_matrix(np.array(entry.world_from_scanner)),
             matches=matches,
             covariance=np.array(entry.covariance),
             chi2_per_dof=math.nan if entry.chi2_per_dof is None else entry.chi2_per_dof,

@@ -7,7 +7,7 @@ import { changed as applied } from "./delta.js";
 
 /**
  * @typedef {{id: string, number: number, kind: "point" | "line", scan: number[][], photo: number[][], on: boolean,
- *            weight: number, origin: string}} Pick
+ *            weight: number, origin: string, name?: string}} Pick
  * @typedef {(value: any, slice: string) => void} SliceListener
  */
 

@@ -21,10 +21,11 @@ const FILES = [
   ["model.glb", "textured surface", true],
   ["cloud.ply", "coloured points", true],
 ];
+const OFFSET = ["offset.json", "what was subtracted from the coordinates of the world", true];
 const FOLDER_KEY = "ladarreg-folder";
 
-const listed = (accepted, any, posed) =>
-  FILES.map(([name, description, needsAcceptance]) => {
+const listed = (accepted, any, posed, frame) =>
+  [...FILES, ...(frame === "world" ? [OFFSET] : [])].map(([name, description, needsAcceptance]) => {
     const known = posed || (name === MATCHES && store.picksOf().length > 0);
     const written = any && known && (accepted || !needsAcceptance);
     return element(
@@ -78,6 +79,19 @@ export const mountExport = () => {
     last,
     "export the last solved state",
   );
+  const frame = element(
+    "select",
+    { id: newId("field") },
+    element("option", { value: "scanner" }, "scanner"),
+    element("option", { value: "world" }, "world"),
+  );
+  const frameRow = element(
+    "label",
+    { class: "inline", title: "Coordinates of model.glb and cloud.ply", hidden: true },
+    "Model and cloud in the frame of the",
+    frame,
+  );
+  const place = element("p", { class: "dim", hidden: true });
   const wrong = element("p", { class: "form-wrong", role: "alert", hidden: true });
   const form = element(
     "form",
@@ -97,7 +111,7 @@ export const mountExport = () => {
     "section",
     { class: "dock-part export-part", "aria-label": "Export" },
     element("div", { class: "part-head" }, element("h2", {}, "Export")),
-    element("div", { class: "part-body" }, verdict, lastRow, element("div", { class: "row" }, zip, ready, report, written), form),
+    element("div", { class: "part-body" }, verdict, lastRow, frameRow, place, element("div", { class: "row" }, zip, ready, report, written), form),
   );
   const files = element("ul", { class: "export-list" });
   const right = element(
@@ -126,7 +140,7 @@ export const mountExport = () => {
       return;
     }
     requested = store.shown();
-    if (!(await requestForPhoto("run", { job: "export", last_solved: last.checked }))) requested = null;
+    if (!(await requestForPhoto("run", { job: "export", last_solved: last.checked, frame: frame.value }))) requested = null;
   };
   const writeReport = async () => {
     written.hidden = true;
@@ -148,7 +162,7 @@ export const mountExport = () => {
     } catch {
       // storage is disabled: it has to be entered again next time
     }
-    const asked = { folder: name, force: force.checked, last_solved: last.checked };
+    const asked = { folder: name, force: force.checked, last_solved: last.checked, frame: frame.value };
     if (await requestForPhoto("export_folder", asked)) notice(`Writing to ${name}.`);
   });
   store.onEvent("export_ready", ({ photo, url }) => {
@@ -162,12 +176,17 @@ export const mountExport = () => {
     ready.hidden = written.hidden = true;
   });
   last.addEventListener("change", () => show());
+  frame.addEventListener("change", () => show());
 
   const show = () => {
     const stage = store.stageOf();
     const accepted = Boolean(stage?.accepted);
     const busy = isRunning(store.get("job"));
     const stale = stage?.stale ?? "";
+    const world = store.get("scan")?.world;
+    frameRow.hidden = place.hidden = !world;
+    if (!world) frame.value = "scanner";
+    setText(place, world ? `The scanner stands at ${world.position} in the world; ${world.heading}.` : "");
     lastRow.hidden = !stale;
     if (!stale) last.checked = false;
     const outdated = stale && !last.checked;
@@ -193,9 +212,9 @@ export const mountExport = () => {
         element("p", {}, text, stage && !accepted && !stale ? ` ${sentences(stage.reasons ?? [])}` : ""),
       ),
     );
-    setChildren(files, ...listed(accepted, !outdated, Boolean(stage)));
+    setChildren(files, ...listed(accepted, !outdated, Boolean(stage), frame.value));
   };
-  store.watch(["poses:*", "shown", "job", "picks:*"], show);
+  store.watch(["poses:*", "shown", "job", "picks:*", "scan"], show);
   show();
   return [left, right];
 };

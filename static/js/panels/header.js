@@ -64,9 +64,10 @@ const scanChip = () => {
       element("span", { class: "clip" }, scan ? scan.name : "Open a scan"),
       size ? element("span", { class: "dim" }, size) : null,
     );
+    const place = scan?.world ? `\nIn the world: ${scan.world.position}; ${scan.world.heading}; ${scan.world.tilt}` : "";
     const notes = scan?.notes?.length ? `\n${scan.notes.join("\n")}` : "";
     chip.title = scan
-      ? `${scan.error ?? `${scan.name}, ${counted(scan.returns ?? 0, "return")}${notes}`}\nClick to open another scan.`
+      ? `${scan.error ?? `${scan.name}, ${counted(scan.returns ?? 0, "return")}${place}${notes}`}\nClick to open another scan.`
       : `Open a scan: ${namesOf("scan")}`;
     chip.classList.toggle("attention", !scan);
   };

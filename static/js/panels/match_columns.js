@@ -42,13 +42,17 @@ const numberCell = () => {
   const show = (row) => {
     swatch.style.setProperty("--colour", `var(${matchColour(row.number)})`);
     setText(number, String(row.number));
-    const state = !row.on ? "disabled" : row.inlier === false ? "outlier" : "";
+    const said = [row.name, row.length].filter(Boolean).join(": ");
+    if (number.title !== said) number.title = said;
+    const state = !row.on ? "disabled" : row.inlier === false ? "outlier" : row.beyond ? "other length" : "";
     if (mark.dataset.mark === state) return;
     mark.dataset.mark = state;
-    mark.title = state === "outlier" ? "Outlier: it does not agree with the shown pose" : "";
+    mark.title =
+      state === "outlier" ? "Outlier: it does not agree with the shown pose" :
+      state === "other length" ? "Its length differs from the scan's own range by more than the tolerance" : "";
     setChildren(
       mark,
-      state === "outlier" ? icon("cross") : null,
+      state === "outlier" ? icon("cross") : state === "other length" ? icon("warn") : null,
       state ? element("span", { class: "visually-hidden" }, state) : null,
     );
   };

@@ -3,9 +3,10 @@
 /**
  * @typedef {{id: string, number: number, kind: string, origin: string, on: boolean, weight: number, sampled: number |
  *   null, used: number | null, px: number | null, mm: number | null, depth_m: number | null, influence: number | null,
- *   inlier: boolean | null, agrees: boolean | null, judged: boolean}} Row
+ *   inlier: boolean | null, agrees: boolean | null, judged: boolean, name: string, length: string, beyond: boolean}} Row
  */
 
+const MINUS = "\u2212";
 const DRAWN = new Set(["manual", "file"]);
 
 /** The filters; those of one group are combined by or, the groups by and. */
@@ -16,6 +17,14 @@ export const FILTERS = [
   { name: "off", one: "disabled", many: "disabled", group: "state", keeps: (row) => !row.on },
   { name: "rejected", one: "outlier", many: "outliers", group: "state", keeps: (row) => row.on && row.inlier === false },
 ];
+
+const lengthOf = (found) => {
+  if (!found) return "";
+  const own = `length ${found.length_m.toFixed(3)} m`;
+  if (found.scan_range_m === null) return `${own}; the scan has none there (${found.state})`;
+  const more = found.difference_m < 0 ? MINUS : "+";
+  return `${own}, the scan ${found.scan_range_m.toFixed(3)} m (${more}${Math.abs(found.difference_m).toFixed(3)} m)`;
+};
 
 /**
  * @param {import("../net/store.js").Pick[]} picks
@@ -42,6 +51,9 @@ export const rowsOf = (picks, judged) =>
       inlier: residuals?.inlier ?? null,
       agrees: residuals?.agrees ?? null,
       judged: residuals !== undefined,
+      name: pick.name ?? "",
+      length: lengthOf(judged?.lengths?.[pick.id]),
+      beyond: judged?.lengths?.[pick.id]?.beyond ?? false,
     };
   });
 

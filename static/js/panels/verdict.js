@@ -163,6 +163,7 @@ export const mountVerdict = () => {
       stage.stale ? element("p", { class: "dim" }, sentences([stage.verdict, ...(stage.reasons ?? [])])) : null,
       stage.note ? element("p", { class: "dim" }, stage.note) : null,
       stage.parameters?.length ? six(stage.parameters) : null,
+      stage.in_world ? element("p", { class: "dim" }, `In the world: ${stage.in_world}.`) : null,
       stage.uncertainty ? element("p", { class: "dim" }, stage.uncertainty) : null,
       element("ul", { class: "findings" }, ...advices(stage), check(stage), ...findings.map(finding(stage.stale))),
       ...warnings(limits),

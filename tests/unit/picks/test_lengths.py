@@ -140,11 +140,12 @@ def test_points_without_a_return_are_used_with_their_own_length(room: PaintedRoo
     pick = lr.Pick("1", "point", ray[None], np.array([[20.0, 30.0]]), lengths_m=np.array([4.25]), name="ball")
     matches, notes = matches_from_picks(scan, [pick])
     assert matches.ranges.tolist() == [4.25]
-    assert notes == ("Match ball: the scan has no range there to compare with; its own length of 4.250 m is used.",)
+    assert notes == ()
     check = check_lengths(scan, [pick])
     assert check is not None
     assert (check.compared, check.refusal) == ((), ())
     assert check.lengths[0].state == "no return"
+    assert check.note == "The scan has no range to compare with at ball: its own length is used."
     np.testing.assert_allclose(pick_points(scan, [pick])[0], 4.25 * ray[None])
     behind = replace(pick, scan=np.array([[-1.0, 0.0, 0.0]]))  # where the scanner never looked
     outside = check_lengths(scan, [behind])
