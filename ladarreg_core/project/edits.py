@@ -152,7 +152,10 @@ def changed_pick(photo: PhotoEntry, pick_id: str, fields: Mapping[str, Any]) -> 
         scan=rays(sound.scan.tolist()) if "scan" in fields else old.scan,
         photo=pixels(new.photo) if "photo" in fields else old.photo,
         weight=weight(new.weight) if "weight" in fields else old.weight,
-        lengths_m=None if "scan" in fields else old.lengths_m,  # of the point that it was, not of where it is now
+        # a length is of the point that was measured, not of where the match has been moved
+        lengths_m=None
+        if "scan" in fields and not np.allclose(sound.scan, old.scan, rtol=0, atol=1e-9)
+        else old.lengths_m,
     )
     return replace(photo, picks=tuple(new if p.id == pick_id else p for p in photo.picks))
 
