@@ -1,4 +1,4 @@
-"""The pinhole camera with OpenCV's radial and tangential distortion."""
+"""The pinhole camera with OpenCV's radial, tangential and thin prism distortion."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.errors import CameraError
+from ladarreg_core.camera.fields import checked_centre, checked_focal, checked_size, checked_terms
 
-_TERMS = (0, 4, 5, 8)
+_TERMS = (0, 4, 5, 8, 12)
 _NEWTON_STEPS = 20
-_FOCAL_PX = (1e-6, 1e12)  # squares of others leave the range of floating point
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,7 @@ class Camera:
 
     Raises:
         CameraError: if a size or focal length is not positive, a focal length is implausible, a number is not finite,
-            or the distortion does not have 0, 4, 5 or 8 terms.
+            or the distortion does not have 0, 4, 5, 8 or 12 terms.
     """
 
     width: int
@@ -39,30 +38,21 @@ class Camera:
     cy: float
     """Principal point, pixels."""
     distortion: tuple[float, ...] = ()
-    """OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]."""
+    """OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4]]]."""
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            size = getattr(self, name)
-            if isinstance(size, bool) or not float(_number(size)).is_integer() or size < 1:
-                raise CameraError(f"camera {name} is {size!r}; it must be a whole number of pixels, at least 1")
-            object.__setattr__(self, name, int(size))
-        for name in ("fx", "fy", "cx", "cy"):
-            value = _number(getattr(self, name))
-            if not np.isfinite(value) or (name in ("fx", "fy") and not _FOCAL_PX[0] <= value <= _FOCAL_PX[1]):
-                extent = f" from {_FOCAL_PX[0]:g} to {_FOCAL_PX[1]:g}" if value > 0 and name in ("fx", "fy") else ""
-                need = "positive" if name in ("fx", "fy") else "finite"
-                raise CameraError(
-                    f"camera {name} is {getattr(self, name)!r}; it must be a {need} number of pixels{extent}"
-                )
-            object.__setattr__(self, name, value)
-        try:
-            terms = tuple(_number(k) for k in self.distortion)
-        except TypeError:
-            terms = (np.nan,)
-        if len(terms) not in _TERMS or not np.isfinite(terms).all():
-            raise CameraError(f"camera distortion is {self.distortion!r:.80}; it must be 0, 4, 5 or 8 finite terms")
-        object.__setattr__(self, "distortion", terms if any(terms) else ())
+            object.__setattr__(self, name, checked_size(getattr(self, name), name))
+        for name in ("fx", "fy"):
+            object.__setattr__(self, name, checked_focal(getattr(self, name), name))
+        for name in ("cx", "cy"):
+            object.__setattr__(self, name, checked_centre(getattr(self, name), name))
+        object.__setattr__(self, "distortion", checked_terms(self.distortion, _TERMS))
+
+    @property
+    def model(self) -> str:
+        """`pinhole`."""
+        return "pinhole"
 
     @staticmethod
     def from_focal(width: int, height: int, focal_px: float) -> Camera:
@@ -72,6 +62,7 @@ class Camera:
     def as_fields(self) -> dict[str, Any]:
         """Return the fields of the camera JSON."""
         return {
+            "model": self.model,
             "width": self.width,
             "height": self.height,
             "fx": self.fx,
@@ -124,6 +115,10 @@ class Camera:
         with np.errstate(invalid="ignore"):
             inside = (u >= border) & (u <= self.width - 1 - border) & (v >= border) & (v <= self.height - 1 - border)
         return np.asarray(inside, dtype=np.bool_)
+
+    def difference(self, uv: ArrayLike, reference: ArrayLike) -> FloatArray:
+        """Return uv - reference (..., 2), px."""
+        return np.asarray(np.asarray(uv) - np.asarray(reference))
 
     def project(self, points_camera: ArrayLike) -> FloatArray:
         """Project points into the image.
@@ -210,7 +205,11 @@ class Camera:
 
     @property
     def _coefficients(self) -> tuple[float, ...]:
-        return (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
+        return (*self.distortion, *(0.0,) * (8 - len(self.distortion)))[:8]
+
+    @property
+    def _prism(self) -> tuple[float, ...]:
+        return self.distortion[8:] or (0.0,) * 4
 
     @cached_property
     def _fold_radius_squared(self) -> float:
@@ -229,7 +228,11 @@ class Camera:
         s = np.where(s <= self._fold_radius_squared, s, np.nan).astype(np.asarray(x).dtype)
         radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
         xy2 = 2 * x * y
-        return x * radial + p1 * xy2 + p2 * (s + 2 * x * x), y * radial + p1 * (s + 2 * y * y) + p2 * xy2
+        xd, yd = x * radial + p1 * xy2 + p2 * (s + 2 * x * x), y * radial + p1 * (s + 2 * y * y) + p2 * xy2
+        if len(self.distortion) == 12:
+            s1, s2, s3, s4 = (np.asarray(x).dtype.type(k) for k in self._prism)
+            xd, yd = xd + s * (s1 + s * s2), yd + s * (s3 + s * s4)
+        return xd, yd
 
     def _distortion_jacobian(self, x: FloatArray, y: FloatArray) -> FloatArray:
         k1, k2, p1, p2, k3, k4, k5, k6 = self._coefficients
@@ -241,6 +244,10 @@ class Camera:
         J[..., 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
         J[..., 0, 1] = J[..., 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
         J[..., 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        if len(self.distortion) == 12:
+            s1, s2, s3, s4 = self._prism
+            by_s = np.stack([s1 + 2 * s2 * s, s3 + 2 * s4 * s], axis=-1)
+            J += by_s[..., None] * np.stack([2 * x, 2 * y], axis=-1)[..., None, :]
         return np.asarray(J)
 
     def _undistort(self, xd: FloatArray, yd: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -271,11 +278,3 @@ class Camera:
         with np.errstate(divide="ignore", invalid="ignore"):
             factor = np.where(radius > 1e-12, np.interp(radius, mapped, r) / radius, 1.0)
         return xd * factor, yd * factor
-
-
-def _number(value: Any) -> float:
-    """Return a value as a float; NaN if it is not a number."""
-    try:
-        return float(value)
-    except (TypeError, ValueError, OverflowError):
-        return float("nan")

@@ -155,7 +155,7 @@ class _Decoder:
 @cache
 def _records() -> dict[str, type[Any]]:
     """Return the data types that a message can contain, by name."""
-    from ladarreg_core.camera import Camera
+    from ladarreg_core.camera import Camera, EquirectangularCamera, FisheyeCamera
     from ladarreg_core.formats.e57_images import EmbeddedImage
     from ladarreg_core.formats.file_info import FileInfo
     from ladarreg_core.formats.survey import FileSurvey
@@ -166,7 +166,19 @@ def _records() -> dict[str, type[Any]]:
 
     return {
         found.__name__: found
-        for found in (Camera, EmbeddedImage, FileInfo, FileSurvey, Rigid, Pick, Photo, Scan, *_geometries())
+        for found in (
+            Camera,
+            EquirectangularCamera,
+            FisheyeCamera,
+            EmbeddedImage,
+            FileInfo,
+            FileSurvey,
+            Rigid,
+            Pick,
+            Photo,
+            Scan,
+            *_geometries(),
+        )
     }
 
 
@@ -216,7 +228,7 @@ def _ray_table(record: type[Any], values: dict[str, Any]) -> Any:
 @cache
 def _field_types() -> dict[str, Callable[[Any], bool]]:
     """Return the type check of a field by its annotation."""
-    from ladarreg_core.camera import Camera
+    from ladarreg_core.camera import Camera, EquirectangularCamera, FisheyeCamera
     from ladarreg_core.frames import Rigid
 
     def is_a(*types: type[Any]) -> Callable[[Any], bool]:

@@ -1,0 +1,99 @@
+"""What every camera model can do, and the camera of the JSON fields of any of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ladarreg_core.arrays import FloatArray
+
+
+class CameraModel(Protocol):
+    """A camera of any model: pixels are (u, v), with (0, 0) at the centre of the top-left pixel.
+
+    The camera frame is X right, Y down, Z forward. All models are frozen and compare by value.
+    """
+
+    @property
+    def model(self) -> str:
+        """`pinhole`, `fisheye` or `equirectangular`, as in the camera JSON."""
+
+    @property
+    def width(self) -> int:
+        """Pixels."""
+
+    @property
+    def height(self) -> int:
+        """Pixels."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height), pixels."""
+
+    @property
+    def focal_px(self) -> float:
+        """Pixels per radian at the centre of the image."""
+
+    def project(self, points_camera: ArrayLike) -> FloatArray:
+        """Project points (..., 3), camera frame, m; float32 stays float32.
+
+        Returns:
+            uv (..., 2), pixels; NaN for directions that the model maps to no pixel. Others may lie outside the image.
+        """
+
+    def project_with_jacobian(self, points_camera: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return uv (..., 2) as `project`, and its derivative by the point (..., 2, 3), px/m."""
+
+    def unproject(self, uv: ArrayLike) -> NDArray[np.float64]:
+        """Return the unit rays (..., 3), camera frame, of pixels (..., 2); NaN for pixels that no ray maps to."""
+
+    def contains(self, uv: ArrayLike, *, border: float = 0.0) -> NDArray[np.bool_]:
+        """Return which pixels (..., 2) lie within the image, `border` pixels inside its outermost pixel centres."""
+
+    def difference(self, uv: ArrayLike, reference: ArrayLike) -> FloatArray:
+        """Return uv - reference (..., 2), px; across the seam of a full turn the shorter way round."""
+
+    def scaled(self, factor: float) -> CameraModel:
+        """Return the camera of the image resized by `factor`, outer borders fixed; sizes are rounded."""
+
+    def resized(self, width: int, height: int) -> CameraModel:
+        """Return the camera of the image resized to `width` x `height` pixels, outer borders fixed."""
+
+    def as_fields(self) -> dict[str, Any]:
+        """Return the fields of the camera JSON."""
+
+
+def camera_from_model_fields(fields: Mapping[str, Any]) -> CameraModel:
+    """Return the camera of the fields of a camera JSON of version 2.
+
+    Args:
+        fields: as `CameraModel.as_fields` returns them; without `model` the camera is a pinhole.
+
+    Raises:
+        CameraError: if a field is missing or unknown to the model, a value is impossible, or the model is unknown.
+    """
+    from ladarreg_core.camera.equirectangular import EquirectangularCamera
+    from ladarreg_core.camera.fisheye import FisheyeCamera
+    from ladarreg_core.camera.pinhole import Camera
+    from ladarreg_core.errors import CameraError
+
+    model = fields.get("model", "pinhole")
+    needed: tuple[str, ...] = ("width", "height")
+    if model in ("pinhole", "fisheye"):
+        needed = (*needed, "fx", "fy", "cx", "cy")
+    elif model != "equirectangular":
+        raise CameraError(
+            f"the camera model is {str(model)[:40]!r}; it must be pinhole, fisheye or equirectangular: convert the "
+            "camera to one of these"
+        )
+    missing = [name for name in needed if name not in fields]
+    if missing:
+        raise CameraError(f"the {model} camera lacks {', '.join(missing)}; it needs {', '.join(needed)}")
+    given = {name: fields[name] for name in needed}
+    if model == "equirectangular":
+        return EquirectangularCamera(**given, window=fields.get("window"))
+    kind = Camera if model == "pinhole" else FisheyeCamera
+    return kind(**given, distortion=fields.get("distortion", ()))
