@@ -228,7 +228,7 @@ def _ray_table(record: type[Any], values: dict[str, Any]) -> Any:
 @cache
 def _field_types() -> dict[str, Callable[[Any], bool]]:
     """Return the type check of a field by its annotation."""
-    from ladarreg_core.camera import Camera, EquirectangularCamera, FisheyeCamera
+    from ladarreg_core.camera import Camera
     from ladarreg_core.frames import Rigid
 
     def is_a(*types: type[Any]) -> Callable[[Any], bool]:
