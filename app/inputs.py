@@ -22,7 +22,7 @@ def read_inputs(arguments: InputArguments, bar: ProgressBar) -> tuple[Scan, Phot
     """Read the scan and the photo, and report each as a step."""
     import ladarreg_core as lr
 
-    scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, **arguments.scan_options))
+    scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options))
     photo = timed(
         "Read photo",
         bar,

@@ -59,8 +59,12 @@ class ProgressBar(Protocol):
         """Report a finished step."""
         ...
 
+    def loading(self, progress: Progress) -> None:
+        """Report the progress of reading the scan."""
+        ...
+
     def progress(self, progress: Progress) -> None:
-        """Report the progress of loading or writing."""
+        """Report the progress of writing."""
         ...
 
 
@@ -82,6 +86,9 @@ class _Silent:
     def step(self, step: Step) -> None:
         """Ignore it."""
 
+    def loading(self, progress: Progress) -> None:
+        """Ignore it."""
+
     def progress(self, progress: Progress) -> None:
         """Ignore it."""
 
@@ -100,6 +107,10 @@ class _Lines(_Silent):
         )
         label = f"{step_label(step.name):<{_LABEL_WIDTH}}"
         print(f"{label} {step.seconds:6.2f} s  {detail}".rstrip(), file=self._out, flush=True)
+
+    def loading(self, progress: Progress) -> None:
+        """Print each new label once."""
+        self.progress(progress)
 
     def progress(self, progress: Progress) -> None:
         """Print each new label once."""
@@ -136,6 +147,11 @@ class _Bar(_Silent):
         """Advance the bar to the step's milestone."""
         self._steps += 1
         self._show(step_label(step.name), _MILESTONES.get(step.name, 0.0), f"{self._steps} steps")
+
+    def loading(self, progress: Progress) -> None:
+        """Advance the bar towards the scan's milestone."""
+        share = progress.done / progress.total if progress.total else 0.0
+        self._show(progress.label, _MILESTONES["Read scan"] * share, f"{share:.0%}")
 
     def progress(self, progress: Progress) -> None:
         """Advance the bar within the exports."""

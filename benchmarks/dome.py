@@ -76,9 +76,7 @@ def _directions(shape: tuple[int, int], columns: slice) -> NDArray[np.float32]:
     return rays
 
 
-def _strips(
-    world: World, caster: RayCaster, shape: tuple[int, int], rng: np.random.Generator
-) -> Iterator[Columns]:
+def _strips(world: World, caster: RayCaster, shape: tuple[int, int], rng: np.random.Generator) -> Iterator[Columns]:
     viewpoint = Viewpoint(world, np.zeros(3))
     wide = max(1, _STRIP_CELLS // shape[0])
     for first in range(0, shape[1], wide):
@@ -137,7 +135,9 @@ def _write_e57(path: Path, shape: tuple[int, int], strips: Iterator[Columns]) ->
         "returnMinimum": 0, "returnMaximum": 0,
     })  # fmt: skip
     _set_group(file, scan, "colorLimits", {
-        f"color{name}{end}": value for name in ("Red", "Green", "Blue") for end, value in (("Minimum", 0), ("Maximum", 255))
+        f"color{name}{end}": limit
+        for name in ("Red", "Green", "Blue")
+        for end, limit in (("Minimum", 0), ("Maximum", 255))
     })  # fmt: skip
     pose = libe57.StructureNode(file)
     scan.set("pose", pose)

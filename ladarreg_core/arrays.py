@@ -18,6 +18,9 @@ IntArray = NDArray[np.integer[Any]]
 def read_only(values: ArrayLike, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
     """Return `values` as a contiguous read-only array of `dtype` and `shape`; the caller's array stays writable.
 
+    An array that is read-only already, and has no other owner of its memory, is shared instead of copied: readers hand
+    over large grids in this way.
+
     Args:
         values: anything array-like.
         dtype: the NumPy type required.
@@ -39,7 +42,8 @@ def read_only(values: ArrayLike, dtype: Any, shape: tuple[int | None, ...], name
         wanted = " x ".join("any" if want is None else str(want) for want in shape)
         found = " x ".join(map(str, array.shape)) or "a single number"
         raise ShapeError(f"{name} has the shape {found}; it must be {wanted}")
-    if array is values or array.base is not None:
+    shared = array is values and not array.flags.writeable and array.base is None
+    if not shared and (array is values or array.base is not None):
         array = array.copy()
     array.flags.writeable = False
     return array

@@ -18,6 +18,7 @@ from ladarreg_core.validation import require_choice
 IntensityKind = Literal["raw", "range_normalised"]
 _SMALLEST_SIDE = 2
 _DIRECTION_SAMPLES = 20_000
+_ROWS_AT_ONCE = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,18 +52,13 @@ class Scan:
         if min(shape) < _SMALLEST_SIDE:
             raise ShapeError(f"the scan grid is {shape[0]} x {shape[1]} cells; it must be at least 2 x 2")
         require_choice(self.intensity_is, get_args(IntensityKind), "intensity_is")
-        ranges = np.array(read_only(self.ranges, np.float32, shape, "the scan's range"))
-        with np.errstate(invalid="ignore"):
-            ranges[~(np.isfinite(ranges) & (ranges > 0))] = np.nan
-        intensity = np.array(read_only(self.intensity, np.float32, shape, "the scan's intensity"))
-        ranges[~np.isfinite(intensity)] = np.nan
-        intensity[~np.isfinite(intensity)] = 0
-        if not np.isfinite(ranges).any():
+        ranges = read_only(self.ranges, np.float32, shape, "the scan's range")
+        intensity = read_only(self.intensity, np.float32, shape, "the scan's intensity")
+        ranges, intensity = _without_faults(ranges, intensity)
+        if np.isnan(ranges).all():
             raise ShapeError(
                 "the scan has no returns: every range is missing, zero or not finite; check the file's range data"
             )
-        for array in (ranges, intensity):
-            array.flags.writeable = False
         object.__setattr__(self, "ranges", ranges)
         object.__setattr__(self, "intensity", intensity)
         if self.color is not None:
@@ -82,14 +78,18 @@ class Scan:
         return mask
 
     @property
-    def rays(self) -> NDArray[np.float64]:
-        """(H, W, 3) unit rays, scanner frame."""
+    def rays(self) -> FloatArray:
+        """(H, W, 3) unit rays, scanner frame; float32 or float64."""
         return self.geometry.rays
 
     @cached_property
     def points(self) -> FloatArray:
         """(H, W, 3) float32, scanner frame, m; NaN = no return. Source: thesis Eq 2.1."""
-        points = self.rays.astype(np.float32) * self.ranges[..., None]
+        points = np.empty((*self.shape, 3), np.float32)
+        rays = self.rays
+        for first in range(0, len(points), _ROWS_AT_ONCE):
+            part = slice(first, first + _ROWS_AT_ONCE)
+            np.multiply(rays[part].astype(np.float32), self.ranges[part, :, None], out=points[part])
         points.flags.writeable = False
         return points
 
@@ -108,3 +108,22 @@ class Scan:
         mean = self.sampled_directions.mean(axis=0)
         length = float(np.linalg.norm(mean))
         return mean / length if length > 1e-3 else np.array([1.0, 0.0, 0.0])
+
+
+def _without_faults(ranges: FloatArray, intensity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ranges that are positive or NaN, and finite intensities; the same read-only arrays if they are so."""
+    copied = False
+    for first in range(0, len(ranges), _ROWS_AT_ONCE):
+        part = slice(first, first + _ROWS_AT_ONCE)
+        with np.errstate(invalid="ignore"):
+            dark = ~np.isfinite(intensity[part])
+            wrong = (ranges[part] <= 0) | np.isinf(ranges[part]) | dark
+        if not wrong.any():
+            continue
+        if not copied:
+            ranges, intensity, copied = ranges.copy(), intensity.copy(), True
+        ranges[part][wrong] = np.nan
+        intensity[part][dark] = 0
+    for array in (ranges, intensity):
+        array.flags.writeable = False
+    return ranges, intensity

@@ -78,7 +78,7 @@ def _of_results(arguments: Arguments, bar: ProgressBar) -> Path:
     places = [*arguments.inputs, folder, folder.resolve().parent, Path.cwd()]
     scan_path, photo_path = timed("Find inputs", bar, lambda: find_inputs(recorded[:2], places))
     out = _target(arguments, folder / REPORT_FILE)
-    scan = timed("Read scan", bar, lambda: lr.read_scan(scan_path, **arguments.scan_options))
+    scan = timed("Read scan", bar, lambda: lr.read_scan(scan_path, report=bar.loading, **arguments.scan_options))
     photo = timed("Read photo", bar, lambda: lr.read_photo(photo_path, camera=registration.camera))
     with replaced_file(out) as new:
         try:

@@ -57,7 +57,9 @@ def run(arguments: Arguments) -> ExitCode:
     )
     with progress_bar(quiet=arguments.quiet) as bar:
         camera = _camera(arguments.camera)
-        scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, **arguments.scan_options))
+        scan = timed(
+            "Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options)
+        )
         found = self_test(scan, camera, options, report=bar.progress)
     print(found.summary() if arguments.quiet else self_test_report(found))
     return ExitCode.NOT_ACCEPTED if found.accepted_wrongly else ExitCode.ACCEPTED

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from ladarreg_core.arrays import ByteArray, FloatArray, IntArray
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.e57_header import E57Info, E57ScanInfo, read_e57_info
-from ladarreg_core.formats.grid_order import order_of, unit_rays
-from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, unit_notes
+from ladarreg_core.formats.grid_assembly import GridAssembly
+from ladarreg_core.formats.untrusted import LARGEST_GRID_CELLS, PathLike, one_line, reading, unit_notes
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.gridding import LARGEST_GRID
-from ladarreg_core.scanner.grids import TabulatedGrid
+from ladarreg_core.scanner.ray_table import MOST_FITTED_CELLS
 
-_CHUNK = 500_000
+_CHUNK = 131_072  # arrays of a chunk stay in the processor's cache
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _COLORS = ("colorRed", "colorGreen", "colorBlue")
@@ -32,10 +32,14 @@ _LEAST_UNIQUE = 0.6
 _CELLS_PER_POINT = 200
 # Measured peak memory of a read: per point, per field of a point, per point's cell where the grid is full, and per cell
 # of a grid that is mostly empty.
-_POINT_BYTES = 160
+_POINT_BYTES = 220
 _FIELD_BYTES = 8
 _OWN_CELL_BYTES = 200
 _CELL_BYTES = 300
+# Of a grid with indices: per cell, per cell of the part that is fitted to fill its holes, and per point of a chunk.
+_GRID_CELL_BYTES = 32
+_FIT_CELL_BYTES = 170
+_CHUNK_POINT_BYTES = 330
 
 
 def read_e57(
@@ -58,7 +62,8 @@ def read_e57(
 
     Returns:
         The scan in the scanner's frame. Row 0 is the top and column 0 the left, whatever the file's order. Points
-        without row and column indices are gridded. A grid of more than 8 million cells is thinned.
+        without row and column indices are gridded, in at most 8 million cells. A grid of the file's own is kept as it
+        is up to 100 million cells, if the memory allows, and thinned beyond.
 
     Raises:
         FormatError: if it is damaged, has no scan or no intensity, or would need more memory than it may use.
@@ -72,11 +77,24 @@ def read_e57(
         budget = ReadBudget.of(file.stat().st_size, memory_bytes)
         fields = len(scan.field_names & {*_CARTESIAN, *_SPHERICAL, *_COLORS, *_INDICES, *_STATES})
         held = scan.points * (_POINT_BYTES + _FIELD_BYTES * fields)
-        budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
+        has_indices = set(_INDICES) <= scan.field_names
+        needed = _grid_bytes(scan.points) if has_indices else held + scan.points * _OWN_CELL_BYTES
+        budget.require(needed, f"its {scan.points:,} points")
         with e57_file(file) as image_file:
-            columns = _read_points(image_file, scan, scan_index, report)
+            records = _Records(image_file, scan, scan_index, report)
+            if has_indices:
+                grid = _assembled(records, budget)
+                if grid is not None and any(origin or ()):
+                    raise OptionError(
+                        f"origin is {origin}, but scan {scan.name!r} has a grid, which is centred on its scanner; "
+                        "leave it out"
+                    )
+                if grid is not None:
+                    return _gridded(file.stem, info, scan, *grid)
+            budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
+            columns = records.all_columns()
         most_cells = budget.cells_that_fit(_CELL_BYTES, besides_bytes=held)
-        return _to_scan(file.stem, info, scan, columns, most_cells, origin)
+        return _from_cloud(file.stem, info, scan, columns, most_cells, origin)
 
 
 def _chosen(info: E57Info, scan_index: int) -> E57ScanInfo:
@@ -131,48 +149,174 @@ def e57_file(path: Path) -> Iterator[Any]:
         raise FormatError(f"the E57 is damaged: {one_line(first, 120)}; copy or export it again") from error
 
 
-def _read_points(image_file: Any, scan: E57ScanInfo, scan_index: int, report: Report | None) -> dict[str, NDArray[Any]]:
-    """Return the wanted fields by name, each (N,), read in chunks."""
-    from pye57 import libe57
+class _Records:
+    """The point records of one scan, read in chunks.
 
-    position = _CARTESIAN if scan.field_names >= set(_CARTESIAN) else _SPHERICAL
-    # Points without a grid may be in the coordinates of a survey, which float32 would round to decimetres.
-    gridded = scan.field_names >= set(_INDICES)
-    precision = np.float32 if position is _CARTESIAN and gridded else np.float64
-    types: dict[str, tuple[str, Any]] = dict.fromkeys(position, ("d", precision))
-    types |= {"intensity": ("d", np.float32)}
-    types |= dict.fromkeys(_COLORS, ("d", np.float32))
-    types |= dict.fromkeys(_INDICES, ("q", np.int64))
-    types |= dict.fromkeys(_STATES, ("q", np.uint8))
-    wanted = [name for name in types if name in scan.field_names]
-    chunk = min(_CHUNK, scan.points)
-    buffers = libe57.VectorSourceDestBuffer()
-    parts = {name: np.zeros(chunk, types[name][0]) for name in wanted}
-    for name, part in parts.items():
-        buffers.append(libe57.SourceDestBuffer(image_file, name, part, chunk, True, True))
-    columns = {name: np.zeros(scan.points, types[name][1]) for name in wanted}
-    reader = image_file.root()["data3D"][scan_index]["points"].reader(buffers)
-    done = 0
-    try:
-        while done < scan.points:
-            if report is not None:
-                report(Progress(done, scan.points, f"reading {scan.name}"))
-            count = reader.read()
-            if count == 0:
-                raise FormatError(f"scan {scan.name!r} ends after {done:,} of {scan.points:,} points; it is truncated")
-            count = min(count, scan.points - done)
+    Args:
+        image_file: the open file.
+        scan: the scan.
+        scan_index: its index.
+        report: receives the progress, in points.
+    """
+
+    def __init__(self, image_file: Any, scan: E57ScanInfo, scan_index: int, report: Report | None) -> None:
+        self.scan = scan
+        self._image_file, self._scan_index, self._report = image_file, scan_index, report
+        position = _CARTESIAN if scan.field_names >= set(_CARTESIAN) else _SPHERICAL
+        wanted = (*position, "intensity", *_COLORS, *_INDICES, *_STATES)
+        self.names = [name for name in wanted if name in scan.field_names]
+
+    def chunks(self, names: Sequence[str]) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+        """Yield the index of the first point and the fields by name, each (n,); the arrays are used again.
+
+        Indices and states are int64; other fields are float32 if that holds them, else float64.
+        """
+        from pye57 import libe57
+
+        scan = self.scan
+        stored = {field.name: field.stored for field in scan.fields}
+        size = min(_CHUNK, scan.points)
+        buffers = libe57.VectorSourceDestBuffer()
+        parts = {}
+        for name in names:
+            short = stored[name] == "single" or (stored[name] == "integer" and name in _COLORS)
+            code = "q" if name in (*_INDICES, *_STATES) else "f" if short else "d"
+            parts[name] = np.zeros(size, code)
+            buffers.append(libe57.SourceDestBuffer(self._image_file, name, parts[name], size, True, True))
+        reader = self._image_file.root()["data3D"][self._scan_index]["points"].reader(buffers)
+        done = 0
+        try:
+            while done < scan.points:
+                self._say(done)
+                count = reader.read()
+                if count == 0:
+                    raise FormatError(
+                        f"scan {scan.name!r} ends after {done:,} of {scan.points:,} points; it is truncated"
+                    )
+                count = min(count, scan.points - done)
+                yield done, {name: part[:count] for name, part in parts.items()}
+                done += count
+        finally:
+            reader.close()
+        self._say(done)
+
+    def all_columns(self) -> dict[str, NDArray[Any]]:
+        """Return the wanted fields by name, each (N,), except the indices."""
+        # Points without a grid may be in the coordinates of a survey, which float32 would round to decimetres.
+        types: dict[str, Any] = dict.fromkeys((*_CARTESIAN, *_SPHERICAL), np.float64)
+        types |= dict.fromkeys(("intensity", *_COLORS), np.float32) | dict.fromkeys(_STATES, np.uint8)
+        columns = {name: np.zeros(self.scan.points, types[name]) for name in self.names if name in types}
+        for first, parts in self.chunks(list(columns)):
             for name, part in parts.items():
                 with np.errstate(over="ignore", invalid="ignore"):
-                    columns[name][done : done + count] = part[:count]
-            done += count
-    finally:
-        reader.close()
-    if report is not None:
-        report(Progress(done, scan.points, f"reading {scan.name}"))
-    return columns
+                    columns[name][first : first + len(part)] = part
+        return columns
+
+    def _say(self, done: int) -> None:
+        if self._report is not None:
+            self._report(Progress(done, self.scan.points, f"reading {self.scan.name}"))
 
 
-def _to_scan(
+def _grid_bytes(points: int) -> int:
+    """Return the peak memory of reading a full grid of so many points."""
+    fitted = min(points, MOST_FITTED_CELLS)
+    return points * _GRID_CELL_BYTES + fitted * _FIT_CELL_BYTES + min(points, _CHUNK) * _CHUNK_POINT_BYTES
+
+
+def _assembled(records: _Records, budget: ReadBudget) -> tuple[GridAssembly, int] | None:
+    """Return the filled grid and its thinning; None if the row and column indices are of no use.
+
+    Indices are used only if most of them differ: some writers leave them all zero. The bounds in the header decide on
+    the size; if they are missing or wrong, the indices are read twice.
+    """
+    scan = records.scan
+    bounds = None if scan.grid is None else (scan.first_cell, scan.grid)
+    for known in (bounds, None):
+        first, shape = known or _index_bounds(records)
+        if min(shape) < 2 or shape[0] * shape[1] > _CELLS_PER_POINT * scan.points:
+            if known is None:
+                return None
+            continue
+        spare = _grid_bytes(scan.points) - scan.points * _GRID_CELL_BYTES
+        most = min(budget.cells_that_fit(_GRID_CELL_BYTES, besides_bytes=spare), LARGEST_GRID_CELLS)
+        thin = int(np.ceil(np.sqrt(shape[0] * shape[1] / most)))
+        try:
+            grid = _filled(records, first, shape, thin)
+        except IndexError:
+            continue
+        return None if grid is None else (grid, thin)
+    return None
+
+
+def _index_bounds(records: _Records) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return the smallest row and column, and the number of rows and columns."""
+    low, high = [2**62, 2**62], [-(2**62), -(2**62)]
+    for _, part in records.chunks(_INDICES):
+        for k, name in enumerate(_INDICES):
+            low[k], high[k] = min(low[k], int(part[name].min())), max(high[k], int(part[name].max()))
+    return (low[0], low[1]), (high[0] - low[0] + 1, high[1] - low[1] + 1)
+
+
+def _filled(records: _Records, first: tuple[int, int], shape: tuple[int, int], thin: int) -> GridAssembly | None:
+    """Return the grid of all points; None if too few of their indices differ.
+
+    Raises:
+        IndexError: if a point is outside of the grid.
+    """
+    scan = records.scan
+    with_color = set(_COLORS) <= scan.field_names
+    grid = GridAssembly((-(-shape[0] // thin), -(-shape[1] // thin)), with_color=with_color)
+    low, high, kept = [2**62, 2**62], [-1, -1], 0
+    for _, part in records.chunks(records.names):
+        cells = []
+        for k, name in enumerate(_INDICES):
+            index = part[name] - first[k]
+            least, most = int(index.min()), int(index.max())
+            if least < 0 or most >= shape[k]:
+                raise IndexError(name)
+            low[k], high[k] = min(low[k], least), max(high[k], most)
+            cells.append(index)
+        if thin > 1:
+            keep = np.flatnonzero((cells[0] % thin == 0) & (cells[1] % thin == 0))
+            part = {name: values[keep] for name, values in part.items()}
+            cells = [index[keep] // thin for index in cells]
+        kept += len(cells[0])
+        if not len(cells[0]):
+            continue
+        points, state = _positions(part)
+        intensity = part["intensity"]
+        if "isIntensityInvalid" in part:
+            intensity = np.where(part["isIntensityInvalid"] != 0, np.nan, intensity)
+        color = _color_planes(part, scan.color_largest) if with_color else None
+        grid.add(cells[0], cells[1], points, state=state, intensity=intensity, color=color)
+    if grid.filled < _LEAST_UNIQUE * kept:
+        return None
+    rows, columns = (slice(low[k] // thin, high[k] // thin + 1) for k in (0, 1))
+    if min(high[0] // thin - low[0] // thin, high[1] // thin - low[1] // thin) < 1:
+        return None
+    whole = (rows.start, rows.stop, columns.start, columns.stop) == (0, grid.shape[0], 0, grid.shape[1])
+    return grid if whole else grid.cropped(rows, columns)
+
+
+def _gridded(name: str, info: E57Info, scan: E57ScanInfo, grid: GridAssembly, thin: int) -> Scan:
+    notes = _notes(info, scan)
+    if thin > 1:
+        notes.append(f"the grid was thinned to one row and one column in {thin}")
+    if not grid.has_returns:
+        raise _no_returns(scan)
+    geometry, ranges, intensity, color = grid.finish()
+    return Scan(
+        geometry,
+        ranges,
+        intensity,
+        color=color,
+        world_from_scanner=scan.world_from_scanner,
+        name=name,
+        notes=(*notes, *unit_notes(ranges)),
+    )
+
+
+def _from_cloud(
     name: str,
     info: E57Info,
     scan: E57ScanInfo,
@@ -180,17 +324,39 @@ def _to_scan(
     most_cells: int,
     origin: tuple[float, float, float] | None,
 ) -> Scan:
-    points, state = _positions(columns)
+    """Return the scan of points without usable indices."""
+    planes, state = _positions(columns)
+    points = np.stack(planes, axis=-1)
+    del planes
+    for axis in (*_CARTESIAN, *_SPHERICAL):
+        columns.pop(axis, None)
     intensity = columns["intensity"]
     if "isIntensityInvalid" in columns:
         intensity = np.where(columns["isIntensityInvalid"] != 0, np.nan, intensity).astype(np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         ranges = np.linalg.norm(points, axis=-1)
-    returned = np.isfinite(ranges) & (ranges > 0) & (state == 0)
+    returned = np.isfinite(ranges) & (ranges > 0)
+    if state is not None:
+        returned &= state == 0
     if not returned.any():
-        raise ShapeError(f"scan {scan.name!r} has no returns: every point is invalid or zero; it needs measured ranges")
-    ranges = as_float32(np.where(returned, ranges, np.nan))
-    color = _color(columns, scan.color_largest)
+        raise _no_returns(scan)
+    color = np.stack(_color_planes(columns, scan.color_largest), axis=-1) if set(_COLORS) <= set(columns) else None
+    keep = np.flatnonzero(returned)
+    paint = None if color is None else color[keep]
+    return scan_of_cloud(
+        points[keep],
+        intensity[keep],
+        paint,
+        name=name,
+        origin=origin,
+        coordinates="scanner",
+        world_from_scanner=scan.world_from_scanner,
+        most_cells=min(most_cells, LARGEST_GRID),
+        notes=_notes(info, scan),
+    )
+
+
+def _notes(info: E57Info, scan: E57ScanInfo) -> list[str]:
     notes: list[str] = []
     if len(info.scans) > 1:
         notes.append(f"the file contains {len(info.scans)} scans; this is {scan.name!r}")
@@ -199,96 +365,33 @@ def _to_scan(
     if info.images:
         count = len(info.images)
         notes.append(f"the file contains {count} embedded image{'s' * (count > 1)} that can be extracted")
-    most_cells = min(most_cells, LARGEST_GRID)
-    grid = _grid_cells(columns, most_cells)
-    if grid is None:
-        keep = np.flatnonzero(returned)
-        paint = None if color is None else color[keep]
-        return scan_of_cloud(
-            points[keep],
-            intensity[keep],
-            paint,
-            name=name,
-            origin=origin,
-            coordinates="scanner",
-            world_from_scanner=scan.world_from_scanner,
-            most_cells=most_cells,
-            notes=notes,
-        )
-    if any(origin or ()):
-        raise OptionError(
-            f"origin is {origin}, but scan {scan.name!r} has a grid, which is centred on its scanner; leave it out"
-        )
-    row, column, shape, thinned = grid
-    if thinned > 1:
-        notes.append(f"the grid was thinned to one row and one column in {thinned}")
-    # State 1: the range is invalid but the direction is valid, and becomes the ray of the empty cell.
-    directed = np.flatnonzero((state == 1) & (row >= 0))
-    hit = np.flatnonzero(returned & (row >= 0))
-    hit = hit[np.argsort(-ranges[hit], kind="stable")]  # the last write wins: the nearest of several returns
-    rays = np.full((*shape, 3), np.nan)
-    rays[row[directed], column[directed]] = points[directed]
-    rays[row[hit], column[hit]] = points[hit]
-    grid_ranges, grid_intensity = np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32)
-    grid_ranges[row[hit], column[hit]] = ranges[hit]
-    grid_intensity[row[hit], column[hit]] = intensity[hit]
-    paint = None
-    if color is not None:
-        paint = np.zeros((*shape, 3), np.uint8)
-        paint[row[hit], column[hit]] = color[hit]
-    rays = unit_rays(rays)
-    turn = order_of(rays)
-    return Scan(
-        TabulatedGrid(turn.apply(rays)),
-        turn.apply(grid_ranges),
-        turn.apply(grid_intensity),
-        color=None if paint is None else turn.apply(paint),
-        world_from_scanner=scan.world_from_scanner,
-        name=name,
-        notes=(*notes, *unit_notes(grid_ranges)),
-    )
+    return notes
 
 
-def _positions(columns: dict[str, NDArray[Any]]) -> tuple[FloatArray, IntArray]:
-    """Return points (N, 3), scanner frame, m, and their state (N,): 0 valid, 1 direction only, 2 invalid."""
+def _no_returns(scan: E57ScanInfo) -> ShapeError:
+    return ShapeError(f"scan {scan.name!r} has no returns: every point is invalid or zero; it needs measured ranges")
+
+
+def _positions(
+    columns: dict[str, NDArray[Any]],
+) -> tuple[tuple[FloatArray, FloatArray, FloatArray], IntArray | None]:
+    """Return x, y and z (N,), scanner frame, m, and the state (N,): 0 valid, 1 direction only, 2 invalid."""
     if _CARTESIAN[0] in columns:
-        points = np.stack([columns[name] for name in _CARTESIAN], axis=-1)
-        state = columns.get("cartesianInvalidState")
-    else:
-        distance, azimuth, elevation = (columns[name] for name in _SPHERICAL)
-        with np.errstate(invalid="ignore", over="ignore"):
-            level = distance * np.cos(elevation)
-            points = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)], axis=-1)
-        state = columns.get("sphericalInvalidState")
-    return points, np.zeros(len(points), np.uint8) if state is None else state
+        x, y, z = (columns[name] for name in _CARTESIAN)
+        return (x, y, z), columns.get("cartesianInvalidState")
+    distance, azimuth, elevation = (columns[name] for name in _SPHERICAL)
+    with np.errstate(invalid="ignore", over="ignore"):
+        level = distance * np.cos(elevation)
+        x, y, z = level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)
+    return (x, y, z), columns.get("sphericalInvalidState")
 
 
-def _color(columns: dict[str, NDArray[Any]], largest: float) -> ByteArray | None:
-    if not set(_COLORS) <= set(columns):
-        return None
+def _color_planes(columns: dict[str, NDArray[Any]], largest: float) -> tuple[ByteArray, ByteArray, ByteArray]:
     scale = 255 / largest if np.isfinite(largest) and largest > 0 else 1.0
-    rgb = np.stack([columns[name] for name in _COLORS], axis=-1) * np.float32(scale)
-    return np.clip(np.nan_to_num(rgb), 0, 255).round().astype(np.uint8)
-
-
-def _grid_cells(
-    columns: dict[str, NDArray[Any]], most_cells: int
-) -> tuple[IntArray, IntArray, tuple[int, int], int] | None:
-    """Return each point's row and column (-1 = thinned out), the grid's shape and the thinning; None without a grid.
-
-    Indices are used only if most of them differ: some writers leave them all zero.
-    """
-    if not set(_INDICES) <= set(columns):
-        return None
-    row, column = (columns[name] - columns[name].min() for name in _INDICES)
-    rows, width = int(row.max()) + 1, int(column.max()) + 1
-    if min(rows, width) < 2 or rows * width > _CELLS_PER_POINT * len(row):
-        return None
-    if len(np.unique(row * width + column)) < _LEAST_UNIQUE * len(row):
-        return None
-    thin = int(np.ceil(np.sqrt(rows * width / most_cells)))
-    if thin > 1:
-        away: BoolArray = (row % thin != 0) | (column % thin != 0)
-        row, column = np.where(away, -1, row // thin), np.where(away, -1, column // thin)
-        rows, width = -(-rows // thin), -(-width // thin)
-    return row, column, (rows, width), thin
+    planes = []
+    for name in _COLORS:
+        values = columns[name]
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = np.fmin(np.fmax(values if scale == 1 else values * np.float32(scale), 0), 255)  # 0 for NaN
+        planes.append(np.rint(values).astype(np.uint8))
+    return planes[0], planes[1], planes[2]

@@ -43,6 +43,8 @@ class E57Field:
     name: str
     bits: float
     """Bits of one value; 0 for a constant."""
+    stored: str = ""
+    """`single`, `double`, `integer` or `scaled`; empty for other types."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,8 @@ class E57ScanInfo:
     fields: tuple[E57Field, ...]
     grid: tuple[int, int] | None
     """(rows, columns) from the index bounds; None without them."""
+    first_cell: tuple[int, int]
+    """Smallest row and column index by the index bounds."""
     world_from_scanner: Rigid | None
     color_largest: float
     """Largest value of a colour channel; 255 where the file gives none."""
@@ -243,7 +247,7 @@ def _scan(node: _Node, index: int, file_bytes: int) -> E57ScanInfo:
             "is damaged or malicious"
         )
     bounds = _child(node, "indexBounds")
-    grid = None
+    grid, first_cell = None, (0, 0)
     if bounds is not None and {"rowIndex", "columnIndex"} <= {field.name for field in fields}:
         sides = [
             _number(_child(bounds, f"{axis}Maximum")) - _number(_child(bounds, f"{axis}Minimum")) + 1
@@ -251,12 +255,15 @@ def _scan(node: _Node, index: int, file_bytes: int) -> E57ScanInfo:
         ]
         if all(1 < side < 2**31 for side in sides):
             grid = int(sides[0]), int(sides[1])
+            first = [_number(_child(bounds, f"{axis}Minimum")) for axis in ("row", "column")]
+            first_cell = int(first[0]), int(first[1])
     return E57ScanInfo(
         one_line(_text(_child(node, "name")) or f"scan {index}", 60),
         _text(_child(node, "guid")),
         count,
         fields,
         grid,
+        first_cell,
         _pose(_child(node, "pose")),
         _number(_child(node, "colorLimits", "colorRedMaximum"), 255.0),
         _pose_problem(_child(node, "pose")),
@@ -266,11 +273,13 @@ def _scan(node: _Node, index: int, file_bytes: int) -> E57ScanInfo:
 def _field(node: _Node) -> E57Field:
     kind = node.get("type", "")
     if kind == "Float":
-        return E57Field(_local(node), 32 if node.get("precision") == "single" else 64)
+        single = node.get("precision") == "single"
+        return E57Field(_local(node), 32 if single else 64, "single" if single else "double")
     if kind in ("Integer", "ScaledInteger"):
         low = _whole(node.get("minimum"), "minimum", -(2**63))
         high = _whole(node.get("maximum"), "maximum", 2**63 - 1)
-        return E57Field(_local(node), max(high - low, 0).bit_length())
+        stored = "integer" if kind == "Integer" else "scaled"
+        return E57Field(_local(node), max(high - low, 0).bit_length(), stored)
     return E57Field(_local(node), 8)
 
 

@@ -17,6 +17,8 @@ _MOST_FOLDED = 0.02
 _STEEPEST_SHEAR = 0.85
 _CLEAR_TRAVEL = 0.2
 _LEAST_PAIRS = 12
+_FLIPPED_ROWS = 64
+_MOST_CELLS = 250_000  # larger grids are judged by every n-th row and column
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,22 @@ class GridOrder:
         if self.transpose:
             grid = np.swapaxes(grid, 0, 1)
         return np.ascontiguousarray(grid[:: -1 if self.flip_rows else 1, :: -1 if self.flip_columns else 1])
+
+    def apply_in_place(self, grid: NDArray[Any]) -> NDArray[Any]:
+        """Return a grid (H, W, ...) in the right order; its memory is used again, except by a transposition."""
+        if self.transpose:
+            grid = np.ascontiguousarray(np.swapaxes(grid, 0, 1))
+        height = len(grid)
+        if self.flip_rows:
+            for first in range(0, height // 2, _FLIPPED_ROWS):
+                last = min(first + _FLIPPED_ROWS, height // 2)
+                top = grid[first:last].copy()
+                grid[first:last] = grid[height - last : height - first][::-1]
+                grid[height - last : height - first] = top[::-1]
+        if self.flip_columns:
+            for first in range(0, height, _FLIPPED_ROWS):
+                grid[first : first + _FLIPPED_ROWS] = grid[first : first + _FLIPPED_ROWS, ::-1].copy()
+        return grid
 
     def __bool__(self) -> bool:
         return self.transpose or self.flip_rows or self.flip_columns
@@ -74,11 +92,14 @@ def is_scan_grid(rays: FloatArray) -> bool:
 
 
 def order_of(rays: FloatArray) -> GridOrder:
-    """Return the reordering that a grid of rays (H, W, 3), NaN where unknown, needs.
+    """Return the reordering that a grid of rays (H, W, 3), NaN or zero where unknown, needs.
 
     Afterwards latitude decreases along the rows and columns run to the right as seen from the scanner. In a depth
     camera's optical frame (Z forward, Y down) up is -Y. If latitude varies along neither axis, rows keep their order.
     """
+    stride = max(1, int(np.sqrt(rays.shape[0] * rays.shape[1] / _MOST_CELLS)))
+    rays = rays[::stride, ::stride]
+    rays = np.where((rays != 0).any(axis=-1, keepdims=True), rays, np.float32(np.nan))
     pole = rotation_from_pole(rays[np.isfinite(rays[..., 0])])
     rays = rays if pole is None else rays @ pole.T
     latitude = np.arcsin(np.clip(rays[..., 2], -1, 1))

@@ -22,6 +22,7 @@ LARGEST_GRID_CELLS = 100_000_000
 
 _logger = logging.getLogger(__name__)
 _LONGEST_LINE = 280
+_MEDIAN_VALUES = 1_000_000  # of larger grids a part is looked at
 _LONGEST_NAME = 80
 _SUSPICIOUS_MEDIAN_M = 200.0
 
@@ -117,6 +118,8 @@ def as_float32(values: Any) -> NDArray[np.float32]:
 
 def unit_notes(ranges: FloatArray) -> tuple[str, ...]:
     """Return a note if ranges (m, NaN = no return) look like millimetres: if their median exceeds 200 m."""
+    stride = max(1, int(np.sqrt(ranges.size / _MEDIAN_VALUES)))
+    ranges = ranges[::stride, ::stride] if ranges.ndim == 2 else ranges[:: stride**2]
     known = ranges[np.isfinite(ranges) & (ranges > 0)]
     if not known.size:
         return ()

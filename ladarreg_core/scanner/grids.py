@@ -17,9 +17,15 @@ from ladarreg_core.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, wrap_angle
-from ladarreg_core.scanner.ray_table import RayTableInverse, complete_ray_table, interpolate_rays
+from ladarreg_core.scanner.ray_table import (
+    RayTableInverse,
+    complete_ray_table,
+    complete_unit_rays,
+    interpolate_rays,
+)
 
 _LEAST_STEP_RAD = 1e-12
+_STEP_CELLS = 2_000_000  # of larger tables some lines are measured
 
 
 @runtime_checkable
@@ -32,8 +38,8 @@ class ScanGeometry(Protocol):
         ...
 
     @property
-    def rays(self) -> NDArray[np.float64]:
-        """(H, W, 3) unit rays of the cell centres, read-only."""
+    def rays(self) -> FloatArray:
+        """(H, W, 3) unit rays of the cell centres, read-only; float32 or float64."""
         ...
 
     @property
@@ -321,7 +327,7 @@ class RotatedGrid:
         return self.grid.step_rad
 
     @cached_property
-    def rays(self) -> NDArray[np.float64]:
+    def rays(self) -> FloatArray:
         """(H, W, 3) unit rays, read-only."""
         rays = np.asarray(self.grid.rays @ self.grid_from_scanner)
         rays.flags.writeable = False
@@ -359,6 +365,9 @@ class TabulatedGrid:
         rays = complete_ray_table(table, self.law.rays if self.law else None)
         rays.flags.writeable = False
         object.__setattr__(self, "table", rays)
+        self._check_steps()
+
+    def _check_steps(self) -> None:
         if min(self.shape) > 1 and not min(self.step_rad) > _LEAST_STEP_RAD:
             raise ShapeError(
                 "most neighbouring cells of the scan have the same ray; each cell must have a ray of its own"
@@ -369,17 +378,37 @@ class TabulatedGrid:
         """(H, W), cells."""
         return self.table.shape[0], self.table.shape[1]
 
+    @staticmethod
+    def taking_over(rays: NDArray[np.float32]) -> TabulatedGrid:
+        """Return the grid of an array of unit rays, which is completed in place and must not be used any more.
+
+        Args:
+            rays: (H, W, 3) float32, contiguous; zero for none.
+
+        Raises:
+            ShapeError: as for the constructor.
+        """
+        complete_unit_rays(rays)
+        rays.flags.writeable = False
+        grid = object.__new__(TabulatedGrid)
+        object.__setattr__(grid, "table", rays)
+        object.__setattr__(grid, "law", None)
+        grid._check_steps()
+        return grid
+
     @property
-    def rays(self) -> NDArray[np.float64]:
+    def rays(self) -> FloatArray:
         """(H, W, 3) unit rays, read-only; every cell has one."""
-        return np.asarray(self.table, dtype=np.float64)
+        return self.table
 
     @cached_property
     def step_rad(self) -> tuple[float, float]:
         """The median angle between neighbouring (rows, columns), rad."""
         if self.law is not None:
             return self.law.step_rad
-        steps = [np.median(np.linalg.norm(np.diff(self.table, axis=axis), axis=-1)) for axis in (0, 1)]
+        stride = max(1, self.table.size // 3 // _STEP_CELLS)
+        lines = self.table[:, ::stride], self.table[::stride]
+        steps = [np.median(np.linalg.norm(np.diff(some, axis=axis), axis=-1)) for axis, some in enumerate(lines)]
         return float(steps[0]), float(steps[1])
 
     @cached_property

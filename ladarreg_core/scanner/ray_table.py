@@ -16,6 +16,9 @@ _FIT_CELLS = 20_000
 _TREE_NODES = 100_000
 _NEWTON_STEPS = 12
 _EXTRAPOLATED_CELLS = 16.0
+MOST_FITTED_CELLS = 2_000_000
+"""Largest number of cells that holes are fitted from; of larger tables every n-th row and column is taken."""
+_HOLES_AT_ONCE = 500_000
 
 
 def complete_ray_table(table: FloatArray, law_rays: FloatArray | None) -> NDArray[np.float64]:
@@ -42,15 +45,60 @@ def complete_ray_table(table: FloatArray, law_rays: FloatArray | None) -> NDArra
     return rays
 
 
+def complete_unit_rays(rays: NDArray[np.float32]) -> None:
+    """Fill the holes of a table of unit rays in place, as `complete_ray_table` does without a law.
+
+    The fit of a large table is made of every n-th row and column and interpolated at the holes.
+
+    Args:
+        rays: (H, W, 3); zero for none.
+
+    Raises:
+        ShapeError: if there are too few rays for the fit.
+    """
+    height, width = rays.shape[:2]
+    holes = np.flatnonzero((rays[..., 0] == 0) & (rays[..., 1] == 0) & (rays[..., 2] == 0))
+    count = height * width - len(holes)
+    if count < max(1, min(_LEAST_RAYS, height * width)):
+        raise ShapeError(f"the ray table has {count} rays; it needs at least {_LEAST_RAYS}")
+    if not len(holes):
+        return
+    stride = max(1, int(np.ceil(np.sqrt(height * width / MOST_FITTED_CELLS))))
+    some = rays[::stride, ::stride].astype(np.float64)
+    known: BoolArray = np.asarray(some.any(axis=-1))
+    if np.count_nonzero(known) < _LEAST_RAYS:
+        stride, some = 1, rays.astype(np.float64)
+        known = np.asarray(some.any(axis=-1))
+    angles = np.stack(_smooth_angles(some, known, _RESIDUAL_REACH_CELLS / stride), axis=-1)
+    del some, known
+    flat = rays.reshape(-1, 3)
+    for first in range(0, len(holes), _HOLES_AT_ONCE):
+        part = holes[first : first + _HOLES_AT_ONCE]
+        cells = np.stack(np.divmod(part, width), axis=-1) / stride
+        at = interpolate_rays(angles, cells, beyond=1.0) if stride > 1 else angles.reshape(-1, 2)[part]
+        flat[part] = _rays_of(at[..., 0], at[..., 1])
+
+
 def _smooth_rays(rays: NDArray[np.float64], known: BoolArray) -> NDArray[np.float64]:
-    longitude = _fit_angle(np.arctan2(rays[..., 1], rays[..., 0]), known)
-    latitude = _fit_angle(np.arcsin(np.clip(rays[..., 2], -1, 1)), known)
-    return np.stack(
-        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
+    return _rays_of(*_smooth_angles(rays, known, _RESIDUAL_REACH_CELLS))
+
+
+def _rays_of(longitude: FloatArray, latitude: FloatArray) -> NDArray[np.float64]:
+    level = np.cos(latitude)
+    return np.stack([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)], axis=-1)
+
+
+def _smooth_angles(
+    rays: NDArray[np.float64], known: BoolArray, reach: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return longitude and latitude (H, W) of a smooth fit; not wrapped."""
+    return (
+        _fit_angle(np.arctan2(rays[..., 1], rays[..., 0]), known, reach),
+        _fit_angle(np.arcsin(np.clip(rays[..., 2], -1, 1)), known, reach),
     )
 
 
-def _fit_angle(angle: NDArray[np.float64], known: BoolArray) -> NDArray[np.float64]:
+def _fit_angle(angle: NDArray[np.float64], known: BoolArray, reach: float) -> NDArray[np.float64]:
     """Fit a quadratic to an angle over the grid, with 2 pi jumps removed, and add the smoothed residuals."""
     height, width = angle.shape
     row, column = np.mgrid[:height, :width].astype(np.float64)
@@ -74,8 +122,8 @@ def _fit_angle(angle: NDArray[np.float64], known: BoolArray) -> NDArray[np.float
         use = error <= 4 * np.median(error[use]) + 1e-12
     smooth = _quadratic(r, c) @ coefficients
     residual = np.where(known, rest - smooth, 0.0)
-    blurred = cv2.GaussianBlur(residual, (0, 0), _RESIDUAL_REACH_CELLS)
-    share = cv2.GaussianBlur(known.astype(np.float64), (0, 0), _RESIDUAL_REACH_CELLS)
+    blurred = cv2.GaussianBlur(residual, (0, 0), reach)
+    share = cv2.GaussianBlur(known.astype(np.float64), (0, 0), reach)
     return np.asarray(trend + offset + smooth + blurred / (share + 1e-3))
 
 
@@ -123,7 +171,7 @@ def _bilinear(
 class RayTableInverse:
     """Inverse of a ray table: the nearest ray from a tree, then Newton's method on the table."""
 
-    def __init__(self, rays: NDArray[np.float64]) -> None:
+    def __init__(self, rays: FloatArray) -> None:
         from scipy.spatial import cKDTree
 
         self._rays = rays

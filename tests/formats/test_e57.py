@@ -111,6 +111,54 @@ def test_files_without_indices_are_gridded(tmp_path: Path, make: Any) -> None:
     np.testing.assert_array_equal(read_e57(make.e57(tmp_path / "b.e57", useless)).ranges, scan.ranges)
 
 
+def test_the_nearest_of_several_returns_counts_across_chunks(
+    tmp_path: Path, make: Any, wall: Scan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ladarreg_core.formats.e57._CHUNK", 100)
+    fields = make.e57_fields(wall, color=True)
+    far = {k: (v * 3 if k.startswith("cartesian") else v)[::2] for k, v in fields.items()}
+    far["intensity"] = 0 * far["intensity"] + 9
+    both = {k: np.concatenate([fields[k], far[k]]) for k in fields}
+    order = np.random.default_rng(1).permutation(len(both["intensity"]))
+    both = {k: v[order] for k, v in both.items()}
+    plain, mixed = (read_e57(make.e57(tmp_path / f"{k}.e57", f)) for k, f in enumerate((fields, both)))
+    np.testing.assert_array_equal(mixed.ranges, plain.ranges)
+    np.testing.assert_array_equal(mixed.intensity[wall.valid], plain.intensity[wall.valid])
+    np.testing.assert_array_equal(mixed.color[wall.valid], plain.color[wall.valid])  # type: ignore[index]
+    np.testing.assert_allclose(mixed.points, wall.points, atol=1e-5)
+    nearest_missing = read_e57(make.e57(tmp_path / "far.e57", far))
+    assert not np.allclose(nearest_missing.ranges, plain.ranges, equal_nan=True)
+
+
+@pytest.mark.parametrize("claimed", [b"3", b"1", b"7"])
+def test_index_bounds_of_the_header_need_not_be_right(tmp_path: Path, make: Any, wall: Scan, claimed: bytes) -> None:
+    path = make.e57(tmp_path / "a.e57", make.e57_fields(wall))
+    rows = str(wall.shape[0] - 1).encode()
+    old = b'<rowMaximum type="Integer">' + rows + b"<"
+    assert len(rows) == 2
+    read = read_e57(forged(path, old, old.replace(rows + b"<", claimed + b"0<")))
+    np.testing.assert_allclose(read.points, wall.points, atol=1e-5)
+
+
+def test_large_tables_are_filled_as_small_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    from ladarreg_core.scanner import ray_table
+    from ladarreg_core.scanner.grids import SphericalGrid, TabulatedGrid
+
+    true = SphericalGrid(120, 300, 0.01, 0.01, 0.3, 0.9).rays
+    table = true.astype(np.float32)
+    holes = np.random.default_rng(0).random(table.shape[:2]) < 0.2
+    holes[:, 250:] = holes[100:] = True
+    table[holes] = 0
+    grids = []
+    for most in (10**6, 4000):
+        monkeypatch.setattr(ray_table, "MOST_FITTED_CELLS", most)
+        grids.append(TabulatedGrid.taking_over(table.copy()))
+    np.testing.assert_array_equal(grids[0].rays[~holes], table[~holes])
+    for grid in grids:
+        assert np.abs(grid.rays - true).max() < 1e-3
+    assert np.abs(TabulatedGrid(np.where(holes[..., None], np.nan, table)).rays - grids[0].rays).max() < 1e-6
+
+
 def test_missing_intensity_or_returns_are_reported(tmp_path: Path, make: Any, wall: Scan) -> None:
     fields = make.e57_fields(wall, color=True)
     del fields["intensity"]

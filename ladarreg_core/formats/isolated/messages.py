@@ -149,6 +149,7 @@ class _Decoder:
             if not count:
                 raise EOFError("the other process has ended")
             rest = rest[count:]
+        array.flags.writeable = False  # so that the records share it instead of copying it
         return array
 
 
@@ -212,9 +213,9 @@ def _rebuild(record: type[Any], values: dict[str, Any]) -> Any:
 def _ray_table(record: type[Any], values: dict[str, Any]) -> Any:
     """Return a tabulated grid without calling its constructor, which would complete and normalise the table again."""
     table, law = values["table"], values["law"]
-    if table.dtype != np.float64 or table.ndim != 3 or table.shape[2] != 3:
+    if table.dtype not in (np.float32, np.float64) or table.ndim != 3 or table.shape[2] != 3:
         raise ShapeError(f"a ray table has the type {table.dtype} and the shape {table.shape}")
-    if not np.abs(np.einsum("ijk,ijk->ij", table, table) - 1).max(initial=0) < _UNIT_TOLERANCE:
+    if not all(np.abs(np.einsum("jk,jk->j", row, row) - 1).max(initial=0) < _UNIT_TOLERANCE for row in table):
         raise ShapeError("a ray table has rays that are not of length 1")
     if law is not None and law.shape != table.shape[:2]:
         raise ShapeError("a ray table and its angle law differ in shape")
