@@ -63,6 +63,15 @@ FIELDS: dict[str, Field] = {
     "k1_sigma": Field("Distortion k1", "robust", "Not calibrated: standard deviation about 0; 0: exact.", 0, 1, 0.01),
     "sigma_px": Field("Pixel noise", "robust", "Empty: estimated from the data.", 0.01, 50, 0.05, "px"),
     "sigma_range_m": Field("Range noise", "robust", "Empty: estimated from the data.", 0.0001, 1, 0.001, "m"),
+    "match_tolerance_m": Field(
+        "Lengths of targets",
+        "robust",
+        "Largest difference from the scan's range; empty: 3 sigma, 5 cm at least.",
+        0.001,
+        100,
+        0.01,
+        "m",
+    ),
     "solve_automatically": Field(
         "Solve after edits", "all", "Solve and verify by itself as soon as drawn matches pause to change."
     ),

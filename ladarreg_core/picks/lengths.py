@@ -121,7 +121,7 @@ class LengthCheck:
             found.append(
                 f"{len(self.beyond)} of {len(self.compared)} lengths differ from the scan's own range by more than "
                 f"{limit if given else least}: {worst}{more}. Correct or remove these matches, or allow more "
-                "(--match-tolerance-m)."
+                "(--match-tolerance-m; in the page, the setting 'Lengths of targets')."
             )
         return tuple(found)
 

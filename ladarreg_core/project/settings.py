@@ -68,6 +68,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """Pixel noise, px; None: estimated from the data."""
     sigma_range_m: float | None = None
     """Range noise, m; None: estimated from the data."""
+    match_tolerance_m: float | None = None
+    """Largest difference of a match's own length from the scan's range, m; None: by the range noise, 5 cm at least."""
     seed: int = 0
     """Random seed."""
     solve_automatically: bool = True
@@ -139,6 +141,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
             ),
             lines=self.lines,
             samples_per_line=self.samples_per_line,
+            match_tolerance_m=self.match_tolerance_m,
         )
 
     def changed(self, values: dict[str, Any]) -> Settings:

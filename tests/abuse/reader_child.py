@@ -21,8 +21,9 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import FORMATS, describe, extract_images, read_photo, read_scan
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.matches_file import read_matches
-from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.pose_file import read_initial, read_pose
 from ladarreg_core.formats.registration_file import read_offset, read_registration
+from ladarreg_core.frames import Rigid
 from tests.abuse.mutations import mutated
 from tests.abuse.seed_files import REFERENCE_SCAN, seeds_in
 
@@ -46,6 +47,7 @@ def readers_of(kind: str, name: str, folder: Path) -> dict[str, Callable[[Path],
         found["read_camera"] = read_camera
     if kind == "pose":
         found |= {"read_pose": read_pose, "read_registration": read_registration, "read_offset": read_offset}
+        found["read_initial"] = lambda path: read_initial(path, Rigid.identity())
     if kind == "matches":
         scan = read_scan(folder / REFERENCE_SCAN)
         found["read_matches"] = lambda path: read_matches(path, scan)

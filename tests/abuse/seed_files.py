@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,6 +25,7 @@ from tests.formats.test_camera_files import ROS
 
 REFERENCE_SCAN = "reference-scan.npz"
 """The scan for matches files; it is valid and never damaged."""
+_IN_THE_WORLD = Rigid.from_rotvec([0.01, 0.0, 2.1], (5e5, 5.4e6, 100.25))
 _LIST = "seeds.json"
 _FORMAT_TESTS = Path(__file__).resolve().parents[1] / "formats"
 
@@ -54,7 +55,7 @@ def write_seeds(folder: Path) -> list[Seed]:
     that writes valid files into an empty folder and returns their paths.
     """
     wall = make_scan()
-    write_npz_xyz(folder / REFERENCE_SCAN, wall)
+    write_npz_xyz(folder / REFERENCE_SCAN, replace(wall, world_from_scanner=_IN_THE_WORLD))
     made = [*_scans(folder, wall), *_pictures(folder), *_texts(folder), *_from_format_tests(folder)]
     seeds = [Seed(recognise(file).name, file, damaged) for file, damaged in made]
     rows = [
@@ -89,7 +90,7 @@ def _from_format_tests(folder: Path) -> list[tuple[Path, Path]]:
 def _scans(folder: Path, wall: Any) -> list[tuple[Path, Path]]:
     here = _place(folder, "scans")
     files = [here / "points.npz", here / "counts.npz"]
-    write_npz_xyz(files[0], wall)
+    write_npz_xyz(files[0], replace(wall, world_from_scanner=_IN_THE_WORLD))
     counts = np.where(wall.valid, np.nan_to_num(wall.ranges) * 500 - 500, 0).astype(np.uint16)
     write_npz_counts(
         files[1], counts=counts, intensity=wall.intensity, geometry=wall.geometry, r0_m=1.0, dr_m=0.002,
@@ -161,6 +162,14 @@ def _texts(folder: Path) -> list[tuple[Path, Path]]:
     line = Pick("a line", "line", rays, uv, on=False, weight=2.0)
     write_matches(here / "matches.json", [*points, line])
     write_matches_csv(here / "rays.csv", points)
+    named = [replace(pick, lengths_m=np.array([3.0 + k]), name=f"T{k}") for k, pick in enumerate(points)]
+    write_matches(here / "points.json", [*named, line])
+    write_matches_csv(here / "points.csv", named)
+    entries = [{"name": f"T{k}", "scan": [5e5 + 3, 5.4e6 + 0.1 * k, 101.5], "photo": [k, 3]} for k in range(6)]
+    world = {"version": 2, "scan_coordinates": "point", "frame": "world", "matches": entries}
+    (here / "world.json").write_text(json.dumps(world, indent=1), encoding="utf-8")
+    in_world = {"camera_from_world": (Rigid.identity() @ _IN_THE_WORLD.inverse).matrix.tolist()}
+    (here / "world-pose.json").write_text(json.dumps(in_world), encoding="utf-8")
     (here / "cells.csv").write_text(
         "row,column,u,v\n" + "".join(f"{k},{2 * k}.5,{k * 7},{k * 5}\n" for k in range(8)), encoding="utf-8"
     )
@@ -171,7 +180,9 @@ def _registration(camera: Any) -> dict[str, Any]:
     """Return the fields of an earlier result, as read by `formats.registration_file`."""
     pose = Rigid.from_rotvec([0.1, -0.2, 0.3], (0.5, 0.25, -1.0))
     return {
-        "version": 1, "camera_from_scanner": pose.matrix.tolist(), "camera": camera.as_fields(),
+        "version": 1, "camera_from_scanner": pose.matrix.tolist(),
+        "world_from_scanner": _IN_THE_WORLD.matrix.tolist(),
+        "camera_from_world": (pose @ _IN_THE_WORLD.inverse).matrix.tolist(), "camera": camera.as_fields(),
         "covariance": (np.eye(6) * 1e-6).tolist(), "sigma": {"pixel_px": 1.0, "range_m": 0.015}, "accepted": True,
         "evidence": "statistics", "reasons": ["enough matches agree"], "method": "manual",
     }  # fmt: skip

@@ -88,7 +88,8 @@ SOUND: dict[str, list[dict[str, Any]]] = {
         },
         {
             "residual": "stereo", "start_from": "robust", "step_m": 0.1, "step_rad": 0.2, "restarts": 1,
-            "reject_sigma": 3, "intrinsics": "fixed", "sigma_px": 0.7, "sigma_range_m": None, "seed": 7,
+            "reject_sigma": 3, "intrinsics": "fixed", "sigma_px": 0.7, "sigma_range_m": None, "match_tolerance_m": 0.2,
+            "seed": 7,
             "solve_automatically": False, "solve_up_to": 50, "centre_sigma_percent": 1.0, "k1_sigma": 0.02,
         },
     ],
