@@ -97,9 +97,9 @@ def _located(
     if estimate.position is None:
         if coordinates == "any":
             raise UnderspecifiedError(
-                "where the scanner stood is not in the file, and the pattern of the points does not show it (they may "
-                "be thinned to equal distances, or taken from several places): give it in the file's coordinates with "
-                "--origin x,y,z (0,0,0 if the cloud is centred on the scanner)"
+                "the file does not say where the scanner stood, and the pattern of the points does not show it: give "
+                "--origin x,y,z in the file's coordinates (0,0,0 if they are the scanner's own); a cloud of several "
+                "scans is to be exported scan by scan"
             )
         return np.zeros(3), []
     where = np.array(estimate.position)
@@ -113,3 +113,8 @@ def _located(
             "the scanner stood at the zero point of the file's coordinates, as the pattern of the points says"
         ]
     return where, []
+
+
+def luminance(color: ByteArray) -> NDArray[np.float32]:
+    """Return the luminance (N,), 0 to 255, of colours (N, 3) RGB. Source: ITU-R BT.601."""
+    return np.asarray(color @ np.array([0.299, 0.587, 0.114], np.float32), dtype=np.float32)

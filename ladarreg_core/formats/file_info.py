@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import ShapeError
+from ladarreg_core.errors import ShapeError, UnderspecifiedError
 from ladarreg_core.formats.camera_file import camera_format, describe_camera, read_cameras
 from ladarreg_core.formats.camera_in_file import FileCamera
 from ladarreg_core.formats.e57 import read_e57
@@ -19,12 +19,16 @@ from ladarreg_core.formats.e57_images import camera_of_image
 from ladarreg_core.formats.exif import exif_facts, focal_from_exif, orientation_of, upright
 from ladarreg_core.formats.image_file import read_image
 from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
+from ladarreg_core.formats.las import las_facts, read_las
+from ladarreg_core.formats.las_header import read_las_header
 from ladarreg_core.formats.matches_file import csv_rows
 from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD, read_pose
 from ladarreg_core.formats.scan_request import ScanRequest
 from ladarreg_core.formats.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import ThesisParameters, describe_direction, describe_position, describe_world
 from ladarreg_core.scan import Scan
+
+_MOST_DESCRIBED_BY_READING = 2_000_000
 
 FileKind = Literal["scan", "photo", "camera", "pose", "matches"]
 _MOST_LISTED = 50
@@ -121,6 +125,35 @@ def describe_e57(path: Path) -> FileInfo:
         except ShapeError as error:
             notes = (str(error),)
     return FileInfo(file=shown_name(path), bytes=path.stat().st_size, kind="scan", format="E57", notes=notes, **lists)
+
+
+def describe_las(path: Path, asked: ScanRequest) -> FileInfo:
+    """Describe a LAS or LAZ file: as a scan if it is small and says enough, else from its header alone."""
+    with reading(path) as file, open(file, "rb") as stream:
+        header = read_las_header(stream, file.stat().st_size)
+    facts = las_facts(header)
+    about = (
+        f"{header.points:,} points, {facts['bounds']}",
+        *([f"written by {header.software}"] * bool(header.software)),
+    )
+    crs = (f"the file's coordinate reference system is {header.crs}",) if header.crs else ()
+    notes: tuple[str, ...] = ("described from its header alone: its points are read when it is opened",)
+    if header.points <= _MOST_DESCRIBED_BY_READING:
+        try:
+            scan = read_las(path, origin=asked.origin, intensity=asked.intensity, report=asked.report)
+        except (ShapeError, UnderspecifiedError) as error:
+            notes = (str(error),)
+        else:
+            return _describe_scan(path, scan, facts["format"], scans=about)
+    return FileInfo(
+        file=shown_name(path),
+        bytes=path.stat().st_size,
+        kind="scan",
+        format=facts["format"],
+        color=header.has_color,
+        scans=about,
+        notes=(*notes, *crs),
+    )
 
 
 def _scan_line(scan: E57ScanInfo) -> str:

@@ -24,6 +24,7 @@ from ladarreg_core.formats.file_info import (
     FileKind,
     describe_camera_file,
     describe_e57,
+    describe_las,
     describe_matches,
     describe_photo,
     describe_pose,
@@ -31,6 +32,8 @@ from ladarreg_core.formats.file_info import (
 )
 from ladarreg_core.formats.image_file import image_format
 from ladarreg_core.formats.json_file import parsed_once, read_json_object
+from ladarreg_core.formats.las import read_las
+from ladarreg_core.formats.las_header import sniff_las
 from ladarreg_core.formats.npz import read_npz, sniff_npz
 from ladarreg_core.formats.pcd import read_pcd, sniff_pcd
 from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD
@@ -42,7 +45,6 @@ from ladarreg_core.scan import Scan
 _HEAD_BYTES = 4096
 _UNSUPPORTED = (
     (b"ply", "a PLY model"),
-    (b"LASF", "a LAS or LAZ cloud"),
     (b"\x89HDF", "an HDF5 file"),
     (b"glTF", "a GLB model"),
     (b"%PDF", "a PDF"),
@@ -127,6 +129,12 @@ def _read_pcd(path: Path, asked: ScanRequest) -> Scan:
     return read_pcd(path, origin=asked.origin, memory_bytes=asked.memory_bytes, report=asked.report)
 
 
+def _read_las(path: Path, asked: ScanRequest) -> Scan:
+    return read_las(
+        path, origin=asked.origin, intensity=asked.intensity, memory_bytes=asked.memory_bytes, report=asked.report
+    )
+
+
 def _read_descriptor(path: Path, asked: ScanRequest) -> Scan:
     return read_descriptor(path, memory_bytes=asked.memory_bytes, report=asked.report)
 
@@ -154,6 +162,10 @@ FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "PCD", "scan", (".pcd",), lambda head, _: sniff_pcd(head), scan_describer("PCD", _read_pcd), _read_pcd,
         takes=("origin",),
+    ),
+    FileFormat(
+        "LAS", "scan", (".las", ".laz"), lambda head, _: sniff_las(head), describe_las, _read_las,
+        takes=("origin", "intensity"), examples=("LAS", "LAZ"),
     ),
     FileFormat(
         "descriptor JSON", "scan", (".json",), _sniff_json("scan"),

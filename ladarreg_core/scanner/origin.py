@@ -28,6 +28,7 @@ _TAU = 0.5
 _ELEVATIONS = 6_000
 _FINE_RAD = np.radians(0.25)
 _SHARP = 0.7
+_SURELY_SHARP = 1.2
 _SHARPENED = 6
 _HIDDEN = 0.12
 _HIDDEN_IF_SHARP = 0.3
@@ -181,10 +182,15 @@ class _Cloud:
                 )  # fmt: skip
                 found.append((self.hidden_from(answer.x), float(answer.fun), np.asarray(answer.x)))
         found.sort(key=lambda each: each[0] + each[1])
-        for _, _, origin in found[:_SHARPENED]:
+        distinct = [
+            origin
+            for k, (_, _, origin) in enumerate(found)
+            if all(np.linalg.norm(origin - other) > 0.02 * self.size for _, _, other in found[:k])
+        ]
+        for origin in distinct[:_SHARPENED]:
             if (sharp := self._sharpened(origin)) is not None:
                 found.append((self.hidden_from(sharp), self.misfit(sharp), sharp))
-                if found[-1][0] < _HIDDEN:
+                if found[-1][0] < _HIDDEN and self.sharpness(sharp) > _SURELY_SHARP:
                     break
         # A sharp set of elevations is far stronger evidence than the densities, which are those of points in lines.
         hidden, misfit, origin = min(found, key=lambda each: each[0] + each[1] - 0.5 * self.sharpness(each[2]))
