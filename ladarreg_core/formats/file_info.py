@@ -28,10 +28,9 @@ from ladarreg_core.formats.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import ThesisParameters, describe_direction, describe_position, describe_world
 from ladarreg_core.scan import Scan
 
-_MOST_DESCRIBED_BY_READING = 2_000_000
-
 FileKind = Literal["scan", "photo", "camera", "pose", "matches"]
 _MOST_LISTED = 50
+_MOST_DESCRIBED_BY_READING = 2_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
