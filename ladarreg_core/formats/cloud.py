@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.errors import ShapeError, UnderspecifiedError
+from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.untrusted import unit_notes
 from ladarreg_core.formatting import format_percent
 from ladarreg_core.frames import Rigid, describe_position
@@ -17,8 +18,35 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.gridding import LARGEST_GRID, LEAST_POINTS, grid_points
 from ladarreg_core.scanner.origin import estimate_origin
 
-Coordinates = Literal["scanner", "any"]
+Coordinates = Literal["scanner", "local", "any"]
+_POINT_BYTES = 340  # measured peak of gridding, per point with its cell, beyond what the file's own data take
+_HELD_BYTES = 120  # the same per point alone
+_CELL_BYTES = 300  # the same per cell of a grid that is mostly empty
+_FAR_M = 1000.0
+_SAMPLES = 10_000
 _LEAST_KEPT = 0.9
+
+
+def most_cells_of(budget: ReadBudget, points: int, bytes_per_point: float) -> int:
+    """Return the size of grid that fits into memory, after refusing a cloud that does not.
+
+    Args:
+        budget: of the file.
+        points: number of points that the file claims.
+        bytes_per_point: memory that a point takes while it is read, bytes.
+
+    Raises:
+        FormatError: if the points do not fit.
+    """
+    budget.require(points * (bytes_per_point + _POINT_BYTES), f"its {points:,} points")
+    return budget.cells_that_fit(_CELL_BYTES, besides_bytes=points * (bytes_per_point + _HELD_BYTES))
+
+
+def coordinates_of(points: NDArray[np.floating]) -> Coordinates:
+    """Return which coordinates points (N, 3) probably have, in files that may have any: maps have large numbers."""
+    known = points[:: max(1, len(points) // _SAMPLES)]
+    known = known[np.isfinite(known).all(axis=1)]
+    return "any" if len(known) and np.abs(np.median(known, axis=0)).max() > _FAR_M else "local"
 
 
 def scan_of_cloud(
@@ -42,7 +70,8 @@ def scan_of_cloud(
         color: (N, 3) uint8 RGB.
         name: of the scan.
         coordinates: those that the format usually has. `scanner`: zero is the scanner unless the points clearly say
-            otherwise. `any`: refused where the points do not say where the scanner stood.
+            otherwise. `local`: the same, and said where the points do not say. `any`: refused where the points do not
+            say where the scanner stood.
         origin: where the scanner stood in the coordinates of the points, (3,) m, if the file or the operator says.
         ring: (N,) whole numbers, the beam of each point.
         world_from_scanner: pose of the coordinates of the points in the world.
@@ -101,6 +130,11 @@ def _located(
                 "--origin x,y,z in the file's coordinates (0,0,0 if they are the scanner's own); a cloud of several "
                 "scans is to be exported scan by scan"
             )
+        if coordinates == "local":
+            return np.zeros(3), [
+                "where the scanner stood is not in the file, and the points do not show it: the zero point of the "
+                "coordinates was taken; if that is wrong, give it with --origin x,y,z"
+            ]
         return np.zeros(3), []
     where = np.array(estimate.position)
     if where.any():
@@ -113,8 +147,3 @@ def _located(
             "the scanner stood at the zero point of the file's coordinates, as the pattern of the points says"
         ]
     return where, []
-
-
-def luminance(color: ByteArray) -> NDArray[np.float32]:
-    """Return the luminance (N,), 0 to 255, of colours (N, 3) RGB. Source: ITU-R BT.601."""
-    return np.asarray(color @ np.array([0.299, 0.587, 0.114], np.float32), dtype=np.float32)

@@ -16,6 +16,8 @@ from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.e57_header import E57Info, E57ScanInfo, read_e57_info
 from ladarreg_core.formats.grid_assembly import GridAssembly
+from ladarreg_core.formats.intensity import LUMA_NOTE, luma, require_intensity
+from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import LARGEST_GRID_CELLS, PathLike, one_line, reading, unit_notes
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
@@ -47,6 +49,7 @@ def read_e57(
     *,
     scan_index: int = 0,
     origin: tuple[float, float, float] | None = None,
+    intensity: IntensitySource = "auto",
     memory_bytes: int | None = None,
     report: Report | None = None,
 ) -> Scan:
@@ -57,6 +60,7 @@ def read_e57(
         scan_index: index of the scan, from 0.
         origin: where the scanner stood in the scan's coordinates, (3,) m, for a scan without a grid; None: at their
             zero point, unless the pattern of the points says otherwise.
+        intensity: `luma` takes the luminance of the colours.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress, in points.
 
@@ -73,7 +77,7 @@ def read_e57(
     with reading(path) as file:
         info = read_e57_info(file)
         scan = _chosen(info, scan_index)
-        _require_fields(scan)
+        _require_fields(scan, intensity)
         budget = ReadBudget.of(file.stat().st_size, memory_bytes)
         fields = len(scan.field_names & {*_CARTESIAN, *_SPHERICAL, *_COLORS, *_INDICES, *_STATES})
         held = scan.points * (_POINT_BYTES + _FIELD_BYTES * fields)
@@ -81,7 +85,7 @@ def read_e57(
         needed = _grid_bytes(scan.points) if has_indices else held + scan.points * _OWN_CELL_BYTES
         budget.require(needed, f"its {scan.points:,} points")
         with e57_file(file) as image_file:
-            records = _Records(image_file, scan, scan_index, report)
+            records = _Records(image_file, scan, scan_index, report, intensity)
             if has_indices:
                 grid = _assembled(records, budget)
                 if grid is not None and any(origin or ()):
@@ -90,11 +94,11 @@ def read_e57(
                         "leave it out"
                     )
                 if grid is not None:
-                    return _gridded(file.stem, info, scan, *grid)
+                    return _gridded(file.stem, _notes(info, scan, intensity), scan, *grid)
             budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
             columns = records.all_columns()
         most_cells = budget.cells_that_fit(_CELL_BYTES, besides_bytes=held)
-        return _from_cloud(file.stem, info, scan, columns, most_cells, origin)
+        return _from_cloud(file.stem, _notes(info, scan, intensity), scan, columns, most_cells, origin)
 
 
 def _chosen(info: E57Info, scan_index: int) -> E57ScanInfo:
@@ -109,17 +113,18 @@ def _chosen(info: E57Info, scan_index: int) -> E57ScanInfo:
     return info.scans[scan_index]
 
 
-def _require_fields(scan: E57ScanInfo) -> None:
+def _require_fields(scan: E57ScanInfo, intensity: IntensitySource) -> None:
     names = scan.field_names
     if not (names >= set(_CARTESIAN) or names >= set(_SPHERICAL)):
         raise FormatError(
             f"its points have {one_line(', '.join(sorted(names)), 80)}; Cartesian or spherical coordinates are needed"
         )
-    if "intensity" not in names:
-        extra = "; its colours come from a camera and are not an intensity" if set(_COLORS) <= names else ""
-        raise FormatError(
-            f"scan {scan.name!r} has no intensity, which is needed for matching{extra}: export it again with intensity"
-        )
+    require_intensity(
+        intensity,
+        has_intensity="intensity" in names,
+        has_color=set(_COLORS) <= names,
+        what=f"the points of scan {scan.name!r}",
+    )
     if scan.points == 0:
         raise ShapeError(f"scan {scan.name!r} has no points; it needs measured ranges")
 
@@ -157,14 +162,23 @@ class _Records:
         scan: the scan.
         scan_index: its index.
         report: receives the progress, in points.
+        intensity: what is read as the intensity.
     """
 
-    def __init__(self, image_file: Any, scan: E57ScanInfo, scan_index: int, report: Report | None) -> None:
+    def __init__(
+        self,
+        image_file: Any,
+        scan: E57ScanInfo,
+        scan_index: int,
+        report: Report | None,
+        intensity: IntensitySource,
+    ) -> None:
         self.scan = scan
         self._image_file, self._scan_index, self._report = image_file, scan_index, report
         position = _CARTESIAN if scan.field_names >= set(_CARTESIAN) else _SPHERICAL
         wanted = (*position, "intensity", *_COLORS, *_INDICES, *_STATES)
-        self.names = [name for name in wanted if name in scan.field_names]
+        left_out = ("intensity", "isIntensityInvalid") if intensity == "luma" else ()
+        self.names = [name for name in wanted if name in scan.field_names and name not in left_out]
 
     def chunks(self, names: Sequence[str]) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
         """Yield the index of the first point and the fields by name, each (n,); the arrays are used again.
@@ -284,10 +298,8 @@ def _filled(records: _Records, first: tuple[int, int], shape: tuple[int, int], t
         if not len(cells[0]):
             continue
         points, state = _positions(part)
-        intensity = part["intensity"]
-        if "isIntensityInvalid" in part:
-            intensity = np.where(part["isIntensityInvalid"] != 0, np.nan, intensity)
         color = _color_planes(part, scan.color_largest) if with_color else None
+        intensity = _strength(part, color)
         grid.add(cells[0], cells[1], points, state=state, intensity=intensity, color=color)
     if grid.filled < _LEAST_UNIQUE * kept:
         return None
@@ -298,8 +310,7 @@ def _filled(records: _Records, first: tuple[int, int], shape: tuple[int, int], t
     return grid if whole else grid.cropped(rows, columns)
 
 
-def _gridded(name: str, info: E57Info, scan: E57ScanInfo, grid: GridAssembly, thin: int) -> Scan:
-    notes = _notes(info, scan)
+def _gridded(name: str, notes: list[str], scan: E57ScanInfo, grid: GridAssembly, thin: int) -> Scan:
     if thin > 1:
         notes.append(f"the grid was thinned to one row and one column in {thin}")
     if not grid.has_returns:
@@ -318,7 +329,7 @@ def _gridded(name: str, info: E57Info, scan: E57ScanInfo, grid: GridAssembly, th
 
 def _from_cloud(
     name: str,
-    info: E57Info,
+    notes: list[str],
     scan: E57ScanInfo,
     columns: dict[str, NDArray[Any]],
     most_cells: int,
@@ -330,9 +341,8 @@ def _from_cloud(
     del planes
     for axis in (*_CARTESIAN, *_SPHERICAL):
         columns.pop(axis, None)
-    intensity = columns["intensity"]
-    if "isIntensityInvalid" in columns:
-        intensity = np.where(columns["isIntensityInvalid"] != 0, np.nan, intensity).astype(np.float32)
+    colors = _color_planes(columns, scan.color_largest) if set(_COLORS) <= set(columns) else None
+    intensity = _strength(columns, colors)
     with np.errstate(over="ignore", invalid="ignore"):
         ranges = np.linalg.norm(points, axis=-1)
     returned = np.isfinite(ranges) & (ranges > 0)
@@ -340,7 +350,7 @@ def _from_cloud(
         returned &= state == 0
     if not returned.any():
         raise _no_returns(scan)
-    color = np.stack(_color_planes(columns, scan.color_largest), axis=-1) if set(_COLORS) <= set(columns) else None
+    color = None if colors is None else np.stack(colors, axis=-1)
     keep = np.flatnonzero(returned)
     paint = None if color is None else color[keep]
     return scan_of_cloud(
@@ -352,12 +362,12 @@ def _from_cloud(
         coordinates="scanner",
         world_from_scanner=scan.world_from_scanner,
         most_cells=min(most_cells, LARGEST_GRID),
-        notes=_notes(info, scan),
+        notes=notes,
     )
 
 
-def _notes(info: E57Info, scan: E57ScanInfo) -> list[str]:
-    notes: list[str] = []
+def _notes(info: E57Info, scan: E57ScanInfo, intensity: IntensitySource) -> list[str]:
+    notes = [LUMA_NOTE] if intensity == "luma" else []
     if len(info.scans) > 1:
         notes.append(f"the file contains {len(info.scans)} scans; this is {scan.name!r}")
     if scan.pose_problem:
@@ -384,6 +394,18 @@ def _positions(
         level = distance * np.cos(elevation)
         x, y, z = level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)
     return (x, y, z), columns.get("sphericalInvalidState")
+
+
+def _strength(
+    columns: dict[str, NDArray[Any]], color: tuple[ByteArray, ByteArray, ByteArray] | None
+) -> NDArray[np.floating]:
+    """Return the intensity (N,), NaN where it is invalid; the luminance of the colours where it was not read."""
+    if "intensity" not in columns:
+        assert color is not None, "_require_fields has refused it"
+        return luma(np.stack(color, axis=-1))
+    if "isIntensityInvalid" not in columns:
+        return columns["intensity"]
+    return np.where(columns["isIntensityInvalid"] != 0, np.nan, columns["intensity"]).astype(np.float32)
 
 
 def _color_planes(columns: dict[str, NDArray[Any]], largest: float) -> tuple[ByteArray, ByteArray, ByteArray]:

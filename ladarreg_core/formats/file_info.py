@@ -23,6 +23,7 @@ from ladarreg_core.formats.las import las_facts, read_las
 from ladarreg_core.formats.las_header import read_las_header
 from ladarreg_core.formats.matches_file import csv_rows
 from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD, read_pose
+from ladarreg_core.formats.ptx import PtxBlock, ptx_blocks, read_ptx
 from ladarreg_core.formats.scan_request import ScanRequest
 from ladarreg_core.formats.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import ThesisParameters, describe_direction, describe_position, describe_world
@@ -152,6 +153,27 @@ def describe_las(path: Path, asked: ScanRequest) -> FileInfo:
         color=header.has_color,
         scans=about,
         notes=(*notes, *crs),
+    )
+
+
+def describe_ptx(path: Path, asked: ScanRequest) -> FileInfo:
+    """Describe a PTX file: its scan in detail if there is only one or one is asked for, else all from their headers."""
+    blocks = ptx_blocks(path)
+    scans = tuple(_block_line(number, block) for number, block in enumerate(blocks)) if len(blocks) > 1 else ()
+    if len(blocks) == 1 or asked.scan_index:
+        read = read_ptx(path, scan_index=asked.scan_index, intensity=asked.intensity)
+        return _describe_scan(path, read, "PTX", scans=scans)
+    return FileInfo(file=shown_name(path), bytes=path.stat().st_size, kind="scan", format="PTX", scans=scans)
+
+
+def _block_line(number: int, block: PtxBlock) -> str:
+    has = [word for word, there in (("intensity", block.has_intensity), ("colour", block.has_color)) if there]
+    x, y, z = block.position
+    cells = block.rows * block.columns
+    truncated = "" if block.lines == cells else f", truncated after {block.lines:,}"
+    return (
+        f"scan {number} (--scan {number}): {cells:,} points, grid {block.rows} x {block.columns}, "
+        f"{' and '.join(has) or 'neither intensity nor colour'}, stands at {x:.3f}, {y:.3f}, {z:.3f} m{truncated}"
     )
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import ByteArray
 from ladarreg_core.errors import DependencyError, FormatError, ShapeError, UnderspecifiedError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.cloud import luminance, scan_of_cloud
+from ladarreg_core.formats.cloud import scan_of_cloud
+from ladarreg_core.formats.intensity import LUMA_NOTE, luma
 from ladarreg_core.formats.las_header import LasHeader, read_las_header
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading
@@ -157,7 +158,7 @@ def _intensity(
     if source == "luma":
         if color is None:
             raise FormatError("it has no colours to take the luminance of; leave --intensity luma out")
-        return luminance(color), ["the intensity is the luminance of the points' colours"]
+        return luma(color), [LUMA_NOTE]
     if _varies(columns["intensity"]):
         return as_float32(columns["intensity"]), []
     extra = {name[6:]: values for name, values in columns.items() if name.startswith("extra ")}

@@ -15,13 +15,14 @@ from ladarreg_core.errors import FormatError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
+from ladarreg_core.formats.intensity import chosen_intensity, intensity_name, require_intensity
+from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, require_cells, unit_notes
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import TabulatedGrid
 
-INTENSITY_NAMES = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "amplitude", "signal")
 RING_NAMES = ("ring", "channel", "laser_id", "laserid", "beam", "line")
 _COLOR_NAMES = ("rgb", "rgba")
 _LONGEST_HEADER = 1 << 16
@@ -48,6 +49,7 @@ def read_pcd(
     path: PathLike,
     *,
     origin: tuple[float, float, float] | None = None,
+    intensity: IntensitySource = "auto",
     memory_bytes: int | None = None,
     report: Report | None = None,
 ) -> Scan:
@@ -57,6 +59,7 @@ def read_pcd(
         path: a cloud with x, y, z (m) and intensity; a `ring` field is used if present.
         origin: where the scanner stood, (3,) m in the file's coordinates; None: at their zero point, unless the pattern
             of the points says otherwise.
+        intensity: `luma` takes the luminance of the colours.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress.
 
@@ -83,16 +86,15 @@ def read_pcd(
         names = {name.lower(): name for name in columns}
         if not {"x", "y", "z"} <= set(names):
             raise FormatError(f"its fields are {one_line(' '.join(columns), 80)}; a scan needs x, y, z and intensity")
-        found = next((names[name] for name in INTENSITY_NAMES if name in names), None)
-        if found is None:
-            raise FormatError(
-                f"its fields are {one_line(' '.join(columns), 80)}; none is an intensity, which is needed for "
-                "matching: export the cloud with its intensity"
-            )
-        points = np.stack([columns[names[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
+        found = intensity_name(columns)
         color = next((_unpack_rgb(columns[names[name]]) for name in _COLOR_NAMES if name in names), None)
+        require_intensity(
+            intensity, has_intensity=found is not None, has_color=color is not None, fields=" ".join(columns)
+        )
+        strength, said = chosen_intensity(intensity, None if found is None else columns[found], color)
+        points = np.stack([columns[names[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
         ring = next((columns[names[name]] for name in RING_NAMES if name in names), None)
-        scan = _to_scan(file.stem, header, points, as_float32(columns[found]), color, ring, most_cells, origin)
+        scan = _to_scan(file.stem, header, points, strength, color, ring, most_cells, said, origin)
         _report(report, 2)
         return scan
 
@@ -332,9 +334,10 @@ def _to_scan(
     color: ByteArray | None,
     ring: NDArray[Any] | None,
     most_cells: int,
+    said: tuple[str, ...],
     origin: tuple[float, float, float] | None,
 ) -> Scan:
-    notes: list[str] = []
+    notes = [*said]
     pose = _pose(header.viewpoint)
     if pose is not None:
         notes.append("VIEWPOINT was read as the scanner's pose in the world; the points stay in the scanner's frame")

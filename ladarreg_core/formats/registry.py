@@ -28,6 +28,7 @@ from ladarreg_core.formats.file_info import (
     describe_matches,
     describe_photo,
     describe_pose,
+    describe_ptx,
     scan_describer,
 )
 from ladarreg_core.formats.image_file import image_format
@@ -36,21 +37,24 @@ from ladarreg_core.formats.las import read_las
 from ladarreg_core.formats.las_header import sniff_las
 from ladarreg_core.formats.npz import read_npz, sniff_npz
 from ladarreg_core.formats.pcd import read_pcd, sniff_pcd
+from ladarreg_core.formats.ply import read_ply, sniff_ply
 from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD
+from ladarreg_core.formats.ptx import read_ptx, sniff_ptx
 from ladarreg_core.formats.scan_request import IntensitySource, ScanRequest
+from ladarreg_core.formats.text_cloud import read_text_cloud, sniff_pts, sniff_text_cloud
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
 
 _HEAD_BYTES = 4096
 _UNSUPPORTED = (
-    (b"ply", "a PLY model"),
     (b"\x89HDF", "an HDF5 file"),
     (b"glTF", "a GLB model"),
     (b"%PDF", "a PDF"),
     (b"\x93NUMPY", "a single NumPy array"),
     (b"\x1f\x8b", "a gzip archive"),
     (b"7z\xbc\xaf", "a 7z archive"),
+    (b"PTG\0", "a PTG scan (export PTX or E57 instead)"),
 )
 _DESCRIPTOR_FIELD = re.compile(rb'"kind"\s*:\s*"(' + "|".join(DESCRIPTOR_KINDS).encode() + rb')"')
 
@@ -126,7 +130,29 @@ def _read_npz(path: Path, asked: ScanRequest) -> Scan:
 
 
 def _read_pcd(path: Path, asked: ScanRequest) -> Scan:
-    return read_pcd(path, origin=asked.origin, memory_bytes=asked.memory_bytes, report=asked.report)
+    return read_pcd(
+        path, origin=asked.origin, intensity=asked.intensity, memory_bytes=asked.memory_bytes, report=asked.report
+    )
+
+
+def _read_ptx(path: Path, asked: ScanRequest) -> Scan:
+    return read_ptx(
+        path, scan_index=asked.scan_index, origin=asked.origin, intensity=asked.intensity,
+        memory_bytes=asked.memory_bytes, report=asked.report,
+    )  # fmt: skip
+
+
+def _read_ply(path: Path, asked: ScanRequest) -> Scan:
+    return read_ply(
+        path, origin=asked.origin, intensity=asked.intensity, memory_bytes=asked.memory_bytes, report=asked.report
+    )
+
+
+def _read_text(path: Path, asked: ScanRequest) -> Scan:
+    return read_text_cloud(
+        path, origin=asked.origin, intensity=asked.intensity, columns=asked.columns, memory_bytes=asked.memory_bytes,
+        report=asked.report,
+    )  # fmt: skip
 
 
 def _read_las(path: Path, asked: ScanRequest) -> Scan:
@@ -152,16 +178,29 @@ FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "E57", "scan", (".e57",), lambda head, _: sniff_e57(head), _by_path(describe_e57),
         lambda path, asked: read_e57(
-            path, scan_index=asked.scan_index, origin=asked.origin, memory_bytes=asked.memory_bytes, report=asked.report
+            path, scan_index=asked.scan_index, origin=asked.origin, intensity=asked.intensity,
+            memory_bytes=asked.memory_bytes, report=asked.report,
         ),
-        takes=("scan_index", "origin"),
+        takes=("scan_index", "origin", "intensity"),
     ),
     FileFormat(
         "NPZ", "scan", (".npz",), lambda head, _: sniff_npz(head), scan_describer("NPZ", _read_npz), _read_npz,
     ),
     FileFormat(
         "PCD", "scan", (".pcd",), lambda head, _: sniff_pcd(head), scan_describer("PCD", _read_pcd), _read_pcd,
-        takes=("origin",),
+        takes=("origin", "intensity"),
+    ),
+    FileFormat(
+        "PTX", "scan", (".ptx",), lambda head, _: sniff_ptx(head), describe_ptx, _read_ptx,
+        takes=("scan_index", "origin", "intensity"),
+    ),
+    FileFormat(
+        "PLY", "scan", (".ply",), lambda head, _: sniff_ply(head), scan_describer("PLY", _read_ply), _read_ply,
+        takes=("origin", "intensity"),
+    ),
+    FileFormat(
+        "PTS", "scan", (".pts",), lambda head, _: sniff_pts(head), scan_describer("PTS", _read_text), _read_text,
+        takes=("origin", "intensity", "columns"),
     ),
     FileFormat(
         "LAS", "scan", (".las", ".laz"), lambda head, _: sniff_las(head), describe_las, _read_las,
@@ -183,6 +222,11 @@ FORMATS: tuple[FileFormat, ...] = (
         "matches JSON", "matches", (".json",), _sniff_json("matches"), _by_path(describe_matches), is_generic_text=True
     ),
     FileFormat("matches CSV", "matches", (".csv",), _sniff_csv, _by_path(describe_matches), is_generic_text=True),
+    FileFormat(
+        "text cloud", "scan", (".xyz", ".csv", ".txt", ".asc"), lambda head, _: sniff_text_cloud(head),
+        scan_describer("text cloud", _read_text), _read_text,
+        takes=("origin", "intensity", "columns"), is_generic_text=True, examples=("XYZ", "CSV", "TXT"),
+    ),
 )  # fmt: skip
 """All formats, in the order in which they are tried."""
 
@@ -231,13 +275,13 @@ def listed_kind(path: Path) -> FileKind | None:
     if not any(f.is_generic_text for f in candidates):
         return candidates[0].kind
     try:
-        kind = recognise(path).kind
-        if kind == "scan":
+        found = recognise(path)
+        if found.name == "descriptor JSON":
             with path.open("rb") as file:
-                return kind if _DESCRIPTOR_FIELD.search(file.read(_HEAD_BYTES)) else None
+                return found.kind if _DESCRIPTOR_FIELD.search(file.read(_HEAD_BYTES)) else None
     except (LadarregError, OSError):
         return None
-    return kind
+    return found.kind
 
 
 def read_scan(

@@ -114,7 +114,7 @@ def test_intensity_from_extra_bytes_or_from_colour(tmp_path: Path) -> None:
     luma = read_scan(colored, origin=ORIGIN, intensity="luma")
     assert luma.color is not None
     r, g, b = luma.color[luma.valid].astype(np.float64).T
-    np.testing.assert_allclose(luma.intensity[luma.valid], 0.299 * r + 0.587 * g + 0.114 * b, atol=1e-3)
+    np.testing.assert_allclose(luma.intensity[luma.valid], 0.2126 * r + 0.7152 * g + 0.0722 * b, atol=1e-3)
     with pytest.raises(FormatError, match="no colours"):
         read_scan(las(tmp_path / "n.las"), origin=ORIGIN, intensity="luma")
 
