@@ -66,6 +66,6 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _camera(path: Path) -> Camera:
-    from ladarreg_core.formats.camera_file import read_camera
+    from ladarreg_core.formats.camera_file import as_pinhole, read_camera
 
-    return read_camera(path)
+    return as_pinhole(read_camera(path))

@@ -14,7 +14,7 @@ from .isolated_readers import READERS
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ladarreg_core.camera import Camera
+    from ladarreg_core.camera import CameraModel
     from ladarreg_core.inspection.picks import PickMeasurements, PickPredictor
     from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.matches import Pick
@@ -134,7 +134,7 @@ class Loader:
         try:
             # In a run of its own, so that errors name the camera file and not the photograph.
             file, picture = given.file, self._folder.source_path(entry.source.path)
-            camera: Camera | None = None
+            camera: CameraModel | None = None
             notes: tuple[str, ...] = ()
             if file is not None:
                 camera, notes = READERS.run(

@@ -17,7 +17,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import CameraError, FormatError
 from ladarreg_core.formats.camera_in_file import (
     FileCamera,
@@ -126,7 +126,9 @@ def _values(node: Element) -> dict[str, float]:
     return values
 
 
-def _camera_and_notes(kind: str, v: Mapping[str, float], width: int, height: int) -> tuple[Camera, tuple[str, ...]]:
+def _camera_and_notes(
+    kind: str, v: Mapping[str, float], width: int, height: int
+) -> tuple[CameraModel, tuple[str, ...]]:
     if kind == "spherical":
         if width != 2 * height:
             raise CameraError(f"its panorama is {width} x {height} pixels; a full one is twice as wide as high")

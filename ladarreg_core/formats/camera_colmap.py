@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.formats.camera_in_file import (
     FileCamera,
@@ -31,7 +31,7 @@ from ladarreg_core.frames import Rigid
 _LARGEST_BYTES = 8_000_000
 _LARGEST_IMAGES_BYTES = 2_000_000_000
 _MOST_PARAMETERS = 20
-_Make = Callable[[int, int, tuple[float, ...]], Camera]
+_Make = Callable[[int, int, tuple[float, ...]], CameraModel]
 
 
 def _pinhole(f: int, terms: tuple[int | None, ...]) -> _Make:
@@ -41,7 +41,7 @@ def _pinhole(f: int, terms: tuple[int | None, ...]) -> _Make:
 def _lens(lens: str, f: int, terms: tuple[int | None, ...]) -> _Make:
     """Return the maker of a camera with `f` focal lengths; `terms` are the places of OpenCV's terms, None: 0."""
 
-    def make(width: int, height: int, given: tuple[float, ...]) -> Camera:
+    def make(width: int, height: int, given: tuple[float, ...]) -> CameraModel:
         fx, fy = given[0], given[f - 1]
         matrix = (fx, fy, given[f] - 0.5, given[f + 1] - 0.5)
         k = [0.0 if place is None else given[f + 2 + place] for place in terms]

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, camera_from_model_fields
+from ladarreg_core.camera.equirectangular import FULL_WINDOW
 from ladarreg_core.errors import CameraError, FormatError, OptionError
 from ladarreg_core.formats.camera_agisoft import read_agisoft, sniff_agisoft
 from ladarreg_core.formats.camera_calibration import cameras_of_calibration, read_calibration, sniff_calibration
@@ -106,14 +107,14 @@ def read_cameras(path: PathLike) -> tuple[FileCamera, ...]:
 
 def read_camera(
     path: PathLike, *, name: str | None = None, picture: str = "", picture_file: PathLike | None = None
-) -> Camera:
+) -> CameraModel:
     """Read a camera, its format recognised by content; arguments and errors as `read_noted_camera`."""
     return read_noted_camera(path, name=name, picture=picture, picture_file=picture_file)[0]
 
 
 def read_noted_camera(
     path: PathLike, *, name: str | None = None, picture: str = "", picture_file: PathLike | None = None
-) -> tuple[Camera, tuple[str, ...]]:
+) -> tuple[CameraModel, tuple[str, ...]]:
     """Read the camera of a photograph, with notes, from a file that may have several cameras.
 
     The camera is the one called `name`, or else the only one, the one that took a picture of the photograph's name, or
@@ -208,7 +209,7 @@ def _listed(cameras: Sequence[FileCamera]) -> str:
     return ", ".join([*shown[:_MOST_LISTED], *more])
 
 
-def write_camera(path: PathLike, camera: Camera) -> None:
+def write_camera(path: PathLike, camera: CameraModel) -> None:
     """Write a camera as JSON.
 
     Raises:
@@ -217,12 +218,12 @@ def write_camera(path: PathLike, camera: Camera) -> None:
     write_json(path, camera_fields(camera))
 
 
-def camera_fields(camera: Camera) -> dict[str, Any]:
+def camera_fields(camera: CameraModel) -> dict[str, Any]:
     """Return the fields of a camera's JSON."""
     return camera.as_fields()
 
 
-def camera_from_fields(fields: Mapping[str, Any]) -> Camera:
+def camera_from_fields(fields: Mapping[str, Any]) -> CameraModel:
     """Return the camera described by the fields of a file.
 
     Args:
@@ -235,37 +236,61 @@ def camera_from_fields(fields: Mapping[str, Any]) -> Camera:
     return _cameras_of_fields(fields)[0].camera
 
 
+def pinhole_from_fields(fields: Mapping[str, Any]) -> Camera:
+    """Return the camera as `camera_from_fields`, which must be a pinhole.
+
+    Raises:
+        CameraError: as there, or if it is of another model.
+    """
+    return as_pinhole(camera_from_fields(fields))
+
+
+def as_pinhole(camera: CameraModel) -> Camera:
+    """Return a camera that must be a pinhole.
+
+    Raises:
+        CameraError: if it is not.
+    """
+    if not isinstance(camera, Camera):
+        raise CameraError(f"the camera is {camera.model}; a pinhole is needed here: undistort the photographs")
+    return camera
+
+
 def _cameras_of_fields(fields: Mapping[str, Any]) -> tuple[FileCamera, ...]:
-    if "fx" in fields or "fy" in fields:
+    if "fx" in fields or "fy" in fields or fields.get("model") == "equirectangular":
         return (FileCamera(camera=_camera_from_own_fields(fields)),)
     if isinstance(fields.get("camera"), Mapping):
         return _cameras_of_fields(fields["camera"])
     return cameras_of_calibration(fields)
 
 
-def _camera_from_own_fields(fields: Mapping[str, Any]) -> Camera:
+def _camera_from_own_fields(fields: Mapping[str, Any]) -> CameraModel:
     terms = fields.get("distortion", [])
     if not isinstance(terms, list):
         raise FormatError(f"the field 'distortion' is {one_line(repr(terms), 60)}; it must be a list of numbers")
     model = fields.get("model", "pinhole")
-    if not isinstance(model, str) or lens_of(model) != "pinhole":
-        refuse_model(model)
-    return Camera(
-        width=whole_number(fields, "width"),
-        height=whole_number(fields, "height"),
-        fx=number(fields, "fx"),
-        fy=number(fields, "fy"),
-        cx=number(fields, "cx"),
-        cy=number(fields, "cy"),
-        distortion=tuple(numbers_of(terms, "the distortion")),
-    )
+    values: dict[str, Any] = {"model": model, **{name: whole_number(fields, name) for name in ("width", "height")}}
+    if model == "equirectangular":
+        window = fields.get("window")
+        values["window"] = None if window is None else tuple(numbers_of(window, "the window"))
+    else:
+        values["model"] = lens_of(model) if isinstance(model, str) else refuse_model(model)
+        values |= {name: number(fields, name) for name in ("fx", "fy", "cx", "cy")}
+        values["distortion"] = tuple(numbers_of(terms, "the distortion"))
+    return camera_from_model_fields(values)
 
 
-def describe_camera(camera: Camera) -> dict[str, Any]:
+def describe_camera(camera: CameraModel) -> dict[str, Any]:
     """Return a camera's parameters, formatted for display."""
+    facts: dict[str, Any] = {} if isinstance(camera, Camera) else {"model": camera.model}
+    facts["size"] = f"{camera.width} x {camera.height} px"
+    if isinstance(camera, EquirectangularCamera):
+        window = camera.window or FULL_WINDOW
+        return {**facts, "window_deg": " ".join(f"{angle:g}" for angle in window)}
+    fields = camera.as_fields()
     return {
-        "size": f"{camera.width} x {camera.height} px",
-        "focal_px": f"{camera.fx:.2f}, {camera.fy:.2f}",
-        "principal_point_px": f"{camera.cx:.2f}, {camera.cy:.2f}",
-        "distortion": " ".join(f"{k:.6g}" for k in camera.distortion) or "none",
+        **facts,
+        "focal_px": f"{fields['fx']:.2f}, {fields['fy']:.2f}",
+        "principal_point_px": f"{fields['cx']:.2f}, {fields['cy']:.2f}",
+        "distortion": " ".join(f"{k:.6g}" for k in fields["distortion"]) or "none",
     }

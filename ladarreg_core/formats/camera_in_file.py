@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
 from ladarreg_core.formats.json_file import number
 from ladarreg_core.formats.untrusted import one_line
@@ -29,7 +29,7 @@ _LENS_OF: Mapping[str, Lens] = {
 class FileCamera:
     """One camera of a file."""
 
-    camera: Camera
+    camera: CameraModel
     """Its intrinsics."""
     name: str = ""
     """Its name in the file; empty: a file with one camera need not name it."""
@@ -63,7 +63,7 @@ def refuse_model(model: object, instead: str = "calibrate with one of these") ->
     )
 
 
-def lens_camera(lens: Lens, width: int, height: int, matrix: Sequence[float], terms: Sequence[float]) -> Camera:
+def lens_camera(lens: Lens, width: int, height: int, matrix: Sequence[float], terms: Sequence[float]) -> CameraModel:
     """Return the camera of a lens with OpenCV's distortion.
 
     Args:
@@ -77,9 +77,9 @@ def lens_camera(lens: Lens, width: int, height: int, matrix: Sequence[float], te
         CameraError: if they are invalid.
     """
     fx, fy, cx, cy = matrix
-    if lens == "fisheye":
-        refuse_model("fisheye", "undistort the photographs")
     kept = list(terms)
+    if lens == "fisheye":
+        return FisheyeCamera(width, height, fx, fy, cx, cy, tuple(kept))
     for longer, shorter in ((14, 12), (12, 8)):
         if len(kept) == longer and not any(kept[shorter:]):
             kept = kept[:shorter]
@@ -90,9 +90,9 @@ def lens_camera(lens: Lens, width: int, height: int, matrix: Sequence[float], te
     return Camera(width, height, fx, fy, cx, cy, tuple(kept))
 
 
-def equirectangular_camera(width: int, height: int) -> Camera:
+def equirectangular_camera(width: int, height: int) -> CameraModel:
     """Return the camera of a full panorama."""
-    refuse_model("equirectangular", "cut perspective views from it")
+    return EquirectangularCamera(width, height)
 
 
 def numbers_of(value: Any, what: str) -> list[float]:

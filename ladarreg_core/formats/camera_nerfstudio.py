@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.formats.camera_in_file import (
     FileCamera,
@@ -86,7 +86,7 @@ def _camera_of(
     return FileCamera(camera=camera, name=name, pictures=tuple(frames), poses=poses, notes=notes)
 
 
-def _camera_and_notes(given: Mapping[str, Any]) -> tuple[Camera, tuple[str, ...]]:
+def _camera_and_notes(given: Mapping[str, Any]) -> tuple[CameraModel, tuple[str, ...]]:
     model = str(given.get("camera_model") or ("OPENCV_FISHEYE" if given.get("is_fisheye") is True else "OPENCV"))
     if given.get("w") is None or given.get("h") is None:
         raise FormatError("the size of the photographs, 'w' and 'h', is missing; add both to the file")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import CameraError
 from ladarreg_core.formats.camera_in_file import Lens, lens_camera
 
@@ -22,7 +22,7 @@ Projection = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 def refitted(
     project: Projection, lens: Lens, width: int, height: int, matrix: tuple[float, float, float, float], what: str
-) -> tuple[Camera, str]:
+) -> tuple[CameraModel, str]:
     """Return the OpenCV camera that projects as another model does, and a note with the largest error.
 
     The terms are fitted on one half of a dense set of rays and the error is measured on all of them. The principal

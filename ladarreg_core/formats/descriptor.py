@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import CameraError, FormatError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.camera_file import camera_from_fields
+from ladarreg_core.formats.camera_file import pinhole_from_fields
 from ladarreg_core.formats.image_file import read_image
 from ladarreg_core.formats.json_file import choice, number, read_json_object, whole_number
 from ladarreg_core.formats.npz import OFFSETS, SCALARS, counts_geometry
@@ -102,7 +102,7 @@ def _depth_image(file: Path, fields: Mapping[str, Any], memory_bytes: int | None
     is_z = choice(fields, "depth_is", ("z", "range")) == "z"
     if not isinstance(fields.get("camera"), dict):
         raise CameraError("the field 'camera' is missing; a depth image needs width, height, fx, fy, cx, cy")
-    geometry = PinholeGrid(camera_from_fields(fields["camera"]))
+    geometry = PinholeGrid(pinhole_from_fields(fields["camera"]))
     require_cells(*geometry.shape)
     budget = _budget(file, fields, ("depth", "intensity"), memory_bytes)
     budget.require_cells(*geometry.shape, _DEPTH_BYTES if geometry.camera.distortion else _PLAIN_DEPTH_BYTES)

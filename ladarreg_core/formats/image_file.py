@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import mmap
 import struct
 import warnings
@@ -16,13 +17,14 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import ByteArray
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.budget import PIXELS_PER_BYTE, ReadBudget
+from ladarreg_core.formats.tiff_file import tiff_facts, tiff_size, tiff_values
 from ladarreg_core.formats.untrusted import one_line
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 # Only decoders that run inside this process: others start external programs on the file's content.
-_PIL_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "PPM", "GIF", "JPEG2000")
+_PIL_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "PPM", "GIF", "JPEG2000", "AVIF")
 _LARGEST_PIXELS = 178_000_000  # Pillow's own limit
 _MOST_PASSED = 200_000_000  # pixels times passes of a JPEG that are accepted from a file of any size
 _BAND_PIXELS = 4_000_000
@@ -36,6 +38,8 @@ _MAGICS = (
     (b"\xff\xd8\xff", "JPEG"),
     (b"II*\x00", "TIFF"),
     (b"MM\x00*", "TIFF"),
+    (b"II+\x00", "TIFF"),
+    (b"MM\x00+", "TIFF"),
     (b"BM", "BMP"),
     (b"GIF8", "GIF"),
     (b"\x00\x00\x00\x0cjP  ", "JPEG 2000"),
@@ -44,11 +48,21 @@ _MAGICS = (
 )
 
 
+_AVIF_BRANDS = (b"avif", b"avis")
+_HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+
+
 def image_format(head: bytes) -> str | None:
     """Return the image format that these first bytes belong to; None where they belong to no image."""
     for magic, name in _MAGICS:
         if head.startswith(magic):
             return None if name in ("PGM", "PPM") and not head[2:3].isspace() else name
+    if head[4:8] == b"ftyp":
+        brands = [head[k : k + 4] for k in (8, *range(16, min(int.from_bytes(head[:4], "big"), 64), 4))]
+        if any(brand in _AVIF_BRANDS for brand in brands):
+            return "AVIF"
+        if any(brand in _HEIC_BRANDS for brand in brands):
+            return "HEIC"
     return "WebP" if head[:4] == b"RIFF" and head[8:12] == b"WEBP" else None
 
 
@@ -62,6 +76,10 @@ class ImageData:
     """`PNG`, `JPEG`, ..."""
     exif: Mapping[int, Any] = field(default_factory=dict)
     """EXIF and TIFF tags by number."""
+    notes: tuple[str, ...] = ()
+    """Remarks on what was left out or converted."""
+    temperature_unit: str | None = None
+    """`K` or `C` where the file says that its pixels are temperatures."""
 
 
 def read_image(path: Path, *, budget: ReadBudget | None = None) -> ImageData:
@@ -74,26 +92,85 @@ def read_image(path: Path, *, budget: ReadBudget | None = None) -> ImageData:
     Raises:
         FormatError: if it is not an image of a known format, is too large, or is damaged.
     """
+    budget = budget or ReadBudget.of(path.stat().st_size)
+    with open(path, "rb") as stream:
+        kind = image_format(stream.read(64))
+    if kind == "TIFF":
+        return _read_tiff(path, budget)
+    return _read_by_pillow(path, budget, _formats_for(kind))
+
+
+def _formats_for(kind: str | None) -> tuple[str, ...]:
+    """Return the names of Pillow's readers; HEIC needs one that the user has installed."""
+    if kind != "HEIC":
+        return _PIL_FORMATS
+    try:
+        heif = importlib.import_module("pillow_heif")
+    except ImportError:
+        raise FormatError(
+            "it is a HEIC image, which needs the package pillow-heif (pip install pillow-heif); or export it as JPEG, "
+            "which phones offer as 'Most compatible'"
+        ) from None
+    heif.register_heif_opener(thumbnails=False)
+    return ("HEIF",)
+
+
+def _read_tiff(path: Path, budget: ReadBudget) -> ImageData:
+    """Decode a TIFF by Pillow where that loses nothing, or else by tifffile."""
+    facts = tiff_facts(path)
+    notes = ["it has several pages; the first one is read"] if facts.pages > 1 else []
+    read = None
+    if facts.is_plain or not facts.is_decodable:
+        try:
+            read = _read_by_pillow(path, budget, ("TIFF",))
+        except _UnknownImageError:
+            if not facts.is_decodable:
+                raise FormatError(
+                    f"its compression, {facts.compression}, cannot be read with these pixels; save it without "
+                    "compression or with Deflate (ZIP)"
+                ) from None
+    if read is not None:
+        return ImageData(read.values, "TIFF", read.exif, tuple(notes), facts.unit)
+    values, more = tiff_values(path, budget)
+    return ImageData(values, "TIFF", _tags_in(path), (*notes, *more), facts.unit)
+
+
+class _UnknownImageError(FormatError):
+    """Pillow has no decoder for an image."""
+
+
+def _read_by_pillow(path: Path, budget: ReadBudget, formats: tuple[str, ...]) -> ImageData:
     from PIL import Image, UnidentifiedImageError
 
-    with open(path, "rb") as stream:
-        if stream.read(12)[4:12] in (b"ftypheic", b"ftypheix", b"ftypmif1", b"ftypavif"):
-            raise FormatError("it is a HEIC or AVIF image, which is not supported; convert it to JPEG or PNG")
-        stream.seek(0)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns about large images; they are checked here
-            try:
-                with Image.open(stream, formats=_PIL_FORMATS) as image:
-                    _check_size(image, path, budget or ReadBudget.of(path.stat().st_size))
-                    image.load()
-                    return ImageData(_values_of(image), image.format or "image", _tags_of(image))
-            except UnidentifiedImageError:
-                raise FormatError("it is not an image that can be read; give a PNG, JPEG, TIFF, WebP or BMP") from None
-            except Image.DecompressionBombError:
-                raise FormatError(f"it claims more than {_LARGEST_PIXELS:,} pixels; scale it down") from None
-            except (OSError, SyntaxError, ValueError, EOFError) as error:
-                reason = one_line(error, 100)
-                raise FormatError(f"the image is damaged or truncated ({reason}); copy or export it again") from error
+    with open(path, "rb") as stream, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow warns about large images; they are checked here
+        try:
+            with Image.open(stream, formats=formats) as image:
+                _check_size(image, path, budget)
+                image.load()
+                return ImageData(_values_of(image), image.format or "image", _tags_of(image))
+        except UnidentifiedImageError:
+            raise _UnknownImageError(
+                "it is not an image that can be read; give a PNG, JPEG, TIFF, WebP, AVIF or BMP"
+            ) from None
+        except Image.DecompressionBombError:
+            raise FormatError(f"it claims more than {_LARGEST_PIXELS:,} pixels; scale it down") from None
+        except (OSError, SyntaxError, ValueError, EOFError) as error:
+            reason = one_line(error, 100)
+            raise FormatError(f"the image is damaged or truncated ({reason}); copy or export it again") from error
+
+
+def _tags_in(path: Path) -> dict[int, Any]:
+    """Return the tags of a TIFF that Pillow may not decode; none if it cannot even open it."""
+    from PIL import Image
+
+    try:
+        with open(path, "rb") as stream:
+            exif = Image.Exif()
+            exif.load_from_fp(stream)
+            return {**dict(exif), **dict(exif.get_ifd(0x8769))}
+    except Exception:  # an orientation and a focal length are optional
+        return {}
 
 
 def image_size(path: Path) -> tuple[int, int, str]:
@@ -107,8 +184,14 @@ def image_size(path: Path) -> tuple[int, int, str]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            with Image.open(path, formats=_PIL_FORMATS) as image:
+            with open(path, "rb") as stream:
+                kind = image_format(stream.read(64))
+            if kind == "TIFF":
+                return *tiff_size(path), "TIFF"
+            with Image.open(path, formats=_formats_for(kind)) as image:
                 return image.width, image.height, image.format or "image"
+        except FormatError:
+            raise
         except Exception as error:
             raise FormatError(f"the image's header cannot be read ({one_line(error, 100)})") from error
 

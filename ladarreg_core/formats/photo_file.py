@@ -13,10 +13,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.camera_file import read_noted_camera
+from ladarreg_core.formats.camera_file import as_pinhole, read_noted_camera
 from ladarreg_core.formats.exif import focal_from_exif, orientation_of, upright
 from ladarreg_core.formats.image_file import as_rgb, read_image
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
@@ -32,7 +32,7 @@ _USUAL = (0.5, 10.0)
 def read_photo(
     path: PathLike,
     *,
-    camera: Camera | PathLike | None = None,
+    camera: CameraModel | PathLike | None = None,
     camera_name: str | None = None,
     camera_notes: Sequence[str] = (),
     focal_px: float | None = None,
@@ -61,12 +61,15 @@ def read_photo(
         OptionError: if the options contradict each other or are not positive.
     """
     _check_options(camera, focal_px, focal_mm, sensor_mm)
-    if camera_name is not None and (camera is None or isinstance(camera, Camera)):
+    if camera_name is not None and not isinstance(camera, str | os.PathLike):
         raise OptionError("a camera's name is given without a camera file; give --camera FILE with --camera-name")
-    given = camera if isinstance(camera, Camera) else None
-    if camera is not None and not isinstance(camera, Camera):
+    model: CameraModel | None = None
+    if isinstance(camera, str | os.PathLike):
         name = Path(path).name if isinstance(path, str | os.PathLike) else ""
-        given, camera_notes = read_noted_camera(camera, name=camera_name, picture=name, picture_file=path)
+        model, camera_notes = read_noted_camera(camera, name=camera_name, picture=name, picture_file=path)
+    elif camera is not None:
+        model = camera
+    given = None if model is None else as_pinhole(model)
     with reading(path) as file:
         image = read_image(file, budget=ReadBudget.of(file.stat().st_size, memory_bytes))
         kelvin = kelvin_of(image.values)

@@ -19,7 +19,7 @@ from typing import Any
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import FORMATS, describe, extract_images, read_photo, read_scan
-from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.camera_file import read_cameras
 from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.formats.pose_file import read_initial, read_pose
 from ladarreg_core.formats.registration_file import read_offset, read_registration
@@ -44,7 +44,7 @@ def readers_of(kind: str, name: str, folder: Path) -> dict[str, Callable[[Path],
         found["read_photo"] = lambda path: read_photo(path, focal_px=50.0)
         found["read_photo, own camera"] = read_photo
     if kind == "camera":
-        found["read_camera"] = read_camera
+        found["read_cameras"] = read_cameras
     if kind == "pose":
         found |= {"read_pose": read_pose, "read_registration": read_registration, "read_offset": read_offset}
         found["read_initial"] = lambda path: read_initial(path, Rigid.identity())

@@ -113,7 +113,7 @@ def test_ros_message(tmp_path: Path) -> None:
     ("text", "kind", "word"),
     [
         (ROS.replace("plumb_bob", "double_sphere"), CameraError, "double_sphere"),
-        (ROS.replace("plumb_bob", "equidistant"), CameraError, "fisheye"),
+        (ROS.replace("plumb_bob", "equidistant"), CameraError, "0 or 4"),
         (ROS.replace("611.8, 0.0", "611.8, 3.0"), CameraError, "skew"),
         (ROS.replace("611.8", "0.0"), CameraError, "fx is 0"),
         (ROS.replace("611.9", "-1"), CameraError, "fy is -1"),

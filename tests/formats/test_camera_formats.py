@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -36,10 +37,23 @@ POINTS = np.array([[0, 0, 1], [0.5, 0, 1], [0, -0.4, 1]])
 PIXELS = np.array([[640.25, 470.5], [1126.875, 470.75], [639.93, 77.1752]])
 
 
+# A fisheye: f = 400 px, the principal point (800.25, 799.5), k1 = -.02, k2 = .004.
+#
+# .5 rad off the axis to the right: s = .25, theta_d = .5 (1 - .005 + .00025) = .497625; u = 800.25 + 199.05.
+# 2 rad downwards, behind the camera: s = 4, theta_d = 2 (1 - .08 + .064) = 1.968; v = 799.5 + 787.2.
+FISHEYES = ("opencv_fisheye.yml", "ros_equidistant.yaml", "kalibr_equidistant.yaml", "agisoft_fisheye.xml",
+            "colmap_fisheye/cameras.txt", "nerfstudio_fisheye.json")  # fmt: skip
+FISHEYE_POINTS = np.array([[0, 0, 1], [np.sin(0.5), 0, np.cos(0.5)], [0, np.sin(2), np.cos(2)]])
+FISHEYE_PIXELS = np.array([[800.25, 799.5], [999.3, 799.5], [800.25, 1586.7]])
+PANORAMAS = ("colmap_panorama/cameras.txt", "nerfstudio_panorama.json", "agisoft_panorama.xml")
+
+
 def seed_files(folder: Path) -> list[Path]:
     """Write one file of each format, for the tests of damaged files."""
     shutil.copytree(GOLDEN, folder, dirs_exist_ok=True)
-    return [folder / name for name in PINHOLES]
+    for name in ("kalibr.yaml", "nerfstudio.json"):  # with several cameras
+        (folder / name).unlink()
+    return [path for path in folder.rglob("*") if path.is_file() and path.name not in ("images.txt", "images.bin")]
 
 
 def of_golden(name: str) -> Camera:
@@ -61,6 +75,25 @@ def test_every_format_projects_as_computed_by_hand(name: str) -> None:
     assert not np.allclose(half_off, PIXELS, atol=0.1)
 
 
+@pytest.mark.parametrize("name", FISHEYES)
+def test_fisheyes_project_as_computed_by_hand_also_behind_the_camera(name: str) -> None:
+    camera = read_camera(GOLDEN / name)
+    assert (camera.model, camera.size) == ("fisheye", (1600, 1600))
+    np.testing.assert_allclose(camera.project(FISHEYE_POINTS), FISHEYE_PIXELS, atol=1e-9)
+    pinhole = Camera(1600, 1600, 400, 400, 800.25, 799.5, (-0.02, 0.004, 0, 0))  # as a fisheye must not be read
+    assert not np.allclose(pinhole.project(FISHEYE_POINTS[1]), FISHEYE_PIXELS[1], atol=1)
+
+
+@pytest.mark.parametrize("name", PANORAMAS)
+def test_panoramas_project_as_computed_by_hand(name: str) -> None:
+    # 400 x 200 pixels of .9 deg: ahead is the middle, (399 / 2, 199 / 2); 90 deg to the right is 100 pixels further,
+    # 45 deg down is 50 pixels below.
+    camera = read_camera(GOLDEN / name)
+    assert (camera.model, camera.size) == ("equirectangular", (400, 200))
+    found = camera.project(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 1]]))
+    np.testing.assert_allclose(found, [[199.5, 99.5], [299.5, 99.5], [199.5, 149.5]], atol=1e-9)
+
+
 @pytest.mark.parametrize("name", PINHOLES)
 def test_every_format_is_recognised_by_content_and_described(tmp_path: Path, name: str) -> None:
     copy = shutil.copyfile(GOLDEN / name, tmp_path / "file.dat")
@@ -78,21 +111,24 @@ def test_opencv_reads_its_storage_as_we_do(name: str) -> None:
     np.testing.assert_allclose(read_camera(GOLDEN / name).project(POINTS), theirs[:, 0], atol=1e-9)
 
 
-COLMAP_PINHOLES = {
+COLMAP_MODELS = {
     "SIMPLE_PINHOLE": [700, 320.5, 240.25],
     "PINHOLE": [700, 710, 320.5, 240.25],
     "SIMPLE_RADIAL": [700, 320.5, 240.25, -0.05],
     "RADIAL": [700, 320.5, 240.25, -0.05, 0.01],
     "OPENCV": [700, 710, 320.5, 240.25, -0.05, 0.01, 0.001, -0.002],
     "FULL_OPENCV": [700, 710, 320.5, 240.25, -0.05, 0.01, 0.001, -0.002, 0.003, 0.01, -0.02, 0.001],
+    "OPENCV_FISHEYE": [300, 310, 320.5, 240.25, -0.05, 0.01, 0.001, -0.002],
+    "SIMPLE_RADIAL_FISHEYE": [300, 320.5, 240.25, -0.05],
+    "RADIAL_FISHEYE": [300, 320.5, 240.25, -0.05, 0.01],
 }
 
 
-@pytest.mark.parametrize("model", COLMAP_PINHOLES)
+@pytest.mark.parametrize("model", COLMAP_MODELS)
 @pytest.mark.parametrize("ending", ["txt", "bin"])
 def test_colmaps_own_files_project_as_colmap_does(tmp_path: Path, model: str, ending: str) -> None:
     pycolmap = pytest.importorskip("pycolmap")
-    theirs = pycolmap.Camera(model=model, width=640, height=480, params=COLMAP_PINHOLES[model], camera_id=3)
+    theirs = pycolmap.Camera(model=model, width=640, height=480, params=COLMAP_MODELS[model], camera_id=3)
     reconstruction = pycolmap.Reconstruction()
     reconstruction.add_camera_with_trivial_rig(theirs)
     (reconstruction.write_text if ending == "txt" else reconstruction.write_binary)(str(tmp_path))
@@ -156,7 +192,8 @@ def test_a_term_of_r8_is_refitted_within_a_hundredth_of_a_pixel(tmp_path: Path) 
     inside = camera.contains(theirs)
     assert inside.sum() > 900
     assert np.hypot(*(camera.project(points) - theirs)[inside].T).max() < 0.01
-    without = Camera(**{**camera.as_fields(), "distortion": (-0.1, 0.02, 0.001, -0.002, -0.01)})
+    assert isinstance(camera, Camera)
+    without = dataclasses.replace(camera, distortion=(-0.1, 0.02, 0.001, -0.002, -0.01))
     assert np.hypot(*(without.project(points) - theirs)[inside].T).max() > 0.1  # k4 is not nothing
     assert "K4" in notes[0]
 
