@@ -177,6 +177,8 @@ def check_method(arguments: RegisterArguments, method: str) -> None:
         if getattr(arguments, name) is not None and arguments.camera is not None:
             flag = f"--{name.replace('_', '-')}"
             raise OptionError(f"{flag} cannot be used with --camera: a camera file is taken as calibrated")
+    if arguments.match_tolerance_m is not None and arguments.matches is None:
+        raise OptionError("--match-tolerance-m needs matches with lengths (--matches)")
     if arguments.intrinsics == "focal-k1-centre" and arguments.matches is None:
         raise OptionError("--intrinsics focal-k1-centre needs manual matches (--matches)")
 

@@ -43,6 +43,8 @@ def verdict(result: PoseResult) -> str:
     """Return whether a pose is accepted, and on what evidence."""
     if result.accepted:
         return ACCEPTED[result.evidence]
+    if (result.diagnostics.get("lengths") or {}).get("refusal"):
+        return "Not accepted: lengths of the matches disagree with the scan."
     contradicted = result.diagnostics.get("verification", {}).get("outcome") == "contradicted"
     return (
         "Not accepted: contradicted by the images." if contradicted else "Not accepted: the evidence is insufficient."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -92,7 +92,8 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) 
         from ladarreg_core.formats.registration_file import read_offset, read_registration
 
         first, offset = read_registration(arguments.carry), read_offset(arguments.offset)
-        return timed("Carry over", bar, lambda: carry_over(first, offset, photo))
+        carried = timed("Carry over", bar, lambda: carry_over(first, offset, photo))
+        return replace(carried, world_from_scanner=scan.world_from_scanner)  # it stands in this scan's world
     picks, initial = read_start(arguments, scan)
     return lr.register(
         scan,

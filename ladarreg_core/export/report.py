@@ -39,6 +39,7 @@ _VERDICTS = {
     "none": "Accepted without evidence.",
 }
 _REFUSED = "Not accepted: the evidence is insufficient."
+_OTHER_LENGTHS = "Not accepted: lengths of the matches disagree with the scan."
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 _UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "width": "px", "height": "px"}
 
@@ -166,7 +167,9 @@ class _Report:
 
     def _verdict(self) -> Html:
         r = self._r
-        words = _VERDICTS.get(r.evidence, _REFUSED) if self._shown else _REFUSED
+        lengths = (self._document.get("diagnostics") or {}).get("lengths") or {}
+        refused = _OTHER_LENGTHS if lengths.get("refusal") else _REFUSED
+        words = _VERDICTS.get(r.evidence, refused) if self._shown else refused
         parts: list[Content] = [tag("p", words, class_="lead")]
         if self._stale:
             parts.append(tag("p", f"Out of date. {self._rests_on}", class_="note warn"))

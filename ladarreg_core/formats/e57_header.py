@@ -264,7 +264,7 @@ def _scan(node: _Node, index: int, file_bytes: int) -> E57ScanInfo:
         fields,
         grid,
         first_cell,
-        _pose(_child(node, "pose")),
+        _scan_pose(_child(node, "pose")),
         _number(_child(node, "colorLimits", "colorRedMaximum"), 255.0),
         _pose_problem(_child(node, "pose")),
     )
@@ -287,6 +287,13 @@ def _pose(node: _Node | None) -> Rigid | None:
     if node is None or _beyond_repair(*_rotation_and_translation(node)):
         return None
     return pose_of_quaternion(*_rotation_and_translation(node))
+
+
+def _scan_pose(node: _Node | None) -> Rigid | None:
+    """Return the pose that the file states for a scan; the identity, too: the first scan of a survey often has it."""
+    if node is None or _beyond_repair(*_rotation_and_translation(node)):
+        return None
+    return _pose(node) or Rigid.identity()
 
 
 def _pose_problem(node: _Node | None) -> str:

@@ -79,6 +79,8 @@ class LengthCheck:
     """The tolerance given, m; None: the default."""
     scale: float | None
     """Common ratio of the lengths to the scan's ranges if they have one that is not 1."""
+    fits_world: bool = False
+    """Whether the points would agree with the scan if they were coordinates of the world."""
 
     @property
     def compared(self) -> tuple[LengthOfMatch, ...]:
@@ -119,10 +121,12 @@ class LengthCheck:
             limit = "" if self.tolerance_m is None else f"{format_length(self.tolerance_m)}"
             least = f"{format_length(LEAST_TOLERANCE_M)} or {_SIGMAS:g} sigma of the scan's range"
             found.append(
-                f"{len(self.beyond)} of {len(self.compared)} lengths differ from the scan's own range by more than "
+                f"{len(self.beyond)} of {len(self.compared)} lengths {'differs' if len(self.beyond) == 1 else 'differ'} from the scan's own range by more than "
                 f"{limit if given else least}: {worst}{more}. Correct or remove these matches, or allow more "
                 "(--match-tolerance-m; in the page, the setting 'Lengths of targets')."
             )
+        if found and self.fits_world:
+            found.insert(0, "The points agree with the scan as coordinates of the world: state the frame 'world'.")
         return tuple(found)
 
     @property
@@ -181,7 +185,8 @@ def check_lengths(scan: Scan, picks: Sequence[Pick], *, tolerance_m: float | Non
         )
         for k, (pick, end) in enumerate(ends)
     )  # fmt: skip
-    return LengthCheck(found, tolerance_m, _common_scale(lengths, ranges))
+    check = LengthCheck(found, tolerance_m, _common_scale(lengths, ranges))
+    return replace(check, fits_world=bool(check.refusal) and _fit_world(scan, rays * lengths[:, None], tolerances))
 
 
 def with_lengths_checked(
@@ -244,6 +249,21 @@ def _scan_ranges(scan: Scan, rays: FloatArray, lengths: FloatArray) -> tuple[Flo
         else:
             states.append("no return")
     return ranges, states  # type: ignore[return-value]  # of literals
+
+
+def _fit_world(scan: Scan, points: FloatArray, tolerances: FloatArray) -> bool:
+    """Return whether points (K, 3) lie on the scan's surfaces if they are taken as coordinates of the world."""
+    pose = scan.world_from_scanner
+    if pose is None or len(points) < _LEAST_OF_A_SCALE:
+        return False
+    there = (points - pose.translation) @ pose.rotation
+    lengths = np.linalg.norm(there, axis=1)
+    if not (lengths > 0).all():
+        return False
+    ranges, _ = _scan_ranges(scan, there / lengths[:, None], lengths)
+    with np.errstate(invalid="ignore"):
+        near = np.abs(lengths - ranges) <= np.maximum(tolerances, LEAST_TOLERANCE_M)
+    return bool(np.mean(near) >= 1 - _MOST_OTHERS)
 
 
 def _common_scale(lengths: FloatArray, ranges: FloatArray) -> float | None:

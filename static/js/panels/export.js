@@ -81,7 +81,7 @@ export const mountExport = () => {
   );
   const frame = element(
     "select",
-    { id: newId("field") },
+    { class: "select small" },
     element("option", { value: "scanner" }, "scanner"),
     element("option", { value: "world" }, "world"),
   );
@@ -111,7 +111,7 @@ export const mountExport = () => {
     "section",
     { class: "dock-part export-part", "aria-label": "Export" },
     element("div", { class: "part-head" }, element("h2", {}, "Export")),
-    element("div", { class: "part-body" }, verdict, lastRow, frameRow, place, element("div", { class: "row" }, zip, ready, report, written), form),
+    element("div", { class: "part-body" }, verdict, lastRow, frameRow, element("div", { class: "row" }, zip, ready, report, written), place, form),
   );
   const files = element("ul", { class: "export-list" });
   const right = element(

@@ -132,6 +132,24 @@ def test_the_worst_are_named_and_a_tolerance_lets_them_pass(
         RegisterOptions(match_tolerance_m=0.0)
 
 
+def test_coordinates_of_a_small_world_without_their_frame_are_recognised(
+    tmp_path: Path, room: PaintedRoom, targets: tuple[FloatArray, FloatArray]
+) -> None:
+    points, uv = targets
+    local = Rigid.from_rotvec([0, 0, 0.4], (1.5, -0.8, 0.3))
+    scan = replace(room.scan, world_from_scanner=local)
+    picks = read_matches(written(tmp_path / "t.csv", local @ points, uv), scan)  # the frame should be 'world'
+    check = check_lengths(scan, picks)
+    assert check is not None
+    assert check.refusal[0].endswith("state the frame 'world'.")
+    without = check_lengths(room.scan, picks)
+    assert without is not None
+    assert "'world'" not in " ".join(without.refusal)
+    far = check_lengths(scan, read_matches(written(tmp_path / "far.csv", 1.2 * points, uv), scan))
+    assert far is not None
+    assert "'world'" not in " ".join(far.refusal)
+
+
 def test_points_without_a_return_are_used_with_their_own_length(room: PaintedRoom) -> None:
     ranges = np.array(room.scan.ranges)
     ranges[100:104, 200:204] = np.nan
