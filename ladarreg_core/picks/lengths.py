@@ -120,8 +120,9 @@ class LengthCheck:
             given = self.tolerance_m is not None
             limit = "" if self.tolerance_m is None else f"{format_length(self.tolerance_m)}"
             least = f"{format_length(LEAST_TOLERANCE_M)} or {_SIGMAS:g} sigma of the scan's range"
+            verb = "differs" if len(self.beyond) == 1 else "differ"
             found.append(
-                f"{len(self.beyond)} of {len(self.compared)} lengths {'differs' if len(self.beyond) == 1 else 'differ'} from the scan's own range by more than "
+                f"{len(self.beyond)} of {len(self.compared)} lengths {verb} from the scan's own range by more than "
                 f"{limit if given else least}: {worst}{more}. Correct or remove these matches, or allow more "
                 "(--match-tolerance-m; in the page, the setting 'Lengths of targets')."
             )
