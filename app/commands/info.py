@@ -21,7 +21,8 @@ class Arguments(ScanArguments):
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
     """A scan, photo, camera, pose or matches file."""
     extract: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Extract the images of an E57 file to this folder, with their cameras and poses."""
+    """Extract the images of an E57 file to this folder, with their cameras, and their poses relative to the
+    scan (--scan) for --initial."""
     debug: bool = False
     """Print a log, and a traceback on failure."""
 
@@ -32,7 +33,7 @@ def run(arguments: Arguments) -> ExitCode:
 
     facts = list(_facts(describe(arguments.file, **arguments.scan_options)))
     if arguments.extract is not None:
-        for image in extract_images(arguments.file, arguments.extract):
+        for image in extract_images(arguments.file, arguments.extract, scan_index=arguments.scan_index):
             written = (image.picture, image.camera, image.pose)
             facts.append(("extracted", ", ".join(one_line(str(path)) for path in written if path is not None)))
     width = max(len(name) for name, _ in facts)

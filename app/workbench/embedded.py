@@ -43,7 +43,7 @@ class EmbeddedPictures:
                 "index": index,
                 "name": image.name,
                 "said": image.said,
-                "usable": image.is_perspective,
+                "usable": image.is_usable,
                 "taken": image.name in taken,
             }
             for index, image in enumerate(self._images(document.scan))
@@ -68,7 +68,7 @@ class EmbeddedPictures:
         from ladarreg_core.formats.e57_images import embedded_images
 
         try:
-            return READERS.run(embedded_images, self._session.folder.source_path(scan.path))
+            return READERS.run(embedded_images, self._session.folder.source_path(scan.path), scan.index)
         except LadarregError:  # the slice `scan` says what is wrong with the file
             return ()
 
@@ -81,8 +81,8 @@ class EmbeddedPictures:
         if scan is None or not 0 <= index < len(images):
             raise OptionError("the scan has no such picture; reload the page")
         image, folder = images[index], self._session.folder
-        if not image.is_perspective:
-            raise OptionError(f"{image.name} is a panorama; only perspective pictures are registered")
+        if not image.is_usable:
+            raise OptionError(f"{image.name} cannot be a photograph: {image.said}; choose another")
         data = READERS.run(embedded_data, folder.source_path(scan.path), index)
         path = folder.inputs / f"{secrets.token_hex(16)}{Path(image.name).suffix}"
         beside = path.with_suffix(".json")

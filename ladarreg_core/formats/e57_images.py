@@ -9,16 +9,24 @@ from pathlib import Path
 import numpy as np
 
 from ladarreg_core.arrays import ByteArray
-from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError, ExportError, FormatError
+from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
+from ladarreg_core.errors import CameraError, ExportError, FormatError, OptionError
 from ladarreg_core.formats.camera_file import write_camera
 from ladarreg_core.formats.e57 import e57_file
 from ladarreg_core.formats.e57_header import SIGNATURE, E57ImageInfo, E57Info, read_e57_info, sniff_e57
 from ladarreg_core.formats.pose_file import write_pose
 from ladarreg_core.formats.untrusted import PathLike, reading
-from ladarreg_core.frames import Rigid
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 
-_OPENCV_FROM_E57 = Rigid(np.diag([1.0, -1.0, -1.0]), np.zeros(3))  # E57: x right, y up, looking along -z
+_OPENCV_FROM_E57 = {
+    "pinhole": Rigid(np.diag([1.0, -1.0, -1.0]), np.zeros(3)),  # E57: x right, y up, looking along -z
+    # The middle of a spherical image lies along x, its top along z, and its azimuth grows to the left.
+    "spherical": Rigid(CAMERA_AXES_FROM_SCANNER, np.zeros(3)),
+}
+# E57 counts from the outer corner of the first pixel, ours is its centre. So do its writers: a face of a cube has its
+# principal point at half its width and a focal length of the same, whose outer borders are then 45 degrees away.
+_FIRST_CENTRE_PX = 0.5
+_WHOLE_TURN_TOLERANCE = 1e-3
 _STARTS = {"jpeg": b"\xff\xd8", "png": b"\x89PNG"}
 
 
@@ -41,16 +49,20 @@ class EmbeddedImage:
     """File name for it."""
     said: str
     """What the file states of it, in one line."""
-    is_perspective: bool
-    """Whether it may be registered: panoramas may not."""
-    camera: Camera | None
+    is_usable: bool
+    """Whether it can be a photograph: cylindrical images and spherical ones of unknown extent cannot."""
+    camera: CameraModel | None
     """Camera; None where the file gives no usable one."""
     camera_from_scanner: Rigid | None
     """Pose; None where the file gives none."""
 
 
-def embedded_images(path: PathLike) -> tuple[EmbeddedImage, ...]:
+def embedded_images(path: PathLike, scan_index: int = 0) -> tuple[EmbeddedImage, ...]:
     """Return the images embedded in a scan's file, in its order; none if it is not an E57.
+
+    Args:
+        path: the file.
+        scan_index: index of the scan that the poses are relative to.
 
     Raises:
         FormatError: if it is damaged.
@@ -60,7 +72,7 @@ def embedded_images(path: PathLike) -> tuple[EmbeddedImage, ...]:
             if not sniff_e57(stream.read(len(SIGNATURE))):
                 return ()
         info = read_e57_info(file)
-        return tuple(_offer(number, image, info) for number, image in enumerate(info.images, 1))
+        return tuple(_offer(number, image, info, scan_index) for number, image in enumerate(info.images, 1))
 
 
 def embedded_data(path: PathLike, index: int) -> ByteArray:
@@ -77,28 +89,31 @@ def embedded_data(path: PathLike, index: int) -> ByteArray:
             return np.frombuffer(_blob(image_file, images[index]), np.uint8)
 
 
-def _offer(number: int, image: E57ImageInfo, info: E57Info) -> EmbeddedImage:
-    camera, pose = camera_of_image(image), camera_from_scanner_of(image, info)
+def _offer(number: int, image: E57ImageInfo, info: E57Info, scan_index: int) -> EmbeddedImage:
+    camera, pose = camera_of_image(image), camera_from_scanner_of(image, info, scan_index)
     words = [f"{image.width} x {image.height}"]
-    is_perspective = image.kind in ("pinhole", "visual reference")
-    if not is_perspective:
+    is_usable = image.kind in ("pinhole", "visual reference") or camera is not None
+    if not is_usable:
         words.append(f"{image.kind}, which is not registered")
     elif camera is None:
         words.append("no camera is stated")
+    elif isinstance(camera, EquirectangularCamera):
+        words.append("spherical panorama")
     else:
         words.append(f"f {camera.focal_px:.0f} px as stated")
     if pose is not None:
         words.append(f"pose stated, {np.linalg.norm(pose.inverse.translation):.2f} m from the scanner")
     name = f"{_slug(image.name) if image.name else number}.{'jpg' if image.format == 'jpeg' else 'png'}"
-    return EmbeddedImage(name, ", ".join(words), is_perspective, camera, pose)
+    return EmbeddedImage(name, ", ".join(words), is_usable, camera, pose)
 
 
-def extract_images(path: PathLike, folder: PathLike) -> list[ExtractedImage]:
+def extract_images(path: PathLike, folder: PathLike, *, scan_index: int = 0) -> list[ExtractedImage]:
     """Write the images embedded in an E57 file, with their cameras and poses.
 
     Args:
         path: the E57 file.
         folder: output folder; created if necessary. No file in it is overwritten.
+        scan_index: index of the scan that the poses are relative to.
 
     Returns:
         The written files, in the E57's order; empty if there are no images.
@@ -106,9 +121,12 @@ def extract_images(path: PathLike, folder: PathLike) -> list[ExtractedImage]:
     Raises:
         FormatError: if the file is not an E57 or is damaged.
         ExportError: if a file exists already or cannot be written.
+        OptionError: if there is no scan with that index.
     """
     with reading(path) as file:
         info = read_e57_info(file)
+        if info.scans and not 0 <= scan_index < len(info.scans):
+            raise OptionError(f"there is no scan {scan_index}; the file contains {len(info.scans)}")
         target = Path(folder)
         names = [f"{k:02d}_{_slug(image.name)}" for k, image in enumerate(info.images)]
         for name in names:
@@ -121,22 +139,24 @@ def extract_images(path: PathLike, folder: PathLike) -> list[ExtractedImage]:
         try:
             target.mkdir(parents=True, exist_ok=True)
             return [
-                _write(target / name, image, blob, info)
+                _write(target / name, image, blob, info, scan_index)
                 for name, image, blob in zip(names, info.images, blobs, strict=True)
             ]
         except OSError as error:
             raise ExportError(f"the images cannot be written: {error.strerror}; check the folder") from error
 
 
-def camera_of_image(image: E57ImageInfo) -> Camera | None:
+def camera_of_image(image: E57ImageInfo) -> CameraModel | None:
     """Return the camera of an embedded image, or None where the file gives no usable one.
 
     An OpenCV distortion block with a focal length takes precedence over the ideal pinhole.
     """
     n = image.numbers
-    if image.kind != "pinhole":
-        return None
     try:
+        if image.kind == "spherical":
+            return _spherical_camera(image)
+        if image.kind != "pinhole":
+            return None
         if n.get("CV_FX", 0) > 0 and n.get("CV_FY", 0) > 0:
             terms = [n.get(f"CV_{name}", 0.0) for name in ("K1", "K2", "P1", "P2", "K3", "K4", "K5", "K6")]
             return Camera(
@@ -150,20 +170,39 @@ def camera_of_image(image: E57ImageInfo) -> Camera | None:
             image.height,
             focal / across,
             focal / down,
-            n.get("principalPointX", (image.width - 1) / 2),
-            n.get("principalPointY", (image.height - 1) / 2),
+            n.get("principalPointX", image.width / 2) - _FIRST_CENTRE_PX,
+            n.get("principalPointY", image.height / 2) - _FIRST_CENTRE_PX,
         )
     except CameraError:
         return None
 
 
-def camera_from_scanner_of(image: E57ImageInfo, info: E57Info) -> Rigid | None:
-    """Return the pose of an image relative to its associated scan (else the first scan); None without a pose."""
-    if image.world_from_image is None or not info.scans:
+def _spherical_camera(image: E57ImageInfo) -> EquirectangularCamera | None:
+    """Return the camera of a spherical image, whose middle has azimuth and elevation 0."""
+    steps = [image.numbers.get(name, 0.0) for name in ("pixelWidth", "pixelHeight")]
+    if not all(np.isfinite(step) and step > 0 for step in steps):
+        return EquirectangularCamera(image.width, image.height) if image.width == 2 * image.height > 0 else None
+    halves = [np.degrees(step * side / 2) for step, side in zip(steps, (image.width, image.height), strict=True)]
+    if halves[0] > 180 * (1 + _WHOLE_TURN_TOLERANCE) or halves[1] > 90 * (1 + _WHOLE_TURN_TOLERANCE):
         return None
-    scan = next((s for s in info.scans if s.guid and s.guid == image.associated_guid), info.scans[0])
-    world_from_scanner = scan.world_from_scanner or Rigid.identity()
-    return _OPENCV_FROM_E57 @ image.world_from_image.inverse @ world_from_scanner
+    right, top = (  # steps are often rounded: a whole turn is meant
+        limit if abs(half / limit - 1) < _WHOLE_TURN_TOLERANCE else float(half)
+        for half, limit in zip(halves, (180.0, 90.0), strict=True)
+    )
+    return EquirectangularCamera(image.width, image.height, (-right, top, right, -top))
+
+
+def camera_from_scanner_of(image: E57ImageInfo, info: E57Info, scan_index: int = 0) -> Rigid | None:
+    """Return the pose of an image relative to a scan; None without a pose.
+
+    Poses of scans and images are in the coordinates of the file, so that any scan will do, whether or not the image is
+    linked to it.
+    """
+    if image.world_from_image is None or not 0 <= scan_index < len(info.scans):
+        return None
+    world_from_scanner = info.scans[scan_index].world_from_scanner or Rigid.identity()
+    axes = _OPENCV_FROM_E57.get(image.kind, _OPENCV_FROM_E57["pinhole"])
+    return axes @ image.world_from_image.inverse @ world_from_scanner
 
 
 def _blob(image_file: object, image: E57ImageInfo) -> bytes:
@@ -178,10 +217,10 @@ def _blob(image_file: object, image: E57ImageInfo) -> bytes:
     return data
 
 
-def _write(stem: Path, image: E57ImageInfo, data: bytes, info: E57Info) -> ExtractedImage:
+def _write(stem: Path, image: E57ImageInfo, data: bytes, info: E57Info, scan_index: int) -> ExtractedImage:
     picture = stem.with_name(f"{stem.name}.{'jpg' if image.format == 'jpeg' else 'png'}")
     picture.write_bytes(data)
-    camera, pose = camera_of_image(image), camera_from_scanner_of(image, info)
+    camera, pose = camera_of_image(image), camera_from_scanner_of(image, info, scan_index)
     camera_path = stem.with_name(f"{stem.name}.camera.json") if camera else None
     pose_path = stem.with_name(f"{stem.name}.pose.json") if camera and pose else None
     if camera and camera_path:

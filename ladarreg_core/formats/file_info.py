@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import ShapeError, UnderspecifiedError
+from ladarreg_core.errors import FormatError, OptionError, ShapeError, UnderspecifiedError
 from ladarreg_core.formats.camera_file import camera_format, describe_camera, read_cameras
 from ladarreg_core.formats.camera_in_file import FileCamera
 from ladarreg_core.formats.e57 import read_e57
-from ladarreg_core.formats.e57_header import E57ImageInfo, E57ScanInfo, read_e57_info
+from ladarreg_core.formats.e57_header import E57ImageInfo, E57Info, E57ScanInfo, read_e57_info
 from ladarreg_core.formats.e57_images import camera_of_image
 from ladarreg_core.formats.exif import exif_facts, focal_from_exif, orientation_of, upright
 from ladarreg_core.formats.image_file import read_image
@@ -109,22 +109,29 @@ def _describe_scan(path: Path, scan: Scan, format_name: str, **more: Any) -> Fil
     )
 
 
-def describe_e57(path: Path) -> FileInfo:
-    """Describe an E57 file: all its scans and images, and its scan in detail if there is only one."""
+def describe_e57(path: Path, asked: ScanRequest) -> FileInfo:
+    """Describe an E57 file: its scan in detail if there is only one or one is asked for, else all from its header."""
     with reading(path) as file:
         info = read_e57_info(file)
-    lists: dict[str, Any] = {
-        "scans": tuple(_scan_line(scan) for scan in info.scans),
-        "images": tuple(_image_line(image) for image in info.images),
-    }
+        several = len(info.scans) > 1
+        scans = tuple(_scan_line(number if several else None, scan) for number, scan in enumerate(info.scans))
+        lists: dict[str, Any] = {"scans": scans, "images": tuple(_image_line(image, info) for image in info.images)}
+        if asked.scan_index and asked.scan_index >= len(info.scans):
+            raise OptionError(f"there is no scan {asked.scan_index}; the file contains {len(info.scans)}")
     # Files with images only, and scans that cannot be used, are still described.
     notes: tuple[str, ...] = ()
-    if len(info.scans) == 1 and "intensity" in info.scans[0].field_names:
+    if len(info.scans) == 1 or asked.given():
         try:
-            return _describe_scan(path, read_e57(path), "E57", **lists)
-        except ShapeError as error:
+            return _describe_scan(path, read_e57(path, **_e57_options(asked)), "E57", **lists)
+        except (ShapeError, FormatError) as error:
+            if "intensity" in info.scans[asked.scan_index].field_names and isinstance(error, FormatError):
+                raise
             notes = (str(error),)
     return FileInfo(file=shown_name(path), bytes=path.stat().st_size, kind="scan", format="E57", notes=notes, **lists)
+
+
+def _e57_options(asked: ScanRequest) -> dict[str, Any]:
+    return {"scan_index": asked.scan_index, "origin": asked.origin, "intensity": asked.intensity}
 
 
 def describe_las(path: Path, asked: ScanRequest) -> FileInfo:
@@ -177,19 +184,24 @@ def _block_line(number: int, block: PtxBlock) -> str:
     )
 
 
-def _scan_line(scan: E57ScanInfo) -> str:
+def _scan_line(number: int | None, scan: E57ScanInfo) -> str:
+    """Describe a scan of an E57 file from its header; `number`: that it is chosen by, None if there is no choice."""
     grid = f"grid {scan.grid[0]} x {scan.grid[1]}" if scan.grid else "no grid"
     has = [word for word, name in (("intensity", "intensity"), ("colour", "colorRed")) if name in scan.field_names]
-    pose = scan.world_from_scanner
-    place = "" if pose is None else f", scanner at {describe_position(pose.translation)}"
-    return f"{scan.name}: {scan.points:,} points, {grid}, {' and '.join(has) or 'neither intensity nor colour'}{place}"
+    words = [f"{scan.points:,} points", grid, " and ".join(has) or "neither intensity nor colour"]
+    if scan.world_from_scanner is not None:
+        x, y, z = scan.world_from_scanner.translation
+        words.append(f"stands at {x:.3f}, {y:.3f}, {z:.3f} m")
+    return f"{scan.name}{'' if number is None else f' (--scan {number})'}: {', '.join(words)}"
 
 
-def _image_line(image: E57ImageInfo) -> str:
+def _image_line(image: E57ImageInfo, info: E57Info) -> str:
     camera = camera_of_image(image)
-    focal = f", focal length {camera.focal_px:.1f} px" if camera else ""
+    focal = f", focal length {camera.focal_px:.1f} px" if camera and camera.model == "pinhole" else ""
     pose = "with a pose" if image.world_from_image else "without a pose"
-    return f"{image.name}: {image.kind} {image.format.upper()} {image.width} x {image.height}{focal}, {pose}"
+    scan = next((scan.name for scan in info.scans if scan.guid and scan.guid == image.associated_guid), None)
+    linked = "" if scan is None else f", of scan {scan}"
+    return f"{image.name}: {image.kind} {image.format.upper()} {image.width} x {image.height}{focal}, {pose}{linked}"
 
 
 def describe_photo(path: Path) -> FileInfo:

@@ -176,7 +176,7 @@ def _camera_format(known: CameraFormat) -> FileFormat:
 
 FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
-        "E57", "scan", (".e57",), lambda head, _: sniff_e57(head), _by_path(describe_e57),
+        "E57", "scan", (".e57",), lambda head, _: sniff_e57(head), describe_e57,
         lambda path, asked: read_e57(
             path, scan_index=asked.scan_index, origin=asked.origin, intensity=asked.intensity,
             memory_bytes=asked.memory_bytes, report=asked.report,

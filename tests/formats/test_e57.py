@@ -278,10 +278,10 @@ def test_images_are_listed_and_extracted_with_camera_and_pose(tmp_path: Path, ma
     assert written.camera is not None
     assert written.pose is not None
     camera, pose = read_camera(written.camera), read_pose(written.pose)
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((100, 50, 30, 25))
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((100, 50, 29.5, 24.5))
     point_world = world_from_image @ np.array([0.2, 0.1, -2.0])  # right, above and in front of an E57 camera
     point_scanner = point_world - [5.0, 6.0, 7.0]
-    np.testing.assert_allclose(camera.project(pose @ point_scanner), [30 + 10, 25 - 2.5], atol=1e-6)
+    np.testing.assert_allclose(camera.project(pose @ point_scanner), [29.5 + 10, 24.5 - 2.5], atol=1e-6)
     with pytest.raises(ExportError, match="exists already"):
         extract_images(path, tmp_path / "out")
 

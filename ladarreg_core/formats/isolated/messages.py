@@ -229,7 +229,7 @@ def _ray_table(record: type[Any], values: dict[str, Any]) -> Any:
 @cache
 def _field_types() -> dict[str, Callable[[Any], bool]]:
     """Return the type check of a field by its annotation."""
-    from ladarreg_core.camera import Camera
+    from ladarreg_core.camera import Camera, EquirectangularCamera, FisheyeCamera
     from ladarreg_core.frames import Rigid
 
     def is_a(*types: type[Any]) -> Callable[[Any], bool]:
@@ -251,11 +251,13 @@ def _field_types() -> dict[str, Callable[[Any], bool]]:
         "FloatArray": array,
         "ByteArray": array,
         "Camera": is_a(Camera),
+        "CameraModel": is_a(Camera, EquirectangularCamera, FisheyeCamera),
         "Rigid": is_a(Rigid),
         "ScanGeometry": is_a(*_geometries()),
         "tuple[str, ...]": is_tuple_of(str),
         "tuple[tuple[int, int], ...]": is_tuple_of(tuple),
         "tuple[float, ...]": is_tuple_of(int, float),
         "tuple[float, float]": is_tuple_of(int, float),
+        "tuple[float, float, float, float]": is_tuple_of(int, float),
         "Mapping[str, Any]": is_a(dict),
     }
