@@ -96,7 +96,8 @@ def scan_of_cloud(
         world_from_scanner = step if world_from_scanner is None else world_from_scanner @ step
     cloud = grid_points(moved, intensity, color, ring=ring, most_cells=most_cells)
     remarks.append(cloud.describe())
-    if cloud.points_kept < _LEAST_KEPT * cloud.points_in:
+    kept = cloud.points_kept + (cloud.points_merged if cloud.accumulated else 0)
+    if kept < _LEAST_KEPT * cloud.points_in:
         merged, lost = (format_percent(share) for share in (cloud.points_merged / cloud.points_in, cloud.lost_share))
         remarks.append(
             f"{merged} of the points share a cell with one at the same range, as where sweeps are accumulated, and "

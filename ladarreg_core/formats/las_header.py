@@ -11,7 +11,7 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
-from ladarreg_core.errors import FormatError
+from ladarreg_core.errors import DependencyError, FormatError
 from ladarreg_core.formats.untrusted import one_line
 
 POINT_FORMATS = {0: 20, 1: 28, 2: 26, 3: 34, 6: 30, 7: 36, 8: 38}
@@ -26,6 +26,8 @@ _LARGEST_WKT = 1 << 20
 _POINTS_PER_BYTE = 4  # LASzip takes a few bytes per point; constant ones almost none
 _ALWAYS_POINTS = 2_000_000
 _ANY_CHUNK = (1 << 32) - 1
+_LAYERS = {10: 9, 11: 1, 12: 2}  # of the points, colours, and colours with infrared of LAS 1.4
+_EXTRA_BYTES = 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +178,14 @@ def _require_compressed(
         )
     if points == 0:
         return
+    _require_chunks(stream, record, points, record_bytes, first_point, file_bytes)
+
+
+def _require_chunks(
+    stream: io.BufferedReader, record: bytes, points: int, record_bytes: int, first_point: int, file_bytes: int
+) -> None:
+    """Refuse a table of compressed chunks, or chunks, whose claimed sizes exceed the file."""
+    chunk = struct.unpack_from("<I", record, 12)[0]
     stream.seek(first_point)
     table = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))[0]
     if table == -1:  # a writer that could not seek back stores it at the end
@@ -190,6 +200,31 @@ def _require_compressed(
         raise FormatError(
             f"its table lists {chunks:,} compressed chunks, its header {expected:,}; it is truncated or damaged"
         )
+
+    layers = _layers(record)
+    if not layers:
+        return
+    try:
+        import lazrs
+    except ImportError as error:
+        raise DependencyError('reading LAZ needs lazrs, which is not installed: pip install "laspy[lazrs]"') from error
+    stream.seek(first_point)
+    at = first_point + 8
+    for _, size in lazrs.read_chunk_table(stream, lazrs.LazVlr(record)):
+        stream.seek(at + record_bytes)
+        sizes = stream.read(4 * (layers + 1)).ljust(4 * (layers + 1), b"\0")
+        if at + size > table or sum(struct.unpack(f"<{layers + 1}I", sizes)[1:]) > size:
+            raise FormatError("a compressed chunk claims more bytes than it has; the LAZ file is truncated or damaged")
+        at += size
+
+
+def _layers(record: bytes) -> int:
+    """Return the number of separately compressed layers of a chunk, whose sizes it states; 0 for older points."""
+    count = 0
+    for k in range(struct.unpack_from("<H", record, 32)[0]):
+        kind, size = struct.unpack_from("<HH", record, 34 + 6 * k)
+        count += size if kind == _EXTRA_BYTES else _LAYERS.get(kind, 0)
+    return count
 
 
 def _wkt(variable: dict[tuple[str, int], bytes]) -> bytes:

@@ -7,11 +7,12 @@ latitude and longitude, estimated from the cloud itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import ByteArray, FloatArray, IntArray, read_only
+from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.formatting import format_percent
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, rotation_from_rotvec, wrap_angle
@@ -33,13 +34,28 @@ _LEAST_RINGS = 4
 _LEAST_ON_A_RING = 8
 _MOST_OVERLAP = 0.25
 _CLEAN_OVERLAP = 0.02
+_LARGE = 1_000_000
+_STRIP_POINTS = 500_000
+_WINDOWS = 60
+_WINDOW_POINTS = 6_000
+_LEAST_STREWN = 5_000
+_CLUSTERED = 0.3  # a tenth of strewn points have another one this close, in typical distances; of a raster, none
+_POINTS_PER_CELL = 3.0  # leaves five cells in a hundred empty
+_SPARSE = 80
+_LEAST_AROUND = 5
+_FRONT_M = 0.05
+_FRONT = 0.01
 _SAME_M = 0.1
 _SAME = 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class GriddedCloud:
-    """A cloud on a grid; of several points in one cell, the nearest to the scanner is kept."""
+    """A cloud on a grid; of several points in one cell, the nearest to the scanner is kept.
+
+    Where points are strewn (sweeps of a scanner accumulated from one place), cells contain several points of a surface,
+    and their mean.
+    """
 
     geometry: TabulatedGrid
     """The ray of each cell: that of its point, or the law's without a point."""
@@ -57,6 +73,10 @@ class GriddedCloud:
     """Returns that share the cell of a kept one at about its range: nothing is lost but their density."""
     rings: int
     """Rings found; 0: none, rows are equal steps."""
+    accumulated: bool = False
+    """Whether the points are strewn, so that cells contain the mean of several."""
+    filled: int = 0
+    """Cells of an accumulated cloud that no beam met, filled from the surface around them."""
 
     @property
     def lost_share(self) -> float:
@@ -68,7 +88,16 @@ class GriddedCloud:
         height, width = self.geometry.shape
         rows = f"with its {self.rings} rings as rows" if self.rings else "with rows and columns of equal angle"
         share = format_percent(self.points_kept / self.points_in)
-        return f"the cloud has no grid: points arranged in {height} x {width} cells, {rows}; {share} of them kept"
+        text = f"the cloud has no grid: points arranged in {height} x {width} cells, {rows}; {share} of them kept"
+        if self.accumulated:
+            text = (
+                f"the cloud has no grid, and its points are strewn: arranged in {height} x {width} cells with rows and "
+                f"columns of equal angle, of {self.points_in / self.points_kept:.1f} points on average, of which the "
+                "mean is kept"
+            )
+            if self.filled:
+                text += f"; {self.filled:,} cells between points of one surface were filled"
+        return text
 
 
 def grid_points(
@@ -99,47 +128,133 @@ def grid_points(
     paint = None if color is None else read_only(color, np.uint8, (len(p), 3), "the cloud's colour")
     beam = None if ring is None else read_only(ring, np.int64, (len(p),), "the cloud's rings")
     with np.errstate(over="ignore", invalid="ignore"):
-        distance = np.linalg.norm(p, axis=1)
-    returns = np.flatnonzero(np.isfinite(distance) & (distance > 0))
-    if len(returns) < LEAST_POINTS:
-        raise ShapeError(f"the cloud has {len(returns)} returns; a scan needs at least {LEAST_POINTS}")
-    p, distance = p[returns], distance[returns]
-    rays = p / distance[:, None]
-    rotation = rotation_from_pole(rays)
-    most_cells = min(most_cells, LARGEST_GRID)
-    law, cells, rings = _arranged(
-        rays if rotation is None else rays @ rotation.T, None if beam is None else beam[returns], most_cells
+        distance = np.sqrt(np.einsum("ij,ij->i", p, p))
+    use = np.isfinite(distance) & (distance > 0)
+    count = int(np.count_nonzero(use))
+    if count < LEAST_POINTS:
+        raise ShapeError(f"the cloud has {count} returns; a scan needs at least {LEAST_POINTS}")
+    if count < len(p):
+        p, distance, strength = p[use], distance[use], strength[use]
+        paint, beam = (None if each is None else each[use] for each in (paint, beam))
+    rotation = rotation_from_pole(((1 / distance) @ p / count)[None])
+    latitude, longitude = _angles(p, distance, rotation)
+    plan = _arranged(latitude, longitude, beam, min(most_cells, LARGEST_GRID))
+    del latitude, longitude
+    law = plan.law if rotation is None else RotatedGrid(plan.law, rotation)
+    cells = _Cells.of(plan.cells, distance, law.shape)
+    table = np.array(law.rays)
+    fields = [distance, strength, *([] if paint is None else paint.T)]
+    filled = 0
+    if plan.accumulated:
+        grids = [cells.mean_of(values) for values in fields]
+        rays = np.stack([cells.mean_of(p[:, axis]) for axis in range(3)], axis=-1)[cells.taken]
+        table[cells.taken] = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        filled = _fill_silence(grids)
+    else:
+        grids = [cells.nearest_of(values) for values in fields]
+        table[cells.taken] = p[cells.nearest] / distance[cells.nearest, None]
+    rgb = None if paint is None else np.rint(np.nan_to_num(np.stack(grids[2:], axis=-1))).astype(np.uint8)
+    geometry = TabulatedGrid(table, law=law)
+    return GriddedCloud(
+        geometry,
+        grids[0],
+        np.nan_to_num(grids[1]),
+        rgb,
+        count,
+        len(cells.nearest),
+        cells.merged,
+        plan.rings,
+        plan.accumulated,
+        filled,
     )
 
-    height, width = law.shape
-    order = np.argsort(
-        distance, kind="stable"
-    )  # stable: the order of equal ranges must not depend on the sorting method
-    flat = cells[order, 0] * width + cells[order, 1]
-    _, first = np.unique(flat, return_index=True)
-    kept = order[first]
-    nearest = np.empty(height * width)
-    nearest[flat[first]] = distance[kept]
-    nearest = nearest[flat]
-    merged = int(np.count_nonzero(distance[order] - nearest <= np.maximum(_SAME_M, _SAME * nearest))) - len(kept)
-    row, column = cells[kept, 0], cells[kept, 1]
-    table = np.array((law if rotation is None else RotatedGrid(law, rotation)).rays)
-    table[row, column] = rays[kept]
-    ranges = np.full((height, width), np.nan, np.float32)
-    ranges[row, column] = distance[kept]
-    out = np.zeros((height, width), np.float32)
-    out[row, column] = strength[returns[kept]]
-    rgb = None
-    if paint is not None:
-        rgb = np.zeros((height, width, 3), np.uint8)
-        rgb[row, column] = paint[returns[kept]]
-    geometry = TabulatedGrid(table, law=law if rotation is None else RotatedGrid(law, rotation))
-    return GriddedCloud(geometry, ranges, out, rgb, len(returns), len(kept), merged, rings)
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Which points fall into which cell."""
+
+    flat: IntArray
+    """(N,): the cell of each point, row by row."""
+    front: BoolArray
+    """(N,): whether the point is on the surface of the nearest point of its cell."""
+    nearest: IntArray
+    """(K,): the nearest point of each cell with points, in the order of the cells."""
+    taken: BoolArray
+    """(H, W): the cells with points."""
+    merged: int
+    """Number of points at about the range of the nearest one of their cell, besides that."""
+
+    @staticmethod
+    def of(flat: IntArray, distance: FloatArray, shape: tuple[int, int]) -> _Cells:
+        least = np.full(shape[0] * shape[1], np.inf)
+        np.minimum.at(least, flat, distance)
+        behind = distance - least[flat]
+        first = np.flatnonzero(behind == 0)
+        first = first[np.unique(flat[first], return_index=True)[1]]  # of equal ranges, the first in the file
+        merged = int(np.count_nonzero(behind <= np.maximum(_SAME_M, _SAME * (distance - behind)))) - len(first)
+        front = np.asarray(behind <= np.maximum(_FRONT_M, _FRONT * (distance - behind)))
+        return _Cells(flat, front, first, np.isfinite(least).reshape(shape), merged)
+
+    def nearest_of(self, values: NDArray[Any]) -> FloatArray:
+        """Return the value of the nearest point of each cell, (H, W) float32; NaN without a point."""
+        grid = np.full(self.taken.shape, np.nan, np.float32)
+        grid[self.taken] = values[self.nearest]
+        return grid
+
+    def mean_of(self, values: NDArray[Any]) -> FloatArray:
+        """Return the mean over the front surface of each cell, (H, W) float32; NaN without a point."""
+        chosen = self.flat[self.front]
+        with np.errstate(invalid="ignore"):
+            mean = np.bincount(chosen, values[self.front], self.taken.size) / np.bincount(
+                chosen, minlength=self.taken.size
+            )
+        return np.asarray(mean.reshape(self.taken.shape), dtype=np.float32)
+
+
+def _fill_silence(grids: list[FloatArray]) -> int:
+    """Fill cells (grids (H, W): ranges first) that no beam happened to meet; return their number.
+
+    Most of their eight neighbours have a return, all at about one range: a beam there would have met the same surface.
+    Larger gaps are holes: nothing returned from there.
+    """
+    ranges = grids[0]
+    height, width = ranges.shape
+    row, column = np.nonzero(np.isnan(ranges))
+    inside = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)
+    row, column = row[inside], column[inside]
+    around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+    near = np.stack([ranges[row + i, column + j] for i, j in around])
+    known = np.isfinite(near)
+    lowest, highest = np.where(known, near, np.inf).min(axis=0), np.where(known, near, 0).max(axis=0)
+    close = (known.sum(axis=0) >= _LEAST_AROUND) & (highest - lowest <= np.maximum(_SAME_M, _SAME * lowest))
+    row, column, known = row[close], column[close], known[:, close]
+    means = []
+    for grid in grids:
+        values = np.stack([grid[row + i, column + j] for i, j in around])
+        means.append(np.where(known, values, 0).sum(axis=0) / known.sum(axis=0))
+    for grid, mean in zip(grids, means, strict=True):
+        grid[row, column] = mean
+    return len(row)
+
+
+def _angles(
+    p: NDArray[np.float64], distance: FloatArray, rotation: FloatArray | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return latitude and longitude (N,) of points (N, 3) after a rotation; by strips, since clouds are large."""
+    latitude, longitude = np.empty(len(p)), np.empty(len(p))
+    for start in range(0, len(p), _STRIP_POINTS):
+        part = slice(start, start + _STRIP_POINTS)
+        rays = p[part] / distance[part, None]
+        if rotation is not None:
+            rays = rays @ rotation.T
+        latitude[part] = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
+        longitude[part] = np.arctan2(rays[:, 1], rays[:, 0])
+    return latitude, longitude
 
 
 def rotation_from_pole(rays: FloatArray) -> FloatArray | None:
-    """Return a rotation (3, 3) of a narrow cloud of unit rays (N, 3) from near the Z axis to the equator; None if the
-    cloud is not there.
+    """Return a rotation (3, 3) of a narrow cloud of unit rays (N, 3), or of their mean (1, 3), from near the Z axis to
+    the equator; None if the cloud is not there.
 
     Depth cameras write clouds in their optical frame (Z forward, Y down), where up in the image is -Y.
     """
@@ -150,21 +265,31 @@ def rotation_from_pole(rays: FloatArray) -> FloatArray | None:
     return forward if mean[2] > 0 else np.asarray(forward @ rotation_from_rotvec([np.pi, 0.0, 0.0]))
 
 
-def _arranged(rays: FloatArray, beam: IntArray | None, most_cells: int) -> tuple[ScanGeometry, IntArray, int]:
-    """Return the law, the cell (N, 2) of each ray, and the number of rings (0: none)."""
-    latitude = np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
-    longitude = np.arctan2(rays[:, 1], rays[:, 0])
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """The grid of a cloud, and the place of its points in it."""
+
+    law: ScanGeometry
+    cells: IntArray
+    """(N,): the cell of each point, row by row."""
+    rings: int = 0
+    """Rings found; 0: none."""
+    accumulated: bool = False
+    """Whether the points are strewn, as by sweeps added up: cells contain several, whose mean is taken."""
+
+
+def _arranged(latitude: FloatArray, longitude: FloatArray, beam: IntArray | None, most_cells: int) -> _Plan:
     centre, span = _centre_of(longitude)
     longitude = wrap_angle(longitude - centre)
     labels = _rings_of(latitude, beam)
     if labels is not None:
         step = _step_along_rings(longitude, labels)
         if step is not None:
-            law, cells = _on_rings(latitude, longitude, labels, step, centre, most_cells)
-            return law, cells, law.shape[0]
-    d_latitude, d_longitude = _steps(longitude, latitude)
+            ring_law, at = _on_rings(latitude, longitude, labels, step, centre, most_cells)
+            return _Plan(ring_law, at[:, 0] * ring_law.shape[1] + at[:, 1], ring_law.shape[0])
+    d_latitude, d_longitude, accumulated = _steps(longitude, latitude)
     top, low = float(latitude.max()), float(latitude.min())
-    largest = min(most_cells, max(4096, _CELLS_PER_POINT * len(rays)))
+    largest = min(most_cells, max(4096, _CELLS_PER_POINT * len(latitude)))
     d_latitude, d_longitude = _bounded(top - low, span, d_latitude, d_longitude, largest)
     rows, columns = (int(np.floor(s / d + 1e-9)) + 1 for s, d in ((top - low, d_latitude), (span, d_longitude)))
     if min(rows, columns) < 2:
@@ -173,14 +298,15 @@ def _arranged(rays: FloatArray, beam: IntArray | None, most_cells: int) -> tuple
         )
     # Half of the remainder on each side: the outermost points are then inside the outermost cells.
     spare = ((rows - 1) * d_latitude - (top - low)) / 2
-    law_ = SphericalGrid(rows, columns, d_longitude, d_latitude, centre, top + spare)
-    cell = np.rint(law_.cell_of(rays)).astype(np.intp)
-    return law_, np.clip(cell, 0, [rows - 1, columns - 1]), 0
+    law = SphericalGrid(rows, columns, d_longitude, d_latitude, centre, top + spare)
+    row = np.rint((top + spare - latitude) / d_latitude).clip(0, rows - 1).astype(np.intp)
+    column = np.rint((columns - 1) / 2 - longitude / d_longitude).clip(0, columns - 1).astype(np.intp)
+    return _Plan(law, row * columns + column, 0, accumulated)
 
 
 def _centre_of(longitude: FloatArray) -> tuple[float, float]:
     """Return the centre and span of the longitudes, cut at the widest gap; a full turn is cut behind the scanner."""
-    values = np.unique(longitude)
+    values = np.unique(longitude if len(longitude) <= _LARGE else np.floor(longitude * 1e4) / 1e4)
     gaps = np.diff(np.append(values, values[0] + 2 * np.pi))
     widest = int(np.argmax(gaps))
     if gaps[widest] < 0.1:  # a full turn with small holes: the seam belongs behind the scanner
@@ -196,6 +322,10 @@ def _rings_of(latitude: FloatArray, beam: IntArray | None) -> IntArray | None:
         labels, overlap = _ordered_labels(latitude, np.unique(beam, return_inverse=True)[1])
         if overlap < _MOST_OVERLAP:
             return labels
+    if len(latitude) > _LARGE:  # a share of them shows whether there are rings at all
+        few = np.random.default_rng(_SEED).choice(latitude, _LARGE // 4)
+        if _rings_of(few, None) is None:
+            return None
     lowest, highest = float(latitude.min()), float(latitude.max())
     bins = int(np.clip(len(latitude) // 4, 64, 1 << 15))
     if highest - lowest < 1e-6:
@@ -345,21 +475,20 @@ def _spread_collisions(rows: IntArray, column: IntArray, rest: FloatArray, colum
     return result
 
 
-def _steps(longitude: FloatArray, latitude: FloatArray) -> tuple[float, float]:
-    """Return (latitude step, longitude step), rad, from the spacing of the points.
+def _steps(longitude: FloatArray, latitude: FloatArray) -> tuple[float, float, bool]:
+    """Return (latitude step, longitude step), rad, from the spacing of the points, and whether these are strewn.
 
     The density gives the product of the steps; a regular distance to the next point directly above, or beside, gives
-    one of them; otherwise the steps are taken as equal.
+    one of them; otherwise the steps are taken as equal. Strewn points come in clusters and gaps: cells that hold
+    several of them even where they are sparse are the finest that they support.
     """
     from scipy.spatial import cKDTree
 
-    plane = _distinct(np.stack([longitude, latitude], axis=-1))
+    plane, sample = _windows(_distinct(np.stack([longitude, latitude], axis=-1)))
     count = len(plane)
     if count < LEAST_POINTS:  # too few for spacings: use the spread
         spans = [max(float(np.ptp(angle)), 1e-9) for angle in (longitude, latitude)]
-        return (float(np.sqrt(spans[0] * spans[1] / count)),) * 2
-    generator = np.random.default_rng(_SEED)
-    sample = plane if count <= _SAMPLES else plane[generator.choice(count, _SAMPLES, replace=False)]
+        return float(np.sqrt(spans[0] * spans[1] / count)), float(np.sqrt(spans[0] * spans[1] / count)), False
     neighbours = min(_NEIGHBOURS, count - 1)
     distance, index = cKDTree(plane).query(sample, k=neighbours + 1)
     few = min(16, neighbours)
@@ -372,10 +501,37 @@ def _steps(longitude: FloatArray, latitude: FloatArray) -> tuple[float, float]:
     up, up_regular = _next_along(offsets[..., 1], offsets[..., 0], typical)
     side, side_regular = _next_along(offsets[..., 0], offsets[..., 1], typical)
     if max(up_regular, side_regular) < _REGULAR:
-        return typical, typical
+        own = np.sqrt(area)
+        if len(longitude) >= _LEAST_STREWN and np.percentile(distance[:, 1] / own.clip(1e-12), 10) < _CLUSTERED:
+            step = float(np.sqrt(_POINTS_PER_CELL * np.percentile(area, _SPARSE)))
+            return step, step, True
+        return typical, typical, False
     if min(up_regular, side_regular) >= _REGULAR and 0.5 < up * side / typical**2 < 2:
-        return up, side
-    return (up, typical**2 / up) if up_regular >= side_regular else (typical**2 / side, side)
+        return up, side, False
+    return (up, typical**2 / up, False) if up_regular >= side_regular else (typical**2 / side, side, False)
+
+
+def _windows(plane: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points (N, 2) and a sample of them (K, 2) whose neighbours are among them.
+
+    Of a large cloud, these are the points of some windows of the view: a tree of all points would take half a minute.
+    """
+    generator = np.random.default_rng(_SEED)
+    count = len(plane)
+    if count <= _LARGE:
+        return plane, plane if count <= _SAMPLES else plane[generator.choice(count, _SAMPLES, replace=False)]
+    low, span = plane.min(axis=0), np.ptp(plane, axis=0)
+    side = np.sqrt(span[0] * span[1] * _WINDOW_POINTS / count)
+    place = (plane - low) / side
+    across = int(place[:, 0].max()) + 1
+    window = place[:, 1].astype(np.intp) * across + place[:, 0].astype(np.intp)
+    chosen = np.unique(window[generator.choice(count, _WINDOWS)])
+    inside = np.isin(window, chosen)
+    place, plane = place[inside] % 1, plane[inside]
+    inner = np.flatnonzero((np.abs(place - 0.5) < 0.2).all(axis=1))
+    if not len(inner):
+        inner = np.arange(len(plane))
+    return plane, plane[generator.choice(inner, min(_SAMPLES, len(inner)), replace=False)]
 
 
 def _distinct(plane: NDArray[np.float64]) -> NDArray[np.float64]:

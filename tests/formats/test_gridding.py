@@ -13,6 +13,7 @@ from ladarreg_core.errors import ShapeError
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.gridding import grid_points
 from ladarreg_core.scanner.grids import RingGrid, RotatedGrid, SphericalGrid
+from tests.formats.simulated_clouds import brightness, in_room, rosette
 
 # The elevations of a real 64-beam scanner: .17 deg in the middle, 5 deg at the ends.
 UNEVEN = np.concatenate([[-25, -19, -14, -13, -12, -11, -10, -9, -8, -7], np.arange(-6, 2.1, 0.17), [3, 5, 8, 11, 15]])
@@ -185,3 +186,36 @@ def test_ring_grids_invert_themselves(gaps: list[float], phase: float, centre: f
     cell = np.array([at[0] * (len(latitudes) - 1), at[1] * 299])
     np.testing.assert_allclose(grid.cell_of(grid.ray_at(cell)), cell, atol=1e-6)
     assert grid.rays.shape == (*grid.shape, 3)
+
+
+def test_accumulated_sweeps_fill_their_cells_and_keep_their_holes() -> None:
+    scanner = np.array([0.4, -0.6, 1.5])
+    rays = rosette(150_000)
+    longitude, latitude = np.arctan2(rays[:, 1], rays[:, 0]), np.arcsin(rays[:, 2])
+    window = (np.abs(longitude - 0.2) < 0.06) & (np.abs(latitude - 0.1) < 0.06)  # an open window: nothing returns
+    points = in_room(rays[~window], noise_m=0.01)
+    cloud = grid_points(points - scanner, brightness(points))
+    assert cloud.accumulated
+    assert "strewn" in cloud.describe()
+    assert cloud.lost_share < 0.02
+    found = cloud.geometry.rays
+    towards_window = (np.abs(np.arctan2(found[..., 1], found[..., 0]) - 0.2) < 0.04) & (
+        np.abs(np.arcsin(found[..., 2]) - 0.1) < 0.04
+    )
+    seen = np.arccos(found[..., 0].clip(-1, 1)) < np.radians(34)
+    valid = np.isfinite(cloud.ranges)
+    assert not valid[towards_window].any(), "a hole is not filled"
+    around = seen & ~((np.abs(np.arctan2(found[..., 1], found[..., 0]) - 0.2) < 0.08) & (
+        np.abs(np.arcsin(found[..., 2]) - 0.1) < 0.08))  # fmt: skip
+    assert valid[around].mean() > 0.97
+    # The control: cells of the mean spacing, as of a raster of as many points, are riddled with gaps.
+    outer = ~window & (np.arccos(rays[:, 0]) > np.radians(20)) & (np.arccos(rays[:, 0]) < np.radians(30))
+    side = np.sqrt(np.pi / 4 * np.radians(70) ** 2 / len(rays))
+    cells = len(np.unique(np.floor(np.stack([longitude, latitude], -1)[outer] / side), axis=0))
+    ring_area = 2 * np.pi * (np.cos(np.radians(20)) - np.cos(np.radians(30)))
+    assert cells * side**2 / ring_area < 0.8
+    # The mean of several points has less noise than the nearest of them.
+    truth = in_room(found[around & valid], noise_m=0.0) - scanner
+    error = cloud.ranges[around & valid] - np.linalg.norm(truth, axis=1)
+    assert np.abs(np.median(error)) < 0.002
+    assert 1.4826 * np.median(np.abs(error)) < 0.008
