@@ -116,6 +116,8 @@ class InputArguments(ScanArguments):
     """Focal length of the photo in mm; needs --sensor-mm."""
     sensor_mm: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None
     """Sensor width in mm."""
+    temperature_unit: Literal["K", "C", "none"] | None = None
+    """Unit of the pixels of a thermal TIFF that does not state it; none: the pixels are no temperatures."""
     seed: int = 0
     """Random seed; equal seeds give equal results."""
     force: bool = False

@@ -33,6 +33,7 @@ def read_inputs(arguments: InputArguments, bar: ProgressBar) -> tuple[Scan, Phot
             focal_px=arguments.focal_px,
             focal_mm=arguments.focal_mm,
             sensor_mm=arguments.sensor_mm,
+            temperature_unit=arguments.temperature_unit,
         ),
     )
     return scan, photo

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,13 @@ from ladarreg_core.photo import Photo
 CENTIKELVIN_K = 0.01
 """Step of a 16-bit thermal image, K."""
 
+TemperatureUnit = Literal["K", "C", "none"]
+"""Unit of the pixels of a thermal image; `none`: they are no temperatures."""
+_FREEZING_K = 273.15
+_STEPS_K = (0.01, 0.1, 1.0)
+_POSSIBLE_K = (150.0, 3000.0)
+_POSSIBLE_C = (-80.0, 700.0)
+_LEAST_SPAN_C = 0.5
 _SCALE_K, _GRAY_PER_UNIT = 0.5, 60.0
 _PLAUSIBLE_K = (220.0, 620.0)  # the range of uncooled cameras
 _MOST_SPREAD_K = 60.0
@@ -63,24 +70,65 @@ def centikelvin(temperature_k: FloatArray) -> NDArray[np.uint16]:
     return np.clip(steps, 0, np.iinfo(np.uint16).max).astype(np.uint16)
 
 
-def kelvin_of(values: NDArray[Any]) -> NDArray[np.float32] | None:
+def kelvin_of(values: NDArray[Any], unit: TemperatureUnit | None = None) -> NDArray[np.float32] | None:
     """Return the values of a decoded image as temperatures (H, W), K; None if it is not a thermal image.
 
-    Thermal images are gray, of 16 bits in centikelvin or of floating point in kelvin, and recognised by their values
-    alone: all between 220 and 620 K (-53 to 347 C), the middle half within 60 K. A 16-bit photograph has darker and
-    brighter pixels, or, if it is hazy, spreads its grays over a wider interval.
+    Without a unit, thermal images are gray, of 16 bits in centikelvin or of floating point in kelvin, and recognised by
+    their values alone: all between 220 and 620 K (-53 to 347 C), the middle half within 60 K. A 16-bit photograph has
+    darker and brighter pixels, or, if it is hazy, spreads its grays over a wider interval.
 
     Args:
         values: (H, W) or (H, W, 3), as stored in the file.
+        unit: of the pixels, where it is known; whole numbers in K may be in steps of .01 or .1 K.
+
+    Raises:
+        ShapeError: if the unit is K or C and the values cannot be temperatures in it.
     """
+    if unit is not None:
+        return None if unit == "none" else _in_unit(values, unit)
     if values.ndim != 2 or not values.size or values.dtype.kind not in "uf" or values.dtype == np.uint8:
         return None
-    unit = CENTIKELVIN_K if values.dtype.kind == "u" else 1.0
+    step = CENTIKELVIN_K if values.dtype.kind == "u" else 1.0
     low, high = _PLAUSIBLE_K
-    if not low <= float(values.min()) * unit <= float(values.max()) * unit <= high:  # false if any value is not finite
+    if not low <= float(values.min()) * step <= float(values.max()) * step <= high:  # false if any value is not finite
         return None
-    kelvin = values.astype(np.float64) * unit
+    kelvin = values.astype(np.float64) * step
     quarter, three_quarters = np.percentile(kelvin, (25, 75))
     if three_quarters - quarter > _MOST_SPREAD_K:
         return None
     return kelvin.astype(np.float32)
+
+
+def _in_unit(values: NDArray[Any], unit: TemperatureUnit) -> NDArray[np.float32]:
+    if values.ndim != 2 or not values.size or values.dtype == np.uint8:
+        raise ShapeError(
+            "the picture has 8 bits or colours, which are no temperatures; export the temperatures as TIFF, "
+            "or give none as their unit"
+        )
+    numbers = values.astype(np.float64)
+    if unit == "C":
+        kelvins = [numbers + _FREEZING_K] if values.dtype.kind == "f" else []
+    else:
+        kelvins = [numbers] if values.dtype.kind == "f" else [numbers * step for step in _STEPS_K]
+    low, high = _POSSIBLE_K
+    for kelvin in kelvins:
+        if low <= float(kelvin.min()) <= float(kelvin.max()) <= high:  # false if any value is not finite
+            return kelvin.astype(np.float32)
+    shown = f"{float(numbers.min()):.5g} to {float(numbers.max()):.5g}"
+    kind = "whole numbers" if values.dtype.kind in "iu" else "numbers"
+    raise ShapeError(
+        f"the pixels are {kind} from {shown}, which cannot be temperatures in {unit}; export floating point in K or C, "
+        "or give the other unit"
+    )
+
+
+def may_be_celsius(values: NDArray[Any]) -> bool:
+    """Return whether an image may hold temperatures in deg C: gray, of floating point, in a plausible range.
+
+    Pictures from -1 to 1, and gray levels in whole numbers, are none.
+    """
+    if values.ndim != 2 or not values.size or values.dtype.kind != "f":
+        return False
+    low, high = float(values.min()), float(values.max())
+    possible = _POSSIBLE_C[0] <= low <= high <= _POSSIBLE_C[1] and high - low > _LEAST_SPAN_C and max(-low, high) > 1
+    return possible and not bool((values == np.rint(values)).all())

@@ -152,6 +152,7 @@ class Loader:
                 focal_px=given.focal_px,
                 focal_mm=given.focal_mm,
                 sensor_mm=given.sensor_mm,
+                temperature_unit=entry.source.temperature_unit,
             )
         except CameraError as error:
             return error
@@ -160,7 +161,8 @@ class Loader:
         from ladarreg_core.formats import read_photo
 
         path = self._folder.source_path(entry.source.path)
-        return READERS.run(read_photo, path, focal_mm=36.0, sensor_mm=36.0)
+        unit = entry.source.temperature_unit
+        return READERS.run(read_photo, path, focal_mm=36.0, sensor_mm=36.0, temperature_unit=unit)
 
     def views(self, document: Document) -> tuple[NamedView, ...]:
         """Return the views of the scan; none where no scan is open.

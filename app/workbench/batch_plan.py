@@ -180,14 +180,23 @@ def _targets_of(file: BatchFile, photos: Sequence[PhotoTarget], shown: str | Non
     named = [photo for photo in photos if words and _words(photo.name) == words]
     if len(named) == 1:
         return (named[0].id,)
-    size = {file.survey.width, file.survey.height}
-    fits = [photo for photo in photos if 0 not in size and {photo.width, photo.height} == size]
+    if taken := [photo for photo in photos if _is_listed(photo.name, file.survey.pictures)]:
+        return tuple(photo.id for photo in taken)
+    sizes = [{*size} for size in file.survey.sizes or ((file.survey.width, file.survey.height),)]
+    fits = [photo for photo in photos if 0 not in sizes[0] and {photo.width, photo.height} in sizes]
     if file.survey.kind == "camera" and fits and (shown is None or len(fits) == 1):
         return tuple(photo.id for photo in fits)  # one calibration serves all pictures of its camera
     if shown is not None and (not fits or any(photo.id == shown for photo in fits)):
         return (shown,)
     names = _listed([photo.name for photo in fits or photos], "or")
     return Reason(f"it could belong to {names}: choose the photograph", needs_choice=True)
+
+
+def _is_listed(photo: str, pictures: Sequence[str]) -> bool:
+    """Return whether a camera file lists a photograph, with or without its folder and ending."""
+    name = photo.casefold()
+    wanted = {name, PurePosixPath(name).stem}
+    return any(PurePosixPath(other.replace("\\", "/").casefold()).name in wanted for other in pictures)
 
 
 def with_companions(files: Sequence[BatchFile], others: Sequence[BatchFile]) -> list[BatchFile]:

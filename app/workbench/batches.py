@@ -210,7 +210,7 @@ class Batches:
                     opened.append({"file": file.id, "kind": kind})
                 for photo in step.photos or ((None,) if kind == "photo" else ()):
                     target = made.get(photo or "", photo)
-                    found = self._files.open(path, file.name, kind, target, client)
+                    found = self._files.open(path, file.name, kind, target, client, reading)
                     made[file.id] = found
                     opened.append({"file": file.id, "kind": kind, "photo": found})
             except LadarregError as error:

@@ -203,7 +203,7 @@ def set_camera(context: Context, client: Client, fields: Fields) -> Reply:
     from ladarreg_core.formats.exif import focal_of_35mm
 
     given = {name: _positive(fields[name], what) for name, what in _FOCALS.items() if fields.get(name) is not None}
-    if set(given) not in ({"focal_px"}, {"focal_35mm"}, {"focal_mm", "sensor_mm"}):
+    if set(given) not in ({"focal_px"}, {"focal_35mm"}, {"focal_mm", "sensor_mm"}, {"sensor_mm"}):
         raise OptionError("give the 35 mm equivalent, or the focal length in mm and the sensor width, or pixels")
     entry = _photo(context, fields)
     if "focal_35mm" in given:

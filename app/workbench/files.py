@@ -96,7 +96,7 @@ class Files:
             what: its kind of content.
             photo: id of the photograph that it belongs to, if any.
             client: who opens it.
-            reading: options of `read_scan`, for a scan.
+            reading: options of `read_scan` for a scan, `temperature_unit` for a photograph, `camera_name` for a camera.
 
         Raises:
             LadarregError: if it is not of the stated kind, or there is no photograph that it could belong to.
@@ -113,10 +113,11 @@ class Files:
         if what == "scan":
             return self._scan(with_reading(source, reading or {}), client)
         if what == "photo":
-            return self._photo(source, client)
+            unit = (reading or {}).get("temperature_unit")
+            return self._photo(msgspec.structs.replace(source, temperature_unit=unit), client)
         entry = self._target_photo(photo, client)
         if what == "camera":
-            camera = CameraGiven(file=source)
+            camera = CameraGiven(file=source, name=(reading or {}).get("camera_name"))
             self._queries.check_camera(entry, camera)
             self._edit(entry, f"Camera file {name}", lambda p: edits.with_camera(p, camera), client)
             return entry.id

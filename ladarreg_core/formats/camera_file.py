@@ -9,7 +9,7 @@ from typing import Any
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, camera_from_model_fields
 from ladarreg_core.camera.equirectangular import FULL_WINDOW
-from ladarreg_core.errors import CameraError, FormatError, OptionError
+from ladarreg_core.errors import CameraError, FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.camera_agisoft import read_agisoft, sniff_agisoft
 from ladarreg_core.formats.camera_calibration import cameras_of_calibration, read_calibration, sniff_calibration
 from ladarreg_core.formats.camera_colmap import (
@@ -128,7 +128,8 @@ def read_noted_camera(
 
     Raises:
         FormatError: if it is not a camera file.
-        CameraError: if the parameters of a camera are invalid, its model is unknown, or the camera is ambiguous.
+        CameraError: if the parameters of a camera are invalid, or its model is unknown.
+        UnderspecifiedError: if it is not clear which of its cameras is meant.
         OptionError: if there is no camera of that name.
     """
     cameras = read_cameras(path)
@@ -156,7 +157,7 @@ def _of_picture(cameras: tuple[FileCamera, ...], picture: str, picture_file: Pat
         if found and all(each.camera == found[0].camera for each in found):
             return found[0], why
         cameras = tuple(found) or cameras
-    raise CameraError(
+    raise UnderspecifiedError(
         f"it has {len(cameras)} cameras that could be meant, {_listed(cameras)}; choose one by its name (--camera-name)"
     )
 

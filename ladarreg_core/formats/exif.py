@@ -15,7 +15,9 @@ _FOCAL_LENGTH = 0x920A
 _FOCAL_35MM = 0xA405
 _PLANE_X_RESOLUTION = 0xA20E
 _PLANE_UNIT = 0xA210
-_PIXEL_X_DIMENSION = 0xA002
+_PIXEL_X_DIMENSION, _PIXEL_Y_DIMENSION = 0xA002, 0xA003
+_SENSOR_MM = (2.0, 70.0)
+_SAME_SHAPE = 0.01
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _FILM_DIAGONAL_MM = math.hypot(36, 24)
 _PLAUSIBLE = (0.2, 40.0)
@@ -94,10 +96,31 @@ def _by_focal_plane(tags: Mapping[int, Any], raw_width: int, raw_height: int) ->
     if not (focal_mm and resolution and unit_mm):
         return None
     full_width = _number(tags.get(_PIXEL_X_DIMENSION)) or raw_width  # the image may have been resized since
+    if not _SENSOR_MM[0] <= full_width * unit_mm / resolution <= _SENSOR_MM[1]:
+        return None
     focal = focal_mm * resolution / unit_mm * raw_width / full_width
     if not _plausible(focal, raw_width, raw_height):
         return None
     return ExifFocal(focal, f"EXIF: {focal_mm:g} mm at {resolution / unit_mm:.1f} pixels per mm of the sensor")
+
+
+def focal_mm_of(tags: Mapping[int, Any]) -> float | None:
+    """Return the focal length of the lens, mm; None where EXIF does not state it."""
+    return _number(tags.get(_FOCAL_LENGTH))
+
+
+def edited_since(tags: Mapping[int, Any], raw_width: int, raw_height: int) -> str | None:
+    """Return a warning if EXIF states a size of another shape than the image's: it was cropped since it was taken."""
+    width, height = _number(tags.get(_PIXEL_X_DIMENSION)), _number(tags.get(_PIXEL_Y_DIMENSION))
+    if width is None or height is None:
+        return None
+    longer, shorter = max(width, height), min(width, height)
+    if abs(longer / shorter * min(raw_width, raw_height) / max(raw_width, raw_height) - 1) <= _SAME_SHAPE:
+        return None
+    return (
+        f"EXIF states {width:g} x {height:g} pixels, the image has {raw_width} x {raw_height}: it was cropped, so the "
+        "focal length may be wrong; give the original, or --focal-px"
+    )
 
 
 def _plausible(focal_px: float, width: int, height: int) -> bool:

@@ -19,6 +19,7 @@ from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.budget import PIXELS_PER_BYTE, ReadBudget
 from ladarreg_core.formats.tiff_file import tiff_facts, tiff_size, tiff_values
 from ladarreg_core.formats.untrusted import one_line
+from ladarreg_core.thermal import TemperatureUnit
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -78,7 +79,7 @@ class ImageData:
     """EXIF and TIFF tags by number."""
     notes: tuple[str, ...] = ()
     """Remarks on what was left out or converted."""
-    temperature_unit: str | None = None
+    temperature_unit: TemperatureUnit | None = None
     """`K` or `C` where the file says that its pixels are temperatures."""
 
 

@@ -8,20 +8,22 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
-from ladarreg_core.errors import CameraError, OptionError
+from ladarreg_core.errors import CameraError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.camera_file import as_pinhole, read_noted_camera
-from ladarreg_core.formats.exif import focal_from_exif, orientation_of, upright
-from ladarreg_core.formats.image_file import as_rgb, read_image
+from ladarreg_core.formats.exif import edited_since, focal_from_exif, focal_mm_of, orientation_of, upright
+from ladarreg_core.formats.image_file import ImageData, as_rgb, read_image
+from ladarreg_core.formats.radiometric import radiometric_kelvin, radiometric_maker
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.photo import Photo
-from ladarreg_core.thermal import kelvin_of, thermal_photo
+from ladarreg_core.thermal import TemperatureUnit, kelvin_of, may_be_celsius, thermal_photo
 
 _FREEZING_K = 273.15
 _POSSIBLE = (0.05, 100.0)
@@ -38,6 +40,7 @@ def read_photo(
     focal_px: float | None = None,
     focal_mm: float | None = None,
     sensor_mm: float | None = None,
+    temperature_unit: TemperatureUnit | None = None,
     memory_bytes: int | None = None,
 ) -> Photo:
     """Read a photograph with its camera.
@@ -45,19 +48,24 @@ def read_photo(
     The camera is `camera`, or a distortion-free one with the given focal length, or else with the one in EXIF.
 
     Args:
-        path: a PNG, JPEG, TIFF, WebP or BMP. Gray and 16-bit images are converted to 8-bit RGB; gray images with 16
-            bits in centikelvin or floating point in kelvin (`kelvin_of`) are thermal images.
+        path: a PNG, JPEG, TIFF, WebP, AVIF or BMP, or HEIC where Pillow's plug-in is installed. Gray and 16-bit images
+            are converted to 8-bit RGB; gray images with 16 bits in centikelvin or floating point in kelvin
+            (`kelvin_of`) are thermal images.
         camera: a camera or a camera file. Its size shows whether it was calibrated on raw or on rotated pixels.
         camera_name: name of the camera in a file with several; None: chosen by the photograph's name and size.
         camera_notes: remarks on a given camera, which become notes of the photograph.
         focal_px: focal length, pixels of this image.
         focal_mm: focal length, mm; needs `sensor_mm`.
-        sensor_mm: sensor width, mm, along the image's width before the rotation by EXIF.
+        sensor_mm: sensor width, mm: its longer side, along the longer side of the image. Without `focal_mm` the focal
+            length is that of EXIF.
+        temperature_unit: unit of a thermal image's pixels, where the file does not state it: `K` or `C`; `none`: they
+            are no temperatures.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
 
     Raises:
         FormatError: if the file is not an image, is damaged, or would need more memory than it may use.
         CameraError: if no focal length is given or found, if it is implausible, or if image and camera differ in size.
+        UnderspecifiedError: if the pixels may be temperatures whose unit is unknown.
         OptionError: if the options contradict each other or are not positive.
     """
     _check_options(camera, focal_px, focal_mm, sensor_mm)
@@ -72,9 +80,9 @@ def read_photo(
     given = None if model is None else as_pinhole(model)
     with reading(path) as file:
         image = read_image(file, budget=ReadBudget.of(file.stat().st_size, memory_bytes))
-        kelvin = kelvin_of(image.values)
+        kelvin = _temperatures(file, image, temperature_unit)
         values, depth_note = as_rgb(image.values) if kelvin is None else (kelvin, _thermal_note(kelvin))
-        notes = [*camera_notes, *([depth_note] if depth_note else [])]
+        notes = [*camera_notes, *image.notes, *([depth_note] if depth_note else [])]
         orientation = orientation_of(image.exif)
         raw_height, raw_width = values.shape[:2]
         if given is not None:
@@ -94,6 +102,25 @@ def read_photo(
         notes.append(note)
         height, width = pixels.shape[:2]
         return _photo(pixels, Camera.from_focal(width, height, focal), file.stem, notes, calibrated=False)
+
+
+def _temperatures(file: Path, image: ImageData, unit: TemperatureUnit | None) -> NDArray[np.float32] | None:
+    """Return a thermal image's temperatures (H, W), K; None if it is a photograph."""
+    if unit is not None and unit not in get_args(TemperatureUnit):
+        raise OptionError(f"the unit of temperature is {one_line(unit, 20)!r}; it must be K, C or none")
+    if unit is None and (maker := radiometric_maker(file)) is not None:
+        return radiometric_kelvin(file, maker)
+    stated: TemperatureUnit | None = unit or image.temperature_unit
+    if stated is not None and (unit is not None or image.values.dtype.kind == "f"):
+        return kelvin_of(image.values, stated)
+    kelvin = kelvin_of(image.values)
+    if kelvin is None and may_be_celsius(image.values):
+        low, high = float(image.values.min()), float(image.values.max())
+        raise UnderspecifiedError(
+            f"its pixels, {low:.1f} to {high:.1f}, may be temperatures, and the file does not state their unit; give "
+            "--temperature-unit C or K, or none if it is an ordinary picture"
+        )
+    return kelvin
 
 
 def _photo(values: NDArray[Any], camera: Camera, name: str, notes: list[str], *, calibrated: bool) -> Photo:
@@ -116,9 +143,8 @@ def _check_options(camera: object, focal_px: float | None, focal_mm: float | Non
             if value is not None]  # fmt: skip
     if len(ways) > 1:
         raise OptionError(f"{' and '.join(ways)} are given; give one of them")
-    if (focal_mm is None) != (sensor_mm is None) and not (camera or focal_px):
-        there, missing = ("focal_mm", "sensor_mm") if sensor_mm is None else ("sensor_mm", "focal_mm")
-        raise OptionError(f"{there} is given without {missing}; give both (the sensor's width in mm)")
+    if focal_mm is not None and sensor_mm is None:
+        raise OptionError("focal_mm is given without sensor_mm; give both (the sensor's width in mm)")
 
 
 def _check_possible(focal_px: float, width: int, height: int) -> None:
@@ -161,13 +187,32 @@ def _focal(
     if focal_px is not None:
         _check_possible(focal_px, raw_width, raw_height)
         return focal_px, f"focal length {focal_px:.1f} px, as given; no lens distortion is assumed"
-    if focal_mm is not None and sensor_mm is not None:
-        focal = focal_mm / sensor_mm * raw_width
+    notice = edited_since(tags, raw_width, raw_height)
+    if sensor_mm is not None:
+        stated = focal_mm or focal_mm_of(tags)
+        if stated is None:
+            raise OptionError("sensor_mm is given without focal_mm, and EXIF states no focal length; give both")
+        longer = max(raw_width, raw_height)
+        focal = stated / sensor_mm * longer
         _check_possible(focal, raw_width, raw_height)
-        return focal, f"focal length {focal:.1f} px from {focal_mm:g} mm and a sensor {sensor_mm:g} mm wide"
-    found = focal_from_exif(tags, raw_width, raw_height)
-    if found is None:
-        raise CameraError(
-            "the image has no focal length in EXIF; give --camera FILE, --focal-px, or --focal-mm with --sensor-mm"
+        by = "" if focal_mm is not None else " (EXIF)"
+        side = " along its longer side" if raw_height > raw_width else " wide"
+        return focal, _joined(
+            f"focal length {focal:.1f} px from {stated:g} mm{by} and a sensor {sensor_mm:g} mm{side}", notice
         )
-    return found.focal_px, f"focal length {found.focal_px:.1f} px from {found.source}"
+    found = focal_from_exif(tags, raw_width, raw_height)
+    if found is not None:
+        return found.focal_px, _joined(f"focal length {found.focal_px:.1f} px from {found.source}", notice)
+    stated = focal_mm_of(tags)
+    if stated is not None:
+        raise CameraError(
+            f"EXIF states a focal length of {stated:g} mm but not the sensor's size; give its width by --sensor-mm "
+            "(36 full frame, 23.5 APS-C, 17.3 Micro Four Thirds), or --camera FILE or --focal-px"
+        )
+    raise CameraError(
+        "the image has no focal length in EXIF; give --camera FILE, --focal-px, or --focal-mm with --sensor-mm"
+    )
+
+
+def _joined(note: str, notice: str | None) -> str:
+    return note if notice is None else f"{note}; {notice}"

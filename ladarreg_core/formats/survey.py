@@ -37,7 +37,8 @@ class FileSurvey:
     pictures: tuple[str, ...] = ()
     """File names of the photographs that the cameras of a camera file took, where it states them."""
     takes: tuple[str, ...] = ()
-    """Names of the options of `ScanRequest` that the reader of a scan takes."""
+    """Names of the options that its reader takes: those of `ScanRequest` for a scan, `temperature_unit` for a
+    photograph, `camera_name` for a file of several cameras."""
 
 
 def survey_file(path: PathLike) -> FileSurvey:
@@ -54,7 +55,7 @@ def survey_file(path: PathLike) -> FileSurvey:
                 return FileSurvey(found.kind, found.name, named_files(read_json_object(file, "a scan descriptor")))
             if found.kind == "photo":
                 width, height, _ = image_size(file)
-                return FileSurvey(found.kind, found.name, (), width, height)
+                return FileSurvey(found.kind, found.name, (), width, height, takes=("temperature_unit",))
             if found.kind == "camera":
                 cameras = read_cameras(file)
                 sizes = tuple(dict.fromkeys(each.camera.size for each in cameras))
@@ -66,6 +67,7 @@ def survey_file(path: PathLike) -> FileSurvey:
                     *sizes[0],
                     sizes=sizes[:_MOST_SIZES],
                     pictures=tuple(taken)[:_MOST_PICTURES],
+                    takes=("camera_name",) if len(cameras) > 1 else (),
                 )
         except LadarregError:  # it is damaged, which its reader says when it is opened
             pass

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.untrusted import one_line
+from ladarreg_core.thermal import TemperatureUnit
 
 _UNPACKED, _DEFLATED, _PACKBITS = (1,), (8, 32946), (32773,)
 _MOST_SAMPLES = 16
@@ -47,7 +48,7 @@ class TiffFacts:
     """Name of its compression."""
     pages: int
     """1, or 2 if there are several."""
-    unit: str | None
+    unit: TemperatureUnit | None
     """`K` or `C` where its tags name a unit of temperature."""
 
 
@@ -61,7 +62,8 @@ def tiff_facts(path: Path) -> TiffFacts:
         page = tif.pages[0]
         if page.tags.get(_DNG_VERSION) is not None or int(page.photometric) in _RAW_PHOTOMETRICS:
             raise FormatError("it is the raw file of a camera; develop it and export a TIFF or JPEG")
-        gray16 = page.dtype == np.uint16 and page.samplesperpixel == 1
+        # Pillow does not invert 16 bits where 0 is white.
+        gray16 = page.dtype == np.uint16 and page.samplesperpixel == 1 and int(page.photometric) != _MIN_IS_WHITE
         plain = page.dtype is None or page.dtype in (np.uint8, np.bool_) or gray16
         return TiffFacts(
             is_plain=plain,
@@ -200,7 +202,7 @@ def _in_colour(values: NDArray[Any], photometric: int, colormap: Any) -> tuple[N
     return values, notes
 
 
-def _unit_of(page: Any) -> str | None:
+def _unit_of(page: Any) -> TemperatureUnit | None:
     """Return the unit of temperature that a tag names, `K` or `C`; None if none does."""
     for number in (_GDAL_METADATA, _DESCRIPTION):
         tag = page.tags.get(number)

@@ -42,6 +42,8 @@ class Source(msgspec.Struct, frozen=True, kw_only=True):
     """Topic of the clouds in a recording, if it was chosen."""
     seconds: float | None = None
     """Duration over which the clouds of a recording are accumulated, s."""
+    temperature_unit: Literal["K", "C", "none"] | None = None
+    """Unit of a thermal image's pixels, if it was given."""
 
     @property
     def scan_options(self) -> dict[str, Any]:

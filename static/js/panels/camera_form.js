@@ -49,7 +49,7 @@ export const mountCameraForm = (opener) => {
   const wrong = element("p", { class: "form-wrong", role: "alert", hidden: true });
   const file = element(
     "input",
-    { type: "file", accept: ".json,.yaml,.yml,.xml", class: "visually-hidden", tabIndex: -1, "aria-hidden": "true" },
+    { type: "file", accept: ".json,.yaml,.yml,.xml,.txt,.bin", class: "visually-hidden", tabIndex: -1, "aria-hidden": "true" },
   );
   const or = () => element("p", { class: "or" }, "or");
   const form = element(
@@ -58,7 +58,7 @@ export const mountCameraForm = (opener) => {
     head,
     option("Shown by phones and most cameras in the details of the original photograph.", film),
     or(),
-    option("Focal length from the lens, sensor width from the camera's data sheet.", mm, sensor),
+    option("Sensor width from the camera's data sheet; an empty focal length is that of the photograph's EXIF.", mm, sensor),
     or(),
     option("From a camera calibration at this picture size.", px),
     wrong,
@@ -68,7 +68,7 @@ export const mountCameraForm = (opener) => {
       button({
         label: "Camera file…",
         icon: "file",
-        title: "Camera file: JSON, or YAML of OpenCV",
+        title: "Camera file: JSON, OpenCV, ROS, Kalibr, COLMAP, nerfstudio or Agisoft",
         act: () => file.click(),
       }),
       element("button", { class: "button primary", type: "submit" }, "Apply"),
@@ -98,9 +98,8 @@ export const mountCameraForm = (opener) => {
     const numbers = Object.fromEntries(filled.map(([name, { input }]) => [name, numberOf(input.value)]));
     const [, bad] = filled.find(([name]) => !(numbers[name] > 0 && numbers[name] < Infinity)) ?? [];
     if (bad) return refuse(`${bad.label}: “${bad.input.value.trim().slice(0, 20)}” is not a number above 0.`, bad);
-    if ("focal_mm" in numbers !== "sensor_mm" in numbers) {
-      const missing = "focal_mm" in numbers ? sensor : mm;
-      return refuse(`${missing.label} is missing: focal length and sensor width belong together.`, missing);
+    if ("focal_mm" in numbers && !("sensor_mm" in numbers)) {
+      return refuse(`${sensor.label} is missing: focal length and sensor width belong together.`, sensor);
     }
     const options = new Set(filled.map(([name]) => (name === "sensor_mm" ? "focal_mm" : name)));
     if (options.size === 0) return refuse(EMPTY, film);

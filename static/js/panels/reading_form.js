@@ -1,4 +1,4 @@
-/** The form for what the file of a scan does not say itself: where the scanner stood, its columns, and so on. */
+/** The form for what a file does not say itself: where the scanner stood, the unit of temperatures, and so on. */
 
 import { element, newId, setText } from "../ui/dom.js";
 
@@ -34,6 +34,18 @@ const OPTIONS = {
     example: "2",
     read: (text) => (numberOf(text) > 0 ? numberOf(text) : null),
   },
+  temperature_unit: {
+    label: "Unit of its temperatures",
+    hint: "K or C; none for an ordinary picture",
+    example: "C",
+    read: (text) => ({ k: "K", c: "C", none: "none" })[text.toLowerCase().replace(/°|deg\s*/u, "")] ?? null,
+  },
+  camera_name: {
+    label: "Camera",
+    hint: "its name in the file",
+    example: "cam0",
+    read: (text) => text,
+  },
 };
 
 /**
@@ -68,7 +80,7 @@ export const readingForm = (takes, submit) => {
       ? element("label", { class: "row" }, luma, "Use the brightness of the colours as the intensity")
       : null,
     wrong,
-    element("div", { class: "form-foot" }, element("button", { class: "button primary edits", type: "submit" }, "Open as scan")),
+    element("div", { class: "form-foot" }, element("button", { class: "button primary edits", type: "submit" }, takes.includes("intensity") || takes.includes("origin") ? "Open as scan" : "Open")),
   );
   form.addEventListener("submit", (event) => {
     event.preventDefault();
