@@ -254,7 +254,8 @@ def registration_files(
     @cache  # hashing the inputs takes longest
     def document() -> dict[str, Any]:
         described = registration_document(registration, assessment=found, smoothed=smoothed, inputs=inputs)
-        described["models"] = placed.as_dict()
+        if registration.accepted:
+            described["models"] = placed.as_dict()
         return described if rests_on is None else {**described, "rests_on": rests_on}
 
     texture = _textured(registration, scan, photo) if registration.accepted else None

@@ -19,7 +19,7 @@ from ladarreg_core.matches import Pick
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.ranges import EDGE_FRACTION, measured_ranges, range_quality
+from ladarreg_core.surface.ranges import EDGE_FRACTION, measured_ranges, range_quality, usual_noise_m
 
 ResultT = TypeVar("ResultT", bound=PoseResult)
 Comparability = Literal["compared", "no return", "depth edge", "outside the scan"]
@@ -161,8 +161,8 @@ def check_lengths(scan: Scan, picks: Sequence[Pick], *, tolerance_m: float | Non
     Args:
         scan: the scan.
         picks: points and lines, with lengths or without.
-        tolerance_m: largest difference allowed, m; None: three standard deviations of the scan's range there (of 15 mm
-            for a usual return; more for weak and grazing ones, up to 4 % of it), and 5 cm at least.
+        tolerance_m: largest difference allowed, m; None: three standard deviations of the scan's range there (of its
+            noise or 15 mm for a usual return; more for weak and grazing ones, up to 4 % of it), and 5 cm at least.
 
     Returns:
         the check; None if no enabled pick has a length.
@@ -175,7 +175,7 @@ def check_lengths(scan: Scan, picks: Sequence[Pick], *, tolerance_m: float | Non
     ranges, states = _scan_ranges(scan, rays, lengths)
     tolerances = np.full(len(ends), tolerance_m)
     if tolerance_m is None:
-        sigma = STATED_SIGMA_RANGE_M / np.sqrt(range_quality(scan, rays))
+        sigma = max(STATED_SIGMA_RANGE_M, usual_noise_m(scan)) / np.sqrt(range_quality(scan, rays))
         with np.errstate(invalid="ignore"):
             widest = np.fmax(EDGE_FRACTION * ranges, LEAST_TOLERANCE_M)
         tolerances = np.clip(_SIGMAS * sigma, LEAST_TOLERANCE_M, widest)

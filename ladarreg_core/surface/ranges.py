@@ -102,7 +102,7 @@ def range_quality(scan: Scan, rays: FloatArray) -> FloatArray:
     columns = np.clip(column[:, None] + steps, 0, width - 1)[:, None, :]
     around = scan.ranges[rows, columns].astype(np.float64)  # (N, 5, 5)
     return np.asarray(
-        1 / (_weakness(scan, row, column) * _edge_factor(around) + _slope_variance(around, _noise_m(scan)))
+        1 / (_weakness(scan, row, column) * _edge_factor(around) + _slope_variance(around, usual_noise_m(scan)))
     )
 
 
@@ -126,8 +126,8 @@ def _light(scan: Scan, cells: tuple[Any, ...]) -> FloatArray:
     return np.where(np.isfinite(ranges), light, np.nan)
 
 
-def _noise_m(scan: Scan) -> float:
-    """Return the range noise of a usual return, m, from second differences along some rows."""
+def usual_noise_m(scan: Scan) -> float:
+    """Return the range noise of a usual return of a scan, m, from second differences along some rows."""
     rows = max(1, int(scan.shape[0] * scan.shape[1] / _SAMPLE))
     bend = np.abs(np.diff(scan.ranges[::rows].astype(np.float64), n=2, axis=1))
     bend = bend[np.isfinite(bend)]

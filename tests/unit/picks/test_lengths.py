@@ -132,6 +132,19 @@ def test_the_worst_are_named_and_a_tolerance_lets_them_pass(
         RegisterOptions(match_tolerance_m=0.0)
 
 
+def test_the_tolerance_follows_the_noise_of_the_scan(
+    tmp_path: Path, room: PaintedRoom, targets: tuple[FloatArray, FloatArray]
+) -> None:
+    noise = np.random.default_rng(1).normal(0, 0.04, room.scan.shape)
+    coarse = replace(room.scan, ranges=room.scan.ranges + noise)
+    picks = read_matches(written(tmp_path / "t.csv", *targets), coarse)
+    check = check_lengths(coarse, picks)
+    assert check is not None
+    assert not check.refusal
+    assert max(abs(one.difference_m or 0) for one in check.lengths) > 0.05
+    assert check_lengths(coarse, picks, tolerance_m=0.05).refusal  # type: ignore[union-attr]
+
+
 def test_coordinates_of_a_small_world_without_their_frame_are_recognised(
     tmp_path: Path, room: PaintedRoom, targets: tuple[FloatArray, FloatArray]
 ) -> None:
