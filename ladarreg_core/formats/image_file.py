@@ -81,6 +81,8 @@ class ImageData:
     """Remarks on what was left out or converted."""
     temperature_unit: TemperatureUnit | None = None
     """`K` or `C` where the file says that its pixels are temperatures."""
+    xmp: bytes = b""
+    """The XMP packet, unchecked; empty: none."""
 
 
 def read_image(path: Path, *, budget: ReadBudget | None = None) -> ImageData:
@@ -149,7 +151,7 @@ def _read_by_pillow(path: Path, budget: ReadBudget, formats: tuple[str, ...]) ->
             with Image.open(stream, formats=formats) as image:
                 _check_size(image, path, budget)
                 image.load()
-                return ImageData(_values_of(image), image.format or "image", _tags_of(image))
+                return ImageData(_values_of(image), image.format or "image", _tags_of(image), xmp=_xmp_of(image))
         except UnidentifiedImageError:
             raise _UnknownImageError(
                 "it is not an image that can be read; give a PNG, JPEG, TIFF, WebP, AVIF or BMP"
@@ -277,6 +279,11 @@ def _tags_of(image: Image) -> dict[int, Any]:
         return {**dict(exif), **dict(exif.get_ifd(0x8769))}
     except Exception:  # tags are optional: a damaged block must not make the image unreadable
         return {}
+
+
+def _xmp_of(image: Image) -> bytes:
+    found = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
+    return found.encode("utf-8", "replace") if isinstance(found, str) else found if isinstance(found, bytes) else b""
 
 
 def as_rgb(values: NDArray[Any]) -> tuple[ByteArray, str | None]:
