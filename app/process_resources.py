@@ -73,6 +73,12 @@ def return_memory_soon(*, force: bool = False) -> None:
         timer.start()
 
 
+def return_memory() -> None:
+    """Return freed memory to the system now; without glibc it does nothing."""
+    if (libc := _glibc()) is not None:
+        libc.malloc_trim(0)
+
+
 def _trim() -> None:
     global _resident_after_trim
     _trim_pending.release()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
+from ladarreg_core.scanner.grid_window import GridWindow, grid_rays
 from ladarreg_core.scanner.grids import ScanGeometry
 from ladarreg_core.validation import require_choice
 
@@ -92,6 +93,36 @@ class Scan:
             np.multiply(rays[part].astype(np.float32), self.ranges[part, :, None], out=points[part])
         points.flags.writeable = False
         return points
+
+    def points_at(self, rows: slice, columns: slice) -> FloatArray:
+        """Return the points (h, w, 3) float32 of some rows and columns, without computing the others."""
+        rays = grid_rays(self.geometry, rows, columns)
+        return rays.astype(np.float32) * self.ranges[rows, columns, None]
+
+    def thinned_points(self, stride: int) -> FloatArray:
+        """Return the points (h, w, 3) float32 of every n-th row and column."""
+        return self.points_at(slice(None, None, stride), slice(None, None, stride))
+
+    def window(self, rows: slice, columns: slice) -> Scan:
+        """Return the scan of some rows and columns, in steps if the slices have any.
+
+        Raises:
+            ShapeError: if it is smaller than 2 x 2 cells or has no returns.
+        """
+        at = [range(n)[part] for n, part in zip(self.shape, (rows, columns), strict=True)]
+        if min(map(len, at)) < _SMALLEST_SIDE:
+            raise ShapeError("the part of the scan is smaller than 2 x 2 cells; take a larger one")
+        grid = GridWindow(self.geometry, (at[0].start, at[1].start), (len(at[0]), len(at[1])), (at[0].step, at[1].step))
+        color = None if self.color is None else self.color[rows, columns]
+        return replace(
+            self, geometry=grid, ranges=self.ranges[rows, columns], intensity=self.intensity[rows, columns], color=color
+        )
+
+    def thinned(self, most_cells: int) -> tuple[Scan, int]:
+        """Return the scan of every n-th row and column, and n: the least with which it has at most `most_cells`."""
+        stride = max(1, int(np.ceil(np.sqrt(self.ranges.size / most_cells))))
+        part = slice(None, None, stride)
+        return (self if stride == 1 else self.window(part, part)), stride
 
     @cached_property
     def sampled_directions(self) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from ..arguments import RegisterArguments, check_method, register_options
 from ..exit_codes import ExitCode
 from ..inputs import print_notes, read_inputs, read_start, timed
 from ..messages import assessment_lines, length_lines, report, verdict
+from ..process_resources import return_memory
 from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def run(arguments: Arguments) -> ExitCode:
         scan, photo = read_inputs(arguments, bar)
         OutputFrame.of(scan, arguments.frame)  # refuse before the work
         result = _register(arguments, scan, photo, bar)
+        return_memory()  # of a large scan, hundreds of megabytes
         assessment = timed("Assess", bar, lambda: assess(scan, result))
         smoothed = _smooth(arguments, result, scan, bar)
         names = _export(arguments, result, scan, photo, bar, assessment=assessment, smoothed=smoothed)

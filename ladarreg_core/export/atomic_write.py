@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from ladarreg_core.errors import ExportError
@@ -17,9 +17,19 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     Raises:
         ExportError: if that fails.
     """
+    write_chunks(path, (data,))
+
+
+def write_chunks(path: str | Path, chunks: Iterable[bytes | memoryview]) -> None:
+    """Write a file durably, in pieces that need not be in memory at the same time.
+
+    Raises:
+        ExportError: if that fails.
+    """
     try:
         with open(path, "wb") as file:
-            file.write(data)
+            for data in chunks:
+                file.write(data)
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:

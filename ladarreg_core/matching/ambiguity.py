@@ -43,7 +43,7 @@ class KnownPoses:
 
     def __init__(self, scan: Scan, camera: Camera, gate: GateOptions | None = None) -> None:
         stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLES)))
-        points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
+        points = scan.thinned_points(stride).reshape(-1, 3).astype(np.float64)
         self._points = points[np.isfinite(points).all(axis=-1)]
         self._camera = camera
         self._same_px = (gate or GateOptions()).same_pose_px

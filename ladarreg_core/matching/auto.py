@@ -27,6 +27,7 @@ from ladarreg_core.validation import require_choice
 
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
+_MEDIAN_CELLS = 8_000_000
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
 _ADVICE = "Draw a few matches by hand, or give an initial pose."
 
@@ -115,7 +116,7 @@ def register_auto(
         reason = f"All returns of the scan have the same range, {nearest:g} m, so the scan does not determine a pose."
         return AutoResult(initial, None, None, (reason,))
 
-    median = float(np.nanmedian(scan.ranges))
+    median = float(np.nanmedian(scan.ranges[:: max(1, scan.ranges.size // _MEDIAN_CELLS)]))
     if not _RANGE_M[0] <= median <= _RANGE_M[1]:
         reason = f"The median range of the scan is {median:.3g} m, which is implausible: check its unit and scale."
         return AutoResult(initial, None, None, (reason,))

@@ -161,7 +161,7 @@ def _judged(scan: Scan, result: PoseResult, found: Verification, rival: AutoResu
 def _displacement_px(scan: Scan, result: PoseResult, other: Rigid) -> float:
     """Return the median displacement in the photo of what another pose shows; infinite if it shows nothing."""
     stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLES)))
-    points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
+    points = scan.thinned_points(stride).reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=-1)]
     there = result.camera.project(other @ points)
     seen = result.camera.contains(there)

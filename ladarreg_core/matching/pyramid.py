@@ -40,6 +40,9 @@ _RANGE_SPAN_M = (0.3, 30.0)
 _HOLE_REACH_PX = 2.0
 _FINE = {"blur_px": 1.2, "local_factor": 2.0}
 _SHARED_BY_SETS = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
+_LARGEST_WHOLE_SCAN = 4_000_000  # cells; of larger scans only the part in the view is compared
+_WINDOW_MARGIN = 32
+_LARGEST_WINDOW = 8_000_000
 _KEPT_VIEWS = 2  # about ten bytes per pixel and channel; a scan of one view needs two, upright and rolled
 
 
@@ -285,7 +288,9 @@ class PairLevels:
             if (known.rotation == direction.rotation).all():
                 return levels.with_channels(channel_set)
         view = perspective_view(self.scan, self.working, view_from_scanner=direction)
-        levels = scan_levels(self.scan, view, channel_set=channel_set)
+        if self.scan.ranges.size > _LARGEST_WHOLE_SCAN:
+            view = view.of_window(margin=_WINDOW_MARGIN, most_cells=_LARGEST_WINDOW)
+        levels = scan_levels(view.scan, view, channel_set=channel_set)
         self._views.append((direction, levels))
         return levels
 

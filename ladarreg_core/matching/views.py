@@ -84,7 +84,7 @@ def direction_towards_overlap(scan: Scan, camera: Camera, pose: Rigid, *, view: 
         the rotation; None if the photo sees hardly anything of the scan, or `view` shows most of it already.
     """
     stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLES)))
-    points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
+    points = scan.thinned_points(stride).reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=-1)]
     points = points[camera.contains(camera.project(pose @ points))]
     if len(points) < _MIN_SEEN:
@@ -140,7 +140,7 @@ def scan_density(scan: Scan, camera: Camera, poses: Sequence[Rigid]) -> ScanDens
         poses: `camera_from_scanner`; approximate ones are sufficient, such as views from the scanner's position.
     """
     stride = max(1, round(float(np.sqrt(scan.ranges.size / _DENSITY_SAMPLES))))
-    points = scan.points[::stride, ::stride].reshape(-1, 3).astype(np.float64)
+    points = scan.thinned_points(stride).reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=-1)]
     densest: ScanDensity | None = None
     area = camera.width * camera.height

@@ -16,7 +16,7 @@ _FIT_CELLS = 20_000
 _TREE_NODES = 100_000
 _NEWTON_STEPS = 12
 _EXTRAPOLATED_CELLS = 16.0
-MOST_FITTED_CELLS = 2_000_000
+MOST_FITTED_CELLS = 1_000_000
 """Largest number of cells that holes are fitted from; of larger tables every n-th row and column is taken."""
 _HOLES_AT_ONCE = 500_000
 

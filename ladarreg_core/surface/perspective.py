@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import DegenerateGeometryError, OptionError
+from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import EDGE_FRACTION
@@ -79,6 +79,31 @@ class View:
     def ranges(self) -> FloatArray:
         """(h, w) float32 m, NaN = no return."""
         return self.resample_ranges(self.scan.ranges)
+
+    def of_window(self, *, margin: int, most_cells: int) -> View:
+        """Return the same view of the part of the scan that it shows, thinned to at most about `most_cells`.
+
+        Args:
+            margin: cells around that part.
+            most_cells: largest number of cells.
+        """
+        seen = self.cells[self.inside]
+        if not len(seen):
+            return self
+        parts = []
+        for k, size in enumerate(self.scan.shape):
+            across = seen[:, 1 - k]
+            first = max(0, int(across.min()) - margin)
+            parts.append(slice(first, min(size, max(int(across.max()) + margin + 2, first + 2))))
+        count = (parts[0].stop - parts[0].start) * (parts[1].stop - parts[1].start)
+        step = max(1, int(np.ceil(np.sqrt(count / most_cells))))
+        rows, columns = (slice(part.start, part.stop, step) for part in parts)
+        try:
+            scan = self.scan.window(rows, columns)
+        except ShapeError:  # without returns
+            return self
+        first_cell = np.array([columns.start, rows.start], np.float32)
+        return replace(self, scan=scan, cells=(self.cells - first_cell) / np.float32(step))
 
     def rays_at(self, uv: ArrayLike) -> NDArray[np.float64]:
         """Return the unit rays (..., 3), scanner frame, of view pixels (..., 2)."""

@@ -20,10 +20,11 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import grid_edges
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.uncertainty import pixel_sigma
-from ladarreg_core.surface.visibility import ScanProjection, project_scan
+from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, ScanProjection, project_scan, projected_tiles
 from ladarreg_core.validation import require_number
 
 _LARGEST_POSE_SIGMA_PX = 2.0
+_ROWS_AT_ONCE = 256
 _NET_NODES = 65
 _UNSEEN_BRIGHTNESS = 0.45
 _OUTSIDE = np.float32(-10)
@@ -70,9 +71,13 @@ class RegisteredTexture:
     @property
     def coloured(self) -> BoolArray:
         """(H, W) bool: cells with the photograph's colour."""
+        return self.coloured_rows(slice(None))
+
+    def coloured_rows(self, rows: slice) -> BoolArray:
+        """Return some rows of `coloured`."""
         table = np.zeros(256, dtype=np.bool_)
         table[list(COLOURED)] = True
-        return table[self.labels]
+        return table[self.labels[rows]]
 
 
 def texture_scan(
@@ -116,9 +121,23 @@ def texture_scan(
         raise OptionError(f"the background is {background!r}; it must be three whole numbers from 0 to 255")
     if covariance is not None and not isinstance(covariance, CameraUncertainty):
         covariance = read_only(covariance, np.float64, (6, 6), "the pose covariance")
-    projection = project_scan(scan, camera, camera_from_scanner)
-    labels = _labels(scan, projection, camera, camera_from_scanner, covariance)
-    image = _sampled(photo.pixels, projection, scan, camera, tuple(int(value) for value in colour))
+    beyond = tuple(int(value) for value in colour)
+    if scan.ranges.size > LARGEST_WHOLE_SCAN:
+        image = np.empty((*scan.shape, 3), np.uint8)
+        image[:] = np.array(beyond, np.uint8)
+        labels = np.full(scan.shape, Label.OUT_OF_FRAME, np.uint8)
+        for tile in projected_tiles(scan, camera, camera_from_scanner):
+            part = _labels(tile.scan, tile.projection, camera, camera_from_scanner, covariance)
+            labels[tile.rows, tile.columns] = part[tile.inner]
+            drawn = _sampled(photo.pixels, tile.projection, tile.scan, camera, beyond)
+            image[tile.rows, tile.columns] = drawn[tile.inner]
+        labels[~scan.valid] = Label.NO_RETURN
+    else:
+        projection = project_scan(scan, camera, camera_from_scanner)
+        labels = _labels(scan, projection, camera, camera_from_scanner, covariance)
+        image = _sampled(photo.pixels, projection, scan, camera, beyond)
+    for array in (image, labels):
+        array.flags.writeable = False  # handed over, not copied
     return RegisteredTexture(image, labels)
 
 
@@ -130,19 +149,45 @@ def model_picture(scan: Scan, texture: RegisteredTexture) -> ByteArray:
     """
     if texture.labels.shape != scan.shape:
         raise ShapeError(f"the texture has {texture.labels.shape} cells, the scan {scan.shape}; they must agree")
-    low, high = np.quantile(scan.intensity[scan.valid], (0.02, 0.98))
-    span = max(float(high - low), 1e-12)
-    bright = np.clip((scan.intensity - np.float32(low)) / np.float32(span), 0, 1) * 0.85 + 0.15
+    picture = np.empty((*scan.shape, 3), np.uint8)
+    levels = dimmed_levels(scan)
+    for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        picture[rows] = model_rows(scan, texture, rows, levels)
+    return picture
+
+
+def dimmed_levels(scan: Scan) -> tuple[float, float]:
+    """Return the intensities that are drawn darkest and brightest where the camera sees nothing."""
+    low, high = np.quantile(_sampled_intensity(scan), (0.02, 0.98))
+    return float(low), float(high)
+
+
+def model_rows(scan: Scan, texture: RegisteredTexture, rows: slice, levels: tuple[float, float]) -> NDArray[np.uint8]:
+    """Return some rows of `model_picture`, given `dimmed_levels` of the scan."""
+    low, high = levels
+    span = max(high - low, 1e-12)
+    bright = np.clip((scan.intensity[rows] - np.float32(low)) / np.float32(span), 0, 1) * 0.85 + 0.15
     gray = np.rint(bright * (255 * _UNSEEN_BRIGHTNESS)).astype(np.uint8)
-    return np.asarray(np.where(texture.coloured[..., None], texture.image, gray[..., None]))
+    return np.where(texture.coloured_rows(rows)[..., None], texture.image[rows], gray[..., None])
+
+
+def _sampled_intensity(scan: Scan) -> FloatArray:
+    """Return the intensities of the returns (N,), of a large scan of every n-th row and column."""
+    stride = max(1, int(np.sqrt(scan.ranges.size / LARGEST_WHOLE_SCAN)))
+    part = slice(None, None, stride), slice(None, None, stride)
+    some = scan.intensity[part][scan.valid[part]]
+    return some if len(some) else scan.intensity[scan.valid]
 
 
 def intensity_picture(scan: Scan) -> ByteArray:
     """Return the scan's intensity, with stretched contrast, as gray RGB, (H, W, 3) uint8."""
-    low, high = np.percentile(scan.intensity[scan.valid], _PERCENTILES)
-    share = np.clip((scan.intensity - np.float32(low)) / np.float32(max(high - low, 1e-12)), 0, 1)
-    share = share**_GAMMA
-    gray = np.rint(_DARKEST + share * (_BRIGHTEST - _DARKEST)).astype(np.uint8)
+    low, high = np.percentile(_sampled_intensity(scan), _PERCENTILES)
+    gray = np.empty(scan.shape, np.uint8)
+    for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        share = np.clip((scan.intensity[rows] - np.float32(low)) / np.float32(max(high - low, 1e-12)), 0, 1)
+        gray[rows] = np.rint(_DARKEST + share**_GAMMA * (_BRIGHTEST - _DARKEST))
     gray[~scan.valid] = 0
     return np.repeat(gray[..., None], 3, axis=-1)
 

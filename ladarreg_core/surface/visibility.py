@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import GridEdges, grid_edges, grid_faces, typical_range
@@ -28,6 +30,11 @@ _GRAZING_COSINE = float(np.cos(np.deg2rad(80)))
 _STEEPEST_END = 2.0  # tan 63 deg
 _SLOPE_NOISE = 0.05
 _WIDEST_SLOPE_WINDOW = 5
+LARGEST_WHOLE_SCAN = 4_000_000
+"""Cells of the largest scan that is projected in one piece; larger ones are projected tile by tile."""
+_TILE_ROWS, _TILE_CELLS, _TILE_MARGIN = 512, 1_500_000, 32
+_SAMPLE_STRIDE = 4  # cells
+_BESIDE_PICTURE = 0.2
 _BUFFER_PIXELS = 900_000  # per million cells
 _LONGEST_BUFFER_SIDE = 30_000
 _COARSEST_BUFFER, _FINEST_BUFFER = 0.125, 3.0
@@ -99,6 +106,81 @@ def project_scan(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Scan
         camera: the camera, with or without distortion.
         camera_from_scanner: its pose.
     """
+    if scan.ranges.size > LARGEST_WHOLE_SCAN:
+        return _projection_by_tiles(scan, camera, camera_from_scanner)
+    return _projection(scan, camera, camera_from_scanner, None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanTile:
+    """A rectangle of a scan, with its projection."""
+
+    rows: slice
+    """Rows of the scan."""
+    columns: slice
+    """Columns of the scan."""
+    scan: Scan
+    """The tile with a margin of cells around it."""
+    projection: ScanProjection
+    """Projection of the tile with its margin."""
+    inner: tuple[slice, slice]
+    """The tile within its margin."""
+
+
+def projected_tiles(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Iterator[ScanTile]:
+    """Yield the parts of a scan that a camera may see, projected as by `project_scan`; the others are out of frame.
+
+    The z-buffer contains the surface of all of them, so that memory does not grow with the scan.
+    """
+    places = _places_in_picture(scan, camera, camera_from_scanner)
+    if not places:
+        return
+    kept: dict[tuple[int, int], Scan] = {}
+    keep = sum(_cells(*place) for place in places) <= LARGEST_WHOLE_SCAN
+
+    def tile(rows: slice, columns: slice) -> Scan | None:
+        known = kept.get((rows.start, columns.start))
+        if known is None:
+            try:
+                known = scan.window(*_with_margin(rows, columns, scan.shape))
+            except ShapeError:  # without returns
+                return None
+            if keep:
+                kept[rows.start, columns.start] = known
+        return known
+
+    ideal = covering_pinhole(camera, scale=_sampled_buffer_scale(scan, camera, camera_from_scanner))
+    depth = np.full((ideal.height, ideal.width), np.inf, np.float32)
+    for place in places:
+        part = tile(*place)
+        if part is not None:
+            surface = _surface(part)
+            drawn = rasterise_depth(camera_from_scanner @ surface.vertices, surface.faces, ideal)
+            np.minimum(depth, drawn, out=depth)
+    buffer = _DepthBuffer(ideal, _without_cracks(np.float32(1) / depth))
+    for rows, columns in places:
+        part = tile(rows, columns)
+        if part is not None:
+            outer = _with_margin(rows, columns, scan.shape)
+            inner = tuple(
+                slice(a.start - b.start, a.stop - b.start) for a, b in zip((rows, columns), outer, strict=True)
+            )
+            projection = _projection(part, camera, camera_from_scanner, buffer)
+            yield ScanTile(rows, columns, part, projection, (inner[0], inner[1]))
+        kept.pop((rows.start, columns.start), None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _DepthBuffer:
+    """The nearest surface in the picture of an ideal camera."""
+
+    ideal: Camera
+    inverse: FloatArray
+    """(h, w) float32: 1 / z."""
+
+
+def _projection(scan: Scan, camera: Camera, camera_from_scanner: Rigid, buffer: _DepthBuffer | None) -> ScanProjection:
+    """Project a scan; `buffer` is the occluding surface, None: that of the scan itself."""
     surface = _surface(scan)
     points_camera = _transformed(surface.points, camera_from_scanner)
     depth = points_camera[..., 2]
@@ -110,11 +192,13 @@ def project_scan(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Scan
         return ScanProjection(uv, depth, in_picture, none, none, np.zeros(shape, dtype=np.float32))
     cosine = _cosine(surface, points_camera, camera_from_scanner.centre)
 
-    ideal = covering_pinhole(camera, scale=_buffer_scale(scan, camera, depth, in_picture))
-    buffer = rasterise_depth(camera_from_scanner @ surface.vertices, surface.faces, ideal)
-    inverse = _without_cracks(np.float32(1) / buffer)
+    if buffer is None:
+        ideal = covering_pinhole(camera, scale=_buffer_scale(scan, camera, depth, in_picture))
+        drawn = rasterise_depth(camera_from_scanner @ surface.vertices, surface.faces, ideal)
+        buffer = _DepthBuffer(ideal, _without_cracks(np.float32(1) / drawn))
+    ideal = buffer.ideal
     u, v = _ideal_uv(points_camera, uv, camera, ideal)
-    nearest = look_up(inverse, u, v)
+    nearest = look_up(buffer.inverse, u, v)
     noise = np.float32(_TOLERANCE_SIGMAS * surface.edges.noise_m)
     with np.errstate(invalid="ignore"):
         # z > z_surface + tolerance, with z_surface = 1 / nearest; the tolerance grows as the surface tilts away.
@@ -123,6 +207,69 @@ def project_scan(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Scan
         occluded = in_picture & (hidden | (cosine < np.float32(-_GRAZING_COSINE)))
     untested = in_picture & ~_within(u, v, ideal) if camera.distortion else np.zeros(shape, dtype=np.bool_)
     return ScanProjection(uv, depth, in_picture, occluded, untested, cosine)
+
+
+def _projection_by_tiles(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> ScanProjection:
+    shape = scan.shape
+    uv = np.full((*shape, 2), np.nan, np.float32)
+    depth = np.full(shape, np.nan, np.float32)
+    cosine = np.zeros(shape, np.float32)
+    flags = {name: np.zeros(shape, np.bool_) for name in ("in_picture", "occluded", "untested")}
+    for tile in projected_tiles(scan, camera, camera_from_scanner):
+        here = tile.rows, tile.columns
+        uv[here] = tile.projection.uv[tile.inner]
+        depth[here] = tile.projection.depth_m[tile.inner]
+        cosine[here] = tile.projection.cosine[tile.inner]
+        for name, flag in flags.items():
+            flag[here] = getattr(tile.projection, name)[tile.inner]
+    return ScanProjection(uv, depth, flags["in_picture"], flags["occluded"], flags["untested"], cosine)
+
+
+def _places_in_picture(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> list[tuple[slice, slice]]:
+    """Return rectangles (rows, columns) that contain all cells in the picture, without overlap, by a coarse sample."""
+    stride = _SAMPLE_STRIDE
+    uv = camera.project(camera_from_scanner @ scan.thinned_points(stride).astype(np.float64))
+    near = np.ones(uv.shape[:2], np.bool_)
+    with np.errstate(invalid="ignore"):
+        for k, size in enumerate(camera.size):
+            near &= (uv[..., k] > -_BESIDE_PICTURE * size) & (uv[..., k] < (1 + _BESIDE_PICTURE) * size)
+    near = cv2.dilate(near.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    found = []
+    band = max(1, _TILE_ROWS // stride)
+    for top in range(0, len(near), band):
+        columns = np.flatnonzero(near[top : top + band].any(axis=0))
+        if not len(columns):
+            continue
+        rows = slice(top * stride, min((top + band) * stride, scan.shape[0]))
+        first, last = int(columns[0]) * stride, min((int(columns[-1]) + 1) * stride, scan.shape[1])
+        wide = max(stride, _TILE_CELLS // (rows.stop - rows.start))
+        found += [(rows, slice(at, min(at + wide, last))) for at in range(first, last, wide)]
+    return found
+
+
+def _cells(rows: slice, columns: slice) -> int:
+    return int((rows.stop - rows.start) * (columns.stop - columns.start))
+
+
+def _with_margin(rows: slice, columns: slice, shape: tuple[int, int]) -> tuple[slice, slice]:
+    wider = (
+        slice(max(0, part.start - _TILE_MARGIN), min(size, part.stop + _TILE_MARGIN))
+        for part, size in zip((rows, columns), shape, strict=True)
+    )
+    first, second = wider
+    return first, second
+
+
+def _sampled_buffer_scale(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> float:
+    """Return `_buffer_scale` from a coarse sample of the scan."""
+    steps = [max(1, size // 200) for size in scan.shape]
+    part = slice(None, None, steps[0]), slice(None, None, steps[1])
+    points = camera_from_scanner @ scan.points_at(*part).astype(np.float64)
+    seen = camera.contains(camera.project(points))
+    if not seen.any():
+        return 1.0
+    magnification = float(np.median(scan.ranges[part][seen] / points[..., 2][seen]))
+    return _scale_of(scan, camera, magnification)
 
 
 def _transformed(planes: FloatArray, camera_from_scanner: Rigid) -> FloatArray:
@@ -152,7 +299,10 @@ def _buffer_scale(scan: Scan, camera: Camera, depth: FloatArray, in_picture: Boo
     row, column = row * max(1, scan.shape[0] // 200), column * max(1, scan.shape[1] // 200)
     if not len(row):
         return 1.0
-    magnification = float(np.median(scan.ranges[row, column] / depth[row, column]))
+    return _scale_of(scan, camera, float(np.median(scan.ranges[row, column] / depth[row, column])))
+
+
+def _scale_of(scan: Scan, camera: Camera, magnification: float) -> float:
     cell_px = camera.focal_px * min(scan.geometry.step_rad) * magnification
     most = _BUFFER_PIXELS * max(1.0, scan.ranges.size / 1e6)
     finest = min(np.sqrt(most / (camera.width * camera.height)), _LONGEST_BUFFER_SIDE / max(camera.size))

@@ -42,3 +42,20 @@ def test_another_direction_is_another_view(room: PaintedRoom) -> None:
     assert not np.array_equal(pair.view(ahead, "both").ranges, pair.view(aside, "both").ranges)
     assert pair.view(ahead, "both") is pair.view(Rigid(ahead.rotation.copy(), np.zeros(3)), "both")
     assert pair.photo is pair.photo
+
+
+def test_a_large_scan_is_compared_in_the_window_of_the_view(room: PaintedRoom, monkeypatch: pytest.MonkeyPatch) -> None:
+    direction = Rigid(look_along(room.scan.mean_direction), np.zeros(3))
+    whole = PairLevels(room.scan, room.photo).view(direction, "both")
+    pair = PairLevels(room.scan, room.photo)
+    pair.working = pair.working.scaled(0.5)
+    small = perspective_view(room.scan, pair.working, view_from_scanner=direction)
+    monkeypatch.setattr("ladarreg_core.matching.pyramid._LARGEST_WHOLE_SCAN", 1000)
+    windowed = PairLevels(room.scan, room.photo).view(direction, "both")
+    np.testing.assert_array_equal(np.isnan(windowed.ranges), np.isnan(whole.ranges))
+    np.testing.assert_allclose(windowed.ranges, whole.ranges, atol=1e-4)
+    for mine, theirs in zip(windowed.gray_planes, whole.gray_planes, strict=True):
+        assert np.abs(mine - theirs).mean() < 0.05
+    part = small.of_window(margin=4, most_cells=10**9)
+    assert part.scan.ranges.size <= room.scan.ranges.size
+    np.testing.assert_array_equal(part.inside, small.inside)

@@ -171,3 +171,43 @@ def test_a_camera_among_the_triangles_sees_past_those_beside_it():
     seen = project_scan(scan, wide, Rigid.from_centre(down, (2.0, 0.0, -0.6)))
     assert seen.in_picture.sum() > 50
     assert not seen.occluded.any()
+
+
+@pytest.mark.parametrize("lens", LENSES[:2])
+def test_a_large_scan_is_projected_in_tiles_as_in_one_piece(lens, monkeypatch):
+    from ladarreg_core.surface import visibility
+
+    scan, _ = panel_scan(AzimuthElevation(260, 330, 0.003, 0.003), noise_m=0.001)
+    camera = Camera(260, 220, 300.0, 300.0, 130.0, 110.0, lens)
+    pose = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, np.array([0.3, 0.35, 0.1]))
+    whole = project_scan(scan, camera, pose)
+    for name, value in {"LARGEST_WHOLE_SCAN": 1000, "_TILE_ROWS": 64, "_TILE_CELLS": 6000}.items():
+        monkeypatch.setattr(visibility, name, value)
+    assert len(list(visibility.projected_tiles(scan, camera, pose))) > 8
+    tiled = project_scan(scan, camera, pose)
+    np.testing.assert_array_equal(tiled.in_picture, whole.in_picture)
+    shown = whole.in_picture
+    np.testing.assert_allclose(tiled.uv[shown], whole.uv[shown], atol=1e-3)
+    assert np.count_nonzero(whole.occluded) > 500
+    assert np.count_nonzero(tiled.occluded != whole.occluded) < 0.01 * np.count_nonzero(whole.occluded)
+    assert np.abs(tiled.cosine[shown] - whole.cosine[shown]).max() < 0.05
+    monkeypatch.setattr(visibility, "_TILE_MARGIN", 1)
+    monkeypatch.setattr(visibility, "LARGEST_WHOLE_SCAN", 10**9)
+    alone = 0  # without the surface of the other tiles, shadows across their borders are lost
+    for tile in list(visibility.projected_tiles(scan, camera, pose)):
+        alone += np.count_nonzero(project_scan(tile.scan, camera, pose).occluded[tile.inner])
+    assert alone < 0.95 * np.count_nonzero(tiled.occluded)
+
+
+def test_a_window_of_a_scan_has_its_rays_points_and_cells():
+    from ladarreg_core.scanner.grids import TabulatedGrid
+
+    for geometry in (SphericalGrid(40, 60, 0.01, 0.01, 0.2, 0.5), AzimuthElevation(40, 60, 0.01, 0.01)):
+        for grid in (geometry, TabulatedGrid(geometry.rays)):
+            scan = panel_scan(grid)[0]
+            part = scan.window(slice(10, 31, 2), slice(5, 50, 3))
+            np.testing.assert_allclose(part.rays, scan.rays[10:31:2, 5:50:3], atol=1e-12)
+            np.testing.assert_allclose(part.points, scan.points[10:31:2, 5:50:3], atol=1e-6)
+            np.testing.assert_allclose(part.geometry.cell_of(part.rays[4, 6]), [4, 6], atol=1e-6)
+            np.testing.assert_allclose(part.geometry.ray_at([4.0, 6.0]), scan.rays[18, 23], atol=1e-9)
+            assert part.geometry.step_rad == (2 * grid.step_rad[0], 3 * grid.step_rad[1])
