@@ -117,7 +117,7 @@ class AutomaticSolver:
         self._on_change()
         try:
             result = self._solve.solved(inputs, lambda step: self._check(inputs, step))[0]
-            entry = pose_entry("robust", result, picks=inputs.entry.picks)
+            entry = pose_entry("robust", result, picks=inputs.entry.picks, note=self._solve.note_on_start(inputs))
             self._workspace.commit(
                 inputs,
                 "Solve automatically",

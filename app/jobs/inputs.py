@@ -15,10 +15,15 @@ from ..session.loader import Loader
 from ..session.session import Session
 
 if TYPE_CHECKING:
+    from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Matches, Pick
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.settings import Settings
     from ladarreg_core.scan import Scan
+
+
+FROM_STATED = "The search began at the pose that the scan's file states for this picture."
+"""Note of a pose for which that was the first guess."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +39,14 @@ class Inputs:
     def settings(self) -> Settings:
         """The settings."""
         return self.document.settings
+
+    @property
+    def stated_pose(self) -> Rigid | None:
+        """The pose that the scan's file states for the photograph; None without one."""
+        from ladarreg_core.frames import Rigid
+
+        rows = self.entry.stated_pose
+        return None if rows is None else Rigid.from_matrix(rows)
 
     @property
     def picks(self) -> list[Pick]:

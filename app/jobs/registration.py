@@ -10,7 +10,7 @@ from ladarreg_core.project.edits import with_picks, with_pose, without_origin
 from ladarreg_core.project.results import pose_entry, pose_of
 from ladarreg_core.results import STAGE_LABELS
 
-from .inputs import Inputs, Workspace
+from .inputs import FROM_STATED, Inputs, Workspace
 from .runner import JobContext
 from .solve import SolveJobs
 
@@ -38,14 +38,15 @@ class RegistrationJobs:
 
         pose = inputs.entry.pose
         known = pose_of(pose) if pose is not None and pose.accepted else None
+        note = FROM_STATED if known is None and inputs.stated_pose is not None else ""
         result = lr.register(
             inputs.scan,
             inputs.photo,
-            initial=known,
+            initial=inputs.stated_pose if known is None else known,
             options=inputs.settings.register_options,
             report=context.step,
         )
-        return self._commit(inputs, "auto", result, context)
+        return self._commit(inputs, "auto", result, context, note=note)
 
     def refine(self, initial: Rigid) -> Callable[[Inputs, JobContext], str]:
         """Return the work of a job that registers from the images, starting from a rough pose."""
@@ -118,21 +119,24 @@ class RegistrationJobs:
                 break
         return SelfTest(tuple(trials)).summary()
 
-    def _commit(self, inputs: Inputs, stage: StageId, result: Registration, context: JobContext) -> str:
+    def _commit(
+        self, inputs: Inputs, stage: StageId, result: Registration, context: JobContext, *, note: str = ""
+    ) -> str:
         """Commit a registration with its matches; one that is not accepted, without them."""
         if not result.accepted or not len(result.matches):
-            return self._solve.commit(inputs, stage, result, context, of_picks=False)
+            said = self._solve.commit(inputs, stage, result, context, note=note, of_picks=False)
+            return " ".join(filter(None, [said, note]))
         new = _picks_of(result)
 
         def kept(photo: PhotoEntry) -> PhotoEntry:
             photo, ids = with_picks(without_origin(photo, {FOUND, "corner", "between corners"}), new)
             with_ids = replace(result, matches=replace(result.matches, pick_ids=ids))
             made = [pick for pick in photo.picks if pick.id in set(ids)]
-            return with_pose(photo, pose_entry(stage, with_ids, picks=made))
+            return with_pose(photo, pose_entry(stage, with_ids, picks=made, note=note))
 
         label = f"Register automatically: {len(new)} matches"
         self._workspace.commit(inputs, label, kept, author=context.job.author)
-        return result.reasons[0] if result.reasons else "Accepted."
+        return " ".join(filter(None, [result.reasons[0] if result.reasons else "Accepted.", note]))
 
 
 def _picks_of(result: PoseResult) -> list[Pick]:

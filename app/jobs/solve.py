@@ -13,7 +13,7 @@ from ladarreg_core.project.results import pose_entry, pose_of
 from ladarreg_core.results import STAGE_LABELS
 
 from ..messages import matches, verdict
-from .inputs import Inputs, Workspace
+from .inputs import FROM_STATED, Inputs, Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
@@ -39,14 +39,21 @@ class SolveJobs:
 
     def robust(self, inputs: Inputs, context: JobContext) -> str:
         """Solve all matches by the default estimator, and check the result from many starting poses."""
-        return self.commit(inputs, "robust", self._robust(inputs, context.step), context)
+        note = self.note_on_start(inputs)
+        said = self.commit(inputs, "robust", self._robust(inputs, context.step), context, note=note)
+        return " ".join(filter(None, [said, note]))
 
     def solve(self, inputs: Inputs, context: JobContext) -> str:
         """Solve all matches by the default estimator and verify the pose against the images: one verdict."""
         result, sentence = self.solved(inputs, context.step)
         context.check()
-        self.commit(inputs, "robust", result, context)
-        return f"{verdict(result)} {sentence}"
+        note = self.note_on_start(inputs)
+        self.commit(inputs, "robust", result, context, note=note)
+        return " ".join(filter(None, [verdict(result), sentence, note]))
+
+    def note_on_start(self, inputs: Inputs) -> str:
+        """Return what there is to say about the pose that solving starts from; empty: nothing."""
+        return FROM_STATED if inputs.entry.pose is None and inputs.stated_pose is not None else ""
 
     def verify(self, inputs: Inputs, context: JobContext) -> str:
         """Verify the shown pose against the images; whatever the outcome, it is stored with the pose."""
@@ -74,7 +81,7 @@ class SolveJobs:
             inputs.photo,
             method="manual",
             picks=inputs.picks,
-            initial=None if pose is None else pose_of(pose),
+            initial=inputs.stated_pose if pose is None else pose_of(pose),
             options=inputs.settings.register_options,
             report=report,
         )

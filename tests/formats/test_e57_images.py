@@ -16,6 +16,7 @@ from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.e57_images import embedded_images
 from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
+from ladarreg_core.scan import Scan
 from tests.formats.conftest import e57_fields, make_scan
 
 FACE_PX = 64
@@ -25,28 +26,32 @@ PANORAMA = Rigid.from_rotvec([0.02, -0.03, 0.8], (100.1, 200.2, 3.3))
 """The pose of a spherical image in the world: X towards its middle, Z up."""
 
 
-def write_e57(path: Path, images: list[dict[str, Any]], *, color_only: bool = False) -> Path:
-    """A file of two scans, with the given images."""
+def write_e57(
+    path: Path, images: list[dict[str, Any]], *, color_only: bool = False, scans: list[Scan] | None = None
+) -> Path:
+    """A file of two scans, or of the given ones, with the given images."""
     pye57 = pytest.importorskip("pye57")
     from pye57 import libe57
 
     with pye57.E57(str(path), mode="w") as file:
         f = file.image_file
-        for number, station in enumerate(STATIONS):
-            fields = e57_fields(make_scan(20 + number, 30), color=color_only)
+        for number, (scan, station) in enumerate(
+            zip(scans or [make_scan(20, 30), make_scan(21, 30)], STATIONS, strict=False)
+        ):
+            fields = e57_fields(scan, color=color_only)
             if color_only:
                 del fields["intensity"]
             file.write_scan_raw(
                 fields, name=f"station {number}", rotation=quaternion(station), translation=station.translation
             )
-        guids = [file.root["data3D"][k]["guid"].value() for k in range(2)]
+        guids = [file.root["data3D"][k]["guid"].value() for k in range(file.scan_count)]
         for number, image in enumerate(images):
             node, shape = libe57.StructureNode(f), libe57.StructureNode(f)
             node.set("guid", libe57.StringNode(f, f"{{image {number}}}"))
             node.set("name", libe57.StringNode(f, image["name"]))
             if "scan" in image:
                 node.set("associatedData3DGuid", libe57.StringNode(f, guids[image["scan"]]))
-            data = picture(image["width"], image["height"])
+            data = image["data"] if "data" in image else picture(image["width"], image["height"])
             blob = libe57.BlobNode(f, len(data))
             shape.set("jpegImage", blob)
             shape.set("imageWidth", libe57.IntegerNode(f, image["width"]))

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from ladarreg_core.camera import Camera
+from ladarreg_core.formats import read_scan
+from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.frames import Rigid, rotation_from_rotvec
+from ladarreg_core.simulate.sample import sample_folder
 from tests.app.workbench_driver import open_bench
 from tests.formats.conftest import e57_fields, e57_file, make_scan
 from tests.formats.test_e57 import picture_e57
+from tests.formats.test_e57_images import STATIONS, write_e57
 
 
 def test_a_picture_of_the_scan_becomes_a_photograph_with_its_camera_and_pose(tmp_path: Path) -> None:
@@ -50,4 +59,51 @@ def test_other_scans_have_no_pictures(tmp_path: Path) -> None:
 
     bench = sample_bench(tmp_path / "project")
     assert bench.slice("embedded") == []
+    bench.workbench.close()
+
+
+def test_registration_and_solving_start_from_the_pose_that_the_scans_file_states(tmp_path: Path) -> None:
+    sample = sample_folder()
+    truth, camera = read_pose(sample / "truth.json"), read_camera(sample / "camera.json")
+    assert isinstance(camera, Camera)
+    stream = io.BytesIO()
+    Image.open(sample / "photo.png").convert("RGB").save(stream, "JPEG", quality=95)
+    turned = rotation_from_rotvec(np.radians([1.0, -1.5, 0.5])) @ truth.rotation
+    rough = Rigid.from_centre(turned, truth.centre + np.array([0.05, -0.05, 0.02]))
+    e57_from_opencv = Rigid(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    numbers = {"focalLength": 1.0, "pixelWidth": 1 / camera.fx, "pixelHeight": 1 / camera.fy,
+               "principalPointX": camera.cx + 0.5, "principalPointY": camera.cy + 0.5}  # fmt: skip
+    assert not any(camera.distortion)
+    image = {"name": "photo", "kind": "pinhole", "width": camera.width, "height": camera.height, "numbers": numbers,
+             "pose": STATIONS[0] @ (e57_from_opencv @ rough).inverse,
+             "data": np.frombuffer(stream.getvalue(), np.uint8).copy()}  # fmt: skip
+    path = write_e57(tmp_path / "a.e57", [image], scans=[read_scan(sample / "scan.npz")])
+    bench = open_bench(tmp_path / "project", path)
+    bench.do("add_embedded", images=[0])
+    np.testing.assert_allclose(bench.slice("photos")[0]["stated_pose"], rough.matrix, atol=1e-9)
+
+    job = bench.job("auto")
+    assert "began at the pose that the scan's file states" in job.message
+    (stage,) = bench.slice("poses:p1")["stages"]
+    assert stage["accepted"]
+    assert "the scan's file states" in stage["note"]
+    entry = bench.workbench.session.document.photos[0].pose
+    assert entry is not None
+    found = Rigid.from_matrix(np.array(entry.camera_from_scanner))
+    assert np.degrees(found.angle_to(truth)) < 0.15
+    assert found.distance_to(truth) < 0.02
+
+    assert "the scan's file states" not in bench.job("solve").message, "it starts from the pose that was found"
+    bench.do("undo")
+    bench.do("undo")
+    assert bench.slice("poses:p1")["stages"] == []
+    scan = read_scan(sample / "scan.npz")
+    uv = camera.project(truth @ scan.points.astype(float))
+    seen = np.argwhere(camera.contains(uv) & scan.valid)
+    cells = seen[np.random.default_rng(4).permutation(len(seen))[:12]]
+    rows = [",".join(f"{value:.3f}" for value in (*cell, *uv[tuple(cell)])) for cell in cells]
+    matches = tmp_path / "matches.csv"
+    matches.write_text("\n".join(["row,column,u,v", *rows]))
+    bench.workbench.files.open(matches, matches.name, "matches", "p1", bench.client)
+    assert "the scan's file states" in bench.job("solve").message
     bench.workbench.close()
