@@ -177,7 +177,7 @@ class _ScanSide:
             remedy = (
                 "check the coordinates and the pose"
                 if self.frame == "world"
-                else "coordinates of a survey need the frame 'world'"
+                else "coordinates of a survey need the frame 'world', and all are in metres"
             )
             raise FormatError(f"match {name!r} is {lengths.max():,.0f} m from {where}; {remedy}")
         return given / lengths[:, None], lengths

@@ -33,9 +33,14 @@ _SAME_RATIO = 0.25  # scatter of the ratios, relative to their distance from 1
 _MOST_OTHERS = 0.2  # share of the lengths that may have another ratio
 _NAMED = 3
 _UNITS = {
-    1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 39.3701: "inches", 0.3048: "metres taken for feet",
-    0.001: "kilometres",
-}  # fmt: skip
+    1000.0: "They look like millimetres.",
+    100.0: "They look like centimetres.",
+    3.28084: "They look like feet.",
+    39.3701: "They look like inches.",
+    0.3048: "The scan may be in feet.",
+    0.01: "The scan may be in centimetres.",
+    0.001: "The scan may be in millimetres.",
+}
 _SAME_UNIT = 0.02
 
 
@@ -106,11 +111,8 @@ class LengthCheck:
             )
         if self.beyond and self.scale is not None:
             same = "All lengths" if len(self.beyond) == len(self.compared) else "Most lengths"
-            unit = next((word for k, word in _UNITS.items() if abs(self.scale / k - 1) < _SAME_UNIT), None)
-            found.append(
-                f"{same} are {self.scale:.{2 if self.scale < 100 else 0}f} x the scan's: unit or scale?"
-                + (f" They look like {unit}." if unit else "")
-            )
+            unit = next((words for k, words in _UNITS.items() if abs(self.scale / k - 1) < _SAME_UNIT), "")
+            found.append(f"{same} are {_shown_scale(self.scale)} x the scan's: unit or scale? {unit}".rstrip())
         if self.beyond:
             worst = "; ".join(
                 f"{one.name} {one.difference_m:+.3f} m ({one.length_m:.3f} m, the scan {one.scan_range_m:.3f} m)"
@@ -265,6 +267,10 @@ def _fit_world(scan: Scan, points: FloatArray, tolerances: FloatArray) -> bool:
     with np.errstate(invalid="ignore"):
         near = np.abs(lengths - ranges) <= np.maximum(tolerances, LEAST_TOLERANCE_M)
     return bool(np.mean(near) >= 1 - _MOST_OTHERS)
+
+
+def _shown_scale(scale: float) -> str:
+    return f"{scale:.3g}" if scale < 0.1 else f"{scale:.2f}" if scale < 100 else f"{scale:.0f}"
 
 
 def _common_scale(lengths: FloatArray, ranges: FloatArray) -> float | None:

@@ -86,7 +86,16 @@ def test_targets_in_the_world_register_and_keep_their_lengths(
         read_matches(far, scan)
 
 
-@pytest.mark.parametrize(("scale", "words"), [(1.1, "1.10 x"), (0.98, "0.98 x"), (3.28084, "feet")])
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [
+        (1.1, "1.10 x"),
+        (0.98, "0.98 x"),
+        (3.28084, "feet"),
+        (1000.0, "1000 x the scan's: unit or scale? They look like millimetres."),
+        (0.001, "in millimetres"),
+    ],
+)
 def test_a_common_scale_is_recognised_and_refused(
     tmp_path: Path, room: PaintedRoom, targets: tuple[FloatArray, FloatArray], scale: float, words: str
 ) -> None:
