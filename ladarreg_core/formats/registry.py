@@ -31,6 +31,7 @@ from ladarreg_core.formats.file_info import (
     describe_ptx,
     scan_describer,
 )
+from ladarreg_core.formats.float_bin import read_float_bin, sniff_float_bin
 from ladarreg_core.formats.image_file import image_format
 from ladarreg_core.formats.json_file import parsed_once, read_json_object
 from ladarreg_core.formats.las import read_las
@@ -155,6 +156,10 @@ def _read_text(path: Path, asked: ScanRequest) -> Scan:
     )  # fmt: skip
 
 
+def _read_float_bin(path: Path, asked: ScanRequest) -> Scan:
+    return read_float_bin(path, origin=asked.origin, memory_bytes=asked.memory_bytes, report=asked.report)
+
+
 def _read_las(path: Path, asked: ScanRequest) -> Scan:
     return read_las(
         path, origin=asked.origin, intensity=asked.intensity, memory_bytes=asked.memory_bytes, report=asked.report
@@ -217,6 +222,10 @@ FORMATS: tuple[FileFormat, ...] = (
         examples=("PNG", "JPEG", "TIFF", "WebP", "BMP"),
     ),
     *(_camera_format(known) for known in CAMERA_FORMATS),
+    FileFormat(  # behind the cameras: some of them are .bin, too, and say so in their first bytes
+        "KITTI bin", "scan", (".bin",), sniff_float_bin, scan_describer("BIN", _read_float_bin), _read_float_bin,
+        takes=("origin",), is_generic_text=True,
+    ),
     FileFormat("pose JSON", "pose", (".json",), _sniff_json("pose"), _by_path(describe_pose), is_generic_text=True),
     FileFormat(
         "matches JSON", "matches", (".json",), _sniff_json("matches"), _by_path(describe_matches), is_generic_text=True
