@@ -148,9 +148,9 @@ def test_formats_are_recognised_by_content_alone(
 def test_the_wrong_kind_of_file_is_named(good_files: dict[str, tuple[Path, Reader]], tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="it is a photo"):
         read_scan(good_files["a.png"][0])
-    (tmp_path / "a.ply").write_bytes(b"ply\nformat ascii 1.0\n")
-    with pytest.raises(FormatError, match=r"PLY model.*E57, .*NPZ, .*PCD"):
-        read_scan(tmp_path / "a.ply")
+    (tmp_path / "a.glb").write_bytes(b"glTF" + bytes(20))
+    with pytest.raises(FormatError, match=r"GLB model.*E57, .*NPZ, .*PCD"):
+        read_scan(tmp_path / "a.glb")
     with pytest.raises(OptionError, match="contains one scan"):
         read_scan(good_files["scan.npz"][0], scan_index=1)
 
