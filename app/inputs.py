@@ -45,7 +45,9 @@ def read_start(arguments: InputArguments, scan: Scan) -> tuple[list[Pick] | None
     from ladarreg_core.formats.pose_file import read_initial
 
     picks = read_matches(arguments.matches, scan) if arguments.matches else None
-    initial = read_initial(arguments.initial, scan.world_from_scanner) if arguments.initial else None
+    initial = None
+    if arguments.initial:
+        initial = read_initial(arguments.initial, scan.world_from_scanner, picture=arguments.photo.name)
     return picks, initial
 
 

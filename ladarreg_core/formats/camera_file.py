@@ -32,6 +32,7 @@ from ladarreg_core.formats.json_file import (
     write_json,
 )
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
+from ladarreg_core.frames import Rigid
 
 _HEAD_BYTES = 4096
 _MOST_LISTED = 12
@@ -51,6 +52,8 @@ class CameraFormat:
     """Reads all cameras of a file."""
     is_json: bool = False
     """Whether it is JSON, which the table of all files recognises by its fields."""
+    has_poses: bool = False
+    """Whether it may state where the photographs were taken."""
 
 
 def _read_json(path: Path) -> tuple[FileCamera, ...]:
@@ -69,13 +72,15 @@ def _sniff_nerfstudio(head: bytes, file: Path) -> bool:
 
 
 CAMERA_FORMATS: tuple[CameraFormat, ...] = (
-    CameraFormat("nerfstudio transforms.json", (".json",), _sniff_nerfstudio, read_nerfstudio, is_json=True),
+    CameraFormat(
+        "nerfstudio transforms.json", (".json",), _sniff_nerfstudio, read_nerfstudio, is_json=True, has_poses=True
+    ),
     CameraFormat("camera JSON", (".json",), lambda _, file: begins_with_brace(file), _read_json, is_json=True),
     CameraFormat("Agisoft XML", (".xml",), sniff_agisoft, read_agisoft),
     CameraFormat("Kalibr camchain", (".yaml", ".yml"), sniff_kalibr, read_kalibr),
-    CameraFormat("COLMAP cameras.txt", (".txt",), sniff_colmap_text, read_colmap_text),
+    CameraFormat("COLMAP cameras.txt", (".txt",), sniff_colmap_text, read_colmap_text, has_poses=True),
     CameraFormat("camera YAML or XML", (".yaml", ".yml", ".xml"), sniff_calibration, read_calibration),
-    CameraFormat("COLMAP cameras.bin", (".bin",), sniff_colmap_binary, read_colmap_binary),
+    CameraFormat("COLMAP cameras.bin", (".bin",), sniff_colmap_binary, read_colmap_binary, has_poses=True),
 )
 """All formats of camera files, in the order in which they are tried."""
 
@@ -140,8 +145,40 @@ def read_noted_camera(
             chosen, why = cameras[0], ""
         else:
             chosen, why = _of_picture(cameras, picture, picture_file)
+    if picture and any(_is_same_picture(other, picture) for other in chosen.poses or ()):
+        posed: tuple[str, ...] = (
+            "the camera file states this photograph's pose; if its world is the scan's, give it as the initial pose",
+        )
+    else:
+        posed = ()
     said = (f"the file has {len(cameras)} cameras; this is {one_line(chosen.name, 40)}, {why}",) if why else ()
-    return chosen.camera, said + chosen.notes
+    return chosen.camera, said + chosen.notes + posed
+
+
+def read_stated_pose(path: PathLike, picture: str) -> Rigid | None:
+    """Return `camera_from_world` of a photograph, in the world of the reconstruction that a file describes.
+
+    Args:
+        path: the file.
+        picture: file name of the photograph.
+
+    Returns:
+        None if the format of the file states no poses.
+
+    Raises:
+        FormatError: if the file states poses, but not that of the photograph.
+    """
+    with reading(path) as file, parsed_once():
+        found = _format_of(file)
+        if found is None or not found.has_poses:
+            return None
+        for each in found.read(file):
+            for name, pose in (each.poses or {}).items():
+                if _is_same_picture(name, picture):
+                    return pose
+        raise FormatError(
+            f"it states no pose of the photograph {one_line(_base(picture), 60)!r}; check the file's name"
+        )
 
 
 def _of_picture(cameras: tuple[FileCamera, ...], picture: str, picture_file: PathLike | None) -> tuple[FileCamera, str]:
@@ -191,9 +228,12 @@ def _base(name: str) -> str:
 
 def _took(camera: FileCamera, picture: str) -> bool:
     """Return whether a camera took the picture of a name; programs leave out folders and extensions."""
+    return any(_is_same_picture(other, picture) for other in camera.pictures)
+
+
+def _is_same_picture(stated: str, picture: str) -> bool:
     name = _base(picture).casefold()
-    stem = PurePosixPath(name).stem
-    return bool(name) and any(_base(other).casefold() in (name, stem) for other in camera.pictures)
+    return bool(name) and _base(stated).casefold() in (name, PurePosixPath(name).stem)
 
 
 def _is_in_name(name: str, picture: str) -> bool:

@@ -16,18 +16,27 @@ from ladarreg_core.formats.camera_in_file import FileCamera
 from ladarreg_core.formats.e57 import read_e57
 from ladarreg_core.formats.e57_header import E57ImageInfo, E57Info, E57ScanInfo, read_e57_info
 from ladarreg_core.formats.e57_images import camera_of_image
-from ladarreg_core.formats.exif import exif_facts, focal_from_exif, orientation_of, upright
-from ladarreg_core.formats.image_file import read_image
+from ladarreg_core.formats.exif import (
+    edited_since,
+    exif_facts,
+    focal_from_exif,
+    focal_mm_of,
+    orientation_of,
+    upright,
+)
+from ladarreg_core.formats.image_file import ImageData, read_image
 from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
 from ladarreg_core.formats.las import las_facts, read_las
 from ladarreg_core.formats.las_header import read_las_header
 from ladarreg_core.formats.matches_file import csv_rows
 from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD, read_pose
 from ladarreg_core.formats.ptx import PtxBlock, ptx_blocks, read_ptx
+from ladarreg_core.formats.radiometric import radiometric_maker
 from ladarreg_core.formats.scan_request import ScanRequest
 from ladarreg_core.formats.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import ThesisParameters, describe_direction, describe_position, describe_world
 from ladarreg_core.scan import Scan
+from ladarreg_core.thermal import kelvin_of, may_be_celsius
 
 FileKind = Literal["scan", "photo", "camera", "pose", "matches"]
 _MOST_LISTED = 50
@@ -211,7 +220,16 @@ def describe_photo(path: Path) -> FileInfo:
         raw_height, raw_width = image.values.shape[:2]
         height, width = upright(image.values, orientation_of(image.exif)).shape[:2]
         focal = focal_from_exif(image.exif, raw_width, raw_height)
-        notes = () if focal else ("no focal length in EXIF: give a camera file or a focal length with it",)
+        notes = [*image.notes, *_thermal_notes(file, image)]
+        if not focal:
+            stated = focal_mm_of(image.exif)
+            notes.append(
+                "no focal length in EXIF: give a camera file or a focal length with it"
+                if stated is None
+                else f"EXIF states {stated:g} mm but not the sensor's size: give --sensor-mm or a camera file with it"
+            )
+        if edited := edited_since(image.exif, raw_width, raw_height):
+            notes.append(edited)
         camera: dict[str, Any] = {}
         if focal:
             camera = {**describe_camera(Camera.from_focal(width, height, focal.focal_px)), "source": focal.source}
@@ -224,8 +242,26 @@ def describe_photo(path: Path) -> FileInfo:
             color=image.values.ndim == 3,
             camera=camera,
             exif=exif_facts(image.exif),
-            notes=notes,
+            notes=tuple(notes),
         )
+
+
+def _thermal_notes(file: Path, image: ImageData) -> list[str]:
+    """Return what is known of a picture's temperatures, in a sentence; none for a photograph."""
+    if (maker := radiometric_maker(file)) is not None:
+        return [
+            f"a radiometric JPEG of {maker}: its visible picture is in false colours; export the temperatures as TIFF"
+        ]
+    if image.temperature_unit is not None and image.values.dtype.kind == "f":
+        return [f"a thermal image in {image.temperature_unit}, as its tags say"]
+    if (kelvin := kelvin_of(image.values)) is not None:
+        return [f"a thermal image, {float(kelvin.min()):.1f} to {float(kelvin.max()):.1f} K"]
+    if may_be_celsius(image.values):
+        low, high = float(image.values.min()), float(image.values.max())
+        return [
+            f"its pixels, {low:.1f} to {high:.1f}, may be temperatures: give --temperature-unit C, K or none with it"
+        ]
+    return []
 
 
 def describe_camera_file(path: Path) -> FileInfo:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, ShapeError
+from ladarreg_core.formats.camera_file import read_stated_pose
 from ladarreg_core.formats.json_file import number, parsed_once, read_json_object, write_json
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.frames import Rigid
@@ -36,7 +37,7 @@ def read_pose(path: PathLike, *, field: str = POSE_FIELD) -> Rigid:
             raise FormatError(f"{field!r} is not a rigid transform: {error}") from error
 
 
-def read_initial(path: PathLike, world_from_scanner: Rigid | None) -> Rigid:
+def read_initial(path: PathLike, world_from_scanner: Rigid | None, *, picture: str = "") -> Rigid:
     """Read an initial pose for a scan, `camera_from_scanner`, from a pose file that may state it in the world.
 
     Of a file with both poses, such as a `registration.json`, the pose in the world is used if the file's own
@@ -45,11 +46,21 @@ def read_initial(path: PathLike, world_from_scanner: Rigid | None) -> Rigid:
     Args:
         path: a file with `camera_from_scanner` or `camera_from_world`.
         world_from_scanner: the scan's; None: not known.
+        picture: file name of the photograph, whose pose is read from the files of a reconstruction (nerfstudio's
+            transforms.json, COLMAP's cameras beside its images) if its world is the scan's.
 
     Raises:
         FormatError: as `read_pose`, or if the file states the pose in the world only and the scan's is not known.
     """
     with reading(path) as file, parsed_once():
+        stated = read_stated_pose(file, picture) if picture else None
+        if stated is not None:
+            if world_from_scanner is None:
+                raise FormatError(
+                    "it states the photograph's pose in its own world, but the scan's file does not say where the "
+                    "scanner stands in it; give a scan with its pose (E57, PTX, NPZ), or a pose JSON"
+                )
+            return stated @ world_from_scanner
         fields = read_json_object(file, "a pose file")
         in_world = fields.get(WORLD_FIELD) is not None
         if in_world and world_from_scanner is not None and fields.get("world_from_scanner") is not None:

@@ -217,9 +217,9 @@ FORMATS: tuple[FileFormat, ...] = (
         is_generic_text=True,
     ),
     FileFormat(
-        "image", "photo", (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"),
+        "image", "photo", (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".avif", ".heic", ".heif"),
         lambda head, _: image_format(head) is not None, _by_path(describe_photo),
-        examples=("PNG", "JPEG", "TIFF", "WebP", "BMP"),
+        examples=("PNG", "JPEG", "TIFF", "WebP", "AVIF", "BMP"),
     ),
     *(_camera_format(known) for known in CAMERA_FORMATS),
     FileFormat(  # behind the cameras: some of them are .bin, too, and say so in their first bytes

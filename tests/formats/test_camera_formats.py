@@ -17,7 +17,9 @@ from ladarreg_core.errors import CameraError, FormatError, LadarregError, Option
 from ladarreg_core.formats import describe, read_photo, recognise
 from ladarreg_core.formats.camera_agisoft import _project
 from ladarreg_core.formats.camera_file import read_camera, read_cameras, read_noted_camera
+from ladarreg_core.formats.pose_file import read_initial
 from ladarreg_core.formats.survey import survey_file
+from ladarreg_core.frames import Rigid
 
 GOLDEN = Path(__file__).with_name("golden_cameras")
 PINHOLES = (
@@ -269,3 +271,14 @@ def test_a_stereo_pair_has_two_cameras(tmp_path: Path) -> None:
         storage.write(f"D{side}", np.zeros((5, 1)))
     storage.release()
     assert [(each.name, each.camera.fx) for each in read_cameras(tmp_path / "stereo.yml")] == [("1", 500), ("2", 510)]
+
+
+def test_a_reconstructions_pose_of_the_photograph_is_a_first_guess_where_the_worlds_agree() -> None:
+    world_from_scanner = Rigid.from_rotvec([0, 0, 0.3], (2, 5, 1))
+    guess = read_initial(GOLDEN / "nerfstudio.json", world_from_scanner, picture="frame_00001.jpg")
+    np.testing.assert_allclose((world_from_scanner @ guess.inverse).translation, [2, -1, -3], atol=1e-12)
+    with pytest.raises(FormatError, match="where the scanner stands in it"):
+        read_initial(GOLDEN / "nerfstudio.json", None, picture="frame_00001.jpg")
+    with pytest.raises(FormatError, match=r"no pose of the photograph 'other\.jpg'"):
+        read_initial(GOLDEN / "colmap" / "cameras.txt", world_from_scanner, picture="other.jpg")
+    assert "initial pose" in read_noted_camera(GOLDEN / "nerfstudio.json", picture="frame_00001.jpg")[1][-1]

@@ -254,3 +254,28 @@ def test_others_are_answered_while_a_batch_is_opened(bench: WorkbenchDriver) -> 
     assert kinds(drop(bench, {"photo.png": PHOTO.read_bytes()})) == ["photo"]
     assert answered
     assert all(answered)
+
+
+def test_what_a_picture_or_a_camera_file_leaves_open_is_asked_for(bench: WorkbenchDriver) -> None:
+    import io
+
+    import tifffile
+
+    warm = io.BytesIO()
+    tifffile.imwrite(warm, np.linspace(18, 36, 60 * 80, dtype=np.float32).reshape(60, 80))
+    drop(bench, {"warm.tif": warm.getvalue()})
+    (file,) = bench.slice("waiting")
+    assert file["takes"] == ["temperature_unit"]
+    assert "temperatures" in file["said"]
+    reply = bench.do("open_files", files=[file["id"]], reading={"temperature_unit": "C"})
+    assert kinds(reply) == ["photo"]
+    assert bench.slice("photos")[0]["thermal"]
+
+    golden = Path(__file__).parents[2] / "formats" / "golden_cameras" / "kalibr.yaml"
+    same_size = golden.read_bytes().replace(b"[640, 480]", b"[80, 60]").replace(b"[900.0, 901.0,", b"[90.0, 90.0,")
+    drop(bench, {"chain.yaml": same_size})
+    (file,) = bench.slice("waiting")
+    assert file["takes"] == ["camera_name"]
+    assert "cam1" in file["said"]
+    assert kinds(bench.do("open_files", files=[file["id"]], reading={"camera_name": "cam2"})) == ["camera"]
+    assert bench.slice("photos")[0]["camera"]["fx"] == 90
