@@ -26,6 +26,7 @@ from ladarreg_core.export.report_style import STYLE
 from ladarreg_core.formatting import format_angle, format_length, format_number
 from ladarreg_core.inspection.figures import figures, parameters
 from ladarreg_core.photo import Photo
+from ladarreg_core.picks.lengths import lengths_by_end
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture import RegisteredTexture
@@ -333,7 +334,10 @@ class _Report:
         )
 
     def _name(self, match: WorstMatch) -> str:
-        """Return what a match is called: by its number or its id in the matches file, never by an internal id."""
+        """Return what a match is called: by its name, its number or its id in the file, never by an internal id."""
+        named = lengths_by_end(self._document.get("diagnostics") or {}).get((match.pick_id, 0))
+        if named is not None:
+            return f"Match {named['name']}"
         drawn = self._r.method in ("manual", "thesis") and match.pick_id.strip()
         kind = "Line" if match.others else "Match"
         return f"{kind} {match.pick_id}" if drawn else f"Match {match.end + 1}"

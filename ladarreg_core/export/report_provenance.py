@@ -9,6 +9,7 @@ from ladarreg_core.export.html import Content, Html, definitions, section, table
 
 Document = Mapping[str, Any]
 _MOST_ADVICE = 3
+_MOST_LENGTHS = 100
 _GROUPS: Mapping[str, tuple[str, ...]] = {"auto": ("auto",), "manual": ("pose",), "thesis": ("thesis",)}
 """The groups of `RegisterOptions` that the methods use; other methods may use all."""
 _LEVELS = {"good": "ok", "fair": "warn", "poor": "bad"}
@@ -36,6 +37,7 @@ def quality_section(document: Document, *, pose_known: bool) -> Html:
             for f in sorted(findings, key=lambda f: _ORDER.index(f["level"]) if f["level"] in _ORDER else 0)
         ]
         parts.append(tag("table", tag("tbody", rows), class_="findings"))
+    parts += _lengths(document)
     advice = list(document.get("advice") or ())[:_MOST_ADVICE]
     if advice and pose_known:
         parts += [
@@ -52,6 +54,31 @@ def quality_section(document: Document, *, pose_known: bool) -> Html:
     if smoothing:
         parts.append(tag("p", f"Range spikes: {smoothing.get('sentence', '')}"))
     return section("quality", "Quality", *(parts or [tag("p", "Nothing was assessed.")]))
+
+
+def _lengths(document: Document) -> list[Content]:
+    """Return the lengths that came with matches beside the scan's own ranges, the largest differences first."""
+    found = (document.get("diagnostics") or {}).get("lengths") or {}
+    listed = sorted(found.get("matches") or (), key=lambda one: -abs(one["difference_m"] or 0))
+    if not listed:
+        return []
+    rows = [
+        (
+            str(one["name"]),
+            f"{one['length_m']:.3f}",
+            "none" if one["scan_range_m"] is None else f"{one['scan_range_m']:.3f}",
+            "" if one["difference_m"] is None else f"{one['difference_m']:+.3f}",
+            f"{one['tolerance_m']:.3f}",
+            "beyond" if one["beyond"] else "" if one["state"] == "compared" else str(one["state"]),
+        )
+        for one in listed[:_MOST_LENGTHS]
+    ]
+    heads = ("match", "length m", "scan m", "difference m", "tolerance m", "")
+    parts: list[Content] = [tag("h3", "Lengths of the matches and the scan's own ranges")]
+    parts.append(table(heads, rows, numbers=(1, 2, 3, 4)))
+    if len(listed) > len(rows):
+        parts.append(tag("p", f"The {len(rows)} largest differences of {len(listed)}.", class_="dim"))
+    return parts
 
 
 def files_section(document: Document) -> Html:

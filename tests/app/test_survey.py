@@ -97,7 +97,9 @@ def test_targets_ten_per_cent_too_far_are_refused(
     assert "1.10 x the scan's: unit or scale?" in said
     assert "beyond" in said
     assert said.startswith("Not accepted: lengths of the matches disagree with the scan.")
-    assert "lengths of the matches disagree" in (out / "report.html").read_text(encoding="utf-8")
+    report = (out / "report.html").read_text(encoding="utf-8")
+    assert "lengths of the matches disagree" in report
+    assert all(f">T{k}<" in report for k in range(1, 31))
     assert not (out / "cloud.ply").exists()
 
 
