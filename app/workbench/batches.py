@@ -169,6 +169,8 @@ class Batches:
                 known = {"id": file.id, "name": file.name, "size": file.size}
                 takes = list(file.survey.takes) if reason.is_underspecified else []
                 listed.append({**known, "kind": kind, "said": reason.said, "lacks": self._lacks(file), "takes": takes})
+                if takes and file.survey.scans:
+                    listed[-1]["scans"] = list(file.survey.scans)
         return listed
 
     def _reason(self, file: BatchFile) -> Reason | None:
@@ -206,6 +208,7 @@ class Batches:
             kind = file.survey.kind
             try:
                 if kind == "scan":
+                    _require_choice(file, reading)
                     self._open_scan(step, path, reading, client)
                     opened.append({"file": file.id, "kind": kind})
                 for photo in step.photos or ((None,) if kind == "photo" else ()):
@@ -277,3 +280,13 @@ class Batches:
                     file = BatchFile(path.stem, str(entry["name"]), path.stat().st_size, READERS.run(survey_file, path))
                     self._waiting[file.id], self._paths[file.id] = file, path
                     self._reasons[file.id] = _NOT_OPENED
+
+
+def _require_choice(file: BatchFile, reading: Mapping[str, Any]) -> None:
+    """Ask which scan of a file is meant.
+
+    Raises:
+        UnderspecifiedError: if it contains several, and none was chosen.
+    """
+    if file.survey.scans and "scan_index" not in reading:
+        raise UnderspecifiedError(f"{file.name} contains {len(file.survey.scans)} scans; choose the one to open")

@@ -43,7 +43,8 @@ def reading_of(value: object) -> Mapping[str, Any]:
     if isinstance(index, bool) or not isinstance(index, int) or index < 0:
         raise OptionError("the number of the scan is not a whole number from 0; choose one of the file's scans")
     lists = {name: tuple(value[name]) for name in ("origin", "columns") if isinstance(value.get(name), list)}
-    return {**ScanRequest(**{**value, **lists}).given(), **others}
+    chosen = {"scan_index": index} if "scan_index" in value else {}  # the first scan, too, can be chosen
+    return {**ScanRequest(**{**value, **lists}).given(), **chosen, **others}
 
 
 def with_reading(source: Source, reading: Mapping[str, Any]) -> Source:

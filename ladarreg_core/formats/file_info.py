@@ -182,13 +182,24 @@ def describe_ptx(path: Path, asked: ScanRequest) -> FileInfo:
     return FileInfo(file=shown_name(path), bytes=path.stat().st_size, kind="scan", format="PTX", scans=scans)
 
 
-def _block_line(number: int, block: PtxBlock) -> str:
+def scans_in(path: Path, format_name: str) -> tuple[str, ...]:
+    """Describe the scans of a file that may contain several, from its headers; empty for other formats."""
+    if format_name == "E57":
+        with reading(path) as file:
+            return tuple(_scan_line(None, scan) for scan in read_e57_info(file).scans)
+    if format_name == "PTX":
+        return tuple(_block_line(number, block, flag="") for number, block in enumerate(ptx_blocks(path)))
+    return ()
+
+
+def _block_line(number: int, block: PtxBlock, *, flag: str | None = None) -> str:
     has = [word for word, there in (("intensity", block.has_intensity), ("colour", block.has_color)) if there]
     x, y, z = block.position
     cells = block.rows * block.columns
     truncated = "" if block.lines == cells else f", truncated after {block.lines:,}"
+    shown = f" (--scan {number})" if flag is None else flag
     return (
-        f"scan {number} (--scan {number}): {cells:,} points, grid {block.rows} x {block.columns}, "
+        f"scan {number}{shown}: {cells:,} points, grid {block.rows} x {block.columns}, "
         f"{' and '.join(has) or 'neither intensity nor colour'}, stands at {x:.3f}, {y:.3f}, {z:.3f} m{truncated}"
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray
-from ladarreg_core.errors import FormatError
+from ladarreg_core.errors import FormatError, UnderspecifiedError
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import as_float32, one_line
 
@@ -70,7 +70,7 @@ def require_intensity(
         fields: what the points have, for the error.
 
     Raises:
-        FormatError: saying what is missing and what to do.
+        FormatError: saying what is missing and what to do; `UnderspecifiedError` if there are colours to take.
     """
     found = f" ({one_line(fields, 60)})" if fields else ""
     if source == "luma" and not has_color:
@@ -81,13 +81,13 @@ def require_intensity(
             else f"{what} have neither intensity nor colours{found}, of which one is needed for matching: export them "
             "with intensity"
         )
-    if source == "auto" and not has_intensity:
-        raise FormatError(
+    if source == "auto" and not has_intensity and has_color:
+        raise UnderspecifiedError(
             f"{what} have colours but no intensity, which is needed for matching: export with intensity, or take the "
             "luminance of the colours (--intensity luma)"
-            if has_color
-            else f"{what} have no intensity{found}, which is needed for matching: export with intensity"
         )
+    if source == "auto" and not has_intensity:
+        raise FormatError(f"{what} have no intensity{found}, which is needed for matching: export with intensity")
 
 
 def chosen_intensity(

@@ -8,13 +8,14 @@ from pathlib import Path
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats.camera_file import read_cameras
 from ladarreg_core.formats.descriptor import named_files
-from ladarreg_core.formats.file_info import FileKind
+from ladarreg_core.formats.file_info import FileKind, scans_in
 from ladarreg_core.formats.image_file import image_size
 from ladarreg_core.formats.json_file import parsed_once, read_json_object
 from ladarreg_core.formats.registry import recognise
 from ladarreg_core.formats.untrusted import PathLike
 
 _MOST_SIZES = 100
+_MOST_SCANS = 1000
 _MOST_PICTURES = 20_000
 
 
@@ -39,6 +40,8 @@ class FileSurvey:
     takes: tuple[str, ...] = ()
     """Names of the options that its reader takes: those of `ScanRequest` for a scan, `temperature_unit` for a
     photograph, `camera_name` for a file of several cameras."""
+    scans: tuple[str, ...] = ()
+    """Descriptions of the scans of a file that contains several."""
 
 
 def survey_file(path: PathLike) -> FileSurvey:
@@ -53,6 +56,11 @@ def survey_file(path: PathLike) -> FileSurvey:
         try:
             if found.name == "descriptor JSON":
                 return FileSurvey(found.kind, found.name, named_files(read_json_object(file, "a scan descriptor")))
+            if found.kind == "scan":
+                scans = scans_in(file, found.name)
+                return FileSurvey(
+                    found.kind, found.name, takes=found.takes, scans=scans[:_MOST_SCANS] if len(scans) > 1 else ()
+                )
             if found.kind == "photo":
                 width, height, _ = image_size(file)
                 return FileSurvey(found.kind, found.name, (), width, height, takes=("temperature_unit",))

@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ladarreg_core.errors import FormatError, OptionError
+from ladarreg_core.errors import FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.cloud import coordinates_of, most_cells_of, scan_of_cloud
 from ladarreg_core.formats.intensity import (
@@ -270,7 +270,7 @@ def _names(layout: TextLayout, asked: tuple[str, ...]) -> tuple[str, ...]:
         return _PTS_COLUMNS[layout.width]
     example = _PTS_COLUMNS.get(layout.width, _PTS_COLUMNS[7])[: layout.width]
     padded = ",".join((*example, *("-",) * (layout.width - len(example))))
-    raise FormatError(
+    raise UnderspecifiedError(
         f"its columns have no names, and which is the intensity cannot be known; its first row is "
         f"{one_line(layout.first_row, 60)!r}: name them, e.g. --columns {one_line(padded, 60)} (- skips one)"
     )
@@ -283,7 +283,7 @@ def _places(names: Sequence[str], source: IntensitySource) -> dict[str, int]:
     if position is None:
         raise FormatError(f"its columns are {one_line(listed, 80)}; a scan needs x, y and z: name them with --columns")
     if strength is None and paint is None:
-        raise FormatError(
+        raise UnderspecifiedError(
             f"its columns are {one_line(listed, 60)}, none of them an intensity, which is needed for matching: "
             "export it with intensity, or name the column with --columns"
         )

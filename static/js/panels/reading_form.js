@@ -51,23 +51,27 @@ const OPTIONS = {
 /**
  * @param {string[]} takes names of the options that the file's reader takes
  * @param {(reading: Record<string, unknown>) => void} submit receives the options that were filled in
+ * @param {string[]} [scans] descriptions of the file's scans, if it contains several
  * @returns {HTMLFormElement}
  */
-export const readingForm = (takes, submit) => {
+export const readingForm = (takes, submit, scans = []) => {
   const inputs = new Map();
   const rows = takes
     .filter((name) => name in OPTIONS)
     .map((name) => {
       const { label, hint, example } = OPTIONS[name];
       const id = newId("reading");
-      const input = element("input", { id, type: "text", autocomplete: "off", placeholder: example });
+      const isChoice = name === "scan_index" && scans.length > 0;
+      const input = isChoice
+        ? element("select", { id }, ...scans.map((scan, index) => element("option", { value: String(index) }, scan)))
+        : element("input", { id, type: "text", autocomplete: "off", placeholder: example });
       inputs.set(name, input);
       return element(
         "div",
         { class: "field" },
         element("label", { for: id }, label),
         input,
-        element("span", { class: "dim" }, hint),
+        isChoice ? null : element("span", { class: "dim" }, hint),
       );
     });
   const luma = element("input", { type: "checkbox" });

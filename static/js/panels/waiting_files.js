@@ -34,8 +34,8 @@ const removal = ({ id, name }) =>
 
 /** A scan whose file does not say all that reading it needs, with a form for it. */
 const underspecifiedRow = (file, open) => {
-  const { id, name, size, said, takes } = file;
-  const form = readingForm(takes, (reading) => open([id], { reading }));
+  const { id, name, size, said, takes, scans } = file;
+  const form = readingForm(takes, (reading) => open([id], { reading }), scans);
   return element(
     "li",
     { class: "file-row waiting-file" },

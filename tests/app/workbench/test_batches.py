@@ -19,6 +19,7 @@ from ladarreg.workbench.batch_plan import BatchFile, PhotoTarget, Plan, plan_bat
 from ladarreg_core.formats.survey import FileSurvey
 from ladarreg_core.simulate.sample import sample_folder
 from tests.app.workbench_driver import WorkbenchDriver, open_bench
+from tests.formats.conftest import make_scan
 
 PHOTO = next(sample_folder().glob("photo.*"))
 CAMERA = json.loads((sample_folder() / "camera.json").read_text())
@@ -279,3 +280,35 @@ def test_what_a_picture_or_a_camera_file_leaves_open_is_asked_for(bench: Workben
     assert "cam1" in file["said"]
     assert kinds(bench.do("open_files", files=[file["id"]], reading={"camera_name": "cam2"})) == ["camera"]
     assert bench.slice("photos")[0]["camera"]["fx"] == 90
+
+
+def test_a_file_of_several_scans_asks_which_one_to_open(tmp_path: Path) -> None:
+    from tests.formats.test_ptx import block
+
+    bench = open_bench(tmp_path / "project")
+    path = bench.workbench.session.folder.inputs / "0123.ptx"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(block(make_scan(20, 30)) + block(make_scan(18, 25)))
+    file = bench.workbench.batches.take(path, "site.ptx")
+    (refused,) = bench.do("open_files", files=[file])["refused"]
+    assert "site.ptx contains 2 scans; choose the one to open" in refused["error"]
+    (waiting,) = bench.slice("waiting")
+    assert "scan_index" in waiting["takes"]
+    assert [line.partition(":")[0] for line in waiting["scans"]] == ["scan 0", "scan 1"]
+    assert "grid 18 x 25" in waiting["scans"][1]
+    bench.do("open_files", files=[file], reading={"scan_index": 1})
+    assert bench.slice("waiting") == []
+    assert (bench.slice("scan")["rows"], bench.slice("scan")["columns"]) == (18, 25)
+    bench.workbench.close()
+
+
+def test_the_first_scan_can_be_chosen(tmp_path: Path) -> None:
+    from tests.formats.test_e57_images import write_e57
+
+    bench = open_bench(tmp_path / "project")
+    path = write_e57(bench.workbench.session.folder.inputs / "0123.e57", [])
+    file = bench.workbench.batches.take(path, "site.e57")
+    bench.do("open_files", files=[file])
+    assert bench.slice("waiting")[0]["scans"][1].startswith("station 1: ")
+    assert bench.do("open_files", files=[file], reading={"scan_index": 0})["opened"]
+    bench.workbench.close()
