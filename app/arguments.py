@@ -99,23 +99,23 @@ class InputArguments(ScanArguments):
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
     """Scan: E57, PCD, NPZ or a descriptor JSON."""
     photo: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTO")]
-    """Photo: JPEG, PNG, TIFF."""
+    """Photo: JPEG, PNG, TIFF, WebP, AVIF."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
     matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Manual matches: JSON, or CSV of points; rays, cells, or points with their lengths."""
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Initial pose: a pose JSON, from the scanner or from the world, or an earlier registration.json."""
+    """Initial pose: a pose JSON (scanner or world), an earlier registration.json, or transforms.json."""
     camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Camera of the photo: JSON, OpenCV YAML or ROS camera_info."""
+    """Camera of the photo: JSON, OpenCV, ROS, Kalibr, COLMAP, nerfstudio or Agisoft."""
     camera_name: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Camera of a file with several; default: chosen by the photo's name and size."""
     focal_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
     """Focal length of the photo in pixels, if there is no camera file."""
     focal_mm: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None
-    """Focal length of the photo in mm; needs --sensor-mm."""
+    """Focal length of the photo in mm; needs --sensor-mm; default: that of EXIF."""
     sensor_mm: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None
-    """Sensor width in mm."""
+    """Sensor width (longer side) in mm."""
     temperature_unit: Literal["K", "C", "none"] | None = None
     """Unit of the pixels of a thermal TIFF that does not state it; none: the pixels are no temperatures."""
     seed: int = 0

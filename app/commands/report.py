@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -29,6 +29,8 @@ class Arguments(ScanArguments):
     """Folders with the scan and the photo of the results; they are also looked for beside the results."""
     photo: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Photo of a project with several: its file name, or its id such as p2."""
+    temperature_unit: Literal["K", "C", "none"] | None = None
+    """Unit of the pixels of a thermal photo whose file does not state it, as it was registered with."""
     force: bool = False
     """Replace FILE if it exists."""
     quiet: bool = False
@@ -79,7 +81,10 @@ def _of_results(arguments: Arguments, bar: ProgressBar) -> Path:
     scan_path, photo_path = timed("Find inputs", bar, lambda: find_inputs(recorded[:2], places))
     out = _target(arguments, folder / REPORT_FILE)
     scan = timed("Read scan", bar, lambda: lr.read_scan(scan_path, report=bar.loading, **arguments.scan_options))
-    photo = timed("Read photo", bar, lambda: lr.read_photo(photo_path, camera=registration.camera))
+    unit = arguments.temperature_unit
+    photo = timed(
+        "Read photo", bar, lambda: lr.read_photo(photo_path, camera=registration.camera, temperature_unit=unit)
+    )
     with replaced_file(out) as new:
         try:
             timed("Write report", bar, lambda: write_report(new, registration, scan, photo, document))

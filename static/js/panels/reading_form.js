@@ -75,6 +75,7 @@ export const readingForm = (takes, submit, scans = []) => {
       );
     });
   const luma = element("input", { type: "checkbox" });
+  const act = inputs.has("temperature_unit") || inputs.has("camera_name") ? "Open" : "Open as scan";
   const wrong = element("p", { class: "form-wrong", role: "alert", hidden: true });
   const form = element(
     "form",
@@ -84,7 +85,7 @@ export const readingForm = (takes, submit, scans = []) => {
       ? element("label", { class: "row" }, luma, "Use the brightness of the colours as the intensity")
       : null,
     wrong,
-    element("div", { class: "form-foot" }, element("button", { class: "button primary edits", type: "submit" }, takes.includes("intensity") || takes.includes("origin") ? "Open as scan" : "Open")),
+    element("div", { class: "form-foot" }, element("button", { class: "button primary edits", type: "submit" }, act)),
   );
   form.addEventListener("submit", (event) => {
     event.preventDefault();
