@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ladarreg_core.arrays import ByteArray, FloatArray, read_only
-from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError, ShapeError
-from ladarreg_core.validation import require_type
+from ladarreg_core.camera import Camera, CameraModel, require_camera, require_pinhole
+from ladarreg_core.errors import ShapeError
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +23,7 @@ class Photo:
 
     pixels: ByteArray
     """(H, W, 3) uint8, RGB; gray images have three equal channels."""
-    camera: Camera
+    camera: CameraModel
     """Intrinsics, valid for these pixels."""
     name: str = "photo"
     """Display name."""
@@ -38,8 +37,17 @@ class Photo:
     temperature_k: FloatArray | None = None
     """(H, W) float32, of a thermal image: apparent temperature, K; `pixels` are then gray levels for display."""
 
+    @property
+    def pinhole(self) -> Camera:
+        """The camera, for work in the plane of a perspective image.
+
+        Raises:
+            CameraError: if it is of another model.
+        """
+        return require_pinhole(self.camera, "This work")
+
     def __post_init__(self) -> None:
-        require_type(self.camera, Camera, "the photo's camera", error=CameraError)
+        require_camera(self.camera, "the photo's camera")
         pixels = read_only(self.pixels, np.uint8, (None, None, 3), "the photo")
         height, width = pixels.shape[:2]
         if (width, height) != self.camera.size:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position, rotation_from_rotvec
 from ladarreg_core.matches import Matches
@@ -63,7 +63,7 @@ class PoseResult:
 
     camera_from_scanner: Rigid
     """The pose."""
-    camera: Camera
+    camera: CameraModel
     """Intrinsics, given or estimated."""
     matches: Matches
     """All M matches given to the solver."""

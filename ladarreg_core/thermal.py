@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.photo import Photo
 
@@ -42,7 +42,7 @@ def thermal_gray(temperature_k: FloatArray) -> NDArray[np.float32]:
 
 
 def thermal_photo(
-    temperature_k: ArrayLike, camera: Camera, *, name: str = "photo", notes: tuple[str, ...] = ()
+    temperature_k: ArrayLike, camera: CameraModel, *, name: str = "photo", notes: tuple[str, ...] = ()
 ) -> Photo:
     """Return a thermal image as a photograph, with gray pixels for display.
 

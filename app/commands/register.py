@@ -42,6 +42,7 @@ class Arguments(RegisterArguments):
 
 def run(arguments: Arguments) -> ExitCode:
     """Read, register, export, and print the verdict."""
+    from ladarreg_core.camera import require_pinhole
     from ladarreg_core.export.folder import check_folder
     from ladarreg_core.export.output_frame import OutputFrame
     from ladarreg_core.quality.assessment import assess
@@ -52,6 +53,8 @@ def run(arguments: Arguments) -> ExitCode:
     _check_carry(arguments)
     with progress_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
+        if arguments.smooth:
+            require_pinhole(photo.camera, "--smooth")  # before the work that would be lost
         OutputFrame.of(scan, arguments.frame)  # refuse before the work
         result = _register(arguments, scan, photo, bar)
         return_memory()  # of a large scan, hundreds of megabytes

@@ -66,6 +66,7 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _camera(path: Path) -> Camera:
-    from ladarreg_core.formats.camera_file import as_pinhole, read_camera
+    from ladarreg_core.camera import require_pinhole
+    from ladarreg_core.formats.camera_file import read_camera
 
-    return as_pinhole(read_camera(path))
+    return require_pinhole(read_camera(path), "The self-test")

@@ -111,7 +111,7 @@ class RegistrationJobs:
         from ladarreg_core.self_test.trials import run_trials
 
         trials = []
-        for trial in run_trials(inputs.scan, inputs.photo.camera, report=context.progress):
+        for trial in run_trials(inputs.scan, inputs.photo.pinhole, report=context.progress):
             trials.append(trial)
             self.self_tests[inputs.entry.id] = _self_test_shown(SelfTest(tuple(trials)))
             context.publish(now=True)

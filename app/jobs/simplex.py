@@ -73,13 +73,13 @@ class SimplexJobs:
             options = replace(options, reject_rounds=0)
         steps = descend(
             matches,
-            inputs.photo.camera,
+            inputs.photo.pinhole,
             options,
             initial=self._start(inputs, matches, rejecting),
             sigma_px=pose_options.sigma_px or STATED_SIGMA_PX,
         )
         found = self._watched(steps, inputs, matches, context)
-        result = build_simplex_result(found, matches, inputs.photo.camera, pose_options)
+        result = build_simplex_result(found, matches, inputs.photo.pinhole, pose_options)
         if inputs.photo.assumed:
             result = with_assumed_camera(result, pose_options.camera_prior)
         stopped = " Stopped; the best pose so far is kept." if context.stop_wanted else ""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import viser
 
     from ladarreg_core.arrays import ByteArray
-    from ladarreg_core.camera import Camera
+    from ladarreg_core.camera import CameraModel
     from ladarreg_core.frames import Rigid
     from ladarreg_core.palette import Colour
 
@@ -103,7 +103,7 @@ class CamerasLayer:
 def add_camera(
     place: Place,
     name: str,
-    camera: Camera,
+    camera: CameraModel,
     pose: Rigid,
     colour: Colour,
     depth_m: float,

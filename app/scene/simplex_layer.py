@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import viser
 
     from ladarreg_core.arrays import FloatArray
-    from ladarreg_core.camera import Camera
+    from ladarreg_core.camera import CameraModel
     from ladarreg_core.frames import Rigid
     from ladarreg_core.palette import Colour
 
@@ -40,7 +40,7 @@ class SimplexLayer:
         self._best: viser.CameraFrustumHandle | None = None
         self._others: viser.LineSegmentsHandle | None = None
         self._start: viser.LineSegmentsHandle | None = None
-        self._camera: Camera | None = None
+        self._camera: CameraModel | None = None
         self._depth_m = 1.0
 
     def draw(self, subject: Subject | None, frame: SimplexFrame) -> None:

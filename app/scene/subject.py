@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel, axial_pinhole
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.viewpoints import (
     Viewpoint,
@@ -79,7 +79,7 @@ class Subject:
         return self.result if self.result is not None and self.result.accepted else None
 
     @property
-    def camera(self) -> Camera | None:
+    def camera(self) -> CameraModel | None:
         """The photograph's camera, as estimated if there is a pose."""
         if self.result is not None:
             return self.result.camera
@@ -91,7 +91,7 @@ class Subject:
         camera = self.camera
         if camera is None:
             return perspective_view(self.scan, Camera.from_focal(2, 2, _DEFAULT_FOCAL_PX), whole_scan=True)
-        reduced = camera.without_distortion().scaled(min(1.0, _FRUSTUM_PX / max(camera.size)))
+        reduced = axial_pinhole(camera).scaled(min(1.0, _FRUSTUM_PX / max(camera.size)))
         return perspective_view(self.scan, reduced)
 
     def from_scanner(self) -> Viewpoint:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, json
 
+from ladarreg_core.camera import describe_in_short
 from ladarreg_core.errors import CameraError, LadarregError
 from ladarreg_core.frames import describe_world
 from ladarreg_core.matching.step_labels import step_label
@@ -127,9 +128,10 @@ def photo_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
             camera = photo.camera
             found["camera"] = {
                 **camera.as_fields(),
-                "distortion": list(camera.distortion),
+                "distortion": list(camera.as_fields().get("distortion", ())),
                 "calibrated": photo.calibrated,
-                "said": f"f {camera.focal_px:.1f} px" + (", calibrated" if photo.calibrated else ""),
+                "said": describe_in_short(camera) + (", calibrated" if photo.calibrated else ""),
+                "short": "panorama" if camera.model == "equirectangular" else f"f {camera.focal_px:.0f}",
             }
         except CameraError as error:
             found["camera_error"] = str(error)

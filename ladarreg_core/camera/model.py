@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from ladarreg_core.camera.pinhole import Camera
 
 
 class CameraModel(Protocol):
@@ -97,3 +100,48 @@ def camera_from_model_fields(fields: Mapping[str, Any]) -> CameraModel:
         return EquirectangularCamera(**given, window=fields.get("window"))
     kind = Camera if model == "pinhole" else FisheyeCamera
     return kind(**given, distortion=fields.get("distortion", ()))
+
+
+def require_pinhole(camera: CameraModel, what: str) -> Camera:
+    """Return the camera as a pinhole.
+
+    Args:
+        camera: a camera of any model.
+        what: what needs a pinhole, at the beginning of a sentence.
+
+    Raises:
+        CameraError: if it is of another model.
+    """
+    from ladarreg_core.camera.pinhole import Camera
+    from ladarreg_core.errors import CameraError
+
+    if not isinstance(camera, Camera):
+        raise CameraError(
+            f"{what} needs a perspective photograph, and the camera of this one is {camera.model}; register it "
+            "automatically or by drawn matches, or cut a perspective view out of it"
+        )
+    return camera
+
+
+def describe_in_short(camera: CameraModel) -> str:
+    """Return a camera in a phrase, e.g. 'fisheye, f 350.0 px'."""
+    if camera.model == "equirectangular":
+        return f"panorama, {np.degrees(1 / camera.focal_px):.3f} degrees a pixel"
+    return ("fisheye, " if camera.model == "fisheye" else "") + f"f {camera.focal_px:.1f} px"
+
+
+def require_camera(value: object, name: str) -> CameraModel:
+    """Return a value that is a camera.
+
+    Raises:
+        CameraError: if it is not.
+    """
+    from ladarreg_core.camera.equirectangular import EquirectangularCamera
+    from ladarreg_core.camera.fisheye import FisheyeCamera
+    from ladarreg_core.camera.pinhole import Camera
+    from ladarreg_core.errors import CameraError
+    from ladarreg_core.validation import require_type
+
+    if not isinstance(value, Camera | FisheyeCamera | EquirectangularCamera):
+        return require_type(value, Camera, name, error=CameraError)
+    return value

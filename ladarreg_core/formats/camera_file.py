@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, camera_from_model_fields
+from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, camera_from_model_fields, require_pinhole
 from ladarreg_core.camera.equirectangular import FULL_WINDOW
-from ladarreg_core.errors import CameraError, FormatError, OptionError, UnderspecifiedError
+from ladarreg_core.errors import FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.camera_agisoft import read_agisoft, sniff_agisoft
 from ladarreg_core.formats.camera_calibration import cameras_of_calibration, read_calibration, sniff_calibration
 from ladarreg_core.formats.camera_colmap import (
@@ -283,18 +283,7 @@ def pinhole_from_fields(fields: Mapping[str, Any]) -> Camera:
     Raises:
         CameraError: as there, or if it is of another model.
     """
-    return as_pinhole(camera_from_fields(fields))
-
-
-def as_pinhole(camera: CameraModel) -> Camera:
-    """Return a camera that must be a pinhole.
-
-    Raises:
-        CameraError: if it is not.
-    """
-    if not isinstance(camera, Camera):
-        raise CameraError(f"the camera is {camera.model}; a pinhole is needed here: undistort the photographs")
-    return camera
+    return require_pinhole(camera_from_fields(fields), "A depth image")
 
 
 def _cameras_of_fields(fields: Mapping[str, Any]) -> tuple[FileCamera, ...]:

@@ -17,7 +17,7 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import CameraError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.camera_file import as_pinhole, read_noted_camera
+from ladarreg_core.formats.camera_file import read_noted_camera
 from ladarreg_core.formats.exif import edited_since, focal_from_exif, focal_mm_of, orientation_of, upright
 from ladarreg_core.formats.image_file import ImageData, as_rgb, read_image
 from ladarreg_core.formats.radiometric import radiometric_kelvin, radiometric_maker
@@ -77,7 +77,7 @@ def read_photo(
         model, camera_notes = read_noted_camera(camera, name=camera_name, picture=name, picture_file=path)
     elif camera is not None:
         model = camera
-    given = None if model is None else as_pinhole(model)
+    given = model
     with reading(path) as file:
         image = read_image(file, budget=ReadBudget.of(file.stat().st_size, memory_bytes))
         kelvin = _temperatures(file, image, temperature_unit)
@@ -123,7 +123,7 @@ def _temperatures(file: Path, image: ImageData, unit: TemperatureUnit | None) ->
     return kelvin
 
 
-def _photo(values: NDArray[Any], camera: Camera, name: str, notes: list[str], *, calibrated: bool) -> Photo:
+def _photo(values: NDArray[Any], camera: CameraModel, name: str, notes: list[str], *, calibrated: bool) -> Photo:
     if values.ndim == 2:
         thermal = thermal_photo(values, camera, name=name, notes=tuple(notes))
         return replace(thermal, calibrated=calibrated, assumed=not calibrated)
@@ -158,7 +158,7 @@ def _check_possible(focal_px: float, width: int, height: int) -> None:
         )
 
 
-def _is_turned(camera: Camera, raw_width: int, raw_height: int, orientation: int) -> bool:
+def _is_turned(camera: CameraModel, raw_width: int, raw_height: int, orientation: int) -> bool:
     """Return whether the camera belongs to the image as rotated by EXIF, judged by its size.
 
     Where both sizes fit (half turns, mirrored or square images) the rotated image is assumed: OpenCV, with which

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, Pick
@@ -200,7 +200,7 @@ def probe(scan: Scan, ray: ArrayLike) -> Probe:
 class PickPredictor:
     """Predicts the counterparts of picks in the other image under one pose; shared work is done once."""
 
-    def __init__(self, scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> None:
+    def __init__(self, scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> None:
         self._scan = scan
         self._camera = camera
         self._pose = camera_from_scanner

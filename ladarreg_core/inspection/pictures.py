@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.views import viewing_directions
@@ -181,7 +181,7 @@ def edge_strength(view: View) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * np.clip(np.maximum(of_gray, of_depth), 0, 1)), dtype=np.uint8)
 
 
-def scan_over_photo(scan: Scan, camera: Camera, camera_from_scanner: Rigid, show: str) -> NDArray[np.uint8]:
+def scan_over_photo(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid, show: str) -> NDArray[np.uint8]:
     """Render the scan as seen by the camera of the photo, (h, w, 4) uint8 RGBA; alpha 0 where it sees no surface.
 
     Args:

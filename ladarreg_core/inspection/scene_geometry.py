@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid
+from ladarreg_core.inspection.viewpoints import field_of_view
 from ladarreg_core.results import PoseResult
 
 _NEAR_OF_DISTANCE = 0.01
 
 
-def camera_outline(camera: Camera, camera_from_scanner: Rigid, *, depth_m: float) -> NDArray[np.float32]:
+def camera_outline(camera: CameraModel, camera_from_scanner: Rigid, *, depth_m: float) -> NDArray[np.float32]:
     """Return the frustum of a camera as lines: four edges and the four sides of its image.
 
     Args:
@@ -27,7 +28,7 @@ def camera_outline(camera: Camera, camera_from_scanner: Rigid, *, depth_m: float
     Returns:
         (8, 2, 3) float32, both ends of each line, m, scanner frame.
     """
-    across, upright = camera.width / (2 * camera.fx), camera.height / (2 * camera.fy)
+    across, upright = (np.tan(angle / 2) for angle in field_of_view(camera))
     corners = depth_m * np.array([[s * across, t * upright, 1] for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     points = camera_from_scanner.inverse @ np.vstack([np.zeros((1, 3)), corners])
     centre, image = np.broadcast_to(points[0], (4, 3)), points[1:]
@@ -36,7 +37,7 @@ def camera_outline(camera: Camera, camera_from_scanner: Rigid, *, depth_m: float
     return np.concatenate([edges, sides]).astype(np.float32)
 
 
-def camera_outlines(camera: Camera, poses: tuple[Rigid, ...], *, depth_m: float) -> NDArray[np.float32]:
+def camera_outlines(camera: CameraModel, poses: tuple[Rigid, ...], *, depth_m: float) -> NDArray[np.float32]:
     """Return the outlines of several poses in one array, (8 n, 2, 3)."""
     if not poses:
         return np.zeros((0, 2, 3), dtype=np.float32)

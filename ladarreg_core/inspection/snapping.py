@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.features.edges import EdgeOptions, edge_under
 from ladarreg_core.inspection.corners import gray_of_photo, gray_of_view, nearest_corner
 from ladarreg_core.photo import Photo
@@ -90,6 +90,8 @@ class PhotoSnapper:
             px_per_screen: pixels of the photograph per pixel of the screen.
         """
         camera = self.photo.camera
+        if not isinstance(camera, Camera):
+            return None  # straight edges are curves in a wide image
         if not camera.distortion:
             return edge_under(self._sample, ends, _options(px_per_screen))
         pinhole = camera.without_distortion()
@@ -117,7 +119,7 @@ def _corner_reach_px(px_per_screen: float) -> float:
     return min(CORNER_REACH * px_per_screen, _MOST_CORNER_PX)
 
 
-def _through(seen_by: Camera, shown_by: Camera, uv: ArrayLike) -> NDArray[np.float64]:
+def _through(seen_by: CameraModel, shown_by: CameraModel, uv: ArrayLike) -> NDArray[np.float64]:
     """Return the pixels (..., 2) of one camera for those of another at the same place."""
     return np.asarray(shown_by.project(seen_by.unproject(uv)), dtype=np.float64)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray, read_only
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel, axial_pinhole
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 
@@ -53,15 +53,19 @@ def typical_range(scan: Scan) -> float:
     return float(np.median(scan.ranges[scan.valid]))
 
 
-def field_of_view(camera: Camera) -> tuple[float, float]:
-    """Return the horizontal and vertical field of view of a camera, rad, taking its axis as central."""
+def field_of_view(camera: CameraModel) -> tuple[float, float]:
+    """Return the horizontal and vertical field of view of a camera, rad, taking its axis as central.
+
+    Of a wide camera it is that of a view along its axis.
+    """
+    pinhole = axial_pinhole(camera)
     return (
-        2 * float(np.arctan2(camera.width, 2 * camera.fx)),
-        2 * float(np.arctan2(camera.height, 2 * camera.fy)),
+        2 * float(np.arctan2(pinhole.width, 2 * pinhole.fx)),
+        2 * float(np.arctan2(pinhole.height, 2 * pinhole.fy)),
     )
 
 
-def from_pose(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Viewpoint:
+def from_pose(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> Viewpoint:
     """Return the viewpoint of a camera."""
     _, down, forward = camera_from_scanner.rotation
     centre = camera_from_scanner.centre

@@ -244,7 +244,7 @@ def verify_pose(
         gate: thresholds of verification.
         seed: random seed of the points drawn.
     """
-    working = working_camera(scan, photo.camera)
+    working = working_camera(scan, photo.pinhole)
     direction = viewing_directions(scan, working, initial=camera_from_scanner)[0]
     view = perspective_view(scan, working, view_from_scanner=direction)
     aligner = Aligner(scan_levels(scan, view), photo_levels(photo, working), gate=gate or GateOptions(), seed=seed)

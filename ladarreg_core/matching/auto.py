@@ -129,7 +129,7 @@ def register_auto(
         seed=o.seed,
         channel_set=o.channel_set,
     )
-    found = CandidateSet(search, photo, KnownPoses(scan, photo.camera, o.gate), steps, o)
+    found = CandidateSet(search, photo, KnownPoses(scan, photo.pinhole, o.gate), steps, o)
     directions = viewing_directions(scan, working, initial=initial)
     if initial is not None and o.reach == "near_start":
         _search_near(search, found, directions[0], initial)
@@ -219,7 +219,7 @@ def _explain_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequ
     """Return a refused result with a sparse scan as its first reason, or as its only one if nothing was verified."""
     if result.verification is not None and result.verification.accepted:
         return result
-    density = scan_density(scan, photo.camera, poses)
+    density = scan_density(scan, photo.pinhole, poses)
     if density is None or not density.too_sparse:
         return result
     if result.verification is None:
@@ -311,7 +311,7 @@ def _finish(
         pose = aligner.finish(start)
         steps.pose = pose
     with steps.step("verify") as note:
-        found = verify_finished(aligner, photo.camera, pose)
+        found = verify_finished(aligner, photo.pinhole, pose)
         note.update(found.verification.as_dict())
     if intrinsics != "fixed":
         with steps.step("camera") as note:
@@ -334,6 +334,6 @@ def _finish(
     reasons: tuple[Any, ...] = verification.reasons
     advice = () if verification.accepted else (_ADVICE,)
     return AutoResult(
-        pose, verification, evidence, (*reasons, *found.summary(photo.camera), *advice), blocks,
+        pose, verification, evidence, (*reasons, *found.summary(photo.pinhole), *advice), blocks,
         camera if found.free else None, found.camera_sigmas,
     ), aligner  # fmt: skip

@@ -114,11 +114,11 @@ def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
         photo: the photograph.
         working: the ideal camera of level 0, with the photo's aspect ratio.
     """
-    scaled = photo.camera.resized(*working.size)
+    scaled = photo.pinhole.resized(*working.size)
     kelvin = photo.temperature_k
     pixels: NDArray[Any] = photo.pixels if kelvin is None else thermal_gray(kelvin)[..., None]
-    if scaled.size != photo.camera.size:
-        smaller = scaled.width <= photo.camera.width
+    if scaled.size != photo.pinhole.size:
+        smaller = scaled.width <= photo.pinhole.width
         how = cv2.INTER_AREA if smaller else cv2.INTER_CUBIC
         pixels = np.atleast_3d(np.asarray(cv2.resize(pixels, scaled.size, interpolation=how)))
     usable = np.ones((working.height, working.width), np.bool_)
@@ -136,7 +136,7 @@ def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
         all_planes.append(_halved(all_planes[-1], cameras[-1]))
         small = cv2.resize(usable.astype(np.float32), cameras[-1].size, interpolation=cv2.INTER_AREA)
         masks.append(small > 0.99)
-    return PhotoLevels(photo.camera, tuple(cameras), tuple(all_planes), tuple(masks))
+    return PhotoLevels(photo.pinhole, tuple(cameras), tuple(all_planes), tuple(masks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +265,7 @@ class PairLevels:
 
     def __init__(self, scan: Scan, photo: Photo) -> None:
         self.scan = scan
-        self.working = working_camera(scan, photo.camera)
+        self.working = working_camera(scan, photo.pinhole)
         self._photo = photo
         self._photo_levels: PhotoLevels | None = None
         self._views: deque[tuple[Rigid, ScanLevels]] = deque(maxlen=_KEPT_VIEWS)

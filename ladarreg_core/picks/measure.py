@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.lines import along_line, fraction_in_photo, kappa_of, line_on_scan
@@ -41,7 +41,7 @@ def matches_from_picks(
     scan: Scan,
     picks: Sequence[Pick],
     *,
-    camera: Camera | None = None,
+    camera: CameraModel | None = None,
     lines: LineUse = "ends",
     samples_per_line: int = SAMPLES_PER_LINE,
     pose: Rigid | None = None,
@@ -160,7 +160,7 @@ class _MatchBuilder:
         line = pick.photo if pick.kind == "line" else np.zeros((2, 2))
         self.ends.append(np.tile(line, (len(rays), 1, 1)))
 
-    def matches(self, camera: Camera | None) -> tuple[Matches, tuple[str, ...]]:
+    def matches(self, camera: CameraModel | None) -> tuple[Matches, tuple[str, ...]]:
         """Return the matches that have a range and are in the photo, and a sentence for every pick that lost points."""
         if not self.ids:
             return Matches.none(), (tuple(self.notes) or ("No match is enabled.",))
@@ -180,7 +180,7 @@ class _MatchBuilder:
         return matches.subset(found), (*self.notes, *_losses(self.ids, found, edge & ~outside, outside))
 
 
-def _directions(ends: FloatArray, uv: FloatArray, camera: Camera | None) -> NDArray[np.float64]:
+def _directions(ends: FloatArray, uv: FloatArray, camera: CameraModel | None) -> NDArray[np.float64]:
     """Return the unit directions (M, 2) of lines at their points; 0 for points.
 
     Args:
@@ -189,7 +189,7 @@ def _directions(ends: FloatArray, uv: FloatArray, camera: Camera | None) -> NDAr
         camera: with distortion a straight edge is curved; the direction is that of the curve at the point.
     """
     along = ends[:, 1] - ends[:, 0]
-    if camera is not None and camera.distortion:
+    if isinstance(camera, Camera) and camera.distortion:
         ideal = camera.without_distortion()
         ends_there, here = ideal.project(camera.unproject(ends)), ideal.project(camera.unproject(uv))
         step = ends_there[:, 1] - ends_there[:, 0]

@@ -14,7 +14,7 @@ from math import lgamma, log, log10
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.formatting import format_length
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, count_picks
@@ -218,7 +218,7 @@ def count_distinct(points: FloatArray, uv: FloatArray) -> int:
 
 
 def log10_false_alarms(
-    measured: Measurements, matches: Matches, state: States, inliers: BoolArray, camera: Camera, *, gate: float
+    measured: Measurements, matches: Matches, state: States, inliers: BoolArray, camera: CameraModel, *, gate: float
 ) -> float:
     """Return log10 of the expected number of poses with as many inliers if all matches were random.
 
@@ -243,7 +243,7 @@ def log10_false_alarms(
     full = inliers & (matches.dimensions == 2)
     if not full.any():
         return float(log10(max(n, 1)))
-    gate_area = np.pi * gate * camera.fx * camera.fy / np.sqrt(np.median(determinant[full]))
+    gate_area = np.pi * gate * camera.focal_px**2 / np.sqrt(np.median(determinant[full]))
     radius = np.sqrt(gate_area / np.pi)
     patch = float(np.prod(np.minimum(high - low + 2 * radius, np.maximum(camera.size, high - low))))
     p = float(min(1.0, gate_area / max(patch, 1e-9)))

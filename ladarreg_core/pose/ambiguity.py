@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.frames import Rigid, principal_extents, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
@@ -28,6 +28,7 @@ from ladarreg_core.pose.bundle import (
 )
 from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score
 from ladarreg_core.pose.ransac import sample_pose
+from ladarreg_core.pose.ray_ransac import sample_pose_of_rays
 
 _ORBIT_RAD = np.deg2rad(20.0)
 _ORBITS = 3
@@ -172,7 +173,7 @@ def pose_of_outliers(
     matches: Matches,
     measured: Measurements,
     others: BoolArray,
-    camera: Camera,
+    camera: CameraModel,
     *,
     sigma_px: float,
     seed: int = 0,
@@ -194,6 +195,11 @@ def pose_of_outliers(
     count = int(np.count_nonzero(others))
     if count < least_support(len(others) - count, options):
         return None
+    if not isinstance(camera, Camera):
+        return sample_pose_of_rays(
+            matches.points[others], camera.unproject(matches.uv[others]),
+            threshold_rad=_RANSAC_SIGMA * sigma_px / camera.focal_px, iterations=_RANSAC_ITERATIONS, seed=seed,
+        )  # fmt: skip
     ideal = camera.without_distortion()
     uv = (measured.xy[:, others] * [[ideal.fx], [ideal.fy]] + [[ideal.cx], [ideal.cy]]).T
     return sample_pose(
@@ -206,7 +212,7 @@ def second_pose_of_outliers(
     matches: Matches,
     measured: Measurements,
     inliers: BoolArray,
-    camera: Camera,
+    camera: CameraModel,
     *,
     sigma_px: float,
     gate: float,

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, require_pinhole
 from ladarreg_core.camera.uncertainty import INTRINSICS, CameraPrior, CameraUncertainty
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
@@ -112,6 +112,8 @@ def with_assumed_camera(result: PoseResult, prior: CameraPrior, *, shown: float 
         prior: what is assumed of the camera; intrinsics that were estimated with the pose are no longer assumed.
         shown: share of the effect of a wrong camera that the residuals show.
     """
+    if not isinstance(result.camera, Camera):
+        return result
     free = tuple(name for name in INTRINSICS if name in result.camera_sigmas)
     sigmas = {k: v for k, v in prior.sigmas(result.camera).items() if k not in free}
     if not sigmas or result.camera_uncertainty is not None or np.count_nonzero(result.inliers) < _LEAST_MATCHES:
@@ -155,8 +157,12 @@ def _with_errors_of_camera(
             if alone > 0:
                 off[name] = float(gradient[k] - gradient[others] @ by_others) / alone
                 off_sigma[name] = float(1 / np.sqrt(alone))
-    uncertainty = _uncertainty((*free, *names), covariance, result.camera, sigmas, off, off_sigma)
+    uncertainty = _uncertainty((*free, *names), covariance, _pinhole(result), sigmas, off, off_sigma)
     return replace(result, covariance=uncertainty.covariance[:6, :6], camera_uncertainty=uncertainty)
+
+
+def _pinhole(result: PoseResult) -> Camera:
+    return require_pinhole(result.camera, "An assumed camera")
 
 
 def _enlarged(inverse: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float]:
@@ -177,9 +183,9 @@ def _information(
     result: PoseResult, members: BoolArray, sigmas: dict[str, float], free: tuple[str, ...]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the information of the inliers on the pose, the free and the assumed intrinsics, and the gradient."""
-    anchor = Anchor.of(result.camera, sigmas, free)
+    anchor = Anchor.of(_pinhole(result), sigmas, free)
     descent = Descent.start(
-        result.matches, result.camera, result.camera_from_scanner, 0,
+        result.matches, _pinhole(result), result.camera_from_scanner, 0,
         sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m,
         anchor=replace(anchor, information=np.zeros(len(anchor.free))),
     )  # fmt: skip

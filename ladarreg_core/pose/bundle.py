@@ -21,9 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.matches import Matches
+from ladarreg_core.pose.ray_ransac import front_rotations
 
 UNSEEN = 1e30
 """Cost s of a match behind the camera: finite, so that sums stay finite."""
@@ -63,16 +64,27 @@ class Measurements:
     """(N,) lower bound of the adjusted range, m."""
     most_rho: FloatArray
     """(N,) upper bound of the adjusted range, m."""
+    fronts: FloatArray | None = None
+    """(N, 3, 3) rotations that turn the observed ray of each match to the Z axis, from camera axes; None: the image
+    plane is that of the camera. A wide camera has no image plane, and `xy` are tangents around the observed rays."""
 
     @staticmethod
-    def of(matches: Matches, camera: Camera, *, sigma_px: float, sigma_range_m: float) -> Measurements:
+    def of(matches: Matches, camera: CameraModel, *, sigma_px: float, sigma_range_m: float) -> Measurements:
         """Return the measurements of matches; the weight of a match multiplies its information.
 
         A line end known only across the line has the information of a point-to-line distance, which is of rank 1.
         """
         rays_camera = camera.unproject(matches.uv)
-        ideal = rays_camera / rays_camera[:, 2:]
-        _, d_uv = camera.project_with_jacobian(ideal)
+        fronts: FloatArray | None = None
+        if isinstance(camera, Camera):
+            ideal = rays_camera / rays_camera[:, 2:]
+            _, d_uv = camera.project_with_jacobian(ideal)
+        else:
+            fronts = front_rotations(rays_camera)
+            _, d_uv = camera.project_with_jacobian(rays_camera)
+            d_uv = d_uv @ fronts.swapaxes(1, 2)
+            ideal = np.where(np.isfinite(rays_camera).all(axis=1, keepdims=True), [0.0, 0.0, 1.0], np.nan)
+            fronts = np.where(np.isfinite(fronts), fronts, np.eye(3))
         D = np.moveaxis(d_uv[..., :2], 0, -1)  # (2, 2, N) d uv / d xy
         D = np.where(np.isfinite(D).all(axis=(0, 1)), D, 0.0)
         by_weight = matches.weights / sigma_px**2
@@ -94,6 +106,7 @@ class Measurements:
             cross * by_weight,
             np.maximum(matches.ranges - reach, _NEAREST * matches.ranges),
             matches.ranges + reach,
+            fronts,
         )
 
     def __len__(self) -> int:
@@ -110,6 +123,7 @@ class Measurements:
             self.cross_information[:, keep],
             self.least_rho[keep],
             self.most_rho[keep],
+            None if self.fronts is None else self.fronts[keep],
         )
 
 
@@ -161,7 +175,7 @@ class Residuals:
     s: FloatArray
     """(B, N) cost of each match; `UNSEEN` behind the camera."""
     rotated: FloatArray
-    """(B, 3, N) rays in camera axes."""
+    """(B, 3, N) rays in camera axes, or in those of `fronts`."""
     xy: FloatArray
     """(B, 2, N) predicted tangents; this and all following are 0 behind the camera."""
     inverse_z: FloatArray
@@ -178,6 +192,8 @@ def residuals(measured: Measurements, states: States) -> Residuals:
     rotated = R @ measured.rays
     p = rotated * states.rho[:, None]
     p -= R @ states.centres[:, :, None]
+    if measured.fronts is not None:
+        rotated, p = (np.einsum("nij,bjn->bin", measured.fronts, each) for each in (rotated, p))
     z = p[:, 2:]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         inverse_z = 1 / z
@@ -223,8 +239,13 @@ def linearise(measured: Measurements, states: States, seen: Residuals) -> Linear
     J[:, 1, 0] += 1
     J[:, 0, 1] -= 1
     J[:, 2, 0], J[:, 2, 1] = -y, x
-    np.multiply(xy[:, None], R[:, 2, :, None, None], out=J[:, 3:])  # d p = -R c
-    J[:, 3:] -= R[:, :2].swapaxes(1, 2)[..., None]
+    if measured.fronts is None:
+        np.multiply(xy[:, None], R[:, 2, :, None, None], out=J[:, 3:])  # d p = -R c
+        J[:, 3:] -= R[:, :2].swapaxes(1, 2)[..., None]
+    else:
+        J[:, :3] = np.einsum("bkin,nka->bain", J[:, :3], measured.fronts)  # d p = F w x F p
+        turned = np.einsum("nij,bja->bian", measured.fronts, R)
+        J[:, 3:] = xy[:, None] * turned[:, 2, :, None] - turned[:, :2].swapaxes(1, 2)
     J[:, 3:] *= inverse_z[:, None]
     j = (seen.rotated[:, :2] - xy * seen.rotated[:, 2:]) * inverse_z
     m = measured.information * j + measured.cross_information * j[:, ::-1]

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel, require_pinhole
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.thesis.epipolar import epipolar_residuals
@@ -26,7 +26,7 @@ LEAST_EIGENVALUE = 1e-13
 
 
 def pose_jacobian(
-    camera_from_scanner: Rigid, points_scanner: FloatArray, camera: Camera
+    camera_from_scanner: Rigid, points_scanner: FloatArray, camera: CameraModel
 ) -> tuple[FloatArray, FloatArray]:
     """Project points and differentiate the pixels by the pose.
 
@@ -57,7 +57,9 @@ def joint_jacobian(result: PoseResult, points_scanner: FloatArray) -> tuple[Floa
     p = pose @ np.asarray(points_scanner, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         xy = p[..., :2] / np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
-    return uv, np.concatenate([J, result.camera_uncertainty.jacobian(camera, xy)], axis=-1)
+    return uv, np.concatenate(
+        [J, result.camera_uncertainty.jacobian(require_pinhole(camera, "Its uncertainty"), xy)], axis=-1
+    )
 
 
 def guarded_inverse(information: FloatArray) -> FloatArray:
@@ -77,7 +79,7 @@ def simplex_covariance(
     pose: Rigid,
     matches: Matches,
     inliers: BoolArray,
-    camera: Camera,
+    camera: CameraModel,
     *,
     residual: Residual,
     sigma_px: float,

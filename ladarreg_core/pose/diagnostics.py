@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.thesis.stereo import STEREO_AXES_FROM_SCANNER, StereoPairs, rectify, stereo_frame
@@ -31,7 +31,7 @@ class Disparities:
 
 
 def stereo_depth_error(
-    pose: Rigid, matches: Matches, camera: Camera, *, sigma_px: float, disparities: Disparities | None = None
+    pose: Rigid, matches: Matches, camera: CameraModel, *, sigma_px: float, disparities: Disparities | None = None
 ) -> FloatArray:
     """Return laser depth minus stereo depth of every match, in the thesis's stereo frame.
 
@@ -62,7 +62,7 @@ def stereo_depth_error(
     return np.where(known, d.depth - stereo, np.nan)
 
 
-def stereo_disparities(pose: Rigid, matches: Matches, camera: Camera) -> Disparities:
+def stereo_disparities(pose: Rigid, matches: Matches, camera: CameraModel) -> Disparities:
     """Return the disparities of matches for a pose."""
     frame_from_scanner = stereo_frame(matches.rays)
     pairs = StereoPairs.of(matches, camera, frame_from_scanner=frame_from_scanner)
@@ -78,7 +78,7 @@ def diagnose(
     pose: Rigid,
     matches: Matches,
     inliers: BoolArray,
-    camera: Camera,
+    camera: CameraModel,
     *,
     sigma_px: float,
     disparities: Disparities | None = None,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ladarreg_core.arrays import read_only
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel, require_pinhole
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
@@ -34,7 +34,7 @@ def estimate_pose(
     rays: ArrayLike,
     ranges: ArrayLike,
     uv: ArrayLike,
-    camera: Camera,
+    camera: CameraModel,
     *,
     sigma_px: float | None = None,
     sigma_range_m: float | None = None,
@@ -83,7 +83,7 @@ def estimate_pose(
 
 def solve_pose(
     matches: Matches,
-    camera: Camera,
+    camera: CameraModel,
     options: PoseOptions | None = None,
     *,
     initial: Rigid | None = None,
@@ -104,11 +104,11 @@ def solve_pose(
     """
     options = options or PoseOptions()
     matches = check_matches(matches, camera, initial)
-    if not assumed:
-        return _METHODS[options.method](matches, camera, options, initial)
     if options.method == "robust":
-        return solve_robust(matches, camera, options, initial, assumed=True)
-    return with_assumed_camera(_METHODS[options.method](matches, camera, options, initial), options.camera_prior)
+        return solve_robust(matches, camera, options, initial, assumed=assumed)
+    pinhole = require_pinhole(camera, f"The method '{options.method}'")
+    found = _METHODS[options.method](matches, pinhole, options, initial)
+    return with_assumed_camera(found, options.camera_prior) if assumed else found
 
 
 def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions, _: Rigid | None) -> PoseResult:
@@ -140,7 +140,6 @@ def _solve_simplex(matches: Matches, camera: Camera, options: PoseOptions, initi
 
 
 _METHODS: Mapping[Method, Callable[[Matches, Camera, PoseOptions, Rigid | None], PoseResult]] = {
-    "robust": solve_robust,
     "linear": _solve_linear,
     "stereo_simplex": _solve_simplex,
     "epipolar_simplex": _solve_simplex,

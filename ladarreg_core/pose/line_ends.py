@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
 
@@ -46,7 +46,7 @@ def repair_ends(
     matches: Matches,
     inliers: BoolArray,
     state: States,
-    camera: Camera,
+    camera: CameraModel,
     *,
     gate: float,
     sigma_px: float,

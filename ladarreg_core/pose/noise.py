@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, across_lines
 
@@ -28,7 +28,7 @@ _ROUNDS = 6
 def estimate_noise(
     pose: Rigid,
     inliers: Matches,
-    camera: Camera,
+    camera: CameraModel,
     *,
     stated_range_m: float,
     most_px: float,
@@ -50,7 +50,7 @@ def estimate_noise(
     """
     points = pose @ inliers.points
     uv, d_uv = camera.project_with_jacobian(points)
-    e: FloatArray = (inliers.uv - uv) * np.sqrt(inliers.weights)[:, None]
+    e: FloatArray = camera.difference(inliers.uv, uv) * np.sqrt(inliers.weights)[:, None]
     j: FloatArray = (d_uv @ (inliers.rays @ pose.rotation.T)[..., None])[..., 0] / np.sqrt(inliers.range_weights)[
         :, None
     ]

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError, DegenerateGeometryError, OptionError, ShapeError
+from ladarreg_core.camera import CameraModel, require_camera
+from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import count_distinct
-from ladarreg_core.validation import require_type
 
 LEAST_MATCHES = 4
 _UNIT_TOLERANCE = 1e-3
@@ -21,7 +20,7 @@ _MOST_RANGE_M, _MOST_PIXEL = 1e7, 1e7
 _LEAST_WEIGHT, _MOST_WEIGHT = 1e-9, 1e9  # the points of a line share its weight
 
 
-def check_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> Matches:
+def check_matches(matches: Matches, camera: CameraModel, initial: Rigid | None) -> Matches:
     """Return the matches with rays of length 1, or raise an error that explains what is wrong with them.
 
     Args:
@@ -32,7 +31,7 @@ def check_matches(matches: Matches, camera: Camera, initial: Rigid | None) -> Ma
     Raises:
         LadarregError: as `estimate_pose`.
     """
-    require_type(camera, Camera, "the camera", error=CameraError)
+    require_camera(camera, "the camera")
     if initial is not None and not isinstance(initial, Rigid):
         raise OptionError(f"the initial pose is a {type(initial).__name__}; give a Rigid (camera_from_scanner)")
     if initial is not None and not np.abs(initial.centre).max() <= _MOST_RANGE_M:

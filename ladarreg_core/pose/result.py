@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, across_lines
@@ -54,7 +54,7 @@ class Fit:
         return float(self.s[self.inliers].sum() / dof) if dof > 0 else float("nan")
 
 
-def noise_of_inliers(fit: Fit, matches: Matches, camera: Camera, options: PoseOptions) -> tuple[float, float]:
+def noise_of_inliers(fit: Fit, matches: Matches, camera: CameraModel, options: PoseOptions) -> tuple[float, float]:
     """Return (sigma_px, sigma_range_m) estimated from the inliers, within bounds for plausible matches."""
     return estimate_noise(
         fit.state.pose(),
@@ -71,7 +71,7 @@ def noise_of_inliers(fit: Fit, matches: Matches, camera: Camera, options: PoseOp
 def build_result(
     fit: Fit,
     matches: Matches,
-    camera: Camera,
+    camera: CameraModel,
     options: PoseOptions,
     covariance: FloatArray,
     sigma: tuple[float, float],
@@ -120,7 +120,7 @@ def build_result(
         camera=camera,
         matches=matches,
         inliers=inliers,
-        residuals_px=across_lines(matches, matches.uv - camera.project(pose @ matches.points)),
+        residuals_px=across_lines(matches, camera.difference(matches.uv, camera.project(pose @ matches.points))),
         residuals_m=np.where(seen, matches.ranges - fit.state.rho[0], np.nan),
         stereo_depth_error_m=stereo_depth_error(pose, matches, camera, sigma_px=sigma[0], disparities=disparities),
         covariance=whole,
@@ -135,7 +135,9 @@ def build_result(
     )
 
 
-def _second_pose(fit: Fit, matches: Matches, camera: Camera, options: PoseOptions, *, sigma_px: float) -> Rigid | None:
+def _second_pose(
+    fit: Fit, matches: Matches, camera: CameraModel, options: PoseOptions, *, sigma_px: float
+) -> Rigid | None:
     """Return a second pose that explains the matches, by the quick search, or None."""
     acceptance, gate = options.acceptance, options.gate_chi2
     found = second_pose_of_outliers(
@@ -161,7 +163,7 @@ def describe_pose(
     camera_from_scanner: Rigid,
     matches: Matches,
     inliers: BoolArray,
-    camera: Camera,
+    camera: CameraModel,
     *,
     sigma_px: float,
     sigma_range_m: float,
@@ -191,7 +193,7 @@ def describe_pose(
         camera=camera,
         matches=matches,
         inliers=inliers,
-        residuals_px=across_lines(matches, matches.uv - camera.project(pose @ matches.points)),
+        residuals_px=across_lines(matches, camera.difference(matches.uv, camera.project(pose @ matches.points))),
         residuals_m=matches.ranges - adjusted,
         stereo_depth_error_m=stereo_depth_error(pose, matches, camera, sigma_px=sigma_px),
         covariance=covariance,

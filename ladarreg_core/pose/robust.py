@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel, require_pinhole
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
@@ -41,6 +41,7 @@ from ladarreg_core.pose.line_ends import repair_ends
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.pose.ransac import sample_pose
+from ladarreg_core.pose.ray_ransac import sample_pose_of_rays
 from ladarreg_core.pose.result import Fit, build_result, noise_of_inliers
 from ladarreg_core.results import PoseResult
 
@@ -51,7 +52,7 @@ _SETTLED_NOISE = 1.1  # a smaller change of the noise changes neither inliers no
 
 
 def solve_robust(
-    matches: Matches, camera: Camera, options: PoseOptions, initial: Rigid | None = None, *, assumed: bool = False
+    matches: Matches, camera: CameraModel, options: PoseOptions, initial: Rigid | None = None, *, assumed: bool = False
 ) -> PoseResult:
     """Estimate the pose from matches that meet the preconditions.
 
@@ -96,15 +97,18 @@ def _result(
     return replace(result, camera_sigmas=solution.camera_sigmas, reasons=(*result.reasons, *solution.notes))
 
 
-def _with_assumed_camera(result: PoseResult, solution: _Solution, stated: Camera, options: PoseOptions) -> PoseResult:
+def _with_assumed_camera(
+    result: PoseResult, solution: _Solution, stated: CameraModel, options: PoseOptions
+) -> PoseResult:
     """Return the result with the camera fitted under its prior, or else with the camera's errors in its covariance.
 
     The camera is kept as it was where the pose, too, is to be kept, and where the pose would no longer be accepted.
     """
     kept = with_assumed_camera(result, options.camera_prior)
-    if options.intrinsics == "fixed" or solution.kept_initial:
+    if options.intrinsics == "fixed" or solution.kept_initial or not isinstance(stated, Camera):
         return kept
-    start = solution.intrinsics or (solution.camera, solution.fit.state.pose())
+    given = require_pinhole(solution.camera, "An assumed camera")
+    start = solution.intrinsics or (given, solution.fit.state.pose())
     found = fit_assumed_camera(
         solution.matches, stated, start, options.camera_prior,
         sigma_px=solution.sigma[0], sigma_range_m=solution.sigma[1], gate_chi2=options.gate_chi2,
@@ -129,7 +133,7 @@ class _Solution:
     """The solution so far; each step of the estimator returns the next."""
 
     matches: Matches
-    camera: Camera
+    camera: CameraModel
     sigma: tuple[float, float]
     fit: Fit
     notes: tuple[str, ...] = ()
@@ -144,7 +148,7 @@ class _Solution:
 
 
 def _initial_fit(
-    matches: Matches, camera: Camera, options: PoseOptions, sigma: tuple[float, float], initial: Rigid | None
+    matches: Matches, camera: CameraModel, options: PoseOptions, sigma: tuple[float, float], initial: Rigid | None
 ) -> Fit:
     """Return the best of the RANSAC poses and the initial pose, with its inliers."""
     measured = Measurements.of(matches, camera, sigma_px=sigma[0], sigma_range_m=sigma[1])
@@ -188,7 +192,7 @@ def _with_estimated_noise(solution: _Solution, options: PoseOptions) -> _Solutio
 
 def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
     """Estimate the intrinsics that were requested, or those that held-out matches support."""
-    if options.intrinsics == "fixed":
+    if options.intrinsics == "fixed" or not isinstance(solution.camera, Camera):
         return solution
     stated: dict[str, Any] = {
         "sigma_px": solution.sigma[0], "sigma_range_m": solution.sigma[1], "gate_chi2": options.gate_chi2,
@@ -223,7 +227,7 @@ def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
 def _noise_estimator(solution: _Solution, options: PoseOptions) -> Noise | None:
     """Return the estimator of the noise from a pose and its camera; None if the noise is stated."""
 
-    def noise(pose: Rigid, of: Camera, inliers: BoolArray) -> tuple[float, float]:
+    def noise(pose: Rigid, of: CameraModel, inliers: BoolArray) -> tuple[float, float]:
         if np.count_nonzero(inliers) < options.acceptance.least_inliers:
             return solution.sigma
         there = replace(solution.fit, state=States.of([pose], solution.fit.measured), inliers=inliers)
@@ -234,6 +238,8 @@ def _noise_estimator(solution: _Solution, options: PoseOptions) -> Noise | None:
 
 def _or_initial_pose(solution: _Solution, initial: Rigid, options: PoseOptions) -> _Solution:
     """Return to the initial pose if it predicts held-out matches better than a pose fitted to the others."""
+    if not isinstance(solution.camera, Camera):
+        return solution
     worse = worse_when_held_out(
         solution.matches, solution.camera, initial, solution.fit.state.pose(), solution.fit.inliers,
         sigma_px=solution.sigma[0], sigma_range_m=solution.sigma[1], gate_chi2=options.gate_chi2, seed=options.seed,
@@ -263,11 +269,13 @@ def _likelier_of_mirrored(measured: Measurements, fit: Fit, options: PoseOptions
 
 
 def _initial_poses(
-    matches: Matches, measured: Measurements, camera: Camera, options: PoseOptions, sigma_px: float
+    matches: Matches, measured: Measurements, camera: CameraModel, options: PoseOptions, sigma_px: float
 ) -> list[Rigid]:
     """Return the poses found by the two runs of RANSAC, at most one each."""
     if options.ransac_iterations == 0:
         return []
+    if not isinstance(camera, Camera):
+        return _initial_poses_of_rays(matches, camera, options, sigma_px)
     ideal = camera.without_distortion()
     uv = (measured.xy * [[ideal.fx], [ideal.fy]] + [[ideal.cx], [ideal.cy]]).T
     threshold = options.ransac_sigma * sigma_px
@@ -288,8 +296,18 @@ def _initial_poses(
     return poses
 
 
+def _initial_poses_of_rays(matches: Matches, camera: CameraModel, options: PoseOptions, sigma_px: float) -> list[Rigid]:
+    """Return the pose found from the rays of a wide camera, if any."""
+    pose = sample_pose_of_rays(
+        matches.points[~matches.across], camera.unproject(matches.uv[~matches.across]),
+        threshold_rad=options.ransac_sigma * sigma_px / camera.focal_px, iterations=options.ransac_iterations,
+        seed=options.seed,
+    )  # fmt: skip
+    return [] if pose is None else [pose]
+
+
 def _second_threshold_px(
-    measured: Measurements, pose: Rigid, camera: Camera, options: PoseOptions, *, gate_px: float
+    measured: Measurements, pose: Rigid, camera: CameraModel, options: PoseOptions, *, gate_px: float
 ) -> tuple[float, float]:
     """Return the threshold of the second RANSAC, from range noise propagated into pixels, and the share of inliers.
 
@@ -297,7 +315,7 @@ def _second_threshold_px(
     """
     state = States.of([pose], measured)
     seen = residuals(measured, state)
-    squared = (seen.e[0] ** 2).sum(axis=0) * (camera.fx * camera.fy)
+    squared = (seen.e[0] ** 2).sum(axis=0) * camera.focal_px**2
     near = (squared < gate_px**2) & (seen.s[0] < UNSEEN)
     trace = measured.information.sum(axis=0)
     determinant = measured.information.prod(axis=0) - measured.cross_information[0] ** 2

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, information_matrix, residuals
@@ -137,7 +137,7 @@ class _Determined:
         return float(np.sqrt((parts * parts).sum()))
 
 
-def _ideal_matches(matches: Matches, camera: Camera, pose: Rigid, reach: float) -> Matches:
+def _ideal_matches(matches: Matches, camera: CameraModel, pose: Rigid, reach: float) -> Matches:
     """Return the ideal layout: matches all over the photo, around the same distance and of the same total information.
 
     It consists of many matches of little weight; the quality of a few random ones would depend on chance.

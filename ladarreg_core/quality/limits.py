@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 
 MOST_SIGMA_Z_OVER_Z = 0.05
 """Relative uncertainty of a stereo depth above which it cannot be compared with the laser's."""
@@ -39,7 +39,7 @@ def is_forward_baseline(across: float, forward: float) -> bool:
     return across < LEAST_ACROSS_OF_FORWARD * abs(forward)
 
 
-def covered_share(uv: FloatArray, camera: Camera) -> float:
+def covered_share(uv: FloatArray, camera: CameraModel) -> float:
     """Return the share of the photo's area that matches at pixels (N, 2) span, 0 to 1."""
     low, high = np.percentile(uv, CENTRAL_PERCENTILES, axis=0)
     whole = (CENTRAL_PERCENTILES[1] - CENTRAL_PERCENTILES[0]) / 100

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.formatting import format_number
 from ladarreg_core.pose.covariance import joint_jacobian
 from ladarreg_core.results import PoseResult
@@ -138,7 +138,7 @@ def suggest_matches(
     return tuple(found)
 
 
-def part_of_photo(uv: FloatArray, camera: Camera) -> str:
+def part_of_photo(uv: FloatArray, camera: CameraModel) -> str:
     """Return the part of the photo, one of nine, that contains a pixel (2,): 'the upper left', 'the right', 'the
     middle'."""
     across, down = (float(uv[k] + 0.5) / camera.size[k] for k in range(2))

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ladarreg_core.arrays import BoolArray, FloatArray, read_only
-from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError, OptionError, ShapeError
+from ladarreg_core.camera import CameraModel, require_camera, require_pinhole
+from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
@@ -30,7 +30,7 @@ from ladarreg_core.quality.limits import MOST_SIGMA_Z_OVER_Z
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
-from ladarreg_core.validation import require_positive, require_type
+from ladarreg_core.validation import require_positive
 
 _UNKNOWN_RANGE_SIGMA_M = 1e6  # so large that the pixel alone determines the range
 _MOST_FACTOR = 100.0  # larger than any scanner's error; without a baseline, rounding may yield any range
@@ -85,7 +85,7 @@ class SmoothedScan:
 
 def smooth_ranges(
     matches: Matches,
-    camera: Camera,
+    camera: CameraModel,
     camera_from_scanner: Rigid,
     *,
     threshold_m: float | FloatArray,
@@ -274,7 +274,7 @@ def _quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:
 def _check_inputs(matches: object, camera: object, pose: object, options: object) -> None:
     if not isinstance(matches, Matches):
         raise ShapeError(f"the matches are a {type(matches).__name__}; give Matches")
-    require_type(camera, Camera, "the camera", error=CameraError)
+    require_pinhole(require_camera(camera, "the camera"), "Smoothing")
     if not isinstance(pose, Rigid):
         raise OptionError(f"the pose is a {type(pose).__name__}; give a Rigid (camera_from_scanner)")
     if not isinstance(options, SmoothOptions):

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError
+from ladarreg_core.camera import Camera, CameraModel, require_camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, principal_extents
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct
@@ -33,7 +32,7 @@ _MOST_SIGMA_PX = 1e6
 
 def stereo_cautions(
     matches: Matches,
-    camera: Camera,
+    camera: CameraModel,
     *,
     pose: Rigid | None = None,
     sigma_px: float = 1.0,
@@ -53,7 +52,7 @@ def stereo_cautions(
         CameraError: if `camera` is not a `Camera`.
         OptionError: if `sigma_px` is not a positive number, or a pose is not a `Rigid`.
     """
-    require_type(camera, Camera, "the camera", error=CameraError)
+    require_camera(camera, "the camera")
     require_positive(sigma_px, "sigma_px", most=_MOST_SIGMA_PX, unit="pixels")
     for name, transform in (("pose", pose), ("view_from_scanner", view_from_scanner)):
         if transform is not None:
@@ -87,7 +86,7 @@ def _count(matches: Matches) -> str:
     )
 
 
-def _spread(matches: Matches, camera: Camera) -> str:
+def _spread(matches: Matches, camera: CameraModel) -> str:
     share = covered_share(matches.uv, camera)
     if share >= LITTLE_SPREAD[1]:
         return ""
@@ -107,8 +106,10 @@ def _relief(matches: Matches) -> str:
     )
 
 
-def _consensus_pose(matches: Matches, camera: Camera, sigma_px: float) -> Rigid | None:
+def _consensus_pose(matches: Matches, camera: CameraModel, sigma_px: float) -> Rigid | None:
     """Return the pose on which enough matches agree, by RANSAC."""
+    if not isinstance(camera, Camera):
+        return None
     found = ransac_pose(matches.points, matches.uv, camera, threshold_px=_RANSAC_SIGMA * sigma_px, iterations=1000)
     if found is None:
         return None
@@ -117,7 +118,7 @@ def _consensus_pose(matches: Matches, camera: Camera, sigma_px: float) -> Rigid 
     return found.camera_from_scanner if enough else None
 
 
-def _baseline(pose: Rigid, pairs: StereoPairs, camera: Camera, sigma_px: float) -> str:
+def _baseline(pose: Rigid, pairs: StereoPairs, camera: CameraModel, sigma_px: float) -> str:
     disparity = _predicted_disparity(pose, pairs) * camera.focal_px
     if not np.isfinite(disparity).any():
         return ""

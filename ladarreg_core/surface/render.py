@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
-from ladarreg_core.camera import Camera
+from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
+from ladarreg_core.camera import Camera, CameraModel, cube_faces
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
@@ -21,7 +21,7 @@ _LARGEST_SUPERSAMPLE = 8
 
 def render_scan_colors(
     scan: Scan,
-    camera: Camera,
+    camera: CameraModel,
     camera_from_scanner: Rigid,
     *,
     picture: ByteArray | None = None,
@@ -55,8 +55,10 @@ def render_scan_colors(
     require_int(supersample, "supersample", least=1, most=_LARGEST_SUPERSAMPLE)
     mesh = scan_mesh(scan)
     values = texture[mesh.cells[:, 0], mesh.cells[:, 1]].astype(np.float32) / 255
-    ideal = covering_pinhole(camera, scale=supersample)
     points_camera = camera_from_scanner @ mesh.vertices.astype(np.float64)
+    if not isinstance(camera, Camera):
+        return _render_wide(camera, points_camera, mesh.faces, values, background)
+    ideal = covering_pinhole(camera, scale=supersample)
     depth, drawn = rasterise_values(points_camera, mesh.faces, values, ideal)
     covered = np.isfinite(depth).astype(np.float32)
     if camera.distortion:
@@ -66,6 +68,30 @@ def render_scan_colors(
     share = cv2.resize(covered, camera.size, interpolation=cv2.INTER_AREA)
     colour = colour * 255 + (1 - share[..., None]) * np.array(background, dtype=np.float32)
     return np.clip(np.rint(colour), 0, 255).astype(np.uint8), np.asarray(share >= 0.5)
+
+
+def _render_wide(
+    camera: CameraModel,
+    points_camera: FloatArray,
+    faces: IntArray,
+    values: FloatArray,
+    background: tuple[int, int, int],
+) -> tuple[ByteArray, BoolArray]:
+    """Render into a wide image, one sample a pixel, by way of the faces of a cube around the camera."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    rays = camera.unproject(np.stack([u, v], axis=-1)).astype(np.float32)
+    colour = np.empty((camera.height, camera.width, 3), dtype=np.float32)
+    colour[:] = background
+    covered = np.zeros((camera.height, camera.width), dtype=np.bool_)
+    for face in cube_faces(camera):
+        turned = rays @ face.face_from_camera.T.astype(np.float32)
+        here = face.holds(turned)
+        depth, drawn = rasterise_values(points_camera @ face.face_from_camera.T, faces, values, face.camera)
+        at = np.where(here[..., None], face.camera.project(turned), np.float32(-10))
+        found = here & (_resampled(np.isfinite(depth).astype(np.float32), at) >= 0.5)
+        colour[found] = (_resampled(drawn, at) * 255)[found]
+        covered |= found
+    return np.clip(np.rint(colour), 0, 255).astype(np.uint8), covered
 
 
 def _resampled(image: NDArray[np.float32], at: FloatArray) -> NDArray[np.float32]:

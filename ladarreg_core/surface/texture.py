@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
@@ -27,6 +27,7 @@ _LARGEST_POSE_SIGMA_PX = 2.0
 _ROWS_AT_ONCE = 256
 _NET_NODES = 65
 _UNSEEN_BRIGHTNESS = 0.45
+_SEAM_PX = 64
 _OUTSIDE = np.float32(-10)
 _DARKEST, _BRIGHTEST = 18.0, 245.0
 _PERCENTILES = (1.0, 99.0)
@@ -85,7 +86,7 @@ def texture_scan(
     photo: Photo,
     camera_from_scanner: Rigid,
     *,
-    camera: Camera | None = None,
+    camera: CameraModel | None = None,
     covariance: FloatArray | CameraUncertainty | None = None,
     background: tuple[int, int, int] = UNSEEN,
 ) -> RegisteredTexture:
@@ -218,7 +219,7 @@ def blended_picture(scan: Scan, texture: RegisteredTexture, *, share: float) -> 
 def _labels(
     scan: Scan,
     projection: ScanProjection,
-    camera: Camera,
+    camera: CameraModel,
     camera_from_scanner: Rigid,
     covariance: FloatArray | CameraUncertainty | None,
 ) -> NDArray[np.uint8]:
@@ -255,7 +256,7 @@ def _dilated(mask: BoolArray) -> BoolArray:
 def _pose_uncertain(
     scan: Scan,
     projection: ScanProjection,
-    camera: Camera,
+    camera: CameraModel,
     camera_from_scanner: Rigid,
     covariance: FloatArray | CameraUncertainty,
 ) -> BoolArray:
@@ -269,9 +270,10 @@ def _pose_uncertain(
     # for both all over the image, as it nearly always is, no cell needs to be checked.
     net = [np.linspace(0, n - 1, _NET_NODES) for n in camera.size]
     rays = camera.unproject(np.stack(np.meshgrid(*net), axis=-1))
+    along = rays[..., 2:] if isinstance(camera, Camera) else np.float64(1)
     depths = projection.depth_m[visible]
     ends = [
-        pixel_sigma(rays * (depth / rays[..., 2:]), camera, rotation, covariance)
+        pixel_sigma(rays * (depth / along), camera, rotation, covariance)
         for depth in (float(depths.min()), float(depths.max()))
     ]
     if np.isfinite(ends).all() and np.max(ends) < 0.99 * _LARGEST_POSE_SIGMA_PX:
@@ -283,11 +285,14 @@ def _pose_uncertain(
 
 
 def _sampled(
-    pixels: ByteArray, projection: ScanProjection, scan: Scan, camera: Camera, background: tuple[int, ...]
+    pixels: ByteArray, projection: ScanProjection, scan: Scan, camera: CameraModel, background: tuple[int, ...]
 ) -> NDArray[np.uint8]:
     """Return the photo's colour at every visible cell, (H, W, 3), from a copy reduced to about the size of the cell."""
     visible = projection.visible
     u, v = (np.where(visible, projection.uv[..., k], _OUTSIDE) for k in range(2))
+    if isinstance(camera, EquirectangularCamera) and camera.is_full_turn:  # colours are continuous across the seam
+        pixels = np.concatenate([pixels[:, -_SEAM_PX:], pixels, pixels[:, :_SEAM_PX]], axis=1)
+        u = np.where(visible, u + np.float32(min(_SEAM_PX, camera.width)), _OUTSIDE)
     steps = scan.geometry.step_rad
     reach = np.float32(camera.focal_px * np.sqrt(steps[0] * steps[1]))
     with np.errstate(invalid="ignore", divide="ignore"):

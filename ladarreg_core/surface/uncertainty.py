@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray, read_only
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel, require_camera
 from ladarreg_core.camera.uncertainty import CameraUncertainty
-from ladarreg_core.errors import CameraError, ShapeError
+from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.validation import require_choice, require_number, require_type
+from ladarreg_core.validation import require_choice, require_number
 
 Measure = Literal["longer_axis", "total"]
 """`longer_axis`: root of the larger eigenvalue of the pixel's covariance; `total`: root of its trace."""
@@ -35,7 +35,7 @@ _MOST_SIGMA_RANGE_M = 1e6
 
 def picture_sigma(
     scan: Scan,
-    camera: Camera,
+    camera: CameraModel,
     camera_from_scanner: Rigid,
     covariance: FloatArray | CameraUncertainty,
     *,
@@ -67,7 +67,7 @@ def picture_sigma(
     factor = covariance_factor(covariance)
     require_number(sigma_range_m, "sigma_range_m", least=0, most=_MOST_SIGMA_RANGE_M, unit="metres")
     require_choice(measure, get_args(Measure), "the measure")
-    require_type(camera, Camera, "the camera", error=CameraError)
+    require_camera(camera, "the camera")
     points = scan.points.reshape(-1, 3)
     result = np.empty(len(points), dtype=np.float32)
     dtype = _precision_for(factor, camera, float(sigma_range_m))
@@ -85,7 +85,7 @@ def picture_sigma(
 
 
 def pixel_sigma(
-    points_camera: FloatArray, camera: Camera, rotation: FloatArray, covariance: FloatArray | CameraUncertainty
+    points_camera: FloatArray, camera: CameraModel, rotation: FloatArray, covariance: FloatArray | CameraUncertainty
 ) -> FloatArray:
     """Return the uncertainty of projected points due to the pose: the longer semi-axis of the one-sigma ellipse.
 
@@ -139,7 +139,7 @@ def covariance_factor(covariance: FloatArray | CameraUncertainty) -> NDArray[np.
     return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0)))
 
 
-def _precision_for(factor: FloatArray, camera: Camera, sigma_range_m: float) -> type[np.floating[Any]]:
+def _precision_for(factor: FloatArray, camera: CameraModel, sigma_range_m: float) -> type[np.floating[Any]]:
     """Return the precision needed: for a poorly determined pose, pixels move by large amounts that nearly cancel."""
     largest = max(float(np.linalg.norm(factor)), sigma_range_m)
     return np.float32 if largest * camera.focal_px * _ROUNDING < _MOST_ROUNDING_PX else np.float64
@@ -152,7 +152,7 @@ def _in_camera_axes(factor: FloatArray, rotation: FloatArray) -> FloatArray:
 
 def _sigma(
     p: FloatArray,
-    camera: Camera,
+    camera: CameraModel,
     factor: FloatArray,
     measure: Measure,
     *,
@@ -171,6 +171,8 @@ def _sigma(
         along: (3, N) additional error of each point, one sigma, m.
         joint: the uncertain intrinsics, if there are any.
     """
+    if not isinstance(camera, Camera):
+        return _wide_sigma(p, camera, factor, measure, along)
     rows = np.empty((2, 6, p.shape[1]), dtype=p.dtype)
     with np.errstate(all="ignore"):
         inverse_z = 1 / np.where(p[2] > 0, p[2], p.dtype.type(np.nan))
@@ -195,6 +197,23 @@ def _sigma(
         else:
             fx, fy = p.dtype.type(camera.fx), p.dtype.type(camera.fy)
             uu, uv, vv = fx * fx * xx, fx * fy * cross, fy * fy * yy
+        if measure == "total":
+            return np.asarray(np.sqrt(uu + vv))
+        half = (uu - vv) / 2
+        return np.asarray(np.sqrt((uu + vv) / 2 + np.sqrt(half * half + uv * uv)))
+
+
+def _wide_sigma(
+    p: FloatArray, camera: CameraModel, factor: FloatArray, measure: Measure, along: FloatArray | None
+) -> FloatArray:
+    """Return the standard deviation (N,) of the pixels of points (3, N) in the frame of a wide camera."""
+    with np.errstate(all="ignore"):
+        _, d_uv = camera.project_with_jacobian(p.T)  # (N, 2, 3)
+        by_rotation = np.cross(p.T[:, None], d_uv)  # d p = w x p
+        rows = np.concatenate([by_rotation, -d_uv], axis=2) @ factor[:6].astype(np.float64)
+        if along is not None:
+            rows = np.concatenate([rows, d_uv @ along.T[..., None].astype(np.float64)], axis=2)
+        uu, vv, uv = ((rows[:, i] * rows[:, j]).sum(axis=1) for i, j in ((0, 0), (1, 1), (0, 1)))
         if measure == "total":
             return np.asarray(np.sqrt(uu + vv))
         half = (uu - vv) / 2
@@ -227,9 +246,9 @@ class _Lens:
     """(2,) tangents between nodes."""
 
     @staticmethod
-    def of(camera: Camera, count: int) -> _Lens | None:
-        """Return the lens, with a net if `count` points justify it; None without distortion."""
-        if not camera.distortion:
+    def of(camera: CameraModel, count: int) -> _Lens | None:
+        """Return the lens, with a net if `count` points justify it; None without distortion, and of a wide camera."""
+        if not isinstance(camera, Camera) or not camera.distortion:
             return None
         whole = _Lens(camera, None, np.zeros(2), np.ones(2))
         if count < 2 * _NET_NODES**2:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel, Face, cube_faces
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
@@ -47,7 +47,7 @@ class ScanProjection:
     uv: FloatArray
     """(H, W, 2) float32, pixels; NaN without a return or behind the camera."""
     depth_m: FloatArray
-    """(H, W) float32, z in the camera frame; NaN = no return."""
+    """(H, W) float32, z in the camera frame, of a wide camera the distance from it; NaN = no return."""
     in_picture: BoolArray
     """(H, W) bool."""
     occluded: BoolArray
@@ -88,12 +88,12 @@ class _Surface:
 _surface_of_scan: WeakKeyDictionary[Scan, _Surface] = WeakKeyDictionary()
 
 
-def visible_cells(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> BoolArray:
+def visible_cells(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> BoolArray:
     """Return the cells of a scan that a camera sees: (H, W) bool, see `project_scan`."""
     return project_scan(scan, camera, camera_from_scanner).visible
 
 
-def project_scan(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> ScanProjection:
+def project_scan(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> ScanProjection:
     """Project a scan into a camera's image and find the occluded cells.
 
     The scan's surface is drawn into a z-buffer about as fine as the scan's cells. There is no surface across depth
@@ -127,7 +127,7 @@ class ScanTile:
     """The tile within its margin."""
 
 
-def projected_tiles(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> Iterator[ScanTile]:
+def projected_tiles(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> Iterator[ScanTile]:
     """Yield the parts of a scan that a camera may see, projected as by `project_scan`; the others are out of frame.
 
     The z-buffer contains the surface of all of them, so that memory does not grow with the scan.
@@ -149,15 +149,9 @@ def projected_tiles(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> I
                 kept[rows.start, columns.start] = known
         return known
 
-    ideal = covering_pinhole(camera, scale=_sampled_buffer_scale(scan, camera, camera_from_scanner))
-    depth = np.full((ideal.height, ideal.width), np.inf, np.float32)
-    for place in places:
-        part = tile(*place)
-        if part is not None:
-            surface = _surface(part)
-            drawn = rasterise_depth(camera_from_scanner @ surface.vertices, surface.faces, ideal)
-            np.minimum(depth, drawn, out=depth)
-    buffer = _DepthBuffer(ideal, _without_cracks(np.float32(1) / depth))
+    scale = _sampled_buffer_scale(scan, camera, camera_from_scanner)
+    parts = (tile(*place) for place in places)
+    buffers = _depth_buffers(camera, scale, (_surface(part) for part in parts if part is not None), camera_from_scanner)
     for rows, columns in places:
         part = tile(rows, columns)
         if part is not None:
@@ -165,25 +159,46 @@ def projected_tiles(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> I
             inner = tuple(
                 slice(a.start - b.start, a.stop - b.start) for a, b in zip((rows, columns), outer, strict=True)
             )
-            projection = _projection(part, camera, camera_from_scanner, buffer)
+            projection = _projection(part, camera, camera_from_scanner, buffers)
             yield ScanTile(rows, columns, part, projection, (inner[0], inner[1]))
         kept.pop((rows.start, columns.start), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _DepthBuffer:
-    """The nearest surface in the picture of an ideal camera."""
+    """The nearest surface in the picture of an ideal camera, or in a face of the cube around a wide one."""
 
     ideal: Camera
     inverse: FloatArray
     """(h, w) float32: 1 / z."""
+    face: Face | None = None
 
 
-def _projection(scan: Scan, camera: Camera, camera_from_scanner: Rigid, buffer: _DepthBuffer | None) -> ScanProjection:
-    """Project a scan; `buffer` is the occluding surface, None: that of the scan itself."""
+def _depth_buffers(
+    camera: CameraModel, scale: float, surfaces: Iterable[_Surface], camera_from_scanner: Rigid
+) -> tuple[_DepthBuffer, ...]:
+    """Draw the occluding surfaces: once for a pinhole, and for a wide camera into each face of the cube around it."""
+    faces = () if isinstance(camera, Camera) else cube_faces(camera, scale=scale)
+    pictures = [covering_pinhole(camera, scale=scale)] if isinstance(camera, Camera) else [f.camera for f in faces]
+    depths = [np.full((picture.height, picture.width), np.inf, np.float32) for picture in pictures]
+    for surface in surfaces:
+        vertices = camera_from_scanner @ surface.vertices
+        for k, picture in enumerate(pictures):
+            turned = vertices @ faces[k].face_from_camera.T if faces else vertices
+            np.minimum(depths[k], rasterise_depth(turned, surface.faces, picture), out=depths[k])
+    return tuple(
+        _DepthBuffer(picture, _without_cracks(np.float32(1) / depth), faces[k] if faces else None)
+        for k, (picture, depth) in enumerate(zip(pictures, depths, strict=True))
+    )
+
+
+def _projection(
+    scan: Scan, camera: CameraModel, camera_from_scanner: Rigid, buffers: tuple[_DepthBuffer, ...] | None
+) -> ScanProjection:
+    """Project a scan; `buffers` are the occluding surface, None: that of the scan itself."""
     surface = _surface(scan)
     points_camera = _transformed(surface.points, camera_from_scanner)
-    depth = points_camera[..., 2]
+    depth = points_camera[..., 2] if isinstance(camera, Camera) else _norm(np.moveaxis(points_camera, -1, 0))
     uv = camera.project(points_camera)
     in_picture = camera.contains(uv)
     shape = scan.shape
@@ -192,24 +207,39 @@ def _projection(scan: Scan, camera: Camera, camera_from_scanner: Rigid, buffer: 
         return ScanProjection(uv, depth, in_picture, none, none, np.zeros(shape, dtype=np.float32))
     cosine = _cosine(surface, points_camera, camera_from_scanner.centre)
 
-    if buffer is None:
-        ideal = covering_pinhole(camera, scale=_buffer_scale(scan, camera, depth, in_picture))
-        drawn = rasterise_depth(camera_from_scanner @ surface.vertices, surface.faces, ideal)
-        buffer = _DepthBuffer(ideal, _without_cracks(np.float32(1) / drawn))
-    ideal = buffer.ideal
-    u, v = _ideal_uv(points_camera, uv, camera, ideal)
-    nearest = look_up(buffer.inverse, u, v)
-    noise = np.float32(_TOLERANCE_SIGMAS * surface.edges.noise_m)
-    with np.errstate(invalid="ignore"):
-        # z > z_surface + tolerance, with z_surface = 1 / nearest; the tolerance grows as the surface tilts away.
-        excess = (depth * nearest - 1) * np.maximum(np.abs(cosine), np.float32(_LEAST_COSINE))
-        hidden = excess > np.float32(_TOLERANCE_RELATIVE) + noise * nearest
-        occluded = in_picture & (hidden | (cosine < np.float32(-_GRAZING_COSINE)))
-    untested = in_picture & ~_within(u, v, ideal) if camera.distortion else np.zeros(shape, dtype=np.bool_)
+    if buffers is None:
+        scale = _buffer_scale(scan, camera, depth, in_picture)
+        buffers = _depth_buffers(camera, scale, (surface,), camera_from_scanner)
+    noise_m = np.float32(_TOLERANCE_SIGMAS * surface.edges.noise_m)
+    untested = np.zeros(shape, dtype=np.bool_)
+    hidden: BoolArray
+    if isinstance(camera, Camera):
+        ideal = buffers[0].ideal
+        u, v = _ideal_uv(points_camera, uv, camera, ideal)
+        hidden = _is_behind(depth, look_up(buffers[0].inverse, u, v), cosine, noise_m)
+        if camera.distortion:
+            untested = in_picture & ~_within(u, v, ideal)
+    else:
+        hidden = np.zeros(shape, dtype=np.bool_)
+        for buffer in buffers:
+            assert buffer.face is not None
+            points = points_camera @ buffer.face.face_from_camera.T.astype(np.float32)
+            at = np.nan_to_num(buffer.ideal.project(points), nan=-1e4)
+            nearest = look_up(buffer.inverse, np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1]))
+            hidden |= buffer.face.holds(points) & _is_behind(points[..., 2], nearest, cosine, noise_m)
+    occluded = in_picture & (hidden | (cosine < np.float32(-_GRAZING_COSINE)))
     return ScanProjection(uv, depth, in_picture, occluded, untested, cosine)
 
 
-def _projection_by_tiles(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> ScanProjection:
+def _is_behind(depth: FloatArray, nearest: FloatArray, cosine: FloatArray, noise_m: np.float32) -> BoolArray:
+    """Return whether points lie behind a surface whose inverse depth is `nearest`, beyond the tolerance."""
+    with np.errstate(invalid="ignore"):
+        # z > z_surface + tolerance, with z_surface = 1 / nearest; the tolerance grows as the surface tilts away.
+        excess = (depth * nearest - 1) * np.maximum(np.abs(cosine), np.float32(_LEAST_COSINE))
+        return np.asarray(excess > np.float32(_TOLERANCE_RELATIVE) + noise_m * nearest)
+
+
+def _projection_by_tiles(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> ScanProjection:
     shape = scan.shape
     uv = np.full((*shape, 2), np.nan, np.float32)
     depth = np.full(shape, np.nan, np.float32)
@@ -225,7 +255,7 @@ def _projection_by_tiles(scan: Scan, camera: Camera, camera_from_scanner: Rigid)
     return ScanProjection(uv, depth, flags["in_picture"], flags["occluded"], flags["untested"], cosine)
 
 
-def _places_in_picture(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> list[tuple[slice, slice]]:
+def _places_in_picture(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> list[tuple[slice, slice]]:
     """Return rectangles (rows, columns) that contain all cells in the picture, without overlap, by a coarse sample."""
     stride = _SAMPLE_STRIDE
     uv = camera.project(camera_from_scanner @ scan.thinned_points(stride).astype(np.float64))
@@ -260,7 +290,7 @@ def _with_margin(rows: slice, columns: slice, shape: tuple[int, int]) -> tuple[s
     return first, second
 
 
-def _sampled_buffer_scale(scan: Scan, camera: Camera, camera_from_scanner: Rigid) -> float:
+def _sampled_buffer_scale(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> float:
     """Return `_buffer_scale` from a coarse sample of the scan."""
     steps = [max(1, size // 200) for size in scan.shape]
     part = slice(None, None, steps[0]), slice(None, None, steps[1])
@@ -268,7 +298,8 @@ def _sampled_buffer_scale(scan: Scan, camera: Camera, camera_from_scanner: Rigid
     seen = camera.contains(camera.project(points))
     if not seen.any():
         return 1.0
-    magnification = float(np.median(scan.ranges[part][seen] / points[..., 2][seen]))
+    depth = points[..., 2] if isinstance(camera, Camera) else np.linalg.norm(points, axis=-1)
+    magnification = float(np.median(scan.ranges[part][seen] / depth[seen]))
     return _scale_of(scan, camera, magnification)
 
 
@@ -293,7 +324,7 @@ def _norm(planes: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(total, out=total))
 
 
-def _buffer_scale(scan: Scan, camera: Camera, depth: FloatArray, in_picture: BoolArray) -> float:
+def _buffer_scale(scan: Scan, camera: CameraModel, depth: FloatArray, in_picture: BoolArray) -> float:
     """Return buffer pixels per photo pixel: about one pixel for the shorter side of a cell, within limits."""
     row, column = np.nonzero(in_picture[:: max(1, scan.shape[0] // 200), :: max(1, scan.shape[1] // 200)])
     row, column = row * max(1, scan.shape[0] // 200), column * max(1, scan.shape[1] // 200)
@@ -302,7 +333,7 @@ def _buffer_scale(scan: Scan, camera: Camera, depth: FloatArray, in_picture: Boo
     return _scale_of(scan, camera, float(np.median(scan.ranges[row, column] / depth[row, column])))
 
 
-def _scale_of(scan: Scan, camera: Camera, magnification: float) -> float:
+def _scale_of(scan: Scan, camera: CameraModel, magnification: float) -> float:
     cell_px = camera.focal_px * min(scan.geometry.step_rad) * magnification
     most = _BUFFER_PIXELS * max(1.0, scan.ranges.size / 1e6)
     finest = min(np.sqrt(most / (camera.width * camera.height)), _LONGEST_BUFFER_SIDE / max(camera.size))

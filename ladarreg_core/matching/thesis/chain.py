@@ -130,7 +130,7 @@ def thesis_stages(
         )
         note.update(picks=len(picks), matches=len(matches), left_out=list(losses))
         steps.matches = matches
-    found = solve_thesis(matches, photo.camera, steps, initial=initial, options=o)
+    found = solve_thesis(matches, photo.pinhole, steps, initial=initial, options=o)
     return replace(found, losses=losses, drawn=True)
 
 
@@ -150,7 +150,7 @@ def register_thesis(
     """
     o = options or ThesisOptions()
     search = _search(scan, photo, steps, initial, o)
-    solver = _Solver(photo.camera, steps, o)
+    solver = _Solver(photo.pinhole, steps, o)
 
     with steps.step("unconstrained search") as note:
         found = search.unconstrained()
@@ -161,7 +161,7 @@ def register_thesis(
     first = initial or solver.first_pose(linear, found.matches, search)
     if first is None:
         rest = _not_reached("constrained_linear", "There is no pose for guided matching.")
-        return ThesisResult((linear, *rest), _predicted_cautions(found.matches, None, search, photo.camera, o))
+        return ThesisResult((linear, *rest), _predicted_cautions(found.matches, None, search, photo.pinhole, o))
 
     with steps.step("constrained search") as note:
         found = search.constrained(first)
@@ -178,7 +178,7 @@ def register_thesis(
 
     guess = linear.result
     doubted = guess is not None and pose is guess.camera_from_scanner and not _credible(guess)
-    cautions = _predicted_cautions(corners.matches, None if doubted else pose, search, photo.camera, o)
+    cautions = _predicted_cautions(corners.matches, None if doubted else pose, search, photo.pinhole, o)
     simplex, removed = solver.simplex(found.matches, pose)
     with steps.step("verify") as note:
         aligner = Aligner(search.scan, search.photo, gate=o.gate, seed=o.pose.seed)
@@ -338,7 +338,7 @@ _STEP_NAMES: dict[StageName, str] = {"linear": "linear", "constrained_linear": "
 
 def _search(scan: Scan, photo: Photo, steps: StepLog, initial: Rigid | None, options: ThesisOptions) -> ThesisSearch:
     """Return the search in the view with most matches; only a wide scan has several views."""
-    working = working_camera(scan, photo.camera)
+    working = working_camera(scan, photo.pinhole)
     with steps.step("photo") as note:
         photo_side = photo_levels(photo, working)
         note.update(width=working.width, height=working.height, focal_px=round(working.fx, 3))

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, look_along
 from ladarreg_core.matches import Matches
 
@@ -166,7 +166,7 @@ class StereoPairs:
     """(M,) bool: in front of the scanner and within the field of the lens; other coordinates are meaningless."""
 
     @staticmethod
-    def of(matches: Matches, camera: Camera, *, frame_from_scanner: ArrayLike | None = None) -> StereoPairs:
+    def of(matches: Matches, camera: CameraModel, *, frame_from_scanner: ArrayLike | None = None) -> StereoPairs:
         """Return the pairs of matches.
 
         Args:
@@ -179,6 +179,7 @@ class StereoPairs:
         sight = camera.unproject(matches.uv).T
         with np.errstate(divide="ignore", invalid="ignore"):
             laser, colour = -points[:2] / points[2], sight[:2] / sight[2]  # both negated: camera to stereo axes
+            colour = np.where(sight[2] > 0, colour, np.nan)  # wide cameras also see beside and behind them
             usable = (points[2] > _LEAST_COSINE * matches.ranges) & np.isfinite(colour).all(axis=0)
         return StereoPairs(frame, laser, colour, points[2], matches.weights, usable)
 

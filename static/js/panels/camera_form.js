@@ -5,7 +5,7 @@ import { store } from "../net/store.js";
 import { sendFile } from "../net/uploads.js";
 import { button } from "../ui/controls.js";
 import { element, newId, setAttribute, setChildren, setText } from "../ui/dom.js";
-import { fixed, sentences } from "../ui/numbers.js";
+import { sentences } from "../ui/numbers.js";
 import { popoverOf } from "../ui/popover.js";
 
 const EMPTY = "Fill in one of the three: the 35 mm equivalent, or focal length and sensor width, or pixels.";
@@ -133,7 +133,7 @@ export const mountCameraForm = (opener) => {
     const photo = store.photo();
     const camera = photo?.camera;
     const text = camera
-      ? `${photo.name}: ${camera.said || `f ${fixed(camera.fx, 1)} px`}`
+      ? `${photo.name}: ${camera.said}`
       : `${photo?.name ?? "The file"} has no focal length: enter it in one of these ways.`;
     setChildren(head, text);
   };

@@ -91,7 +91,7 @@ export const mountPhotoTabs = () => {
     setChildren(
       camera,
       icon(shown?.camera ? "target" : "warn"),
-      element("span", { class: "figures" }, shown?.camera ? `f ${Math.round(shown.camera.fx)}` : "Focal length"),
+      element("span", { class: "figures" }, shown?.camera ? shown.camera.short : "Focal length"),
     );
     camera.classList.toggle("attention", Boolean(shown && !shown.camera));
     camera.title = shown?.camera
