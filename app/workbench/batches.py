@@ -289,4 +289,4 @@ def _require_choice(file: BatchFile, reading: Mapping[str, Any]) -> None:
         UnderspecifiedError: if it contains several, and none was chosen.
     """
     if file.survey.scans and "scan_index" not in reading:
-        raise UnderspecifiedError(f"{file.name} contains {len(file.survey.scans)} scans; choose the one to open")
+        raise UnderspecifiedError(f"it contains {len(file.survey.scans)} scans; choose the one to open")

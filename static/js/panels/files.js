@@ -192,10 +192,11 @@ const build = () => {
     input,
   );
   let asked = [];
+  let askedWith = {};
   const confirm = confirmation("Begin another project?", "Begin it all the same");
   const { question, ask } = scanQuestion((choice) => {
     if (choice === "new") beginProject(asked);
-    else if (choice) openTogether(asked, { scan: choice });
+    else if (choice) openTogether(asked, { ...askedWith, scan: choice });
   });
 
   /** Begin a project with files; the page follows it, unless that has to be confirmed. */
@@ -210,6 +211,7 @@ const build = () => {
     if (!answer) return;
     if (answer.asks) {
       asked = answer.waiting;
+      askedWith = choice;
       for (const one of waiting) if (asked.includes(one.id)) one.state = "kept";
       ask(answer.scan);
     } else {

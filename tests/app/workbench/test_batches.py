@@ -291,7 +291,7 @@ def test_a_file_of_several_scans_asks_which_one_to_open(tmp_path: Path) -> None:
     path.write_text(block(make_scan(20, 30)) + block(make_scan(18, 25)))
     file = bench.workbench.batches.take(path, "site.ptx")
     (refused,) = bench.do("open_files", files=[file])["refused"]
-    assert "site.ptx contains 2 scans; choose the one to open" in refused["error"]
+    assert "it contains 2 scans; choose the one to open" in refused["error"]
     (waiting,) = bench.slice("waiting")
     assert "scan_index" in waiting["takes"]
     assert [line.partition(":")[0] for line in waiting["scans"]] == ["scan 0", "scan 1"]
