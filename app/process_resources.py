@@ -75,6 +75,7 @@ def return_memory_soon(*, force: bool = False) -> None:
 
 def return_memory() -> None:
     """Return freed memory to the system now; without glibc it does nothing."""
+    gc.collect()
     if (libc := _glibc()) is not None:
         libc.malloc_trim(0)
 

@@ -38,8 +38,10 @@ from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import scan_mesh
+from ladarreg_core.surface.reduced_mesh import MOST_FACES, ReducedMesh, reduced_mesh
 from ladarreg_core.surface.texture import RegisteredTexture, model_picture, texture_scan
 
+_LARGEST_WHOLE_MODEL = MOST_FACES // 2  # cells; each has at most two triangles
 FILE_NAMES = REGISTRATION_FILES
 """Files of a results folder; all but the first two are only written for accepted registrations."""
 FileJob = tuple[str, Callable[[Path], None]]
@@ -289,10 +291,17 @@ def _textured(registration: Registration, scan: Scan, photo: Photo) -> Registere
 
 def _models(scan: Scan, texture: RegisteredTexture, frame: OutputFrame) -> list[FileJob]:
     jobs: list[FileJob] = [
-        ("model.glb", lambda path: write_glb(path, scan_mesh(scan), model_picture(scan, texture), frame=frame)),
+        ("model.glb", lambda path: _write_model(path, scan, texture, frame)),
         ("cloud.ply", lambda path: write_ply(path, scan, texture, frame=frame)),
     ]
     return jobs if frame.name == "scanner" else [*jobs, (OFFSET_FILE, frame.write)]
+
+
+def _write_model(path: Path, scan: Scan, texture: RegisteredTexture, frame: OutputFrame) -> None:
+    """Write the whole mesh of a scan, or that of a large one reduced by error."""
+    is_small = scan.ranges.size <= _LARGEST_WHOLE_MODEL
+    found = ReducedMesh(scan_mesh(scan), 0.0) if is_small else reduced_mesh(scan)
+    write_glb(path, found.mesh, model_picture(scan, texture), frame=frame, tolerance_m=found.tolerance_m)
 
 
 def _missing_parents(target: Path) -> list[Path]:

@@ -35,13 +35,14 @@ def write_glb(
     *,
     for_viser: bool = False,
     frame: OutputFrame = SCANNER_FRAME,
+    tolerance_m: float = 0.0,
 ) -> None:
     """Write a model to a GLB file; see `glb_bytes`.
 
     Raises:
         ExportError: if the mesh has no faces or the file cannot be written.
     """
-    write_bytes(path, glb_bytes(mesh, picture, for_viser=for_viser, frame=frame))
+    write_bytes(path, glb_bytes(mesh, picture, for_viser=for_viser, frame=frame, tolerance_m=tolerance_m))
 
 
 def glb_bytes(
@@ -51,6 +52,7 @@ def glb_bytes(
     for_viser: bool = False,
     frame: OutputFrame = SCANNER_FRAME,
     largest_texture_px: int = _LARGEST_TEXTURE_PX,
+    tolerance_m: float = 0.0,
 ) -> bytes:
     """Return a model as GLB: one unlit mesh with its texture, in metres.
 
@@ -64,6 +66,7 @@ def glb_bytes(
             that has the true colours after tone mapping.
         frame: the frame of the vertices; viser's scene has the scanner's.
         largest_texture_px: limit of the texture's longer side, at most 8192.
+        tolerance_m: error that the mesh was reduced by, m, stated in the extras of the mesh; 0: it was not.
 
     Raises:
         ShapeError: if the texture is not an RGB image.
@@ -112,6 +115,7 @@ def glb_bytes(
         "meshes": [
             {
                 "name": "scan",
+                **({"extras": {"reduced_to_error_m": tolerance_m}} if tolerance_m else {}),
                 "primitives": [
                     {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0, "mode": 4}
                 ],

@@ -21,9 +21,11 @@ from ladarreg_core.quality.next_match import SuggestedMatch, part_of_photo, sugg
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
-from ladarreg_core.surface.uncertainty import picture_sigma
+from ladarreg_core.surface.uncertainty import picture_sigma, pixel_sigma
+from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, places_in_picture
 
 T = TypeVar("T")
+_SPIKE_MARGIN = 16  # cells around a tile: those that its medians depend on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +123,8 @@ def assess(scan: Scan, result: PoseResult) -> Assessment:
 
 def _uncertainty(scan: Scan, result: PoseResult) -> PictureUncertainty:
     _require_usable_pose(result)
+    if scan.ranges.size > LARGEST_WHOLE_SCAN:
+        return _uncertainty_by_tiles(scan, result)
     camera, pose = result.camera, result.camera_from_scanner
     sigma = picture_sigma(scan, camera, pose, result.joint_covariance)
     known = np.isfinite(sigma)
@@ -147,6 +151,39 @@ def _uncertainty(scan: Scan, result: PoseResult) -> PictureUncertainty:
         worst,
         part_of_photo(worst, camera),
     )
+
+
+def _uncertainty_by_tiles(scan: Scan, result: PoseResult) -> PictureUncertainty:
+    """Return the uncertainty of a large scan, computed only where it is in the photo."""
+    camera, pose = result.camera, result.camera_from_scanner
+    sigma = np.full(scan.shape, np.nan, np.float32)
+    # of the largest value: whether it is no spike, the value, cell and pixel
+    worst: tuple[bool, float, tuple[int, int], FloatArray] | None = None
+    for rows, columns in places_in_picture(scan, camera, pose):
+        points = scan.points_at(rows, columns)
+        points_camera = np.asarray(pose @ points, np.float32)
+        uv = camera.project(points_camera)
+        known = camera.contains(uv)
+        part = np.full(points.shape[:2], np.nan, np.float32)
+        part[known] = pixel_sigma(points_camera[known], camera, pose.rotation, result.joint_covariance)
+        sigma[rows, columns] = part
+        top, left = (max(0, one.start - _SPIKE_MARGIN) for one in (rows, columns))
+        around = median_range(scan.ranges[top : rows.stop + _SPIKE_MARGIN, left : columns.stop + _SPIKE_MARGIN])
+        around = around[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
+        spike = ~(np.abs(scan.ranges[rows, columns] - around) <= SPIKE_FRACTION * around)
+        for is_plain, values in ((True, np.where(spike, np.float32(np.nan), part)), (False, part)):
+            if np.isnan(values).all():
+                continue
+            row, column = np.unravel_index(int(np.nanargmax(values)), values.shape)
+            found = is_plain, float(values[row, column])
+            if worst is None or found > worst[:2]:
+                worst = *found, (rows.start + int(row), columns.start + int(column)), uv[row, column]
+    if worst is None:
+        raise DegenerateGeometryError("no cell of the scan lies in the photo; check the pose and the camera")
+    median, p95 = (float(v) for v in np.percentile(sigma[np.isfinite(sigma)].astype(np.float64), (50, 95)))
+    sigma.flags.writeable = False  # handed over, not copied
+    where = part_of_photo(worst[3], camera)
+    return PictureUncertainty(sigma, median, p95, worst[1], worst[2], worst[3], where)
 
 
 def _advice(scan: Scan, result: PoseResult) -> tuple[SuggestedMatch, ...]:

@@ -11,7 +11,7 @@ design.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import surface_range
 from ladarreg_core.surface.uncertainty import covariance_factor
-from ladarreg_core.surface.visibility import project_scan
+from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, project_scan
 from ladarreg_core.validation import require_int, require_number
 
 _CANDIDATES = 900
@@ -100,6 +100,11 @@ def suggest_matches(
     require_number(apart, "apart", least=0, most=1)
     if pickable is not None:
         pickable = read_only(pickable, np.bool_, scan.shape, "the mask of cells to pick from")
+    if scan.ranges.size > LARGEST_WHOLE_SCAN:
+        part, stride = scan.thinned(LARGEST_WHOLE_SCAN)
+        some = None if pickable is None else pickable[::stride, ::stride]
+        thinned = suggest_matches(part, result, count=count, apart=apart, pickable=some)
+        return tuple(replace(one, cell=(one.cell[0] * stride, one.cell[1] * stride)) for one in thinned)
     covariance = covariance_factor(result.joint_covariance)
     covariance = covariance @ covariance.T
     pose, camera = result.camera_from_scanner, result.camera

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import OptionError
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.grid_window import grid_rays
 from ladarreg_core.validation import require_int
 
 _ALWAYS_SURFACE = 1.0  # tan 45 deg: steeper isolated steps are depth edges
@@ -26,6 +27,8 @@ _LARGEST_NOISE = 0.01
 _LARGEST_GAP_STEPS = 6.0
 _LARGEST_GAP_RAD = 0.35
 _NOISE_SAMPLES = 200_000
+_LARGEST_WHOLE_SCAN = 4_000_000  # cells; larger scans are processed in bands of rows
+_BAND_MARGIN = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,8 +86,30 @@ def grid_edges(scan: Scan) -> GridEdges:
     """
     edges = _edges_of_scan.get(scan)
     if edges is None:
-        edges = _edges_of_scan[scan] = _surface_edges(scan.ranges, scan.rays)
+        whole = scan.ranges.size <= _LARGEST_WHOLE_SCAN
+        edges = _surface_edges(scan.ranges, scan.rays) if whole else _edges_by_bands(scan)
+        _edges_of_scan[scan] = edges
     return edges
+
+
+def _edges_by_bands(scan: Scan) -> GridEdges:
+    """Return the edges of a large scan, from bands of rows with a margin; the noise is the median of the bands."""
+    height, width = scan.shape
+    right, down = np.zeros((height, width - 1), np.bool_), np.zeros((height - 1, width), np.bool_)
+    noise = []
+    rows = max(8, _LARGEST_WHOLE_SCAN // 2 // width)
+    for first in range(0, height, rows):
+        last = min(first + rows, height)
+        outer = slice(max(0, first - _BAND_MARGIN), min(height, last + _BAND_MARGIN))
+        if not scan.valid[outer].any():
+            continue
+        part = _surface_edges(scan.ranges[outer], grid_rays(scan.geometry, outer, slice(None)))
+        inner = first - outer.start
+        right[first:last] = part.right[inner : inner + last - first]
+        below = min(last, height - 1)
+        down[first:below] = part.down[inner : inner + below - first]
+        noise.append(part.noise_m)
+    return GridEdges(right, down, float(np.median(noise)))
 
 
 def scan_mesh(scan: Scan, *, step: int | tuple[int, int] = 1, max_vertices: int | None = None) -> Mesh:

@@ -132,7 +132,7 @@ def projected_tiles(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid)
 
     The z-buffer contains the surface of all of them, so that memory does not grow with the scan.
     """
-    places = _places_in_picture(scan, camera, camera_from_scanner)
+    places = places_in_picture(scan, camera, camera_from_scanner)
     if not places:
         return
     kept: dict[tuple[int, int], Scan] = {}
@@ -255,7 +255,7 @@ def _projection_by_tiles(scan: Scan, camera: CameraModel, camera_from_scanner: R
     return ScanProjection(uv, depth, flags["in_picture"], flags["occluded"], flags["untested"], cosine)
 
 
-def _places_in_picture(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> list[tuple[slice, slice]]:
+def places_in_picture(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> list[tuple[slice, slice]]:
     """Return rectangles (rows, columns) that contain all cells in the picture, without overlap, by a coarse sample."""
     stride = _SAMPLE_STRIDE
     uv = camera.project(camera_from_scanner @ scan.thinned_points(stride).astype(np.float64))

@@ -96,3 +96,19 @@ def test_a_carried_pose_has_no_findings_for_lack_of_matches() -> None:
     assert assessment.findings is None
     assert "carried over" in assessment.absent["findings"]
     assert assessment.uncertainty is not None
+
+
+def test_a_large_scan_is_assessed_tile_by_tile_as_in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    room, _, _, result, _ = clustered(2, count=14)
+    ranges = np.array(room.scan.ranges)
+    ranges[150, 210] = 1.0
+    scan = replace(room.scan, ranges=ranges)
+    whole = assess(scan, result).uncertainty
+    monkeypatch.setattr("ladarreg_core.quality.assessment.LARGEST_WHOLE_SCAN", 1000)
+    tiled = assess(scan, result).uncertainty
+    assert whole is not None
+    assert tiled is not None
+    np.testing.assert_array_equal(np.isfinite(tiled.sigma_px), np.isfinite(whole.sigma_px))
+    np.testing.assert_allclose(tiled.sigma_px, whole.sigma_px, rtol=1e-3)
+    assert tiled.worst_cell == whole.worst_cell
+    assert (tiled.median_px, tiled.p95_px) == pytest.approx((whole.median_px, whole.p95_px), rel=1e-3)
