@@ -10,7 +10,7 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import FormatError, ShapeError
-from ladarreg_core.formats.camera_file import pinhole_from_fields
+from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.formats.json_file import choice, number, parsed_once, read_json_object
 from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
@@ -43,7 +43,7 @@ def read_registration(path: PathLike) -> Registration:
             raise FormatError(f"the field 'reasons' is {one_line(repr(reasons), 60)}; it must be a list of sentences")
         return Registration(
             camera_from_scanner=pose,
-            camera=pinhole_from_fields(fields["camera"]),
+            camera=camera_from_fields(fields["camera"]),
             matches=Matches.none(),
             inliers=np.zeros(0, np.bool_),
             residuals_px=np.zeros((0, 2)),

@@ -12,7 +12,7 @@ import numpy as np
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, LadarregError
 from ladarreg_core.export.json import plain
-from ladarreg_core.formats.camera_file import pinhole_from_fields
+from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
@@ -121,7 +121,7 @@ def registration_of(entry: PoseEntry) -> Registration:
         )  # fmt: skip
         return Registration(
             camera_from_scanner=Rigid.from_matrix(np.array(entry.camera_from_scanner)),
-            camera=pinhole_from_fields(entry.camera),
+            camera=camera_from_fields(entry.camera),
             world_from_scanner=None
             if entry.world_from_scanner is None
             else Rigid.from_matrix(np.array(entry.world_from_scanner)),

@@ -282,3 +282,9 @@ def test_a_reconstructions_pose_of_the_photograph_is_a_first_guess_where_the_wor
     with pytest.raises(FormatError, match=r"no pose of the photograph 'other\.jpg'"):
         read_initial(GOLDEN / "colmap" / "cameras.txt", world_from_scanner, picture="other.jpg")
     assert "initial pose" in read_noted_camera(GOLDEN / "nerfstudio.json", picture="frame_00001.jpg")[1][-1]
+
+
+def test_a_photograph_takes_the_fisheye_of_its_file(tmp_path: Path) -> None:
+    Image.new("RGB", (1600, 1600)).save(tmp_path / "a.png")
+    photo = read_photo(tmp_path / "a.png", camera=GOLDEN / "opencv_fisheye.yml")
+    np.testing.assert_allclose(photo.camera.project(FISHEYE_POINTS), FISHEYE_PIXELS, atol=1e-9)
