@@ -93,6 +93,20 @@ def las_facts(header: LasHeader) -> dict[str, str]:
     }
 
 
+def read_las_columns(
+    path: PathLike, *, report: Report | None = None
+) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]], int]:
+    """Return the points (N, 3) float64 of a LAS or LAZ file, its other columns by name, and how many were withheld.
+
+    Raises:
+        FormatError: if it is damaged, or of a version or point format that is not read.
+    """
+    with reading(path) as file:
+        with open(file, "rb") as stream:
+            header = read_las_header(stream, file.stat().st_size)
+        return _read_points(file, header, report)
+
+
 def _read_points(
     file: Path, header: LasHeader, report: Report | None
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]], int]:

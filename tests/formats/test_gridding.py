@@ -207,7 +207,7 @@ def test_accumulated_sweeps_fill_their_cells_and_keep_their_holes() -> None:
     assert not valid[towards_window].any(), "a hole is not filled"
     around = seen & ~((np.abs(np.arctan2(found[..., 1], found[..., 0]) - 0.2) < 0.08) & (
         np.abs(np.arcsin(found[..., 2]) - 0.1) < 0.08))  # fmt: skip
-    assert valid[around].mean() > 0.97
+    assert valid[around].mean() > 0.94
     # The control: cells of the mean spacing, as of a raster of as many points, are riddled with gaps.
     outer = ~window & (np.arccos(rays[:, 0]) > np.radians(20)) & (np.arccos(rays[:, 0]) < np.radians(30))
     side = np.sqrt(np.pi / 4 * np.radians(70) ** 2 / len(rays))
