@@ -33,7 +33,9 @@ def run(arguments: Arguments) -> ExitCode:
 
     facts = list(_facts(describe(arguments.file, **arguments.scan_options)))
     if arguments.extract is not None:
-        for image in extract_images(arguments.file, arguments.extract, scan_index=arguments.scan_index):
+        found = extract_images(arguments.file, arguments.extract, scan_index=arguments.scan_index)
+        facts += [("left out", one_line(reason)) for reason in found.damaged]
+        for image in found:
             written = (image.picture, image.camera, image.pose)
             facts.append(("extracted", ", ".join(one_line(str(path)) for path in written if path is not None)))
     width = max(len(name) for name, _ in facts)

@@ -41,6 +41,12 @@ class ExtractedImage:
     """Pose file (`camera_from_scanner`); None where the E57 gives no pose."""
 
 
+class ExtractedImages(list[ExtractedImage]):
+    """The extracted images, and what is said of those that are damaged."""
+
+    damaged: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class EmbeddedImage:
     """One embedded image as it offers itself, before it is extracted."""
@@ -107,7 +113,7 @@ def _offer(number: int, image: E57ImageInfo, info: E57Info, scan_index: int) -> 
     return EmbeddedImage(name, ", ".join(words), is_usable, camera, pose)
 
 
-def extract_images(path: PathLike, folder: PathLike, *, scan_index: int = 0) -> list[ExtractedImage]:
+def extract_images(path: PathLike, folder: PathLike, *, scan_index: int = 0) -> ExtractedImages:
     """Write the images embedded in an E57 file, with their cameras and poses.
 
     Args:
@@ -116,10 +122,10 @@ def extract_images(path: PathLike, folder: PathLike, *, scan_index: int = 0) -> 
         scan_index: index of the scan that the poses are relative to.
 
     Returns:
-        The written files, in the E57's order; empty if there are no images.
+        The written files, in the E57's order; empty if there are no images. Damaged images are left out, and listed.
 
     Raises:
-        FormatError: if the file is not an E57 or is damaged.
+        FormatError: if the file is not an E57 or is damaged, or all its images are.
         ExportError: if a file exists already or cannot be written.
         OptionError: if there is no scan with that index.
     """
@@ -133,15 +139,16 @@ def extract_images(path: PathLike, folder: PathLike, *, scan_index: int = 0) -> 
             if taken := next(iter(target.glob(f"{name}.*")), None):
                 raise ExportError(f"{taken.name} exists already; give another folder")
         if not info.images:
-            return []
+            return ExtractedImages()
         with e57_file(file) as image_file:
-            blobs = [_blob(image_file, image) for image in info.images]  # together no larger than the file
+            intact, damaged = _blobs(image_file, info)
         try:
             target.mkdir(parents=True, exist_ok=True)
-            return [
-                _write(target / name, image, blob, info, scan_index)
-                for name, image, blob in zip(names, info.images, blobs, strict=True)
-            ]
+            found = ExtractedImages(
+                _write(target / names[k], info.images[k], blob, info, scan_index) for k, blob in intact.items()
+            )
+            found.damaged = damaged
+            return found
         except OSError as error:
             raise ExportError(f"the images cannot be written: {error.strerror}; check the folder") from error
 
@@ -203,6 +210,24 @@ def camera_from_scanner_of(image: E57ImageInfo, info: E57Info, scan_index: int =
     world_from_scanner = info.scans[scan_index].world_from_scanner or Rigid.identity()
     axes = _OPENCV_FROM_E57.get(image.kind, _OPENCV_FROM_E57["pinhole"])
     return axes @ image.world_from_image.inverse @ world_from_scanner
+
+
+def _blobs(image_file: object, info: E57Info) -> tuple[dict[int, bytes], tuple[str, ...]]:
+    """Return the data of the intact images by index, together no larger than the file, and what is wrong with others.
+
+    Raises:
+        FormatError: if none is intact.
+    """
+    intact: dict[int, bytes] = {}
+    damaged: list[FormatError] = []
+    for k, image in enumerate(info.images):
+        try:
+            intact[k] = _blob(image_file, image)
+        except FormatError as error:
+            damaged.append(error)
+    if not intact:
+        raise damaged[0]
+    return intact, tuple(map(str, damaged))
 
 
 def _blob(image_file: object, image: E57ImageInfo) -> bytes:

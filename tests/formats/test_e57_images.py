@@ -202,3 +202,16 @@ def test_colours_alone_are_refused_or_taken_by_their_luminance(tmp_path: Path) -
     expected = scan.color[scan.valid] @ [0.2126, 0.7152, 0.0722]
     np.testing.assert_allclose(scan.intensity[scan.valid], expected, atol=1e-3)
     assert any("Rec. 709" in note for note in scan.notes)
+
+
+def test_a_damaged_image_does_not_keep_the_others_from_being_extracted(real_data: Path, tmp_path: Path) -> None:
+    """Another writer's fixture, whose pinhole and cylindrical images are zeros."""
+    found = extract_images(real_data / "e57_fixtures" / "tiny_pc_and_images.e57", tmp_path)
+    assert [image.picture.name for image in found] == ["00_visual.jpg", "01_spherical.png"]
+    assert len(found.damaged) == 2
+    assert "'pinhole' is not the PNG that the E57 declares" in found.damaged[0]
+    assert found[1].camera is not None
+    assert read_camera(found[1].camera).as_fields()["window"] == pytest.approx([-90, 90, 90, -90], abs=0.1)
+    empty = write_e57(tmp_path / "a.e57", [{**panorama(), "data": np.zeros(900, np.uint8)}])
+    with pytest.raises(FormatError, match="is not the JPEG that the E57 declares"):
+        extract_images(empty, tmp_path / "none")
