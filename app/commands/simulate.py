@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -19,8 +20,11 @@ class Arguments:
     """Scene to simulate."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
     """Output folder; an existing one is refused, but see --force."""
-    set: Literal["standard", "hard", "wide", "rotated", "identical", "thermal", "gamma"] = "standard"
-    """Difficulty of the registration; thermal and gamma are other instruments."""
+    set: Literal[
+        "standard", "hard", "wide", "rotated", "identical", "thermal", "gamma", "equirectangular", "fisheye"
+    ] = "standard"
+    """Difficulty of the registration; thermal and gamma are other instruments, equirectangular and fisheye wide cameras
+    beside a scan of the whole room."""
     seed: int = 0
     """Random seed of the scene, the noise and the camera pose."""
     k1: float = 0.0
@@ -29,6 +33,10 @@ class Arguments:
     """Error added to k1 in camera.json."""
     focal_error: float = 0.0
     """Relative error added to the focal length in camera.json; .05 is 5 percent."""
+    seam: bool = False
+    """Wide cameras: the back of the camera, where the seam of a panorama is, faces the subject."""
+    rolled: bool = False
+    """Wide cameras: the camera lies on its side."""
     force: bool = False
     """Replace DIR if it contains results of an earlier run and nothing else; any other folder is never touched."""
     debug: bool = False
@@ -38,10 +46,35 @@ class Arguments:
 def run(arguments: Arguments) -> ExitCode:
     """Simulate and write `scan.npz`, `photo.png`, `camera.json` and `truth.json`."""
     from ladarreg_core.export.folder import check_folder, write_folder
+
+    check_folder(arguments.out, force=arguments.force)  # before the simulation, which takes time
+    files = _files(arguments)
+    write_folder(arguments.out, lambda: files, force=arguments.force)
+    names = sorted(path.name for path in arguments.out.iterdir())
+    print(f"Wrote {', '.join(names)} in {arguments.out}")
+    return ExitCode.ACCEPTED
+
+
+def _files(arguments: Arguments) -> list[tuple[str, Callable[[Path], None]]]:
+    """Return the files of the simulated case, by name, each with a function that writes it."""
+    if arguments.set in ("equirectangular", "fisheye"):
+        from ladarreg_core.errors import OptionError
+        from ladarreg_core.simulate.panorama import PanoramaOptions, panorama_files, simulate_panorama
+
+        if arguments.k1 or arguments.k1_error or arguments.focal_error:
+            raise OptionError(
+                f"the set {arguments.set} takes no --k1, --k1-error or --focal-error: its lens is exact; omit them"
+            )
+        width = 4096 if arguments.set == "equirectangular" else 2400
+        wide = PanoramaOptions(lens=arguments.set, width=width, seam=arguments.seam, rolled=arguments.rolled)
+        return panorama_files(simulate_panorama(arguments.scene, seed=arguments.seed, options=wide))
     from ladarreg_core.simulate import simulate_case
     from ladarreg_core.simulate.case import case_files
 
-    check_folder(arguments.out, force=arguments.force)  # before the simulation, which takes time
+    if arguments.seam or arguments.rolled:
+        from ladarreg_core.errors import OptionError
+
+        raise OptionError("--seam and --rolled belong to the sets equirectangular and fisheye; omit them")
     case = simulate_case(
         arguments.scene,
         set_name=arguments.set,
@@ -50,7 +83,4 @@ def run(arguments: Arguments) -> ExitCode:
         k1_error=arguments.k1_error,
         focal_error=arguments.focal_error,
     )
-    write_folder(arguments.out, lambda: case_files(case), force=arguments.force)
-    names = sorted(path.name for path in arguments.out.iterdir())
-    print(f"Wrote {', '.join(names)} in {arguments.out}")
-    return ExitCode.ACCEPTED
+    return case_files(case)

@@ -54,8 +54,25 @@ def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX)
     return total
 
 
+def channel_scale(raw: FloatArray, *, blur_px: float = 1.5) -> tuple[float, float]:
+    """Return the largest and the median strength of blurred channels (8, H, W), from which their floor follows."""
+    norm = _norm(_blurred(raw, blur_px))
+    largest = float(norm.max(initial=0.0))
+    return (largest, float(np.median(norm[norm > 0]))) if largest > 0 else (0.0, 0.0)
+
+
+def channel_floor(largest: float, median: float) -> float:
+    """Return what is added to the local strength of channels before they are divided by it."""
+    return _MIN_FACTOR * largest + _NOISE_FACTOR * median
+
+
 def normalised_channels(
-    raw: FloatArray, *, blur_px: float = 1.5, local_px: float = 8.0, local_factor: float = 0.5
+    raw: FloatArray,
+    *,
+    blur_px: float = 1.5,
+    local_px: float = 8.0,
+    local_factor: float = 0.5,
+    least_floor: float = 0.0,
 ) -> FloatArray:
     """Blur the channels and divide by their local strength, so that faint and strong edges have similar weight.
 
@@ -68,26 +85,36 @@ def normalised_channels(
         blur_px: Gaussian sigma of the blur.
         local_px: Gaussian sigma of the neighbourhood for the local strength.
         local_factor: weight of the local strength in the divisor.
+        least_floor: least value of median n + .02 max n, for one of several pictures that are compared together: the
+            noise of an empty one must not be amplified either.
 
     Returns:
         (H, W, 8) float32, C / (n + factor blur(n) + median n + .02 max n) with n the norm over the channels; its norm
         is below 1.
     """
-    side = 2 * int(np.ceil(3 * blur_px)) - 1
-    planes = [np.asarray(cv2.GaussianBlur(plane, (side, side), blur_px), dtype=np.float32) for plane in raw]
-    norm = np.zeros_like(planes[0])
-    for plane in planes:
-        norm += plane * plane
-    np.sqrt(norm, out=norm)
+    planes = _blurred(raw, blur_px)
+    norm = _norm(planes)
     largest = float(norm.max(initial=0.0))
     if largest <= 0:
         return np.zeros((*norm.shape, len(planes)), np.float32)
     noise = float(np.median(norm[norm > 0]))
     norm += np.float32(local_factor) * _broad_blur(norm, local_px)
-    norm += np.float32(_MIN_FACTOR * largest + _NOISE_FACTOR * noise)
+    norm += np.float32(max(channel_floor(largest, noise), least_floor))
     for plane in planes:
         plane /= norm
     return np.asarray(cv2.merge(planes), dtype=np.float32)
+
+
+def _blurred(raw: FloatArray, blur_px: float) -> list[FloatArray]:
+    side = 2 * int(np.ceil(3 * blur_px)) - 1
+    return [np.asarray(cv2.GaussianBlur(plane, (side, side), blur_px), dtype=np.float32) for plane in raw]
+
+
+def _norm(planes: list[FloatArray]) -> FloatArray:
+    norm = np.zeros_like(planes[0])
+    for plane in planes:
+        norm += plane * plane
+    return np.asarray(np.sqrt(norm, out=norm))
 
 
 def _broad_blur(image: FloatArray, sigma_px: float) -> FloatArray:

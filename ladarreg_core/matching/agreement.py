@@ -7,8 +7,9 @@ image; at a wrong pose they are spread over all shifts.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import comb
+from math import comb, exp, lgamma, log, log1p
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from ladarreg_core.matching.zbuffer import Occluder
 _MIN_POINTS = 12
 _MIN_NEIGHBOURS = 5
 _TINY = 1e-9
+_MOST_EXACT = 800  # blocks; the binomial coefficients of more overflow
 _CHANNEL_IDENTITY = np.eye(CHANNELS, dtype=np.float32)
 
 
@@ -98,6 +100,8 @@ class Agreement:
         far = np.hypot(u, v) > 2 * near
         apart = np.hypot(u[far, None] - u[best], v[far, None] - v[best])
         p = max(least_chance, float((apart <= near).mean(axis=1).max(initial=0.0)))
+        if count > _MOST_EXACT:
+            return _upper_tail(agreeing, count, p)
         return float(sum(comb(count, k) * p**k * (1 - p) ** (count - k) for k in range(agreeing, count + 1)))
 
     def _peak_distances(self, maps: FloatArray) -> FloatArray:
@@ -123,11 +127,46 @@ class Agreement:
         return u, v
 
 
+def _upper_tail(least: int, count: int, p: float) -> float:
+    """Return the probability of at least `least` of `count`, each of probability `p` < 1, in logarithms."""
+    terms = np.array(
+        [
+            lgamma(count + 1) - lgamma(k + 1) - lgamma(count - k + 1) + k * log(p) + (count - k) * log1p(-p)
+            for k in range(least, count + 1)
+        ]
+    )
+    highest = float(terms.max())
+    return min(1.0, exp(highest) * float(np.exp(terms - highest).sum()))
+
+
 def _vertex(before: FloatArray, at: FloatArray, after: FloatArray) -> FloatArray:
     curvature = before - 2 * at + after
     with np.errstate(divide="ignore", invalid="ignore"):
         offset = np.where(curvature < 0, 0.5 * (before - after) / curvature, 0.0)
     return np.clip(offset, -0.5, 0.5)
+
+
+def joined(parts: Sequence[Agreement]) -> Agreement:
+    """Return the agreement of several pictures of one photograph at one pose, all at one level, as that of one picture.
+
+    Its grid and pixels remain those of each picture.
+    """
+    first = parts[0]
+    before = np.cumsum([0, *(len(part.visible) for part in parts)])
+    members = tuple(index + start for part, start in zip(parts, before, strict=False) for index in part.members)
+    side = 2 * first.radius + 1
+    blocks = [part.block_maps for part in parts if len(part.block_maps)]
+    return Agreement(
+        first.level,
+        first.radius,
+        np.concatenate([part.maps for part in parts]),
+        np.concatenate([part.grid for part in parts]),
+        np.concatenate([part.pooled_blocks for part in parts]),
+        members,
+        np.concatenate([part.uv for part in parts]),
+        np.concatenate([part.visible for part in parts]),
+        np.concatenate(blocks) if blocks else np.zeros((0, side, side)),
+    )
 
 
 def agreement(

@@ -23,17 +23,18 @@ from ladarreg_core.pose.ransac import ransac_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import perspective_view
 
-_REFINEMENT = {2: RefineOptions(tau_px=8, iterations=8), 1: RefineOptions(tau_px=6, iterations=6)}
-_FINISH = RefineOptions(tau_px=3, iterations=6)
-_FINE = RefineOptions(tau_px=2, iterations=8)
-_FINE_POINTS = _VERIFICATION_POINTS = 20_000
+REFINEMENT = {2: RefineOptions(tau_px=8, iterations=8), 1: RefineOptions(tau_px=6, iterations=6)}
+FINISH = RefineOptions(tau_px=3, iterations=6)
+FINE = RefineOptions(tau_px=2, iterations=8)
+FINE_POINTS = 20_000
+"""Number of points of the finish, and of the verdict."""
 _RADIUS = {0: 6, 1: 6, 2: 8}
 _DAMPING = 3.0
 _SUFFICIENT_FRACTION = 0.8
-_FINISH_ROUNDS = 5
+FINISH_ROUNDS = 5
 _FREE_CAMERA_STEPS = 2
 _FREE_CAMERA_ROUNDS = 3
-_STILL_PX = 0.05
+STILL_PX = 0.05
 _MIN_HEIGHT_SD = 2.2
 _POINTS_PER_WINDOW = 3
 _RANSAC_PX = 1.5
@@ -66,9 +67,19 @@ class Aligner:
         photo: the photo's levels.
         gate: thresholds of verification.
         seed: random seed of the points drawn.
+        fine_points: number of points of the finish and of the verdict, each.
     """
 
-    def __init__(self, scan: ScanLevels, photo: PhotoLevels, *, gate: GateOptions, seed: int) -> None:
+    def __init__(
+        self,
+        scan: ScanLevels,
+        photo: PhotoLevels,
+        *,
+        gate: GateOptions,
+        seed: int,
+        fine_points: int = FINE_POINTS,
+    ) -> None:
+        self._fine_count = fine_points
         self.scan = scan
         self.photo = photo
         self.gate = gate
@@ -97,23 +108,25 @@ class Aligner:
         return {L: Target(self.photo.cameras[L], self.photo.channels[L], self.photo.usable[L]) for L in LEVELS}
 
     @cached_property
-    def _fine_target(self) -> Target:
+    def fine_target(self) -> Target:
+        """The photo's channels of the finish."""
         return Target(self.photo.cameras[0], self.photo.fine_channels, self.photo.usable[0])
 
     @cached_property
-    def _fine_points(self) -> ViewPoints | None:
+    def fine_points(self) -> ViewPoints | None:
+        """Level-0 points of the finish, away from depth edges; None if the view has none."""
         channels = self.scan.fine_channels
         strength = edge_strength(self.scan, channels, level=0, away_from_edges=True)
         if strength is None:
             return None
-        return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=_FINE_POINTS)
+        return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=self._fine_count)
 
     @cached_property
     def verification_points(self) -> ViewPoints:
         """Level-0 points of the verdict: more than refinement needs, so that each window's peak is well determined."""
         assert 0 in self._strength, "an aligner that is not usable cannot verify"
         channels, strength = self.scan.channels[0], self._strength[0]
-        return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=_VERIFICATION_POINTS)
+        return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=self._fine_count)
 
     def agreement_at(self, pose: Rigid, level: int) -> Agreement:
         """Return the agreement at a pose."""
@@ -138,7 +151,7 @@ class Aligner:
     def _refine_from(self, start: Rigid, levels: tuple[int, ...]) -> Candidate | None:
         pose = start
         for level in levels:
-            result = refine_pose(self.points[level], self.targets[level], self.occluder, pose, _REFINEMENT[level])
+            result = refine_pose(self.points[level], self.targets[level], self.occluder, pose, REFINEMENT[level])
             if result is None:
                 return None
             pose = result.camera_from_scanner
@@ -152,13 +165,13 @@ class Aligner:
     def refine_with_free_camera(self, start: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
         """Refine at level 1 with the first `free` of (log f, k1) free, damped, until the pose stops moving."""
         pose, change = start, NO_CHANGE
-        options = replace(_REFINEMENT[1], free=free, damping=_DAMPING)
+        options = replace(REFINEMENT[1], free=free, damping=_DAMPING)
         for _ in range(_FREE_CAMERA_ROUNDS):
             result = refine_pose(self.points[1], self.targets[1], self.occluder, pose, options, change=change)
             if result is None:
                 break
             pose, change = result.camera_from_scanner, result.change
-            if result.motion_px < _STILL_PX:
+            if result.motion_px < STILL_PX:
                 break
         return pose, change
 
@@ -173,9 +186,9 @@ class Aligner:
             change: initial change of the camera relative to the stated one.
         """
         pose = start
-        rounds = [(self.points[0], self.targets[0], replace(_FINISH, free=free))]
-        if self._fine_points is not None:
-            rounds += [(self._fine_points, self._fine_target, replace(_FINE, free=free))] * _FINISH_ROUNDS
+        rounds = [(self.points[0], self.targets[0], replace(FINISH, free=free))]
+        if self.fine_points is not None:
+            rounds += [(self.fine_points, self.fine_target, replace(FINE, free=free))] * FINISH_ROUNDS
         for number, (points, target, options) in enumerate(rounds):
             result = refine_pose(points, target, self.occluder, pose, options, change=change)
             if result is None:
@@ -184,16 +197,16 @@ class Aligner:
                 continue
             before, changed = pose, change
             pose, change = result.camera_from_scanner, result.change
-            if number and self._median_shift_px(before, changed, pose, change) < _STILL_PX:
+            if number and self._median_shift_px(before, changed, pose, change) < STILL_PX:
                 break
         return pose, change
 
     def preview_free_camera(self, pose: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
         """Make two further steps from a finished pose, with the first `free` of (log f, k1) free."""
-        if self._fine_points is None:
+        if self.fine_points is None:
             return pose, NO_CHANGE
-        options = replace(_FINE, free=free, iterations=_FREE_CAMERA_STEPS)
-        result = refine_pose(self._fine_points, self._fine_target, self.occluder, pose, options)
+        options = replace(FINE, free=free, iterations=_FREE_CAMERA_STEPS)
+        result = refine_pose(self.fine_points, self.fine_target, self.occluder, pose, options)
         return (pose, NO_CHANGE) if result is None else (result.camera_from_scanner, result.change)
 
     def _median_shift_px(self, first: Rigid, before: CameraChange, second: Rigid, after: CameraChange) -> float:
@@ -212,24 +225,24 @@ class Aligner:
     def regions(self, pose: Rigid, *, free: int, change: CameraChange = NO_CHANGE) -> RegionEvidence | None:
         """Return the covariance of a finished pose and of the first `free` of (log f, k1), by leaving out regions."""
         seen = self._fine_blocks(pose, change)
-        if seen is None or self._fine_points is None:
+        if seen is None or self.fine_points is None:
             return None
         camera = change.applied_to(self.photo.cameras[0])
-        return region_evidence(seen, self._fine_points, camera, pose, replace(_FINE, free=free))
+        return region_evidence(seen, self.fine_points, camera, pose, replace(FINE, free=free))
 
     def block_matches(self, pose: Rigid) -> BlockMatches | None:
         """Return the sub-pixel point matches of a finished pose, or None if too few blocks are visible."""
         seen = self._fine_blocks(pose, NO_CHANGE)
-        if seen is None or self._fine_points is None:
+        if seen is None or self.fine_points is None:
             return None
-        return block_matches(seen, self._fine_points, self.photo.cameras[0], self.photo.source)
+        return block_matches(seen, self.fine_points, self.photo.cameras[0], self.photo.source)
 
     def _fine_blocks(self, pose: Rigid, change: CameraChange) -> BlockComparison | None:
-        if self._fine_points is None:
+        if self.fine_points is None:
             return None
         buffer = self.occluder.depth_buffer(pose)
-        target = self._fine_target.seen_by(change.applied_to(self.photo.cameras[0]))
-        return compare_blocks(self._fine_points, target, self.occluder, buffer, pose)
+        target = self.fine_target.seen_by(change.applied_to(self.photo.cameras[0]))
+        return compare_blocks(self.fine_points, target, self.occluder, buffer, pose)
 
 
 def verify_pose(

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.features.channels import ORIENTATIONS
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.aligner import Aligner
@@ -41,7 +41,7 @@ class KnownPoses:
         gate: thresholds of verification; None: the default ones.
     """
 
-    def __init__(self, scan: Scan, camera: Camera, gate: GateOptions | None = None) -> None:
+    def __init__(self, scan: Scan, camera: CameraModel, gate: GateOptions | None = None) -> None:
         stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLES)))
         points = scan.thinned_points(stride).reshape(-1, 3).astype(np.float64)
         self._points = points[np.isfinite(points).all(axis=-1)]
@@ -113,17 +113,17 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: Know
     elsewhere = [e for e in others if _differ(known, pose, e.camera_from_scanner, gate)]
     for end in elsewhere[:_MAX_REFINED]:
         candidate = aligner.refine(end.camera_from_scanner)
-        if candidate is None or not _competes(candidate.coarse_verdict, own, gate):
+        if candidate is None or not competes(candidate.coarse_verdict, own, gate):
             continue
         if not _differ(known, pose, candidate.camera_from_scanner, gate):
             continue
         second = aligner.finish(candidate.camera_from_scanner)
-        if _differ(known, pose, second, gate) and _competes(aligner.verify(second)[0], own, gate):
+        if _differ(known, pose, second, gate) and competes(aligner.verify(second)[0], own, gate):
             return second
     return None
 
 
-def _competes(other: Verification, own: Verification, gate: GateOptions) -> bool:
+def competes(other: Verification, own: Verification, gate: GateOptions) -> bool:
     """Return whether another pose is verified, or agrees with nearly as much of the image as the verified one."""
     nearly = (
         other.fraction >= gate.second_fraction * own.fraction and other.agreeing >= gate.second_count * own.agreeing

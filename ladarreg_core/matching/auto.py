@@ -29,7 +29,8 @@ Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _MEDIAN_CELLS = 8_000_000
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
-_ADVICE = "Draw a few matches by hand, or give an initial pose."
+ADVICE = "Draw a few matches by hand, or give an initial pose."
+"""What to do about a photograph that is not accepted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,14 +112,8 @@ def register_auto(
     if contrast < 1:
         return AutoResult(initial, None, None, ("The photo is uniform and has no structure to match.",))
 
-    nearest, farthest = float(np.nanmin(scan.ranges)), float(np.nanmax(scan.ranges))
-    if nearest == farthest:
-        reason = f"All returns of the scan have the same range, {nearest:g} m, so the scan does not determine a pose."
-        return AutoResult(initial, None, None, (reason,))
-
-    median = float(np.nanmedian(scan.ranges[:: max(1, scan.ranges.size // _MEDIAN_CELLS)]))
-    if not _RANGE_M[0] <= median <= _RANGE_M[1]:
-        reason = f"The median range of the scan is {median:.3g} m, which is implausible: check its unit and scale."
+    reason = reason_against_scan(scan)
+    if reason:
         return AutoResult(initial, None, None, (reason,))
 
     search = ViewSearch(
@@ -136,6 +131,18 @@ def register_auto(
     else:
         _search_everywhere(search, found, directions, initial)
     return _explain_if_sparse(found.result(initial), scan, photo, [*directions, *([initial] if initial else [])])
+
+
+def reason_against_scan(scan: Scan) -> str:
+    """Return why a scan cannot determine a pose; empty if nothing speaks against it."""
+    nearest, farthest = float(np.nanmin(scan.ranges)), float(np.nanmax(scan.ranges))
+    if nearest == farthest:
+        return f"All returns of the scan have the same range, {nearest:g} m, so the scan does not determine a pose."
+
+    median = float(np.nanmedian(scan.ranges[:: max(1, scan.ranges.size // _MEDIAN_CELLS)]))
+    if not _RANGE_M[0] <= median <= _RANGE_M[1]:
+        return f"The median range of the scan is {median:.3g} m, which is implausible: check its unit and scale."
+    return ""
 
 
 class CandidateSet:
@@ -196,10 +203,10 @@ class CandidateSet:
             return self._refused
         if self._unfinished is None:
             reason = "No initial pose was found: too few features of the scan match features of the photo."
-            return AutoResult(initial, None, None, (reason, _ADVICE))
+            return AutoResult(initial, None, None, (reason, ADVICE))
         best = self._unfinished
         reason = f"At the best candidate pose only {best.fraction:.0%} of the image regions agree."
-        return AutoResult(best.camera_from_scanner, best.coarse_verdict, None, (reason, _ADVICE))
+        return AutoResult(best.camera_from_scanner, best.coarse_verdict, None, (reason, ADVICE))
 
     def _second_minimum(self) -> tuple[Rigid, Rigid] | None:
         """Return the accepted pose and a second one that explains the image as well; None if there is none."""
@@ -223,7 +230,7 @@ def _explain_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequ
     if density is None or not density.too_sparse:
         return result
     if result.verification is None:
-        return replace(result, reasons=(density.summary(), _ADVICE))
+        return replace(result, reasons=(density.summary(), ADVICE))
     return replace(result, reasons=(density.summary(), *result.reasons))
 
 
@@ -294,7 +301,7 @@ def _search_views(
 def _refused_as_ambiguous(result: AutoResult, first: Rigid, second: Rigid) -> AutoResult:
     """Return a verified result as refused, since a second pose explains the image as well."""
     assert result.verification is not None, "only verified poses are compared"
-    reasons = (ambiguity_sentence(first, second), _ADVICE)
+    reasons = (ambiguity_sentence(first, second), ADVICE)
     return replace(result, verification=replace(result.verification, accepted=False, reasons=reasons), reasons=reasons)
 
 
@@ -332,7 +339,7 @@ def _finish(
         verification, regions=region_markers(found.fine, aligner.photo.cameras[0], camera, aligner.gate)
     )
     reasons: tuple[Any, ...] = verification.reasons
-    advice = () if verification.accepted else (_ADVICE,)
+    advice = () if verification.accepted else (ADVICE,)
     return AutoResult(
         pose, verification, evidence, (*reasons, *found.summary(photo.pinhole), *advice), blocks,
         camera if found.free else None, found.camera_sigmas,

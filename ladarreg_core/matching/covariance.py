@@ -98,14 +98,29 @@ def region_evidence(
         options: those of the refinement that ended there, with the number of free intrinsics.
     """
     grid = points.blocks.grid[points.blocks.of_point[seen.index[seen.blocks.starts]]]
+    H_blocks, g_blocks = block_systems(seen, camera, options)
+    return jackknife(H_blocks, g_blocks, np.zeros(len(grid), np.intp), grid, pose)
+
+
+def jackknife(
+    H_blocks: FloatArray, g_blocks: FloatArray, picture: IntArray, grid: IntArray, pose: Rigid
+) -> RegionEvidence | None:
+    """Return the jackknife covariance of a pose from the contributions of its blocks; None if they form few regions.
+
+    Args:
+        H_blocks: (b, 6 + K, 6 + K) of `block_systems`.
+        g_blocks: (b, 6 + K) likewise.
+        picture: (b,) picture of each block: regions never extend over two pictures.
+        grid: (b, 2) row and column of each block in its picture.
+        pose: `camera_from_scanner`.
+    """
     for side in _REGION_BLOCKS:
-        _, region = np.unique(grid // side, axis=0, return_inverse=True)
+        _, region = np.unique(np.column_stack([picture, grid // side]), axis=0, return_inverse=True)
         count = int(region.max()) + 1
         if count >= _MIN_REGIONS:
             break
     else:
         return None
-    H_blocks, g_blocks = block_systems(seen, camera, options)
     H_regions, g_regions = np.zeros((count, *H_blocks.shape[1:])), np.zeros((count, g_blocks.shape[1]))
     np.add.at(H_regions, region.ravel(), H_blocks)
     np.add.at(g_regions, region.ravel(), g_blocks)

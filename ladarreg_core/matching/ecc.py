@@ -20,9 +20,12 @@ from ladarreg_core.matching.blocks import BlockComparison, Target, compare_block
 from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.matching.zbuffer import Occluder
 
-_MAX_MOTION_PX = 4.0
-_STILL_PX = 0.02
-_REFRESH_VISIBILITY = 3
+MAX_MOTION_PX = 4.0
+"""Longest step, level pixels, of the median point."""
+STILL_PX = 0.02
+"""A refinement ends with a shorter step, level pixels."""
+REFRESH_VISIBILITY = 3
+"""Steps between two tests of occlusion."""
 _MAX_LOG_FOCAL, _MAX_K1 = math.log(1.6), 0.5
 
 
@@ -115,7 +118,7 @@ def refine_pose(
     buffer = occluder.depth_buffer(pose)
     result = None
     for iteration in range(options.iterations):
-        if iteration and iteration % _REFRESH_VISIBILITY == 0:
+        if iteration and iteration % REFRESH_VISIBILITY == 0:
             buffer = occluder.depth_buffer(pose)
         seen_by = target.seen_by(change.applied_to(target.camera)) if options.free or change != NO_CHANGE else target
         step = _gauss_newton_step(points, seen_by, occluder, buffer, pose, options)
@@ -126,7 +129,7 @@ def refine_pose(
         pose = Rigid(turn @ pose.rotation, turn @ pose.translation + delta[3:6])
         change = change.after(delta[6:])
         result = RefineResult(pose, change, iteration + 1, correlation, blocks, motion)
-        if motion < _STILL_PX:
+        if motion < STILL_PX:
             break
     return result
 
@@ -137,12 +140,46 @@ def _gauss_newton_step(
     seen = compare_blocks(points, target, occluder, buffer, pose)
     if seen is None:
         return None
+    system = step_system(seen, target.camera, options)
+    H, g = system.H, system.g
+    H[range(6, len(H)), range(6, len(H))] += options.damping
+    delta = solve_step(H, g)
+    if delta is None:
+        return None
+    motion = float(np.median(np.hypot(system.Ju @ delta, system.Jv @ delta)))
+    if motion > MAX_MOTION_PX:
+        delta *= MAX_MOTION_PX / motion
+    return delta, motion, float(np.average(seen.rho)), len(seen.blocks)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepSystem:
+    """Normal equations of one Gauss-Newton step, of n points."""
+
+    H: FloatArray
+    """(6 + K, 6 + K) in (w, t) of X' = exp([w]x) X + t and (log f, k1)."""
+    g: FloatArray
+    """(6 + K,) the right-hand side."""
+    Ju: FloatArray
+    """(n, 6 + K) du by these parameters, level pixels."""
+    Jv: FloatArray
+    """(n, 6 + K) dv likewise."""
+
+
+def step_system(seen: BlockComparison, camera: Camera, options: RefineOptions) -> StepSystem:
+    """Return the normal equations of a step.
+
+    Args:
+        seen: the blocks at a pose.
+        camera: the level's camera.
+        options: weights, and the number of free intrinsics.
+    """
     blocks, count, rho, Bu, Bv = seen.blocks, seen.count, seen.rho, seen.by_u, seen.by_v
     of = blocks.of_point
 
     # The sums below are products of the centred gradient with its component along B removed, without forming it.
     m_uu, m_uv, m_vv = (channel_products(*pair) for pair in ((Bu, Bu), (Bu, Bv), (Bv, Bv)))
-    Ju, Jv = _jacobian(seen.points_camera, target.camera, options.free)
+    Ju, Jv = _jacobian(seen.points_camera, camera, options.free)
     along_b = blocks.sum(seen.b_u[:, None] * Ju + seen.b_v[:, None] * Jv)
     along_a = blocks.sum(seen.a_u[:, None] * Ju + seen.a_v[:, None] * Jv)
 
@@ -162,18 +199,17 @@ def _gauss_newton_step(
     H -= channel_sums.T @ channel_sums
     H -= (curvature[:, None] * along_b).T @ along_b
     g = (weight[:, None] * (along_a - rho[:, None] * along_b)).sum(axis=0)
-    H, g = H.astype(np.float64), g.astype(np.float64)
-    H[range(6, len(H)), range(6, len(H))] += options.damping
+    return StepSystem(H.astype(np.float64), g.astype(np.float64), Ju, Jv)
+
+
+def solve_step(H: FloatArray, g: FloatArray) -> FloatArray | None:
+    """Return the step that solves the normal equations H (P, P) and g (P,), or None if they are singular."""
     # the projection may leave diagonal entries of rounding error only, of either sign
     scale = np.sqrt(np.maximum(np.diag(H), 0)) + 1e-12
     try:
-        delta = np.linalg.solve(H / np.outer(scale, scale) + 1e-6 * np.eye(len(H)), g / scale) / scale
+        return np.asarray(np.linalg.solve(H / np.outer(scale, scale) + 1e-6 * np.eye(len(H)), g / scale) / scale)
     except np.linalg.LinAlgError:
         return None
-    motion = float(np.median(np.hypot(Ju @ delta, Jv @ delta)))
-    if motion > _MAX_MOTION_PX:
-        delta *= _MAX_MOTION_PX / motion
-    return delta, motion, float(np.average(rho)), len(blocks)
 
 
 def block_systems(seen: BlockComparison, camera: Camera, options: RefineOptions) -> tuple[FloatArray, FloatArray]:

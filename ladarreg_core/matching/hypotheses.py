@@ -80,11 +80,20 @@ class _DescriptorMatcher:
 
 def descriptor_corners(scan: ScanLevels, photo: PhotoLevels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the corners that are described: pixels (N, 2) of the view and (M, 2) of the photo."""
+    return view_corners(scan), photo_corners(photo)
+
+
+def view_corners(scan: ScanLevels) -> NDArray[np.float64]:
+    """Return the corners of a view that are described, pixels (N, 2)."""
     usable = np.isfinite(scan.ranges)
-    return (
-        find_corners(scan.gray_planes[0], _DESCRIPTOR_CORNERS, usable=usable).uv,
-        find_corners(photo.gray, _DESCRIPTOR_CORNERS, usable=photo.usable[0]).uv,
-    )
+    if scan.structured is not None:
+        usable &= scan.structured
+    return find_corners(scan.gray_planes[0], _DESCRIPTOR_CORNERS, usable=usable).uv
+
+
+def photo_corners(photo: PhotoLevels) -> NDArray[np.float64]:
+    """Return the corners of a photo that are described, pixels (M, 2)."""
+    return find_corners(photo.gray, _DESCRIPTOR_CORNERS, usable=photo.usable[0]).uv
 
 
 def points_at(scan: ScanLevels, uv: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from ladarreg_core.formatting import format_length, format_number
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.aligner import verify_pose
 from ladarreg_core.matching.auto import AutoOptions, AutoResult
+from ladarreg_core.matching.face_registration import is_wide, verify_faces
 from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.verification import GateOptions, Verification
 from ladarreg_core.photo import Photo
@@ -71,7 +72,8 @@ def check_against_images(scan: Scan, photo: Photo, result: PoseResult, steps: St
 def _checked(scan: Scan, photo: Photo, result: PoseResult, steps: StepLog, seed: int) -> ImageCheck:
     pose = result.camera_from_scanner
     with steps.step("image check") as note:
-        found = verify_pose(scan, photo, pose, seed=seed)
+        verify = verify_faces if is_wide(photo) else verify_pose
+        found = verify(scan, photo, pose, seed=seed)
         note.update(verified=found is not None and found.accepted)
     if found is None:
         return ImageCheck(

@@ -14,6 +14,7 @@ import numpy as np
 
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
+from ladarreg_core.matching.face_registration import is_wide, register_faces
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
 from ladarreg_core.matching.verification import COARSE_GATE, Verification
 from ladarreg_core.photo import Photo
@@ -71,26 +72,26 @@ def register_by_modality(
     """
     o = options or AutoOptions()
     if not is_gray(photo):
+        if is_wide(photo):
+            return register_faces(scan, photo, steps, initial=initial, options=o)
         return register_auto(scan, photo, steps, initial=initial, options=o)
     thermal = photo.temperature_k is not None
     if thermal:
         # A few blurred regions determine a pose, but not the lens as well.
         o = replace(o, gate=COARSE_GATE, intrinsics="fixed" if o.intrinsics == "auto" else o.intrinsics)
     found: dict[ChannelSet, AutoResult] = {}
-    pair = PairLevels(scan, photo)
+    pair = None if is_wide(photo) else PairLevels(scan, photo)
     start = initial
     for channel_set in get_args(ChannelSet):
         if len(found) == 2 and not any(map(_is_promising, found.values())):
             break  # in no test did intensity alone find a pose when neither the sum nor geometry came near one
         # a pose found with one channel set need only be refined with the others
         reach: Reach = o.reach if start is initial else "near_start"
-        found[channel_set] = register_auto(
-            scan,
-            photo,
-            steps,
-            initial=start,
-            options=replace(o, channel_set=channel_set, reach=reach),
-            pair=pair,
+        tried = replace(o, channel_set=channel_set, reach=reach)
+        found[channel_set] = (
+            register_faces(scan, photo, steps, initial=start, options=tried)
+            if pair is None
+            else register_auto(scan, photo, steps, initial=start, options=tried, pair=pair)
         )
         if _accepted(found[channel_set]) and not thermal:
             break

@@ -6,6 +6,7 @@ The photo is undistorted once and not resampled again; the scan is rendered in p
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -16,8 +17,15 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.features.channels import add_channels, normalised_channels, raw_channels
+from ladarreg_core.features.channels import (
+    add_channels,
+    channel_floor,
+    channel_scale,
+    normalised_channels,
+    raw_channels,
+)
 from ladarreg_core.frames import Rigid
+from ladarreg_core.matching.structure import structured_cells
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, native_focal_px, perspective_view
@@ -36,6 +44,7 @@ _MAX_ENLARGED = 2.0
 _STANDARD_RANGE_M = 2.5
 _RANGE_RATIO = (0.4, 4.0)
 _STRETCH_PERCENT = (1.0, 99.5)
+_STRETCH_SAMPLES = 1_000_000
 _RANGE_SPAN_M = (0.3, 30.0)
 _HOLE_REACH_PX = 2.0
 _FINE = {"blur_px": 1.2, "local_factor": 2.0}
@@ -46,9 +55,13 @@ _LARGEST_WINDOW = 8_000_000
 _KEPT_VIEWS = 2  # about ten bytes per pixel and channel; a scan of one view needs two, upright and rolled
 
 
-def _normalised(raw: FloatArray, level: int) -> FloatArray:
-    coarse = level >= 2
-    return normalised_channels(raw, blur_px=1.2 if coarse else 1.5, local_px=6.0 if coarse else 8.0)
+def _blur_px(level: int) -> float:
+    return 1.2 if level >= 2 else 1.5
+
+
+def _normalised(raw: FloatArray, level: int, least_floor: float = 0.0) -> FloatArray:
+    local_px = 6.0 if level >= 2 else 8.0
+    return normalised_channels(raw, blur_px=_blur_px(level), local_px=local_px, least_floor=least_floor)
 
 
 def _halved(planes: list[FloatArray], camera: Camera) -> list[FloatArray]:
@@ -139,6 +152,36 @@ def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
     return PhotoLevels(photo.pinhole, tuple(cameras), tuple(all_planes), tuple(masks))
 
 
+@dataclass(frozen=True, slots=True)
+class ChannelFloors:
+    """Floors of the channels of several views of one scan, so that an empty view does not amplify its noise."""
+
+    intensity: tuple[float, ...]
+    """Of each level."""
+    geometry: tuple[float, ...]
+    """Of each level."""
+    fine_intensity: float
+    """Of the fine channels, if they are of intensity."""
+    fine_geometry: float
+    """Of the fine channels, if they are of geometry."""
+
+    @staticmethod
+    def common(views: Sequence[ScanLevels]) -> ChannelFloors:
+        """Return the floors that one picture of all views would have."""
+
+        def floor(raws: Iterable[FloatArray], blur_px: float) -> float:
+            largest, median = zip(*(channel_scale(raw, blur_px=blur_px) for raw in raws), strict=True)
+            return channel_floor(max(largest), float(np.median(median)))
+
+        fine = float(_FINE["blur_px"])
+        return ChannelFloors(
+            tuple(floor((v.raw_intensity[L] for v in views), _blur_px(L)) for L in LEVELS),
+            tuple(floor((v.raw_geometry[L] for v in views), _blur_px(L)) for L in LEVELS),
+            floor((v.raw_intensity[0] for v in views), fine),
+            floor((v.raw_geometry[0] for v in views), fine),
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class ScanLevels:
     """The scan's perspective view at three resolutions, with its ranges."""
@@ -157,6 +200,10 @@ class ScanLevels:
     """(h, w) bool, level 0: within three pixels of a depth edge or a hole."""
     channel_set: ChannelSet = "both"
     """The set that `channels` are computed from."""
+    structured: BoolArray | None = None
+    """(h, w) bool, level 0: pixels with structure to compare; None: all."""
+    floors: ChannelFloors | None = None
+    """Least floors of the channels, common to several views; None: each view has its own."""
 
     def with_channels(self, channel_set: ChannelSet) -> ScanLevels:
         """Return the same levels with another channel set; channels already computed are shared."""
@@ -174,6 +221,31 @@ class ScanLevels:
         return raw
 
     @cached_property
+    def raw_intensity(self) -> tuple[FloatArray, ...]:
+        """(8, h, w) of each level, from intensity, not normalised."""
+        coarser = zip(self.gray_planes[1:], self._near_returns[1:], strict=True)
+        return (self._raw_intensity, *(raw_channels([plane]) * near for plane, near in coarser))
+
+    @cached_property
+    def raw_geometry(self) -> tuple[FloatArray, ...]:
+        """(8, h, w) of each level, from normals and log range, not normalised."""
+        pairs = zip(self.geometry_planes, self._near_returns, strict=True)
+        return tuple(raw_channels(planes) * near for planes, near in pairs)
+
+    def with_floors(self, floors: ChannelFloors) -> ScanLevels:
+        """Return the same levels with floors common to several views; raw channels already computed are shared."""
+        other = replace(self, floors=floors)
+        shared = ("_raw_intensity", "_near_returns", "raw_intensity", "raw_geometry")
+        vars(other).update({name: made for name, made in vars(self).items() if name in shared})
+        return other
+
+    def without_raw(self) -> ScanLevels:
+        """Return the same levels without the raw channels, which take more memory than all others."""
+        for name in ("raw_intensity", "raw_geometry", "_raw_intensity"):
+            vars(self).pop(name, None)
+        return self
+
+    @cached_property
     def _near_returns(self) -> tuple[FloatArray, ...]:
         """1 within a few pixels of a return, by level: farther away the filled ranges would produce false edges."""
         near = []
@@ -187,6 +259,8 @@ class ScanLevels:
     @cached_property
     def intensity_channels(self) -> tuple[FloatArray, ...]:
         """(h, w, 8) of each level, from intensity."""
+        if self.floors is not None:
+            return tuple(map(_normalised, self.raw_intensity, LEVELS, self.floors.intensity))
         coarser = zip(self.gray_planes[1:], self._near_returns[1:], strict=True)
         raw = [self._raw_intensity, *(raw_channels([plane]) * near for plane, near in coarser)]
         return tuple(map(_normalised, raw, LEVELS))
@@ -194,6 +268,8 @@ class ScanLevels:
     @cached_property
     def geometry_channels(self) -> tuple[FloatArray, ...]:
         """(h, w, 8) of each level, from normals and log range."""
+        if self.floors is not None:
+            return tuple(map(_normalised, self.raw_geometry, LEVELS, self.floors.geometry))
         pairs = zip(self.geometry_planes, self._near_returns, strict=True)
         return tuple(_normalised(raw_channels(planes) * near, L) for L, (planes, near) in enumerate(pairs))
 
@@ -208,20 +284,57 @@ class ScanLevels:
     def fine_channels(self) -> FloatArray:
         """(h, w, 8), level 0, sharper, for the final sub-pixel refinement: of intensity, if the set includes it."""
         if self.channel_set != "geometry":
-            return normalised_channels(self._raw_intensity, **_FINE)
-        return normalised_channels(raw_channels(self.geometry_planes[0]) * self._near_returns[0], **_FINE)
+            least = 0.0 if self.floors is None else self.floors.fine_intensity
+            return normalised_channels(self._raw_intensity, **_FINE, least_floor=least)
+        least = 0.0 if self.floors is None else self.floors.fine_geometry
+        raw = raw_channels(self.geometry_planes[0]) * self._near_returns[0]
+        return normalised_channels(raw, **_FINE, least_floor=least)
 
 
-def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> ScanLevels:
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanedScan:
+    """A scan's images on its own grid, which all views of it share."""
+
+    ranges: FloatArray
+    """(H, W) m, without spikes."""
+    gray: FloatArray
+    """(H, W) square root of range-compensated intensity, without holes."""
+    structured: BoolArray | None = None
+    """(H, W) bool: cells with structure to compare; None: all."""
+    stretch: tuple[float, float] | None = None
+    """Gray levels that become 0 and 255 in every view; None: each view is stretched by its own."""
+
+    @staticmethod
+    def of(scan: Scan, *, for_many_views: bool = False) -> CleanedScan:
+        """Return the images of a scan.
+
+        Args:
+            scan: the scan.
+            for_many_views: its views are compared together, and some are nearly empty: their gray levels are stretched
+                alike, and only structured cells are compared.
+        """
+        gated = gate_spikes(scan.ranges)
+        gray = _laser_gray(scan, gated)
+        if not for_many_views:
+            return CleanedScan(gated, gray)
+        stride = max(1, int(np.sqrt(gray.size / _STRETCH_SAMPLES)))
+        low, high = np.percentile(gray[::stride, ::stride][scan.valid[::stride, ::stride]], _STRETCH_PERCENT)
+        return CleanedScan(gated, gray, structured_cells(gated, gray), (float(low), float(high)))
+
+
+def scan_levels(
+    scan: Scan, view: View, *, channel_set: ChannelSet = "both", cleaned: CleanedScan | None = None
+) -> ScanLevels:
     """Return the levels of a scan in one view.
 
     Args:
         scan: the scan.
         view: the view.
         channel_set: the channels to compare.
+        cleaned: the scan's images, if they have been computed already.
     """
-    gated = gate_spikes(scan.ranges)
-    gray = _laser_gray(scan, gated)
+    cleaned = cleaned or CleanedScan.of(scan)
+    gated, gray = cleaned.ranges, cleaned.gray
     gray = look_up(gray, view.cells[..., 0], view.cells[..., 1])  # the border is replicated beyond the grid
 
     ranges = view.resample_ranges(gated)
@@ -236,7 +349,7 @@ def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> 
     geometry = _geometry_planes(view, fill_from_nearest(ranges, valid))
 
     shown = gray[valid] if valid.any() else gray
-    low_gray, high_gray = np.percentile(shown, _STRETCH_PERCENT)
+    low_gray, high_gray = cleaned.stretch or np.percentile(shown, _STRETCH_PERCENT)
     gray = np.clip((gray - low_gray) * (255 / max(float(high_gray - low_gray), 1e-9)), 0, 255).astype(np.float32)
 
     cameras, grays, geometries = [view.camera], [gray], [geometry]
@@ -252,6 +365,7 @@ def scan_levels(scan: Scan, view: View, *, channel_set: ChannelSet = "both") -> 
         np.where(valid, surface, np.nan).astype(np.float32),
         edge,
         channel_set,
+        None if cleaned.structured is None else view.resample(cleaned.structured.astype(np.float32)) > 0.5,
     )
 
 

@@ -75,6 +75,8 @@ def edge_strength(
     usable = np.isfinite(surface) & (norm > _MIN_NORM)
     if away_from_edges:
         usable &= ~edge
+    if scan.structured is not None:
+        usable &= scan.structured[_pixels_of_level(scan, scan.cameras[level])]
     usable[:_BORDER_PX] = usable[-_BORDER_PX:] = False
     usable[:, :_BORDER_PX] = usable[:, -_BORDER_PX:] = False
     row, column = np.ogrid[: usable.shape[0], : usable.shape[1]]
@@ -119,11 +121,16 @@ def draw_points(
 def _at_level(scan: ScanLevels, camera: Camera, level: int) -> tuple[FloatArray, BoolArray]:
     if level == 0:
         return scan.ranges, scan.edge
+    grid = _pixels_of_level(scan, camera)
+    return scan.ranges[grid], scan.edge[grid]
+
+
+def _pixels_of_level(scan: ScanLevels, camera: Camera) -> tuple[NDArray[np.intp], ...]:
+    """Return the index of the level-0 pixels at the pixels of another level."""
     height, width = scan.ranges.shape
     rows = np.minimum((np.arange(camera.height) + 0.5) * height / camera.height, height - 1).astype(np.intp)
     columns = np.minimum((np.arange(camera.width) + 0.5) * width / camera.width, width - 1).astype(np.intp)
-    grid = np.ix_(rows, columns)
-    return scan.ranges[grid], scan.edge[grid]
+    return np.ix_(rows, columns)
 
 
 def _strongest_in_strata(strength: FloatArray, side_px: int, count: int) -> NDArray[np.intp]:

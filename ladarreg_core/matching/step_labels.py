@@ -11,6 +11,8 @@ STEP_LABELS: Mapping[str, str] = {
     "climb": "Refine candidate",
     "places": "Grid search",
     "turn": "Detect roll",
+    "faces": "Cut out faces",
+    "all faces": "Refine on all faces",
     "finish": "Final refinement",
     "verify": "Image verification",
     "camera": "Self-calibration",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.surface.uncertainty import pixel_sigma
@@ -175,7 +175,7 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
 def check_precision(
     verdict: Verification,
     points: FloatArray,
-    camera: Camera,
+    camera: CameraModel,
     pose: Rigid,
     covariance: FloatArray,
     options: GateOptions | None = None,

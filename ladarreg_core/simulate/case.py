@@ -228,7 +228,7 @@ def case_files(case: SimulatedCase) -> list[tuple[str, Callable[[Path], None]]]:
         write_npz_counts(path, counts=case.counts, intensity=case.intensity, geometry=GEOMETRY, r0_m=R0_M, dr_m=DR_M)
 
     def photo(path: Path) -> None:
-        path.write_bytes(_png_of(case.photo))
+        path.write_bytes(png_of(case.photo))
 
     return [
         ("scan.npz", scan),
@@ -305,7 +305,7 @@ def _pose(case_set: CaseSet, seed: int, focus_m: float, rng: np.random.Generator
     return ThesisParameters(Tx=left, Ty=up, Tz=ahead, alpha=a, beta=b, gamma=c).pose
 
 
-def _png_of(photo: Photo) -> bytes:
+def png_of(photo: Photo) -> bytes:
     """Return a PNG: 8-bit colour, 8-bit gray where the channels are equal, or 16-bit centikelvin."""
     pixels = photo.pixels[..., ::-1]
     picture: NDArray[Any] = pixels[..., 0] if (pixels == pixels[..., :1]).all() else pixels

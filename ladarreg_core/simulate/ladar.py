@@ -76,7 +76,7 @@ def scan_world(
         real = np.zeros((part.stop - part.start, columns), np.float32)
         imaginary = np.zeros_like(real)
         for k, weight in enumerate(_SUB_WEIGHTS.astype(np.float32)):
-            a, r = _returns(viewpoint, grid.faces(k, part).ravel(), grid.directions(k, part).reshape(-1, 3))
+            a, r = echoes(viewpoint, grid.faces(k, part).ravel(), grid.directions(k, part).reshape(-1, 3))
             phase_rad = (r - np.float32(R0_M)) * np.float32(2 * np.pi / MODULATION_M)
             real += (weight * a * np.cos(phase_rad)).reshape(real.shape)
             imaginary += (weight * a * np.sin(phase_rad)).reshape(real.shape)
@@ -101,7 +101,7 @@ def _rays_at(step: FloatArray, rows: slice) -> FloatArray:
     return rays
 
 
-def _returns(
+def echoes(
     viewpoint: Viewpoint, faces: NDArray[np.int32], directions: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return amplitude and range (N,) of individual rays."""

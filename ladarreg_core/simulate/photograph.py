@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.materials import GAMMA
 from ladarreg_core.simulate.ray_cast import RayCaster, SampleGrid, differs_from_neighbours, in_strips
@@ -42,7 +42,7 @@ class Lighting:
 def take_photograph(
     world: World,
     caster: RayCaster,
-    camera: Camera,
+    camera: CameraModel,
     camera_from_scanner: Rigid,
     *,
     lighting: Lighting,
@@ -84,7 +84,7 @@ def take_photograph(
     return _develop(linear, rng, noise)
 
 
-def cast_pixels(world: World, caster: RayCaster, camera: Camera, camera_from_scanner: Rigid) -> SampleGrid:
+def cast_pixels(world: World, caster: RayCaster, camera: CameraModel, camera_from_scanner: Rigid) -> SampleGrid:
     """Return the face that each sample of each pixel of a camera hits.
 
     Args:
@@ -97,7 +97,8 @@ def cast_pixels(world: World, caster: RayCaster, camera: Camera, camera_from_sca
 
     def rays_at(step: FloatArray, rows: slice) -> FloatArray:
         v, u = np.mgrid[rows, : camera.width].astype(np.float64)
-        x, y, z = np.moveaxis(camera.unproject(np.stack([u + step[1], v + step[0]], axis=-1)), -1, 0)
+        rays_camera = camera.unproject(np.stack([u + step[1], v + step[0]], axis=-1))
+        x, y, z = np.moveaxis(np.nan_to_num(rays_camera), -1, 0)  # a pixel without a ray meets nothing and stays black
         rays = np.empty((*u.shape, 3))
         for i in range(3):
             # Written out, since the last bit of a matrix product may depend on the number of threads.
