@@ -37,6 +37,8 @@ from ladarreg_core.formats.json_file import parsed_once, read_json_object
 from ladarreg_core.formats.las import read_las
 from ladarreg_core.formats.las_header import sniff_las
 from ladarreg_core.formats.npz import read_npz, sniff_npz
+from ladarreg_core.formats.ouster_pcap import read_ouster_pcap
+from ladarreg_core.formats.packet_capture import sniff_capture
 from ladarreg_core.formats.pcd import read_pcd, sniff_pcd
 from ladarreg_core.formats.ply import read_ply, sniff_ply
 from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD
@@ -179,6 +181,10 @@ def _camera_format(known: CameraFormat) -> FileFormat:
     )
 
 
+def _read_ouster(path: Path, asked: ScanRequest) -> Scan:
+    return read_ouster_pcap(path, scan_index=asked.scan_index, memory_bytes=asked.memory_bytes, report=asked.report)
+
+
 FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "E57", "scan", (".e57",), lambda head, _: sniff_e57(head), describe_e57,
@@ -198,6 +204,10 @@ FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "PTX", "scan", (".ptx",), lambda head, _: sniff_ptx(head), describe_ptx, _read_ptx,
         takes=("scan_index", "origin", "intensity"),
+    ),
+    FileFormat(
+        "Ouster PCAP", "scan", (".pcap", ".pcapng"), lambda head, _: sniff_capture(head),
+        scan_describer("Ouster PCAP", _read_ouster), _read_ouster, takes=("scan_index",),
     ),
     FileFormat(
         "PLY", "scan", (".ply",), lambda head, _: sniff_ply(head), scan_describer("PLY", _read_ply), _read_ply,
