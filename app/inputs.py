@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
 from .arguments import InputArguments
+from .process_resources import keep_heap_small
 from .progress_bar import ProgressBar
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
 
 T = TypeVar("T")
+_LARGE_SCAN_CELLS = 4_000_000
 
 
 def read_inputs(arguments: InputArguments, bar: ProgressBar) -> tuple[Scan, Photo]:
@@ -23,6 +25,8 @@ def read_inputs(arguments: InputArguments, bar: ProgressBar) -> tuple[Scan, Phot
     import ladarreg_core as lr
 
     scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options))
+    if scan.ranges.size > _LARGE_SCAN_CELLS:
+        keep_heap_small()
     photo = timed(
         "Read photo",
         bar,

@@ -22,6 +22,8 @@ _ARENAS = 2
 _TRIM_DELAY_S = 1.0
 _MIN_GROWTH_BYTES = 32 << 20
 """Growth of the process that makes another trim worthwhile: all threads wait for it."""
+_M_MMAP_THRESHOLD = -3
+_OWN_MAPPING_BYTES = 4 << 20
 _trim_pending = threading.Lock()
 _resident_after_trim = 0
 
@@ -71,6 +73,15 @@ def return_memory_soon(*, force: bool = False) -> None:
         timer = threading.Timer(_TRIM_DELAY_S, _trim)
         timer.daemon = True
         timer.start()
+
+
+def keep_heap_small() -> None:
+    """Return the memory of every freed array of several megabytes to the system at once; without glibc it does nothing.
+
+    Otherwise glibc keeps up to a gigabyte of them for reuse, which costs less time but is too much beside a large scan.
+    """
+    if (libc := _glibc()) is not None:
+        libc.mallopt(_M_MMAP_THRESHOLD, _OWN_MAPPING_BYTES)
 
 
 def return_memory() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from ladarreg_core.matching.step_labels import step_label
@@ -42,6 +43,7 @@ _MILESTONES = {
 """Share of the usual time that has passed after each step; some steps may occur several times."""
 _EXPORTS_FROM = 0.6
 _LABEL_WIDTH = 28
+_SECONDS_BETWEEN_LINES = 3.0
 
 
 class ProgressBar(Protocol):
@@ -97,6 +99,7 @@ class _Lines(_Silent):
     def __init__(self, out: TextIO) -> None:
         self._out = out
         self._label = ""
+        self._said_at: float | None = None
 
     def step(self, step: Step) -> None:
         """Print the step with its time and figures."""
@@ -109,8 +112,13 @@ class _Lines(_Silent):
         print(f"{label} {step.seconds:6.2f} s  {detail}".rstrip(), file=self._out, flush=True)
 
     def loading(self, progress: Progress) -> None:
-        """Print each new label once."""
-        self.progress(progress)
+        """Print how much of a large file is read, every few seconds."""
+        now = time.monotonic()
+        if self._said_at is None:
+            self._said_at = now
+        elif now - self._said_at >= _SECONDS_BETWEEN_LINES and progress.total:
+            self._said_at = now
+            print(f"{progress.label} {progress.done / progress.total:.0%}", file=self._out, flush=True)
 
     def progress(self, progress: Progress) -> None:
         """Print each new label once."""

@@ -301,7 +301,9 @@ def _write_model(path: Path, scan: Scan, texture: RegisteredTexture, frame: Outp
     """Write the whole mesh of a scan, or that of a large one reduced by error."""
     is_small = scan.ranges.size <= _LARGEST_WHOLE_MODEL
     found = ReducedMesh(scan_mesh(scan), 0.0) if is_small else reduced_mesh(scan)
-    write_glb(path, found.mesh, model_picture(scan, texture), frame=frame, tolerance_m=found.tolerance_m)
+    picture = model_picture(scan, texture)
+    picture.flags.writeable = False  # handed over, not copied
+    write_glb(path, found.mesh, picture, frame=frame, tolerance_m=found.tolerance_m)
 
 
 def _missing_parents(target: Path) -> list[Path]:

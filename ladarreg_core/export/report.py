@@ -32,6 +32,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture import RegisteredTexture
 
 _MOST_WORST = 6
+_MOST_DRAWN_CELLS = 4_000_000
 _MOST_SIGMA_RAD = 0.5
 _VERDICTS = {
     "image": "Accepted: verified against the image.",
@@ -109,6 +110,10 @@ class _Report:
     ) -> None:
         self._r = registration
         self._scan, self._photo, self._document = scan, photo, document
+        # What is drawn of a large scan is reduced to the size of a page anyway.
+        self._drawn, stride = scan.thinned(_MOST_DRAWN_CELLS)
+        if texture is not None and stride > 1:
+            texture = RegisteredTexture(texture.image[::stride, ::stride], texture.labels[::stride, ::stride])
         self._given = registration.evidence == "given"
         rests_on = document.get("rests_on") or {}
         self._rests_on = str(rests_on.get("sentence") or "")
@@ -118,7 +123,7 @@ class _Report:
         drawn = replace(registration, accepted=True) if self._given else registration
         mark = "given, not verified" if self._given else "out of date" if self._stale else None
         self._pictures = ReportPictures(
-            scan, photo, drawn, texture=texture, mark=mark if self._shown else "rejected guess"
+            self._drawn, photo, drawn, texture=texture, mark=mark if self._shown else "rejected guess"
         )
 
     @property
@@ -310,7 +315,7 @@ class _Report:
         ]
         worst = worst_matches(self._r, most=_MOST_WORST)
         if worst:
-            crops = match_crops(self._scan, self._photo, self._r, worst)
+            crops = match_crops(self._drawn, self._photo, self._r, worst)
             parts += [
                 tag("h3", "The worst matches, enlarged"),
                 crop_legend(),
