@@ -116,6 +116,8 @@ class InputArguments(ScanArguments):
     """Focal length of the photo in mm; needs --sensor-mm; default: that of EXIF."""
     sensor_mm: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None
     """Sensor width (longer side) in mm."""
+    camera_model: Literal["pinhole", "equirectangular"] | None = None
+    """Model of the photo's camera without a camera file: equirectangular is a panorama; default: as its XMP says."""
     temperature_unit: Literal["K", "C", "none"] | None = None
     """Unit of the pixels of a thermal TIFF that does not state it; none: the pixels are no temperatures."""
     seed: int = 0

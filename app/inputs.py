@@ -37,6 +37,7 @@ def read_inputs(arguments: InputArguments, bar: ProgressBar) -> tuple[Scan, Phot
             focal_px=arguments.focal_px,
             focal_mm=arguments.focal_mm,
             sensor_mm=arguments.sensor_mm,
+            camera_model=arguments.camera_model,
             temperature_unit=arguments.temperature_unit,
         ),
     )

@@ -152,6 +152,7 @@ class Loader:
                 focal_px=given.focal_px,
                 focal_mm=given.focal_mm,
                 sensor_mm=given.sensor_mm,
+                camera_model=given.model,
                 temperature_unit=entry.source.temperature_unit,
             )
         except CameraError as error:

@@ -199,17 +199,20 @@ def reject(context: Context, client: Client, fields: Fields) -> Reply:
 
 
 def set_camera(context: Context, client: Client, fields: Fields) -> Reply:
-    """Set a photograph's focal length."""
+    """Set a photograph's focal length, or that it is a panorama."""
     from ladarreg_core.formats.exif import focal_of_35mm
 
     given = {name: _positive(fields[name], what) for name, what in _FOCALS.items() if fields.get(name) is not None}
-    if set(given) not in ({"focal_px"}, {"focal_35mm"}, {"focal_mm", "sensor_mm"}, {"sensor_mm"}):
+    model = fields.get("model")
+    if model is not None and (given or model != "equirectangular"):
+        raise OptionError("the model of a camera without a file is equirectangular, without a focal length")
+    if model is None and set(given) not in ({"focal_px"}, {"focal_35mm"}, {"focal_mm", "sensor_mm"}, {"sensor_mm"}):
         raise OptionError("give the 35 mm equivalent, or the focal length in mm and the sensor width, or pixels")
     entry = _photo(context, fields)
     if "focal_35mm" in given:
         size = context.loader.viewable_photo(entry).camera.size
         given = {"focal_px": focal_of_35mm(given["focal_35mm"], *size)}
-    camera = msgspec.structs.replace(CameraGiven(), **given)
+    camera = msgspec.structs.replace(CameraGiven(), model=model, **given)
     context.queries.check_camera(entry, camera)
     return _edit_photo(
         context, client, fields, f"Camera of {entry.source.name}", lambda p: edits.with_camera(p, camera)

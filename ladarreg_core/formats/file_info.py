@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ladarreg_core.camera import Camera
-from ladarreg_core.errors import FormatError, OptionError, ShapeError, UnderspecifiedError
+from ladarreg_core.camera import Camera, EquirectangularCamera
+from ladarreg_core.errors import CameraError, FormatError, OptionError, ShapeError, UnderspecifiedError
 from ladarreg_core.formats.camera_file import camera_format, describe_camera, read_cameras
 from ladarreg_core.formats.camera_in_file import FileCamera
 from ladarreg_core.formats.e57 import read_e57
@@ -24,6 +24,7 @@ from ladarreg_core.formats.exif import (
     orientation_of,
     upright,
 )
+from ladarreg_core.formats.gpano import WHICH_CAMERA, looks_like_panorama, panorama_of_xmp
 from ladarreg_core.formats.image_file import ImageData, read_image
 from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
 from ladarreg_core.formats.las import las_facts, read_las
@@ -229,20 +230,28 @@ def describe_photo(path: Path) -> FileInfo:
     with reading(path) as file:
         image = read_image(file)
         raw_height, raw_width = image.values.shape[:2]
-        height, width = upright(image.values, orientation_of(image.exif)).shape[:2]
+        pixels = upright(image.values, orientation_of(image.exif))
+        height, width = pixels.shape[:2]
         focal = focal_from_exif(image.exif, raw_width, raw_height)
         notes = [*image.notes, *_thermal_notes(file, image)]
-        if not focal:
+        panorama, contradiction = _panorama_of(image, width, height)
+        if contradiction:
+            notes.append(contradiction)
+        elif panorama is None and not focal:
             stated = focal_mm_of(image.exif)
             notes.append(
                 "no focal length in EXIF: give a camera file or a focal length with it"
                 if stated is None
                 else f"EXIF states {stated:g} mm but not the sensor's size: give --sensor-mm or a camera file with it"
             )
-        if edited := edited_since(image.exif, raw_width, raw_height):
+        if panorama is None and (edited := edited_since(image.exif, raw_width, raw_height)):
             notes.append(edited)
+        if panorama is None and not contradiction and looks_like_panorama(pixels):
+            notes.append(WHICH_CAMERA)
         camera: dict[str, Any] = {}
-        if focal:
+        if panorama is not None:
+            camera = {**describe_camera(panorama), "source": "XMP"}
+        elif focal and not contradiction:
             camera = {**describe_camera(Camera.from_focal(width, height, focal.focal_px)), "source": focal.source}
         return FileInfo(
             file=shown_name(file),
@@ -255,6 +264,14 @@ def describe_photo(path: Path) -> FileInfo:
             exif=exif_facts(image.exif),
             notes=tuple(notes),
         )
+
+
+def _panorama_of(image: ImageData, width: int, height: int) -> tuple[EquirectangularCamera | None, str]:
+    """Return the panorama's camera by the image's XMP, or else what contradicts it; None and an empty string."""
+    try:
+        return panorama_of_xmp(image.xmp, width, height), ""
+    except CameraError as error:
+        return None, str(error)
 
 
 def _thermal_notes(file: Path, image: ImageData) -> list[str]:

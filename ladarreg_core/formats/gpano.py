@@ -29,6 +29,8 @@ _SIZES = {
     "left": "CroppedAreaLeftPixels",
     "top": "CroppedAreaTopPixels",
 }
+WHICH_CAMERA = "the picture looks like an equirectangular panorama: if it is one, give --camera-model equirectangular"
+"""Advice on a picture that looks like a panorama."""
 _SEAM_OF_STEP = 3.0
 _LEAST_SEAM = 1.0
 
@@ -70,6 +72,20 @@ def panorama_of_xmp(xmp: bytes, width: int, height: int) -> EquirectangularCamer
 def is_whole_sphere(width: int, height: int) -> bool:
     """Return whether a picture has the shape of a whole equirectangular panorama: twice as wide as high."""
     return abs(width - 2 * height) <= max(1.0, _SAME_SHAPE * height)
+
+
+def whole_sphere(width: int, height: int) -> EquirectangularCamera:
+    """Return the camera of a panorama of the whole sphere.
+
+    Raises:
+        CameraError: if the picture is not twice as wide as high.
+    """
+    if not is_whole_sphere(width, height):
+        raise CameraError(
+            f"the picture has {width} x {height} pixels, a panorama of the whole sphere is twice as wide as high; give "
+            'a camera JSON with {"model": "equirectangular"} and a window'
+        )
+    return EquirectangularCamera(width, height)
 
 
 def looks_like_panorama(pixels: NDArray[Any]) -> bool:

@@ -8,7 +8,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from ladarreg_core.errors import CameraError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.camera_file import read_noted_camera
 from ladarreg_core.formats.exif import edited_since, focal_from_exif, focal_mm_of, orientation_of, upright
+from ladarreg_core.formats.gpano import WHICH_CAMERA, looks_like_panorama, panorama_of_xmp, whole_sphere
 from ladarreg_core.formats.image_file import ImageData, as_rgb, read_image
 from ladarreg_core.formats.radiometric import radiometric_kelvin, radiometric_maker
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
@@ -30,6 +31,9 @@ _POSSIBLE = (0.05, 100.0)
 """Accepted focal lengths, relative to the longer side; real lenses lie between 0.3 and 35."""
 _USUAL = (0.5, 10.0)
 
+PhotoModel = Literal["pinhole", "equirectangular"]
+"""Camera models that a photograph can have without a camera file."""
+
 
 def read_photo(
     path: PathLike,
@@ -40,12 +44,14 @@ def read_photo(
     focal_px: float | None = None,
     focal_mm: float | None = None,
     sensor_mm: float | None = None,
+    camera_model: PhotoModel | None = None,
     temperature_unit: TemperatureUnit | None = None,
     memory_bytes: int | None = None,
 ) -> Photo:
     """Read a photograph with its camera.
 
-    The camera is `camera`, or a distortion-free one with the given focal length, or else with the one in EXIF.
+    The camera is `camera`, or a distortion-free pinhole with the given focal length, or else the panorama that the
+    photograph's XMP describes, or a pinhole with the focal length in EXIF.
 
     Args:
         path: a PNG, JPEG, TIFF, WebP, AVIF or BMP, or HEIC where Pillow's plug-in is installed. Gray and 16-bit images
@@ -58,6 +64,8 @@ def read_photo(
         focal_mm: focal length, mm; needs `sensor_mm`.
         sensor_mm: sensor width, mm: its longer side, along the longer side of the image. Without `focal_mm` the focal
             length is that of EXIF.
+        camera_model: `equirectangular`: a panorama, of the whole sphere where its XMP does not say otherwise; `pinhole`
+            even where its XMP describes a panorama. None: as its XMP says.
         temperature_unit: unit of a thermal image's pixels, where the file does not state it: `K` or `C`; `none`: they
             are no temperatures.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
@@ -69,15 +77,15 @@ def read_photo(
         OptionError: if the options contradict each other or are not positive.
     """
     _check_options(camera, focal_px, focal_mm, sensor_mm)
+    _check_model(camera_model, camera, focal_px or focal_mm or sensor_mm)
     if camera_name is not None and not isinstance(camera, str | os.PathLike):
         raise OptionError("a camera's name is given without a camera file; give --camera FILE with --camera-name")
-    model: CameraModel | None = None
+    given: CameraModel | None = None
     if isinstance(camera, str | os.PathLike):
         name = Path(path).name if isinstance(path, str | os.PathLike) else ""
-        model, camera_notes = read_noted_camera(camera, name=camera_name, picture=name, picture_file=path)
+        given, camera_notes = read_noted_camera(camera, name=camera_name, picture=name, picture_file=path)
     elif camera is not None:
-        model = camera
-    given = model
+        given = camera
     with reading(path) as file:
         image = read_image(file, budget=ReadBudget.of(file.stat().st_size, memory_bytes))
         kelvin = _temperatures(file, image, temperature_unit)
@@ -95,12 +103,25 @@ def read_photo(
                 )
             pixels = upright(values, orientation) if turned else values
             return _photo(pixels, given, file.stem, notes, calibrated=True)
-        focal, note = _focal(image.exif, raw_width, raw_height, focal_px, focal_mm, sensor_mm)
         pixels = upright(values, orientation)
         if orientation != 1:
             notes.append(f"EXIF orientation {orientation} was applied")
-        notes.append(note)
         height, width = pixels.shape[:2]
+        if camera_model != "pinhole" and not (focal_px or focal_mm or sensor_mm):
+            panorama = panorama_of_xmp(image.xmp, width, height)
+            if panorama is not None:
+                notes.append("an equirectangular panorama, as its XMP says")
+            elif camera_model is not None:
+                panorama = whole_sphere(width, height)
+                notes.append("an equirectangular panorama of the whole sphere, as given")
+            if panorama is not None:
+                return _photo(pixels, panorama, file.stem, notes, calibrated=True)
+        looks_so = camera_model is None and looks_like_panorama(pixels)
+        try:
+            focal, note = _focal(image.exif, raw_width, raw_height, focal_px, focal_mm, sensor_mm)
+        except CameraError as error:
+            raise CameraError(f"{error}; {WHICH_CAMERA}" if looks_so else str(error)) from None
+        notes += [note, *([WHICH_CAMERA] if looks_so else [])]
         return _photo(pixels, Camera.from_focal(width, height, focal), file.stem, notes, calibrated=False)
 
 
@@ -145,6 +166,18 @@ def _check_options(camera: object, focal_px: float | None, focal_mm: float | Non
         raise OptionError(f"{' and '.join(ways)} are given; give one of them")
     if focal_mm is not None and sensor_mm is None:
         raise OptionError("focal_mm is given without sensor_mm; give both (the sensor's width in mm)")
+
+
+def _check_model(model: str | None, camera: object, focal: float | None) -> None:
+    if model is not None and model not in get_args(PhotoModel):
+        raise OptionError(
+            f"the camera model is {one_line(model, 40)!r}; it must be {' or '.join(get_args(PhotoModel))}; other "
+            "models need a camera file (--camera)"
+        )
+    if model is not None and camera is not None:
+        raise OptionError("a camera model is given with a camera, which has its own; give one of them")
+    if model == "equirectangular" and focal is not None:
+        raise OptionError("a panorama has no focal length; omit it, or give --camera-model pinhole")
 
 
 def _check_possible(focal_px: float, width: int, height: int) -> None:

@@ -65,6 +65,8 @@ class CameraGiven(msgspec.Struct, frozen=True, kw_only=True):
     """Focal length, mm; with `sensor_mm`."""
     sensor_mm: float | None = None
     """Sensor width, mm."""
+    model: Literal["pinhole", "equirectangular"] | None = None
+    """Camera model, where there is no camera file; None: as the photograph says, or else a pinhole."""
 
 
 class PickEntry(msgspec.Struct, frozen=True, kw_only=True):

@@ -10,7 +10,8 @@ from PIL import Image
 
 from ladarreg_core.arrays import ByteArray
 from ladarreg_core.camera import EquirectangularCamera
-from ladarreg_core.errors import CameraError
+from ladarreg_core.errors import CameraError, OptionError
+from ladarreg_core.formats import describe, read_photo
 from ladarreg_core.formats.gpano import looks_like_panorama, panorama_of_xmp
 from ladarreg_core.formats.image_file import read_image
 
@@ -152,3 +153,42 @@ def test_only_whole_panoramas_look_like_one() -> None:
     assert not looks_like_panorama(sphere[:200]), "not twice as wide as high"
     assert not looks_like_panorama(sphere[64:192, 100:356]), "a part, of the same shape"
     assert not looks_like_panorama(np.roll(sphere, 128, axis=0)), "the top row shows more than one direction"
+
+
+def _saved(path: Path, pixels: ByteArray, xmp: bytes = b"") -> Path:
+    Image.fromarray(pixels).convert("RGB").save(path, quality=95, **({"xmp": xmp} if xmp else {}))
+    return path
+
+
+def test_a_panorama_is_read_from_the_photograph_alone(tmp_path: Path) -> None:
+    file = _saved(tmp_path / "a.jpg", np.zeros((100, 400), np.uint8), as_attributes(FIELDS))
+    photo = read_photo(file)
+    assert photo.camera == EquirectangularCamera(400, 100, WINDOW)
+    assert photo.calibrated
+    assert not photo.assumed
+    assert any("XMP" in note for note in photo.notes)
+    described = describe(file)
+    assert (described.camera["model"], described.camera["source"]) == ("equirectangular", "XMP")
+    assert read_photo(file, focal_px=300).camera.model == "pinhole", "as given"
+    with pytest.raises(CameraError, match="no focal length"):
+        read_photo(file, camera_model="pinhole")
+
+
+def test_a_picture_that_looks_like_a_panorama_is_only_proposed_as_one(tmp_path: Path) -> None:
+    file = _saved(tmp_path / "a.jpg", _sphere(128))
+    with pytest.raises(CameraError, match="give --camera-model equirectangular"):
+        read_photo(file)
+    assert any("looks like" in note for note in describe(file).notes)
+    assert read_photo(file, camera_model="equirectangular").camera == EquirectangularCamera(256, 128)
+    assert not any("looks like" in note for note in read_photo(file, camera_model="pinhole", focal_px=200).notes)
+
+
+def test_camera_models_that_contradict_are_refused(tmp_path: Path) -> None:
+    file = _saved(tmp_path / "a.jpg", np.zeros((100, 300), np.uint8))
+    with pytest.raises(CameraError, match="twice as wide as high"):
+        read_photo(file, camera_model="equirectangular")
+    for options in ({"focal_px": 100}, {"camera": EquirectangularCamera(300, 150)}):
+        with pytest.raises(OptionError, match="give"):
+            read_photo(file, camera_model="equirectangular", **options)
+    with pytest.raises(OptionError, match="must be pinhole or equirectangular"):
+        read_photo(file, camera_model="fisheye")  # type: ignore[arg-type]

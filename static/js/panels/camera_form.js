@@ -66,6 +66,11 @@ export const mountCameraForm = (opener) => {
       "div",
       { class: "form-foot" },
       button({
+        label: "It is a panorama",
+        title: "The photograph is a panorama of the whole sphere (equirectangular, twice as wide as high)",
+        act: () => apply({ model: "equirectangular" }),
+      }),
+      button({
         label: "Camera file…",
         icon: "file",
         title: "Camera file: JSON, OpenCV, ROS, Kalibr, COLMAP, nerfstudio or Agisoft",
@@ -106,16 +111,18 @@ export const mountCameraForm = (opener) => {
     if (options.size > 1) return refuse("More than one is filled in: clear all but one.", filled[0][1]);
     return numbers;
   };
-  form.addEventListener("submit", async (event) => {
-    event.preventDefault();
-    const camera = read();
-    if (!camera) return;
+  const apply = async (camera) => {
     try {
       await ask("set_camera", { photo: store.shown(), ...camera });
       done();
     } catch (error) {
       fail(sentences([error.message]));
     }
+  };
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    const camera = read();
+    if (camera) apply(camera);
   });
   file.addEventListener("change", async () => {
     const [chosen] = file.files;
