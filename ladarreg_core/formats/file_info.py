@@ -11,6 +11,7 @@ import numpy as np
 
 from ladarreg_core.camera import Camera, EquirectangularCamera
 from ladarreg_core.errors import CameraError, FormatError, OptionError, ShapeError, UnderspecifiedError
+from ladarreg_core.formats.bag import bag_topics, read_bag
 from ladarreg_core.formats.camera_file import camera_format, describe_camera, read_cameras
 from ladarreg_core.formats.camera_in_file import FileCamera
 from ladarreg_core.formats.e57 import read_e57
@@ -142,6 +143,25 @@ def describe_e57(path: Path, asked: ScanRequest) -> FileInfo:
 
 def _e57_options(asked: ScanRequest) -> dict[str, Any]:
     return {"scan_index": asked.scan_index, "origin": asked.origin, "intensity": asked.intensity}
+
+
+def describe_bag(path: Path, asked: ScanRequest) -> FileInfo:
+    """Describe a recording: its topics with clouds, and the scan in detail if it is clear which one is meant."""
+    topics = bag_topics(path)
+    lines = tuple(
+        f"{one_line(each.name, 80)}: {each.messages:,} cloud{'s' * (each.messages != 1)}"
+        for each in topics[:_MOST_LISTED]
+    )
+    if len(topics) > 1 and asked.topic is None:
+        return FileInfo(
+            file=shown_name(path), bytes=path.stat().st_size, kind="scan", format="ROS bag", scans=lines,
+            notes=("clouds are recorded on several topics: choose one with --topic",),
+        )  # fmt: skip
+    scan = read_bag(
+        path, topic=asked.topic, seconds=asked.seconds, origin=asked.origin, intensity=asked.intensity,
+        report=asked.report,
+    )  # fmt: skip
+    return _describe_scan(path, scan, "ROS bag", scans=lines)
 
 
 def describe_las(path: Path, asked: ScanRequest) -> FileInfo:

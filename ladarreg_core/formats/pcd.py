@@ -10,21 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray, FloatArray
-from ladarreg_core.errors import FormatError, ShapeError
+from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.cloud import scan_of_cloud
-from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
-from ladarreg_core.formats.intensity import chosen_intensity, intensity_name, require_intensity
+from ladarreg_core.formats.field_cloud import PACKED_COLOR_NAMES, scan_of_fields
 from ladarreg_core.formats.scan_request import IntensitySource
-from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, require_cells, unit_notes
+from ladarreg_core.formats.untrusted import PathLike, one_line, reading, require_cells
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.grids import TabulatedGrid
 
-RING_NAMES = ("ring", "channel", "laser_id", "laserid", "beam", "line")
-_COLOR_NAMES = ("rgb", "rgba")
 _LONGEST_HEADER = 1 << 16
 _MOST_FIELDS = 256
 _LARGEST_FIELD = 1 << 16
@@ -83,18 +77,15 @@ def read_pcd(
             _report(report, 0)
             columns = _read_body(stream, header, budget.file_bytes - header.data_offset)
         _report(report, 1)
-        names = {name.lower(): name for name in columns}
-        if not {"x", "y", "z"} <= set(names):
-            raise FormatError(f"its fields are {one_line(' '.join(columns), 80)}; a scan needs x, y, z and intensity")
-        found = intensity_name(columns)
-        color = next((_unpack_rgb(columns[names[name]]) for name in _COLOR_NAMES if name in names), None)
-        require_intensity(
-            intensity, has_intensity=found is not None, has_color=color is not None, fields=" ".join(columns)
+        scan = scan_of_fields(
+            columns,
+            (header.height, header.width),
+            name=file.stem,
+            intensity=intensity,
+            origin=origin,
+            pose=_pose(header.viewpoint),
+            most_cells=most_cells,
         )
-        strength, said = chosen_intensity(intensity, None if found is None else columns[found], color)
-        points = np.stack([columns[names[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
-        ring = next((columns[names[name]] for name in RING_NAMES if name in names), None)
-        scan = _to_scan(file.stem, header, points, strength, color, ring, most_cells, said, origin)
         _report(report, 2)
         return scan
 
@@ -308,7 +299,7 @@ def _read_ascii(stream: io.BufferedReader, header: _Header) -> dict[str, NDArray
     columns: dict[str, NDArray[Any]] = {
         name: table[:, starts[k]] for k, name in enumerate(dtype.names or ()) if not dtype[name].shape
     }
-    for name in set(columns) & set(_COLOR_NAMES):
+    for name in set(columns) & set(PACKED_COLOR_NAMES):
         packed = columns[name]
         columns[name] = packed.astype(np.float32) if dtype[name].kind == "f" else _clipped_uint32(packed)
     return columns
@@ -316,71 +307,6 @@ def _read_ascii(stream: io.BufferedReader, header: _Header) -> dict[str, NDArray
 
 def _clipped_uint32(values: NDArray[Any]) -> NDArray[np.uint32]:
     return np.asarray(np.clip(np.nan_to_num(values), 0, 2**32 - 1), dtype=np.uint32)
-
-
-def _unpack_rgb(packed: NDArray[Any]) -> ByteArray | None:
-    """Return colours (N, 3) from four packed bytes, 0xAARRGGBB, which PCL stores as a float or an integer."""
-    if packed.dtype.itemsize != 4:
-        return None
-    words = np.ascontiguousarray(packed).view(np.uint32)
-    return np.stack([(words >> shift) & 255 for shift in (16, 8, 0)], axis=-1).astype(np.uint8)
-
-
-def _to_scan(
-    name: str,
-    header: _Header,
-    points: FloatArray,
-    intensity: FloatArray,
-    color: ByteArray | None,
-    ring: NDArray[Any] | None,
-    most_cells: int,
-    said: tuple[str, ...],
-    origin: tuple[float, float, float] | None,
-) -> Scan:
-    notes = [*said]
-    pose = _pose(header.viewpoint)
-    if pose is not None:
-        notes.append("VIEWPOINT was read as the scanner's pose in the world; the points stay in the scanner's frame")
-    shape = (header.height, header.width)
-    if min(shape) > 1 and not any(origin or ()):  # a moved origin makes another grid
-        rays = unit_rays(points.reshape(*shape, 3))
-        if not np.isfinite(rays[..., 0]).any():
-            raise ShapeError("the scan has no returns: every point is missing or zero; it needs measured points")
-        if is_scan_grid(rays):
-            order = order_of(rays)
-            if order:
-                notes.append("the grid was reordered so that row 0 is the top and column 0 the left")
-            with np.errstate(over="ignore", invalid="ignore"):
-                ranges = as_float32(np.linalg.norm(points, axis=-1)).reshape(shape)
-            grids = [order.apply(grid) for grid in (rays, ranges, intensity.reshape(shape))]
-            return Scan(
-                TabulatedGrid(grids[0]),
-                grids[1],
-                grids[2],
-                color=None if color is None else order.apply(color.reshape(*shape, 3)),
-                world_from_scanner=pose,
-                name=name,
-                notes=(*notes, *unit_notes(ranges)),
-            )
-        notes.append(f"the header says {header.width} x {header.height}, but the points are not in this order")
-    return scan_of_cloud(
-        points,
-        intensity,
-        color,
-        name=name,
-        origin=origin,
-        coordinates="scanner",
-        ring=_whole_rings(ring),
-        world_from_scanner=pose,
-        most_cells=most_cells,
-        notes=notes,
-    )
-
-
-def _whole_rings(ring: NDArray[Any] | None) -> NDArray[np.int64] | None:
-    if ring is None or not np.isfinite(ring).all() or np.abs(ring.astype(np.float64)).max(initial=0) > 2**31:
-        return None
-    return ring.astype(np.int64)
 
 
 def _pose(viewpoint: tuple[float, ...]) -> Rigid | None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ladarreg_core.errors import FormatError, LadarregError
+from ladarreg_core.formats.bag import read_bag, sniff_bag
 from ladarreg_core.formats.camera_file import CAMERA_FORMATS, CameraFormat
 from ladarreg_core.formats.camera_nerfstudio import is_nerfstudio
 from ladarreg_core.formats.descriptor import KINDS as DESCRIPTOR_KINDS
@@ -22,6 +23,7 @@ from ladarreg_core.formats.e57_header import sniff_e57
 from ladarreg_core.formats.file_info import (
     FileInfo,
     FileKind,
+    describe_bag,
     describe_camera_file,
     describe_e57,
     describe_las,
@@ -57,6 +59,7 @@ _UNSUPPORTED = (
     (b"\x93NUMPY", "a single NumPy array"),
     (b"\x1f\x8b", "a gzip archive"),
     (b"7z\xbc\xaf", "a 7z archive"),
+    (b"\x28\xb5\x2f\xfd", "a Zstandard archive, such as of a ROS 2 bag (unpack it by `zstd -d`)"),
     (b"PTG\0", "a PTG scan (export PTX or E57 instead)"),
 )
 _DESCRIPTOR_FIELD = re.compile(rb'"kind"\s*:\s*"(' + "|".join(DESCRIPTOR_KINDS).encode() + rb')"')
@@ -185,6 +188,13 @@ def _read_ouster(path: Path, asked: ScanRequest) -> Scan:
     return read_ouster_pcap(path, scan_index=asked.scan_index, memory_bytes=asked.memory_bytes, report=asked.report)
 
 
+def _read_bag(path: Path, asked: ScanRequest) -> Scan:
+    return read_bag(
+        path, topic=asked.topic, seconds=asked.seconds, origin=asked.origin, intensity=asked.intensity,
+        memory_bytes=asked.memory_bytes, report=asked.report,
+    )  # fmt: skip
+
+
 FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "E57", "scan", (".e57",), lambda head, _: sniff_e57(head), describe_e57,
@@ -208,6 +218,10 @@ FORMATS: tuple[FileFormat, ...] = (
     FileFormat(
         "Ouster PCAP", "scan", (".pcap", ".pcapng"), lambda head, _: sniff_capture(head),
         scan_describer("Ouster PCAP", _read_ouster), _read_ouster, takes=("scan_index",),
+    ),
+    FileFormat(
+        "ROS bag", "scan", (".bag", ".db3", ".mcap"), lambda head, _: sniff_bag(head), describe_bag, _read_bag,
+        takes=("topic", "seconds", "origin", "intensity"), examples=("ROS bag", "MCAP"),
     ),
     FileFormat(
         "PLY", "scan", (".ply",), lambda head, _: sniff_ply(head), scan_describer("PLY", _read_ply), _read_ply,

@@ -1,0 +1,116 @@
+"""A cloud of named fields, as PCL and ROS keep them, becomes a scan: organised, or gridded by its directions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import ByteArray
+from ladarreg_core.errors import FormatError, ShapeError
+from ladarreg_core.formats.cloud import Coordinates, scan_of_cloud
+from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
+from ladarreg_core.formats.intensity import chosen_intensity, intensity_name, require_intensity
+from ladarreg_core.formats.scan_request import IntensitySource
+from ladarreg_core.formats.untrusted import as_float32, one_line, unit_notes
+from ladarreg_core.frames import Rigid
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.grids import TabulatedGrid
+
+RING_NAMES = ("ring", "channel", "laser_id", "laserid", "beam", "line")
+"""Names of the field that is the beam of each point, in lower case."""
+PACKED_COLOR_NAMES = ("rgb", "rgba")
+"""Names of the field that is the colour of each point, four bytes 0xAARRGGBB as a float or an integer."""
+
+
+def scan_of_fields(
+    columns: Mapping[str, NDArray[Any]],
+    shape: tuple[int, int],
+    *,
+    name: str,
+    intensity: IntensitySource,
+    most_cells: int,
+    origin: tuple[float, float, float] | None = None,
+    coordinates: Coordinates = "scanner",
+    pose: Rigid | None = None,
+    notes: Sequence[str] = (),
+) -> Scan:
+    """Return the scan of a cloud whose fields are known by name.
+
+    Args:
+        columns: the scalar fields by name, each (N,) in native byte order: x, y, z (m), intensity, and a ring and
+            packed colours if present.
+        shape: rows and columns of an organised cloud, whose product is N; (1, N) without an order.
+        name: of the scan.
+        intensity: `luma` takes the luminance of the colours.
+        most_cells: size to which finer clouds are thinned.
+        origin: where the scanner stood in the coordinates of the points, (3,) m.
+        coordinates: those that the points usually have; see `scan_of_cloud`.
+        pose: of the coordinates of the points in the world.
+        notes: remarks on the file so far.
+
+    Raises:
+        FormatError: without x, y, z or without intensity.
+        ShapeError: if there are no returns.
+    """
+    names = {field.lower(): field for field in columns}
+    if not {"x", "y", "z"} <= set(names):
+        raise FormatError(f"its fields are {one_line(' '.join(columns), 80)}; a scan needs x, y, z and intensity")
+    found = intensity_name(columns)
+    color = next((_unpack_rgb(columns[names[field]]) for field in PACKED_COLOR_NAMES if field in names), None)
+    require_intensity(intensity, has_intensity=found is not None, has_color=color is not None, fields=" ".join(columns))
+    strength, said = chosen_intensity(intensity, None if found is None else columns[found], color)
+    points = np.stack([columns[names[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
+    ring = next((columns[names[field]] for field in RING_NAMES if field in names), None)
+    remarks = [*notes, *said]
+    if pose is not None:
+        remarks.append("VIEWPOINT was read as the scanner's pose in the world; the points stay in the scanner's frame")
+    if min(shape) > 1 and not any(origin or ()):  # a moved origin makes another grid
+        rays = unit_rays(points.reshape(*shape, 3))
+        if not np.isfinite(rays[..., 0]).any():
+            raise ShapeError("the scan has no returns: every point is missing or zero; it needs measured points")
+        if is_scan_grid(rays):
+            order = order_of(rays)
+            if order:
+                remarks.append("the grid was reordered so that row 0 is the top and column 0 the left")
+            with np.errstate(over="ignore", invalid="ignore"):
+                ranges = as_float32(np.linalg.norm(points, axis=-1)).reshape(shape)
+            grids = [order.apply(grid) for grid in (rays, ranges, strength.reshape(shape))]
+            return Scan(
+                TabulatedGrid(grids[0]),
+                grids[1],
+                grids[2],
+                color=None if color is None else order.apply(color.reshape(*shape, 3)),
+                world_from_scanner=pose,
+                name=name,
+                notes=(*remarks, *unit_notes(ranges)),
+            )
+        remarks.append(f"the header says {shape[1]} x {shape[0]}, but the points are not in this order")
+    return scan_of_cloud(
+        points,
+        strength,
+        color,
+        name=name,
+        origin=origin,
+        coordinates=coordinates,
+        ring=_whole_rings(ring),
+        world_from_scanner=pose,
+        most_cells=most_cells,
+        notes=remarks,
+    )
+
+
+def _unpack_rgb(packed: NDArray[Any]) -> ByteArray | None:
+    """Return colours (N, 3) from four packed bytes, 0xAARRGGBB, which PCL stores as a float or an integer."""
+    if packed.dtype.itemsize != 4:
+        return None
+    words = np.ascontiguousarray(packed).view(np.uint32)
+    return np.stack([(words >> shift) & 255 for shift in (16, 8, 0)], axis=-1).astype(np.uint8)
+
+
+def _whole_rings(ring: NDArray[Any] | None) -> NDArray[np.int64] | None:
+    if ring is None or not np.isfinite(ring).all() or np.abs(ring.astype(np.float64)).max(initial=0) > 2**31:
+        return None
+    return ring.astype(np.int64)

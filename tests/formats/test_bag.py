@@ -1,0 +1,208 @@
+"""Recordings of robots, written by rosbags: three containers, one scan."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ladarreg_core.errors import DependencyError, FormatError, OptionError, UnderspecifiedError
+from ladarreg_core.formats import describe, read_scan, recognise
+from ladarreg_core.scan import Scan
+from tests.formats.conftest import make_scan
+
+needs_rosbags = pytest.mark.skipif(importlib.util.find_spec("rosbags") is None, reason="rosbags is not installed")
+CONTAINERS = ("bag", "db3", "mcap")
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+_CODES = {"f4": 7, "f8": 8, "u1": 2, "u2": 4, "u4": 6}
+
+
+def seed_files(folder: Path) -> list[Path]:
+    """Write a small recording in each container; `tests/abuse` reads damaged copies of them."""
+    if importlib.util.find_spec("rosbags") is None:
+        return []
+    wall = make_scan()
+    return [record(folder / kind, kind, {"/points": [(0, organised(wall))]}) for kind in CONTAINERS]
+
+
+def columns_of(scan: Scan) -> dict[str, np.ndarray]:
+    points = scan.points.reshape(-1, 3).astype(np.float32)
+    columns = {axis: points[:, k] for k, axis in enumerate("xyz")}
+    return columns | {"intensity": scan.intensity.ravel().astype(np.float32)}
+
+
+def organised(scan: Scan, **options: Any) -> dict[str, Any]:
+    return {"columns": columns_of(scan), "shape": scan.shape, **options}
+
+
+def record(
+    folder: Path, kind: str, topics: dict[str, Sequence[tuple[int, dict[str, Any]]]], *, compressed: bool = False
+) -> Path:
+    """Write messages (time in ns, arguments of `message`) on topics; return the file that contains them."""
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    folder.mkdir()
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
+    writer: Any
+    if kind == "bag":
+        writer = rosbag1.Writer(folder / "recording.bag")
+        if compressed:
+            writer.set_compression(rosbag1.Writer.CompressionFormat.BZ2)
+    else:
+        plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+        writer = rosbag2.Writer(folder / "recording", version=9, storage_plugin=plugin)
+        if compressed:
+            writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        for topic, messages in topics.items():
+            connection = writer.add_connection(topic, _CLOUD, typestore=store)
+            for when, about in messages:
+                made = message(store, **about)
+                data = store.serialize_ros1(made, _CLOUD) if kind == "bag" else store.serialize_cdr(made, _CLOUD)
+                writer.write(connection, when, data)
+    return folder / "recording.bag" if kind == "bag" else folder / "recording" / f"recording.{kind}"
+
+
+def message(
+    store: Any, *, columns: dict[str, np.ndarray], shape: tuple[int, int], big: bool = False, row_padding: int = 0,
+    frame: str = "lidar",
+) -> Any:  # fmt: skip
+    """Return a PointCloud2 whose points have three bytes of padding behind x, y, z."""
+    kinds = store.types
+    names, formats, offsets, at = [], [], [], 0
+    for name, values in columns.items():
+        code = values.dtype.str[1:]
+        names.append(name)
+        formats.append((">" if big else "<") + code)
+        offsets.append(at)
+        at += values.dtype.itemsize + (3 if name == "z" else 0)
+    records = np.zeros(shape, np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": at}))
+    for name, values in columns.items():
+        records[name] = values.reshape(shape)
+    rows = np.frombuffer(records.tobytes(), np.uint8).reshape(shape[0], -1)
+    rows = np.pad(rows, ((0, 0), (0, row_padding)))
+    field = kinds["sensor_msgs/msg/PointField"]
+    stamp = kinds["builtin_interfaces/msg/Time"](sec=1, nanosec=2)
+    header: Any = kinds["std_msgs/msg/Header"]
+    sequence = {"seq": 0} if "seq" in header.__dataclass_fields__ else {}
+    return kinds[_CLOUD](
+        header=header(**sequence, stamp=stamp, frame_id=frame), height=shape[0], width=shape[1],
+        fields=[
+            field(name=name, offset=offset, datatype=_CODES[code[1:]], count=1)
+            for name, offset, code in zip(names, offsets, formats, strict=True)
+        ],
+        is_bigendian=big, point_step=at, row_step=rows.shape[1], data=rows.ravel(), is_dense=False,
+    )  # fmt: skip
+
+
+def assert_is_wall(scan: Scan, wall: Scan) -> None:
+    np.testing.assert_array_equal(scan.valid, wall.valid)
+    np.testing.assert_allclose(scan.points[scan.valid], wall.points[wall.valid], atol=2e-6)
+    np.testing.assert_array_equal(scan.intensity, wall.intensity)
+
+
+@needs_rosbags
+@pytest.mark.parametrize("kind", CONTAINERS)
+@pytest.mark.parametrize("compressed", [False, True])
+def test_an_organised_cloud_keeps_its_grid(tmp_path: Path, wall: Scan, kind: str, compressed: bool) -> None:
+    about = organised(wall, row_padding=5)
+    file = record(tmp_path / "a", kind, {"/points": [(7, about)]}, compressed=compressed and kind != "db3")
+    assert recognise(file).name == "ROS bag"
+    scan = read_scan(file)
+    assert_is_wall(scan, wall)
+    assert scan.notes == ("the topic is /points, its points are in the frame lidar",)
+    if kind != "bag":
+        assert_is_wall(read_scan(file.with_name("metadata.yaml")), wall)
+
+
+@needs_rosbags
+def test_the_check_notices_a_mirrored_cloud(tmp_path: Path, wall: Scan) -> None:
+    columns = columns_of(wall)
+    columns["y"] = -columns["y"]
+    file = record(tmp_path / "a", "mcap", {"/points": [(7, {"columns": columns, "shape": wall.shape})]})
+    with pytest.raises(AssertionError):
+        assert_is_wall(read_scan(file), wall)
+
+
+@needs_rosbags
+@pytest.mark.parametrize("big", [False, True])
+def test_both_byte_orders_give_the_same_colours(tmp_path: Path, wall: Scan, big: bool) -> None:
+    packed = (np.arange(wall.valid.size) * 7919 % 2**24).astype(np.uint32)
+    columns = columns_of(wall) | {"rgb": packed.view(np.float32)}
+    file = record(tmp_path / "a", "db3", {"/p": [(0, {"columns": columns, "shape": wall.shape, "big": big})]})
+    scan = read_scan(file)
+    assert_is_wall(scan, wall)
+    assert scan.color is not None
+    rgb = np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=-1).reshape(*wall.shape, 3)
+    np.testing.assert_array_equal(scan.color[scan.valid], rgb[wall.valid])
+
+
+@needs_rosbags
+@pytest.mark.parametrize("kind", CONTAINERS)
+def test_seconds_accumulate_and_empty_clouds_are_skipped(tmp_path: Path, make: Any, kind: str) -> None:
+    points, intensity, ring = make.spinning(np.arange(-8, 8, 1.5), 200)
+    columns = {axis: points[:, k].astype(np.float32) for k, axis in enumerate("xyz")}
+    columns |= {"intensity": intensity.astype(np.float32), "ring": ring.astype(np.uint16)}
+
+    def part(chosen: Any) -> dict[str, Any]:
+        taken = {name: values[chosen] for name, values in columns.items()}
+        return {"columns": taken, "shape": (1, len(taken["x"]))}
+
+    every = np.arange(len(points))
+    halves = [(5, part(every[:0])), (10, part(every[::2])), (10 + 10**8, part(every[1::2])), (10 + 10**9, part(every))]
+    file = record(tmp_path / "a", kind, {"/points": halves})
+    one, both = read_scan(file), read_scan(file, seconds=1.0)
+    assert both.shape[0] == one.shape[0] == 11, "a row per ring"
+    assert one.valid.sum() == len(every[::2])
+    assert both.valid.sum() == len(points)
+    assert any("2 messages over 0.1 s" in note and "stood still" in note for note in both.notes)
+    assert not any("accumulated" in note for note in one.notes)
+
+
+@needs_rosbags
+def test_the_topic_is_chosen(tmp_path: Path, wall: Scan) -> None:
+    columns = columns_of(wall)
+    near = columns | {axis: columns[axis] / 2 for axis in "xyz"}
+    topics = {"/far/points": [(0, organised(wall))], "/near/points": [(1, {"columns": near, "shape": wall.shape})] * 2}
+    file = record(tmp_path / "a", "mcap", topics)
+    with pytest.raises(UnderspecifiedError, match=r"/far/points, /near/points.*--topic"):
+        read_scan(file)
+    with pytest.raises(OptionError, match="no topic /other"):
+        read_scan(file, topic="/other")
+    assert describe(file).scans == ("/far/points: 1 cloud", "/near/points: 2 clouds")
+    assert describe(file, topic="/far/points").returns == int(wall.valid.sum())
+    assert_is_wall(read_scan(file, topic="far/points"), wall)
+    half = read_scan(file, topic="/near/points")
+    np.testing.assert_allclose(half.ranges[half.valid] * 2, wall.ranges[wall.valid], rtol=1e-6)
+
+
+@needs_rosbags
+def test_refusals_say_what_was_found(tmp_path: Path, wall: Scan) -> None:
+    columns = columns_of(wall)
+    del columns["intensity"]
+    file = record(tmp_path / "a", "mcap", {"/points": [(0, {"columns": columns, "shape": wall.shape})]})
+    with pytest.raises(FormatError, match="no intensity"):
+        read_scan(file)
+    other = tmp_path / "other.mcap"
+    other.write_bytes(file.read_bytes().replace(b"\x04\0\0\0ros2", b"\x04\0\0\0ros1", 1))
+    with pytest.raises(FormatError, match="MCAP of the profile ros1; the profile ros2 is read"):
+        read_scan(other)
+    none = record(tmp_path / "none", "db3", {})
+    with pytest.raises(FormatError, match="no messages"):
+        read_scan(none)
+    full = record(tmp_path / "full", "bag", {"/points": [(0, organised(wall))]})
+    with pytest.raises(FormatError, match="would need"):
+        read_scan(full, memory_bytes=200_000)
+
+
+def test_without_rosbags_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.typesys", None)
+    file = tmp_path / "a.bag"
+    file.write_bytes(b"#ROSBAG V2.0\n" + bytes(5000))
+    with pytest.raises(DependencyError, match=r"pip install ladarreg\[ros\]"):
+        read_scan(file)
