@@ -368,11 +368,12 @@ def _expand_bz2(data: bytes) -> bytes:
     return _within_limit(bz2.BZ2Decompressor().decompress(data, _LARGEST_CHUNK + 1))
 
 
-def _expand_lz4(data: bytes, size: int = _LARGEST_CHUNK) -> bytes:
-    """Expand LZ4 data of a size, bytes, that is claimed."""
+def _expand_lz4(data: bytes, size: int | None = None) -> bytes:
+    """Expand LZ4 data of a size, bytes, that is claimed, if it is."""
     from lz4.frame import LZ4FrameDecompressor
 
-    return _within_limit(bytes(LZ4FrameDecompressor().decompress(data, max_length=min(size, _LARGEST_CHUNK) + 1)))
+    most = min(_LARGEST_CHUNK if size is None else size, _LARGEST_CHUNK)
+    return _within_limit(bytes(LZ4FrameDecompressor().decompress(data, max_length=most + 1)))
 
 
 def _expand_zstd(data: bytes, size: int) -> bytes:

@@ -152,15 +152,16 @@ def describe_bag(path: Path, asked: ScanRequest) -> FileInfo:
         f"{one_line(each.name, 80)}: {each.messages:,} cloud{'s' * (each.messages != 1)}"
         for each in topics[:_MOST_LISTED]
     )
-    if len(topics) > 1 and asked.topic is None:
+    try:
+        scan = read_bag(
+            path, topic=asked.topic, seconds=asked.seconds, origin=asked.origin, intensity=asked.intensity,
+            report=asked.report,
+        )  # fmt: skip
+    except (ShapeError, UnderspecifiedError) as error:
         return FileInfo(
             file=shown_name(path), bytes=path.stat().st_size, kind="scan", format="ROS bag", scans=lines,
-            notes=("clouds are recorded on several topics: choose one with --topic",),
+            notes=(str(error),),
         )  # fmt: skip
-    scan = read_bag(
-        path, topic=asked.topic, seconds=asked.seconds, origin=asked.origin, intensity=asked.intensity,
-        report=asked.report,
-    )  # fmt: skip
     return _describe_scan(path, scan, "ROS bag", scans=lines)
 
 

@@ -26,6 +26,8 @@ def test_damaged_files_only_cause_errors(seeds: tuple[Path, list[Seed]], name: s
     folder, known = seeds
     if name == "E57" and importlib.util.find_spec("pye57") is None:
         pytest.skip("pye57 is not installed")
+    if name == "ROS bag" and importlib.util.find_spec("rosbags") is None:
+        pytest.skip("rosbags is not installed")
     assert any(seed.format == name for seed in known), f"add seed_files(folder) to the tests of {name}"
     found = read_damaged(folder, name, 0, _MUTATIONS)
     assert found.faults == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, UnderspecifiedError
-from ladarreg_core.formats import describe, read_scan, recognise
+from ladarreg_core.formats import bag, describe, read_scan, recognise
 from ladarreg_core.scan import Scan
 from tests.formats.conftest import make_scan
 
@@ -40,9 +41,12 @@ def organised(scan: Scan, **options: Any) -> dict[str, Any]:
 
 
 def record(
-    folder: Path, kind: str, topics: dict[str, Sequence[tuple[int, dict[str, Any]]]], *, compressed: bool = False
+    folder: Path, kind: str, topics: dict[str, Sequence[tuple[int, dict[str, Any]]]], *, compressed: str = ""
 ) -> Path:
-    """Write messages (time in ns, arguments of `message`) on topics; return the file that contains them."""
+    """Write messages (time in ns, arguments of `message`) on topics; return the file that contains them.
+
+    `compressed` is the format in a ROS 1 bag (bz2, lz4), the mode in a ROS 2 bag (file, message, storage).
+    """
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
 
@@ -52,12 +56,12 @@ def record(
     if kind == "bag":
         writer = rosbag1.Writer(folder / "recording.bag")
         if compressed:
-            writer.set_compression(rosbag1.Writer.CompressionFormat.BZ2)
+            writer.set_compression(rosbag1.Writer.CompressionFormat[compressed.upper()])
     else:
         plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
         writer = rosbag2.Writer(folder / "recording", version=9, storage_plugin=plugin)
         if compressed:
-            writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
+            writer.set_compression(rosbag2.CompressionMode[compressed.upper()], rosbag2.CompressionFormat.ZSTD)
     with writer:
         for topic, messages in topics.items():
             connection = writer.add_connection(topic, _CLOUD, typestore=store)
@@ -107,11 +111,13 @@ def assert_is_wall(scan: Scan, wall: Scan) -> None:
 
 
 @needs_rosbags
-@pytest.mark.parametrize("kind", CONTAINERS)
-@pytest.mark.parametrize("compressed", [False, True])
-def test_an_organised_cloud_keeps_its_grid(tmp_path: Path, wall: Scan, kind: str, compressed: bool) -> None:
+@pytest.mark.parametrize(
+    ("kind", "compressed"),
+    [("bag", ""), ("bag", "bz2"), ("bag", "lz4"), ("db3", ""), ("mcap", ""), ("mcap", "storage")],
+)
+def test_an_organised_cloud_keeps_its_grid(tmp_path: Path, wall: Scan, kind: str, compressed: str) -> None:
     about = organised(wall, row_padding=5)
-    file = record(tmp_path / "a", kind, {"/points": [(7, about)]}, compressed=compressed and kind != "db3")
+    file = record(tmp_path / "a", kind, {"/points": [(7, about)]}, compressed=compressed)
     assert recognise(file).name == "ROS bag"
     scan = read_scan(file)
     assert_is_wall(scan, wall)
@@ -200,8 +206,31 @@ def test_refusals_say_what_was_found(tmp_path: Path, wall: Scan) -> None:
         read_scan(full, memory_bytes=200_000)
 
 
+@needs_rosbags
+def test_compressed_recordings_are_refused_with_the_way_to_unpack_them(tmp_path: Path, wall: Scan) -> None:
+    each = record(tmp_path / "each", "db3", {"/points": [(0, organised(wall))]}, compressed="message")
+    with pytest.raises(FormatError, match=r"compressed one by one.*ros2 bag convert"):
+        read_scan(each)
+    whole = record(tmp_path / "whole", "db3", {"/points": [(0, organised(wall))]}, compressed="file")
+    with pytest.raises(FormatError, match="zstd -d"):
+        read_scan(whole.with_name("metadata.yaml"))
+    with pytest.raises(FormatError, match="zstd -d"):
+        read_scan(whole.with_name(whole.name + ".zstd"))
+
+
+@needs_rosbags
+@pytest.mark.parametrize(("kind", "compressed"), [("bag", "bz2"), ("bag", "lz4"), ("mcap", "storage")])
+def test_chunks_are_not_expanded_beyond_the_limit(
+    tmp_path: Path, wall: Scan, monkeypatch: pytest.MonkeyPatch, kind: str, compressed: str
+) -> None:
+    file = record(tmp_path / "a", kind, {"/points": [(0, organised(wall))]}, compressed=compressed)
+    monkeypatch.setattr(bag, "_LARGEST_CHUNK", 5000)
+    with pytest.raises(FormatError, match="a compressed chunk expands to more than"):
+        read_scan(file)
+
+
 def test_without_rosbags_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "rosbags.typesys", None)
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     file = tmp_path / "a.bag"
     file.write_bytes(b"#ROSBAG V2.0\n" + bytes(5000))
     with pytest.raises(DependencyError, match=r"pip install ladarreg\[ros\]"):
