@@ -264,6 +264,7 @@ def _opened(storage: Path) -> Iterator[_Recording]:
             _require_profile(head)
             # Its own functions expand whatever they are given, to any size.
             storage_mcap.DECOMPRESSORS.update(lz4=_expand_lz4, zstd=_expand_zstd)
+            _require_end(storage)
             reader = storage_mcap.McapReader(bounded)
         else:
             from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
@@ -330,10 +331,19 @@ def _require_profile(head: bytes) -> None:
     length = struct.unpack_from("<I", head.ljust(32, b"\0"), 17)[0]
     profile = head[21 : 21 + min(length, 64)].decode("utf-8", "replace")
     if profile != "ros2":
+        found = f"of the profile {_shown(profile)}" if profile else "without a profile"
         raise FormatError(
-            f"it is MCAP of the profile {_shown(profile)}; the profile ros2 is read: record it by `ros2 bag record -s "
-            "mcap`, or export the clouds as PCD"
+            f"it is MCAP {found}; the profile ros2 is read: record it by `ros2 bag record -s mcap`, or export the "
+            "clouds as PCD"
         )
+
+
+def _require_end(storage: Path) -> None:
+    """Refuse an MCAP file that was not closed."""
+    with open(storage, "rb") as stream:
+        stream.seek(max(0, storage.stat().st_size - len(_MCAP_MAGIC)))
+        if stream.read() != _MCAP_MAGIC:
+            raise FormatError("the recording was not closed, or is truncated: repair it by `mcap recover`")
 
 
 def _topics(recording: _Recording) -> tuple[BagTopic, ...]:

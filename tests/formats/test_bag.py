@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import sqlite3
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -198,12 +200,37 @@ def test_refusals_say_what_was_found(tmp_path: Path, wall: Scan) -> None:
     other.write_bytes(file.read_bytes().replace(b"\x04\0\0\0ros2", b"\x04\0\0\0ros1", 1))
     with pytest.raises(FormatError, match="MCAP of the profile ros1; the profile ros2 is read"):
         read_scan(other)
+    other.write_bytes(file.read_bytes()[:-50])
+    with pytest.raises(FormatError, match=r"not closed, or is truncated.*mcap recover"):
+        read_scan(other)
     none = record(tmp_path / "none", "db3", {})
     with pytest.raises(FormatError, match="no messages"):
         read_scan(none)
     full = record(tmp_path / "full", "bag", {"/points": [(0, organised(wall))]})
+    open_bag = tmp_path / "active.bag"
+    start = full.read_bytes().index(b"index_pos=") + len(b"index_pos=")
+    open_bag.write_bytes(full.read_bytes()[:start] + bytes(8) + full.read_bytes()[start + 8 :])
+    with pytest.raises(FormatError, match="no index; repair it by `rosbag reindex`"):
+        read_scan(open_bag)
     with pytest.raises(FormatError, match="would need"):
         read_scan(full, memory_bytes=200_000)
+
+
+@needs_rosbags
+@pytest.mark.parametrize("qos", [False, True])
+def test_storage_of_earlier_releases_is_read(tmp_path: Path, wall: Scan, qos: bool) -> None:
+    """Before Iron there were no message definitions in the tables, before Foxy no offered_qos_profiles."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_FOXY)
+    data = bytes(store.serialize_cdr(message(store, **organised(wall)), _CLOUD))
+    more = ", offered_qos_profiles TEXT NOT NULL" if qos else ""
+    with contextlib.closing(sqlite3.connect(tmp_path / "a.db3")) as base, base:
+        base.execute(f"CREATE TABLE topics(id INTEGER, name TEXT, type TEXT, serialization_format TEXT{more})")
+        base.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")
+        base.execute(f"INSERT INTO topics VALUES(1, '/points', ?, 'cdr'{', ?' * qos})", (_CLOUD, *[""] * qos))
+        base.execute("INSERT INTO messages VALUES(1, 1, 5, ?)", (data,))
+    assert_is_wall(read_scan(tmp_path / "a.db3"), wall)
 
 
 @needs_rosbags
