@@ -316,6 +316,17 @@ def test_only_a_damaged_file_replaces_the_process(readers: IsolatedReaders, file
     assert readers.run(misbehaving.process_id) != first
 
 
+@LINUX
+def test_a_large_program_does_not_replace_its_readers(checkout: Path) -> None:
+    program = (
+        "import numpy as np\nheld = np.ones(90_000_000)\n"
+        "from ladarreg_core.formats.isolated import IsolatedReaders\nfrom tests.formats import misbehaving\n"
+        "readers = IsolatedReaders()\n"
+        "assert readers.run(misbehaving.process_id) == readers.run(misbehaving.process_id)\nreaders.close()\n"
+    )
+    subprocess.run([sys.executable, "-c", program], cwd=checkout, check=True, env={**os.environ, "PYTHONPATH": "."})
+
+
 def test_a_process_that_was_killed_meanwhile_is_replaced(readers: IsolatedReaders) -> None:
     process = readers.run(misbehaving.process_id)
     os.kill(process, signal.SIGTERM)
