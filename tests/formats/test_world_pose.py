@@ -97,7 +97,7 @@ def test_e57_poses_are_described_and_odd_ones_are_named(tmp_path: Path, make: An
     info = describe(good)
     assert info.world["position"] == "X 500123.457, Y 5000000.000, Z 3.000 m"
     assert info.world["heading"] == "the scanner's X axis points 0.00 deg clockwise from the Y axis, 0.00 deg up"
-    assert "X 500123.457, Y 5000000.000" in info.scans[0]
+    assert "500123.457, 5000000.000, 3.000 m" in info.scans[0]
     first = make.e57(tmp_path / "first.e57", fields, rotation=[1, 0, 0, 0], translation=[0.0, 0.0, 0.0])
     pose = read_scan(first).world_from_scanner
     assert pose is not None  # the first scan of a survey is often its origin

@@ -10,7 +10,7 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.agreement import Agreement
-from ladarreg_core.matching.ambiguity import KnownPoses, _competes, _differ, _peaks
+from ladarreg_core.matching.ambiguity import KnownPoses, _differ, _peaks, competes
 from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers, verify
 from tests.scenes.painted_room import painted_room
 
@@ -106,9 +106,9 @@ def test_two_poses_that_count_as_the_same() -> None:
 def test_a_second_pose_competes_relative_to_the_first(stricter: dict[str, float]) -> None:
     own = Verification(100, 80, 0.8, 3.0, 0.7, 1e-9, True, ())
     other = replace(own, agreeing=56, fraction=0.68, accepted=False)
-    assert _competes(other, own, GateOptions())
-    assert not _competes(other, own, GateOptions(**stricter))
-    assert _competes(replace(other, accepted=True), own, GateOptions(**stricter))
+    assert competes(other, own, GateOptions())
+    assert not competes(other, own, GateOptions(**stricter))
+    assert competes(replace(other, accepted=True), own, GateOptions(**stricter))
 
 
 @pytest.mark.parametrize("stricter", [{"second_peak": 1.5}, {"second_overlap": 0.9}])
