@@ -3,6 +3,9 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
+# Half of the tests wait for servers and browsers: one worker more than there are cores.
+WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2) + 1)
+
 .PHONY: demo test browser clean
 
 demo: $(VENV)/.installed
@@ -14,7 +17,7 @@ test: $(VENV)/.installed-dev browser
 	echo "ruff check"; $(BIN)/ruff check . || status=1; \
 	echo "ruff format --check"; $(BIN)/ruff format --check --quiet . || status=1; \
 	echo "mypy"; $(BIN)/mypy || status=1; \
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile || status=1; \
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile || status=1; \
 	exit $$status
 
 $(VENV)/.created:
