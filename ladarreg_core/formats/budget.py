@@ -12,9 +12,9 @@ from ladarreg_core.errors import FormatError, OptionError
 
 DEFAULT_BYTES = 1 << 30
 """Default memory limit for small files."""
-BYTES_PER_FILE_BYTE = 64
-"""Default memory limit for large files, relative to their size: a dense scan takes 10 to 20 bytes per point in the
-file, and about 400 while it is gridded."""
+BYTES_PER_FILE_BYTE = 96
+"""Default memory limit for large files, relative to their size: a dense scan takes 4 (LAZ) to 20 bytes per point in
+the file, and 200 to 400 while it is gridded."""
 ALWAYS_CELLS = 2_000_000
 """Grids of up to this many cells are accepted from files of any size: a scan may be nearly empty."""
 LEAST_CELLS = 4096
@@ -42,7 +42,7 @@ class ReadBudget:
 
         Args:
             file_bytes: file size, bytes.
-            memory_bytes: memory that the read may use, bytes; None: 1 GB, or 64 times the file's size if that is more.
+            memory_bytes: memory that the read may use, bytes; None: 1 GB, or 96 times the file's size if that is more.
 
         Raises:
             OptionError: if `memory_bytes` is not positive.

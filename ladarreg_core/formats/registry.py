@@ -340,7 +340,7 @@ def read_scan(
         columns: names of the columns of a text file without a header.
         topic: topic of the clouds in a recording.
         seconds: duration over which the clouds of a recording are accumulated.
-        memory_bytes: memory that the read may use at its peak, bytes; None: 1 GB, or 64 times the file's size if that
+        memory_bytes: memory that the read may use at its peak, bytes; None: 1 GB, or 96 times the file's size if that
             is more.
         report: receives the progress.
 

@@ -42,7 +42,7 @@ class ScanRequest:
     seconds: float | None = None
     """Duration over which the clouds of a recording are accumulated."""
     memory_bytes: int | None = None
-    """Memory that the read may use at its peak; None: 1 GB, or 64 times the file's size if that is more."""
+    """Memory that the read may use at its peak; None: 1 GB, or 96 times the file's size if that is more."""
     report: Report | None = None
     """Receives the progress."""
 

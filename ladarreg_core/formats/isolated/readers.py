@@ -52,7 +52,7 @@ class ReaderLimits:
 
     memory_bytes: int = 1 << 30
     """Memory in addition to that of the idle process. Enforced on Linux; elsewhere only by the readers' own budget."""
-    memory_per_file_byte: float = 32.0
+    memory_per_file_byte: float = 96.0
     """Additional memory per byte of the file."""
     most_memory_bytes: int = 6 << 30
     """Upper bound of the memory, for any file."""
