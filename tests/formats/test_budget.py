@@ -92,7 +92,7 @@ def test_large_valid_files_are_within_the_budget() -> None:
     ReadBudget.of(8_000_000).require_pixels(12_240, 8_160, 10.3)  # 100 Mpixel, progressive
     ReadBudget.of(40_000_000).require_cells(2500, 4000, 218)
     assert ReadBudget.of(100).limit_bytes == 1 << 30
-    assert ReadBudget.of(1 << 30).limit_bytes == 64 << 30
+    assert ReadBudget.of(1 << 30).limit_bytes == 96 << 30
 
 
 def test_the_budget_is_an_option_and_named(tmp_path: Path, wall: Scan) -> None:
