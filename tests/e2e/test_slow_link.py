@@ -199,8 +199,12 @@ def test_a_spinner_turns_while_a_picture_is_loaded(tab: Page, server: Served, si
             held.pop().continue_()
         return shown(tab, side).max() > 100
 
+    def ended() -> bool:
+        released()  # the exact squares are asked for later
+        return spinner.count() == 0 or not spinner.is_visible()
+
     until(tab, released, "the picture")
-    until(tab, lambda: spinner.count() == 0 or not spinner.is_visible(), "the spinner ends")
+    until(tab, ended, "the spinner ends")
     other = {"scan": "photo", "photo": "scan"}[side]
     assert not tab.get_by_role("progressbar", name=name[other]).is_visible()
 
