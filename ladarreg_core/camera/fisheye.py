@@ -6,106 +6,34 @@ module; that module divides by z, and thereby mirrors what lies beyond 90 degree
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera.fields import checked_centre, checked_focal, checked_size, checked_terms
+from ladarreg_core.camera.focal import FocalCamera
 
 _NEWTON_STEPS = 20
 _TABLE = 4000
 
 
 @dataclass(frozen=True)
-class FisheyeCamera:
-    """Fisheye intrinsics; the interface is that of `CameraModel`.
+class FisheyeCamera(FocalCamera):
+    """Fisheye intrinsics with 0 or 4 terms k1 to k4; the interface is that of `CameraModel`.
 
-    Raises:
-        CameraError: if a size or focal length is not positive, a number is not finite, or the distortion does not have
-            0 or 4 terms.
+    theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
     """
 
-    width: int
-    """Pixels."""
-    height: int
-    """Pixels."""
-    fx: float
-    """Focal length in pixel widths per radian."""
-    fy: float
-    """Focal length in pixel heights per radian."""
-    cx: float
-    """Principal point, pixels."""
-    cy: float
-    """Principal point, pixels."""
-    distortion: tuple[float, ...] = ()
-    """k1 to k4: theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)."""
-
-    def __post_init__(self) -> None:
-        for name in ("width", "height"):
-            object.__setattr__(self, name, checked_size(getattr(self, name), name))
-        for name in ("fx", "fy"):
-            object.__setattr__(self, name, checked_focal(getattr(self, name), name))
-        for name in ("cx", "cy"):
-            object.__setattr__(self, name, checked_centre(getattr(self, name), name))
-        object.__setattr__(self, "distortion", checked_terms(self.distortion, (0, 4)))
-
-    @property
-    def model(self) -> str:
-        """`fisheye`."""
-        return "fisheye"
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height), pixels."""
-        return self.width, self.height
-
-    @property
-    def focal_px(self) -> float:
-        """The geometric mean of fx and fy, pixels per radian."""
-        return float(np.sqrt(self.fx * self.fy))
+    model: ClassVar[str] = "fisheye"
+    _term_counts: ClassVar[tuple[int, ...]] = (0, 4)
 
     @property
     def largest_angle_rad(self) -> float:
         """The largest angle from the optical axis that the polynomial maps to one pixel only; pi if it never folds."""
         return self._table[0]
-
-    def as_fields(self) -> dict[str, Any]:
-        """Return the fields of the camera JSON."""
-        names = ("model", "width", "height", "fx", "fy", "cx", "cy")
-        return {**{name: getattr(self, name) for name in names}, "distortion": list(self.distortion)}
-
-    def scaled(self, factor: float) -> FisheyeCamera:
-        """Return the camera of the image resized by `factor`, outer borders fixed; sizes are rounded."""
-        return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
-
-    def resized(self, width: int, height: int) -> FisheyeCamera:
-        """Return the camera of the image resized to `width` x `height` pixels, outer borders fixed."""
-        sx, sy = width / self.width, height / self.height
-        return replace(
-            self,
-            width=width,
-            height=height,
-            fx=self.fx * sx,
-            fy=self.fy * sy,
-            cx=(self.cx + 0.5) * sx - 0.5,
-            cy=(self.cy + 0.5) * sy - 0.5,
-        )
-
-    def contains(self, uv: ArrayLike, *, border: float = 0.0) -> NDArray[np.bool_]:
-        """Return which pixels (..., 2) lie within the image, `border` pixels inside its outermost pixel centres."""
-        p = np.asarray(uv)
-        u, v = p[..., 0], p[..., 1]
-        with np.errstate(invalid="ignore"):
-            inside = (u >= border) & (u <= self.width - 1 - border) & (v >= border) & (v <= self.height - 1 - border)
-        return np.asarray(inside, dtype=np.bool_)
-
-    def difference(self, uv: ArrayLike, reference: ArrayLike) -> FloatArray:
-        """Return uv - reference (..., 2), px."""
-        return np.asarray(np.asarray(uv) - np.asarray(reference))
 
     def project(self, points_camera: ArrayLike) -> FloatArray:
         """Project points (..., 3), camera frame, m; float32 stays float32.

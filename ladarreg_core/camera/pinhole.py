@@ -4,121 +4,37 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.camera.fields import checked_centre, checked_focal, checked_size, checked_terms
+from ladarreg_core.camera.focal import FocalCamera
 
-_TERMS = (0, 4, 5, 8, 12)
 _NEWTON_STEPS = 20
 
 
 @dataclass(frozen=True)
-class Camera:
-    """Camera intrinsics; pixels are (u, v), with (0, 0) at the centre of the top-left pixel.
+class Camera(FocalCamera):
+    """Pinhole intrinsics with 0, 4, 5, 8 or 12 terms of OpenCV's: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4]]]."""
 
-    Raises:
-        CameraError: if a size or focal length is not positive, a focal length is implausible, a number is not finite,
-            or the distortion does not have 0, 4, 5, 8 or 12 terms.
-    """
-
-    width: int
-    """Pixels."""
-    height: int
-    """Pixels."""
-    fx: float
-    """Focal length in pixel widths."""
-    fy: float
-    """Focal length in pixel heights."""
-    cx: float
-    """Principal point, pixels."""
-    cy: float
-    """Principal point, pixels."""
-    distortion: tuple[float, ...] = ()
-    """OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4]]]."""
-
-    def __post_init__(self) -> None:
-        for name in ("width", "height"):
-            object.__setattr__(self, name, checked_size(getattr(self, name), name))
-        for name in ("fx", "fy"):
-            object.__setattr__(self, name, checked_focal(getattr(self, name), name))
-        for name in ("cx", "cy"):
-            object.__setattr__(self, name, checked_centre(getattr(self, name), name))
-        object.__setattr__(self, "distortion", checked_terms(self.distortion, _TERMS))
-
-    @property
-    def model(self) -> str:
-        """`pinhole`."""
-        return "pinhole"
+    model: ClassVar[str] = "pinhole"
+    _term_counts: ClassVar[tuple[int, ...]] = (0, 4, 5, 8, 12)
 
     @staticmethod
     def from_focal(width: int, height: int, focal_px: float) -> Camera:
         """Return a camera without distortion, of one focal length, its principal point in the middle of the image."""
         return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
 
-    def as_fields(self) -> dict[str, Any]:
-        """Return the fields of the camera JSON."""
-        return {
-            "model": self.model,
-            "width": self.width,
-            "height": self.height,
-            "fx": self.fx,
-            "fy": self.fy,
-            "cx": self.cx,
-            "cy": self.cy,
-            "distortion": list(self.distortion),
-        }
-
     @property
     def matrix(self) -> NDArray[np.float64]:
         """K, (3, 3)."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height), pixels."""
-        return self.width, self.height
-
-    @property
-    def focal_px(self) -> float:
-        """The geometric mean of fx and fy, pixels."""
-        return float(np.sqrt(self.fx * self.fy))
-
     def without_distortion(self) -> Camera:
         """Return the same camera without distortion."""
         return replace(self, distortion=())
-
-    def scaled(self, factor: float) -> Camera:
-        """Return the camera of the image resized by `factor`, outer borders fixed; sizes are rounded."""
-        return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
-
-    def resized(self, width: int, height: int) -> Camera:
-        """Return the camera of the image resized to `width` x `height` pixels, outer borders fixed."""
-        sx, sy = width / self.width, height / self.height
-        return replace(
-            self,
-            width=width,
-            height=height,
-            fx=self.fx * sx,
-            fy=self.fy * sy,
-            cx=(self.cx + 0.5) * sx - 0.5,
-            cy=(self.cy + 0.5) * sy - 0.5,
-        )
-
-    def contains(self, uv: ArrayLike, *, border: float = 0.0) -> NDArray[np.bool_]:
-        """Return which pixels (..., 2) lie within the image, `border` pixels inside its outermost pixel centres."""
-        p = np.asarray(uv)
-        u, v = p[..., 0], p[..., 1]
-        with np.errstate(invalid="ignore"):
-            inside = (u >= border) & (u <= self.width - 1 - border) & (v >= border) & (v <= self.height - 1 - border)
-        return np.asarray(inside, dtype=np.bool_)
-
-    def difference(self, uv: ArrayLike, reference: ArrayLike) -> FloatArray:
-        """Return uv - reference (..., 2), px."""
-        return np.asarray(np.asarray(uv) - np.asarray(reference))
 
     def project(self, points_camera: ArrayLike) -> FloatArray:
         """Project points into the image.
