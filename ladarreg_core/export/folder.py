@@ -45,7 +45,7 @@ _LARGEST_WHOLE_MODEL = MOST_FACES // 2  # cells; each has at most two triangles
 FILE_NAMES = REGISTRATION_FILES
 """Files of a results folder; all but the first two are only written for accepted registrations."""
 FileJob = tuple[str, Callable[[Path], None]]
-"""File name, and the function that writes the file to a path."""
+"""File name, with `/` between folders, and the function that writes the file to a path."""
 
 
 def export_registration(
@@ -220,16 +220,18 @@ def _resolve_parent(folder: str | Path) -> Path:
 
 def _sync(folder: Path) -> None:
     """Synchronise all files of a folder to disk before the folder replaces another."""
-    for path in folder.iterdir():
-        with open(path, "rb+") as file:
-            os.fsync(file.fileno())
-    sync_folder(folder)
+    for parent, _, names in os.walk(folder, topdown=False):
+        for name in names:
+            with open(os.path.join(parent, name), "rb+") as file:
+                os.fsync(file.fileno())
+        sync_folder(Path(parent))
 
 
 def _write_all(folder: Path, jobs: Sequence[FileJob], report: Report | None) -> None:
     for done, (name, write) in enumerate(jobs):
         if report is not None:
             report(Progress(done, len(jobs), f"writing {name}"))
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write(folder / name)
     if report is not None:
         report(Progress(len(jobs), len(jobs), "written"))

@@ -28,6 +28,8 @@ OFFSET_FILE = "offset.json"
 """File beside models that are written in the world."""
 MATCHES_FILE = "matches.json"
 """File of the picks next to a registration."""
+EXPORT_FILE = "export.json"
+"""File that lists those of an export, which are in folders beside it; it is written first."""
 _COMPARISON_FILES = ("comparison.json", "table.md", "contact_sheet.png")
 _SIMULATION_FILES = ("scan.npz", "photo.png", "camera.json", "truth.json")
 _STAGE_PICTURE = re.compile(r"(registered|not_accepted)_[a-z0-9_]+\.png")
@@ -72,7 +74,10 @@ def folder_content(folder: Path, *, more_names: Collection[str] = ()) -> FolderC
         fields = _read(folder / document) if entries.get(document) else None
         own = None if fields is None else files_of(fields)
         if fields is not None and own is not None:
-            others = tuple(name for name in names if not entries[name] or name not in {*own, *more_names})
+            ours = {*own, *more_names}
+            others = tuple(
+                name for name in names if not (name in ours if entries[name] else _only_contains(folder, name, ours))
+            )
             refused = document == "registration.json" and fields["accepted"] is False
             return FolderContent(names, document, others, refused)
     return FolderContent(names, None, names, False)
@@ -153,15 +158,52 @@ def is_project(folder: Path) -> bool:
 
 def remove_results(folder: Path, *, more_names: Collection[str] = ()) -> None:
     """Remove the files that exports write into a folder, and the folder if it is empty then."""
-    registration = {*REGISTRATION_FILES, OFFSET_FILE, MATCHES_FILE}
+    registration = {*REGISTRATION_FILES, OFFSET_FILE, MATCHES_FILE, EXPORT_FILE}
     own = {*registration, *_COMPARISON_FILES, *_SIMULATION_FILES, *_FILE_MANAGER_FILES, *more_names}
     with contextlib.suppress(OSError):
         with os.scandir(folder) as listed:
             entries = [entry for entry in listed if entry.is_file(follow_symlinks=False)]
+        below = _files_of_export(_read(folder / EXPORT_FILE) or {}) or ()
         for entry in entries:
             if entry.name in own or _STAGE_PICTURE.fullmatch(entry.name):
                 os.unlink(entry.path)
+        _remove_below(folder, [name for name in {*below, *more_names} if "/" in name])
         os.rmdir(folder)
+
+
+def _only_contains(folder: Path, name: str, files: Collection[str]) -> bool:
+    """Return whether all files below a folder's subfolder, which is no link, are among those listed."""
+    if os.path.islink(folder / name):
+        return False
+    found = False
+    for parent, folders, names in os.walk(folder / name):
+        if any(os.path.islink(os.path.join(parent, inner)) for inner in folders):
+            return False
+        for file in names:
+            path = Path(parent, file)
+            listed = path.relative_to(folder).as_posix() in files
+            if path.is_symlink() or not (listed or file in _FILE_MANAGER_FILES):
+                return False
+            found |= listed
+    return found
+
+
+def _remove_below(folder: Path, names: Collection[str]) -> None:
+    """Remove files in subfolders, given their names with `/`, and the subfolders that are empty then."""
+    parents = set()
+    for name in names:
+        path = folder / name
+        above = [parent for parent in path.parents if parent != folder and folder in parent.parents]
+        if any(parent.is_symlink() for parent in above):
+            continue
+        parents.update(above)
+        with contextlib.suppress(OSError):
+            os.unlink(path)
+    for parent in sorted(parents, key=lambda path: -len(path.parts)):
+        with contextlib.suppress(OSError):
+            for junk in _FILE_MANAGER_FILES & set(os.listdir(parent)):
+                os.unlink(parent / junk)
+            os.rmdir(parent)
 
 
 def display_path(path: str | Path) -> str:
@@ -203,6 +245,20 @@ def _files_of_simulation(fields: Mapping[str, Any]) -> Collection[str] | None:
     return _SIMULATION_FILES if fields.get("made_by") == "simulate" and "camera_from_scanner" in fields else None
 
 
+def _files_of_export(fields: Mapping[str, Any]) -> Collection[str] | None:
+    files = fields.get("files")
+    if fields.get("kind") != "export" or not isinstance(fields.get("software"), dict) or not isinstance(files, list):
+        return None
+    named = [name for name in files if isinstance(name, str) and is_file_name(name)]
+    return (EXPORT_FILE, *named) if len(named) == len(files) else None
+
+
+def is_file_name(name: str) -> bool:
+    """Return whether a name, with `/` between folders, is of a file below the folder that it is relative to."""
+    parts = name.split("/")
+    return all(part not in ("", ".", "..") and not {*"\\:\0"} & {*part} for part in parts)
+
+
 def _is_export_document(fields: Mapping[str, Any]) -> bool:
     """Return whether a document has the fields that all versions write into every exported document."""
     software = fields.get("software")
@@ -219,6 +275,7 @@ _DOCUMENTS: Mapping[str, Callable[[Mapping[str, Any]], Collection[str] | None]] 
     "registration.json": _files_of_registration,
     "comparison.json": _files_of_comparison,
     "truth.json": _files_of_simulation,
+    EXPORT_FILE: _files_of_export,
 }
 """Identifying document of each kind of results, and a function that returns the names of all their files; None if the
 document was not written by ladarreg."""

@@ -37,6 +37,7 @@ def write_zip(path: str | Path, files: Callable[[], Sequence[FileJob]], *, repor
                 for done, (name, write) in enumerate(jobs):
                     if report is not None:
                         report(Progress(done, len(jobs), f"writing {name}"))
+                    (folder / name).parent.mkdir(parents=True, exist_ok=True)
                     write(folder / name)
                     file.write(folder / name, name)
                     (folder / name).unlink()

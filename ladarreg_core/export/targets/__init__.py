@@ -1,0 +1,1 @@
+"""Exports to other programs: `hand_over` writes them, `registry` lists the targets, one writer a file."""

@@ -1,0 +1,125 @@
+"""A scan with the photographs that are registered to it: what is handed over to the next program."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ladarreg_core.camera import CameraModel
+from ladarreg_core.errors import ExportError
+from ladarreg_core.export.output_frame import OutputFrame
+from ladarreg_core.frames import Rigid
+from ladarreg_core.photo import Photo
+from ladarreg_core.quality.assessment import Assessment, assess
+from ladarreg_core.results import Registration
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.texture import RegisteredTexture, texture_scan
+
+_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]+")
+
+
+@dataclass(frozen=True, eq=False)
+class RegisteredPhoto:
+    """A photograph with a pose that was accepted, or given."""
+
+    id: str
+    """Unique among the photographs of a hand-over; ASCII letters, digits, dots, hyphens, underscores."""
+    photo: Photo
+    """The photograph."""
+    registration: Registration
+    """Its pose; its camera may have been estimated and replaces the photograph's."""
+    file: Path | None = None
+    """The file it was read from."""
+    camera_file: Path | None = None
+    """The file that its camera was read from."""
+
+    @property
+    def camera(self) -> CameraModel:
+        """The intrinsics to be written."""
+        return self.registration.camera
+
+    @property
+    def camera_from_scanner(self) -> Rigid:
+        """The pose."""
+        return self.registration.camera_from_scanner
+
+    @property
+    def mark(self) -> str:
+        """What every file must say of a pose that was not verified; empty for an accepted one."""
+        return "" if self.registration.accepted else "given, not verified"
+
+    def assessment(self, scan: Scan) -> Assessment:
+        """Return what the result is worth."""
+        return assess(scan, self.registration)
+
+
+@dataclass(frozen=True, eq=False)
+class RegisteredScan:
+    """A scan with at least one registered photograph.
+
+    Raises:
+        ExportError: if there is no photograph, two have the same id, or a pose was refused.
+    """
+
+    scan: Scan
+    """The scan, in the scanner's frame."""
+    photos: Sequence[RegisteredPhoto]
+    """The photographs; where several see a cell, the best one colours it, see `cell_colours`."""
+    scan_file: Path | None = None
+    """The file it was read from."""
+    scan_options: dict[str, Any] = field(default_factory=dict)
+    """How that file was read: the arguments of `read_scan`."""
+    frame: OutputFrame = field(default_factory=OutputFrame)
+    """The frame of written points, models and poses; formats with a frame of their own say so."""
+
+    def __post_init__(self) -> None:
+        photos = tuple(self.photos)
+        object.__setattr__(self, "photos", photos)
+        if not photos:
+            raise ExportError("there is no registered photograph to export; register one, or give its pose")
+        ids = [one.id for one in photos]
+        if len(set(ids)) < len(ids):
+            raise ExportError(f"two photographs have the same id ({', '.join(ids)}); give each its own")
+        for one in photos:
+            if not one.registration.accepted and one.registration.evidence != "given":
+                raise ExportError(
+                    f"the pose of {one.photo.name} was refused, so nothing can be exported with it; accept another "
+                    "pose, or apply one that you know"
+                )
+
+    @cached_property
+    def textures(self) -> tuple[RegisteredTexture, ...]:
+        """Every photograph on the scan's grid."""
+        return tuple(
+            texture_scan(
+                self.scan,
+                one.photo,
+                one.camera_from_scanner,
+                camera=one.camera,
+                covariance=one.registration.joint_covariance,
+            )
+            for one in self.photos
+        )
+
+    @property
+    def marks(self) -> tuple[str, ...]:
+        """A sentence for every photograph whose pose was not verified."""
+        return tuple(f"{one.photo.name}: {one.mark}" for one in self.photos if one.mark)
+
+    def written_from_camera(self, one: RegisteredPhoto) -> Rigid:
+        """Return the pose of a camera in the frame of the written points, its offset subtracted."""
+        turned = one.camera_from_scanner.rotation @ self.frame.world_from_scanner.rotation.T
+        return Rigid.from_centre(turned, self.frame.place(one.camera_from_scanner.centre[None])[0]).inverse
+
+
+def photo_id(name: str, taken: Sequence[str] = ()) -> str:
+    """Return an id made of a file name, different from those that are taken."""
+    stem = _NOT_IN_NAMES.sub("-", Path(name).stem).strip("-.")[:60] or "photo"
+    number, found = 2, stem
+    while found.lower() in {one.lower() for one in taken}:
+        found, number = f"{stem}-{number}", number + 1
+    return found

@@ -1,0 +1,33 @@
+"""The table of export targets, in the order in which they are listed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ladarreg_core.errors import OptionError
+from ladarreg_core.export.targets.report import report_files
+from ladarreg_core.export.targets.target import Target
+
+TARGETS: tuple[Target, ...] = (
+    Target(
+        name="report",
+        title="Report",
+        purpose="One HTML page a photograph with verdict, figures and pictures, to read, print and sign.",
+        files=report_files,
+    ),
+)
+
+
+def targets_of(names: Sequence[str]) -> tuple[Target, ...]:
+    """Return targets by their names, in the order of the table.
+
+    Raises:
+        OptionError: if a name is unknown, or there is none.
+    """
+    known = {target.name: target for target in TARGETS}
+    for name in names:
+        if name not in known:
+            raise OptionError(f"{name!r:.60} is not an export target; use one or several of {', '.join(known)}")
+    if not names:
+        raise OptionError(f"there is no export target; give one or several of {', '.join(known)}")
+    return tuple(target for target in TARGETS if target.name in names)
