@@ -46,14 +46,15 @@ class ClientView:
     Args:
         place: a client of viser, or the server itself for tests.
         person: id of the workbench's client; empty if it is not known.
+        looks: viewpoint from which it starts.
     """
 
-    def __init__(self, place: Place, person: str) -> None:
+    def __init__(self, place: Place, person: str, *, looks: ViewpointName = "start") -> None:
         self.person = person
         self._place = place
         self._cameras, self._matches, self._simplex = CamerasLayer(place), PicksLayer(place), SimplexLayer(place)
         self._subject: Subject | None = None
-        self._looks: ViewpointName = "start"
+        self._looks: ViewpointName = looks
         self._looked_from: Viewpoint | None = None
 
     def draw(self, person: Person, subject: Subject | None, picks: Picks | None, simplex: SimplexShown | None) -> None:
@@ -75,9 +76,10 @@ class ClientView:
             self._simplex.end(self._subject, simplex.frame)
 
     def look(self, name: ViewpointName) -> None:
-        """Move the client to a viewpoint; without an accepted pose there is none of the camera."""
+        """Move the client to a viewpoint, as soon as there is a scan; without an accepted pose the camera has none."""
         subject = self._subject
         if subject is None:
+            self._looks = name
             return
         viewpoint = {
             "start": subject.start,
@@ -108,7 +110,10 @@ class ClientView:
         if subject is None:
             return
         if before is None or before.shown is not subject.shown:
-            self.look("start")
+            wanted = self._looks if before is None else "start"
+            self.look("start")  # the camera has no viewpoint without an accepted pose
+            if wanted != "start":
+                self.look(wanted)
         elif before.accepted is not subject.accepted and self._looks in ("start", "camera") and not self._has_moved():
             self.look(self._looks)
 

@@ -73,6 +73,7 @@ class Scene3D:
         self._photos: Mapping[str | None, Shown] = {}
         self._people: Mapping[str, Person] = {}
         self._highlights: dict[str, str | None] = {}
+        self._looks: dict[str, ViewpointName] = {}  # of people whose views have yet to connect
         self._simplex: SimplexShown | None = None
         self._views: dict[int, ClientView] = {}
         self._queue = DrawQueue("scene")
@@ -100,6 +101,7 @@ class Scene3D:
         """Set what the clients look at, by their ids; `ANYBODY` stands for all others."""
         with self._lock:
             self._people = people
+            self._looks = {person: name for person, name in self._looks.items() if person in people}
         self._request_views()
 
     def highlight(self, person: str, pick_id: str | None) -> None:
@@ -109,10 +111,14 @@ class Scene3D:
         self._request_views()
 
     def look(self, person: str, name: ViewpointName) -> None:
-        """Move a client to a viewpoint."""
+        """Move a client to a viewpoint; one whose view has yet to connect will start there."""
 
         def move() -> None:
-            for view in self._views_of(person):
+            with self._lock:
+                views = self._views_of(person)
+                if not views:
+                    self._looks[person] = name
+            for view in views:
                 view.look(name)
 
         self._queue.request(f"viewpoint {person}", move)
@@ -143,7 +149,7 @@ class Scene3D:
     def add_view(self, number: int, place: Place, person: str) -> None:
         """Draw a client's view from now on."""
         with self._lock:
-            self._views[number] = ClientView(place, person)
+            self._views[number] = ClientView(place, person, looks=self._looks.pop(person, "start"))
         self._request_views()
 
     def remove_view(self, number: int) -> None:

@@ -260,6 +260,24 @@ def test_the_view_begins_along_the_scan_and_follows_the_pose(server: viser.Viser
     np.testing.assert_array_equal(viewer.camera.position, [-5.0, 1, 2], "nobody is moved who has moved by himself")
 
 
+@pytest.mark.parametrize("connected", [False, True])
+def test_a_viewpoint_chosen_before_anything_is_drawn_is_not_lost(
+    server: viser.ViserServer, scene: Scene3D, connected: bool
+) -> None:
+    viewer, result = Viewer(server), pose()
+    scene.remove_view(1)
+    if connected:
+        scene.add_view(2, viewer, "ann")
+        assert scene.settle()
+    scene.look("ann", "camera")
+    assert scene.settle()
+    scene.show(shown(result))
+    if not connected:
+        scene.add_view(2, viewer, "ann")
+    assert scene.settle()
+    np.testing.assert_allclose(viewer.camera.position, result.camera_from_scanner.centre)
+
+
 def test_a_scan_all_around_is_seen_from_inside_along_its_first_view(server: viser.ViserServer, scene: Scene3D) -> None:
     geometry = SphericalGrid(20, 180, 2 * np.pi / 180, 0.05, 0.0, 0.5)
     scan = Scan(geometry, np.full((20, 180), 4.0), np.ones((20, 180)))
