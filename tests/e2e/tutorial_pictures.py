@@ -1,0 +1,118 @@
+"""Makes the pictures of the tutorial: python -m tests.e2e.tutorial_pictures [FOLDER], by default docs/pictures.
+
+Does what docs/tutorial.md and docs/manual.md describe, on the simulated pair that they name, and keeps what is seen.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+import ladarreg_core as lr
+from benchmarks.newcomer import Hands, empty_workbench, newcomer
+from tests.e2e.browser import FLAGS, find_chromium
+from tests.e2e.test_newcomer import drop
+from tests.served_workbench import Page as Socket
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+WINDOW = {"width": 1440, "height": 900}
+SCENE = ("simulate", "office", "--seed", "4", "-o")
+_COLOURS = 256
+_MANUAL = {"3-drawn": "drawn", "4-accepted": "solved"}
+
+
+def main() -> None:
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[2] / "docs" / "pictures"
+    target.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=find_chromium(), args=list(FLAGS))
+        _tutorial(Path(folder), chromium, target)
+        _manual(Path(folder), chromium, target)
+        chromium.close()
+
+
+def _tutorial(folder: Path, chromium: Browser, target: Path) -> None:
+    pair = folder / "tutorial"
+    subprocess.run([sys.executable, "-m", "ladarreg", *SCENE, str(pair)], check=True, stdout=subprocess.DEVNULL)
+    with _page(folder / "first", chromium) as page:
+        names = ("scan.npz", "photo.png", "camera.json")
+        drop(page, "#photo-pane", {name: (pair / name).read_bytes() for name in names})
+        page.locator("#model-pane [data-model=drawn]").wait_for(timeout=120_000)
+        page.wait_for_timeout(3000)
+        _keep(page, target / "opened.png")
+        page.get_by_role("button", name="Register automatically").click()
+        page.get_by_text("Accepted:").first.wait_for(timeout=120_000)
+        page.wait_for_timeout(6000)
+        _keep(page, target / "accepted.png")
+        page.get_by_role("tab", name=re.compile("Judge")).click()
+        page.get_by_label("Overlay of the scan on the photograph").select_option("edges")
+        page.get_by_role("button", name="Camera", exact=True).click()
+        page.get_by_label("Texture of the model").select_option("uncertainty")
+        page.wait_for_timeout(4000)
+        _keep(page, target / "judged.png")
+        page.get_by_role("tab", name=re.compile("Export")).click()
+        page.wait_for_timeout(1500)
+        _keep(page, target / "exports.png")
+    results = folder / "results"
+    scan = lr.read_scan(pair / "scan.npz")
+    photo = lr.read_photo(pair / "photo.png", camera=pair / "camera.json")
+    from ladarreg_core.export.folder import export_registration
+
+    export_registration(results, lr.register(scan, photo), scan, photo)
+    page = chromium.new_page(viewport={"width": 1100, "height": 900})
+    page.goto((results / "report.html").as_uri())
+    page.wait_for_timeout(1000)
+    _keep(page, target / "report.png")
+    page.close()
+
+
+def _manual(folder: Path, chromium: Browser, target: Path) -> None:
+    with empty_workbench(folder / "second") as server:
+        context = chromium.new_context(viewport=WINDOW, bypass_csp=True, color_scheme="dark")  # type: ignore[arg-type]
+        page = context.new_page()
+        page.goto(f"{server.address}?token={server.token}")
+        page.get_by_role("button", name="connected", exact=True).wait_for()
+        newcomer(Hands(page, Socket(server)), folder / "shots")
+        context.close()
+    for name, kept in _MANUAL.items():
+        _write((folder / "shots" / f"{name}.png").read_bytes(), target / f"{kept}.png")
+
+
+@contextmanager
+def _page(project: Path, chromium: Browser) -> Iterator[Page]:
+    with empty_workbench(project) as server:
+        context = chromium.new_context(viewport=WINDOW, bypass_csp=True, color_scheme="dark")  # type: ignore[arg-type]
+        context.add_init_script("localStorage.setItem('ladarreg-software-drawing', 'dismissed')")
+        page = context.new_page()
+        page.goto(f"{server.address}?token={server.token}")
+        page.get_by_role("button", name="connected", exact=True).wait_for()
+        yield page
+        context.close()
+
+
+def _keep(page: Page, path: Path) -> None:
+    _write(page.screenshot(), path)
+
+
+def _write(png: bytes, path: Path) -> None:
+    """Write a picture with few colours: a third of the size, and nobody sees it."""
+    image = Image.open(io.BytesIO(png)).convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE)
+    image.save(path, optimize=True)
+    print(f"{path.name}: {os.path.getsize(path) // 1000} kB")
+
+
+if __name__ == "__main__":
+    main()
