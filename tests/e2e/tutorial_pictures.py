@@ -6,7 +6,6 @@ Does what docs/tutorial.md and docs/manual.md describe, on the simulated pair th
 from __future__ import annotations
 
 import io
-import os
 import re
 import subprocess
 import sys
@@ -111,7 +110,6 @@ def _write(png: bytes, path: Path) -> None:
     """Write a picture with few colours: a third of the size, and nobody sees it."""
     image = Image.open(io.BytesIO(png)).convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE)
     image.save(path, optimize=True)
-    print(f"{path.name}: {os.path.getsize(path) // 1000} kB")
 
 
 if __name__ == "__main__":
