@@ -93,7 +93,7 @@ class ScanArguments:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InputArguments(ScanArguments):
+class PhotoArguments(ScanArguments):
     """Scan, photo, and what is known about them; output folder."""
 
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
@@ -102,10 +102,6 @@ class InputArguments(ScanArguments):
     """Photo: JPEG, PNG, TIFF, WebP, AVIF."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
-    matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Manual matches: JSON, or CSV of points; rays, cells, or points with their lengths."""
-    initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Initial pose: a pose JSON (scanner or world), an earlier registration.json, or transforms.json."""
     camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Camera of the photo: JSON, OpenCV, ROS, Kalibr, COLMAP, nerfstudio or Agisoft."""
     camera_name: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
@@ -132,8 +128,23 @@ class InputArguments(ScanArguments):
     @property
     def input_files(self) -> list[Path]:
         """Every file that was given."""
-        given = (self.scan, self.photo, self.camera, self.matches, self.initial)
-        return [path for path in given if path is not None]
+        return [path for path in (self.scan, self.photo, self.camera) if path is not None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputArguments(PhotoArguments):
+    """The inputs, and where to start from."""
+
+    matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Manual matches: JSON, or CSV of points; rays, cells, or points with their lengths."""
+    initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Initial pose: a pose JSON (scanner or world), an earlier registration.json, or transforms.json."""
+
+    @property
+    def input_files(self) -> list[Path]:
+        """Every file that was given."""
+        own = PhotoArguments.input_files.__get__(self)
+        return [*own, *(path for path in (self.matches, self.initial) if path is not None)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from .stop_signals import forget_interrupt, interrupt_on_stop_signals
 
 COMMANDS = {
     "register": "Register a scan with a photo: pose, registered image, textured model.",
+    "apply": "Colour a scan and export it with a pose that is known: given, not verified.",
     "compare": "Compare the thesis's stages with the default method: table and contact sheet.",
     "report": "Write the report of a result or project: one HTML file, to read and to print.",
     "info": "Describe a scan, photo, camera, pose or matches file.",

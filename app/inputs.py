@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
-from .arguments import InputArguments
+from .arguments import InputArguments, PhotoArguments
 from .process_resources import keep_heap_small
 from .progress_bar import ProgressBar
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 _LARGE_SCAN_CELLS = 4_000_000
 
 
-def read_inputs(arguments: InputArguments, bar: ProgressBar) -> tuple[Scan, Photo]:
+def read_inputs(arguments: PhotoArguments, bar: ProgressBar) -> tuple[Scan, Photo]:
     """Read the scan and the photo, and report each as a step."""
     import ladarreg_core as lr
 

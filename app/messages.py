@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 import unicodedata
 from typing import TYPE_CHECKING
@@ -18,10 +19,10 @@ if TYPE_CHECKING:
 ACCEPTED = {
     "image": "Accepted: verified against the image.",
     "statistics": "Accepted on match statistics only, not image-verified.",
-    "given": "Accepted: carried over from a given pose.",
+    "given": "Given, not verified: this pose was applied, not solved.",
     "none": "Accepted without evidence.",
 }
-"""The verdict on an accepted pose, by its evidence."""
+"""The verdict on a pose that is shown, by its evidence."""
 _HEAD_WIDTH = 16
 _MOST_FINDINGS = 4
 _MOST_LENGTHS = 40
@@ -41,7 +42,7 @@ def one_line(text: str) -> str:
 
 def verdict(result: PoseResult) -> str:
     """Return whether a pose is accepted, and on what evidence."""
-    if result.accepted:
+    if result.is_shown:
         return ACCEPTED[result.evidence]
     if (result.diagnostics.get("lengths") or {}).get("refusal"):
         return "Not accepted: lengths of the matches disagree with the scan."
@@ -53,7 +54,8 @@ def verdict(result: PoseResult) -> str:
 
 def position(result: PoseResult) -> str:
     """Return the camera position relative to the scanner, with its standard deviation."""
-    return f"{result.thesis_parameters.describe_position()} (sigma {1000 * result.sigma_position_m:.1f} mm)"
+    sigma = f"{1000 * result.sigma_position_m:.1f} mm" if math.isfinite(result.sigma_position_m) else "unknown"
+    return f"{result.thesis_parameters.describe_position()} (sigma {sigma})"
 
 
 def orientation(result: PoseResult) -> str:
@@ -63,7 +65,7 @@ def orientation(result: PoseResult) -> str:
 
 def sigma_angle(result: PoseResult) -> str:
     """Return the standard deviation of the orientation, in degrees."""
-    return f"{57.29577951308232 * result.sigma_angle_rad:.3f} deg"
+    return f"{math.degrees(result.sigma_angle_rad):.3f} deg" if math.isfinite(result.sigma_angle_rad) else "unknown"
 
 
 def matches(result: PoseResult) -> str:
@@ -83,12 +85,12 @@ def matches(result: PoseResult) -> str:
 def report(result: PoseResult) -> str:
     """Return the verdict with its reasons and, if accepted, the pose; several lines."""
     lines = [verdict(result), *(f"  {one_line(reason)}" for reason in result.reasons)]
-    if result.accepted:
+    if result.is_shown:
         lines += [
             f"Camera   {position(result)}",
             f"Rotation {orientation(result)}",
             *([] if result.in_world is None else [f"World    {result.in_world}"]),
-            f"Matches  {matches(result)}",
+            *([f"Matches  {matches(result)}"] if result.accepted else []),
         ]
     return "\n".join(lines)
 

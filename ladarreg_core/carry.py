@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.formatting import format_angle, format_length
 from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.matches import Matches
@@ -30,7 +31,15 @@ def carry_over(registration: Registration, offset: Offset | Rigid, photo_b: Phot
     Returns:
         a registration by the method `carried`, without matches. It is accepted if the first one is, with the evidence
         `statistics`; its covariance is propagated from the first pose's and the offset's.
+
+    Raises:
+        DegenerateGeometryError: if the covariance of the first pose is not known, as of a given one.
     """
+    if not np.isfinite(registration.covariance).all():
+        raise DegenerateGeometryError(
+            "the pose of the first camera was given, so its uncertainty, which would be carried over, is not known; "
+            "register that photo, or multiply the poses and give this photo's own"
+        )
     mount = Offset(offset) if isinstance(offset, Rigid) else offset
     between = mount.camera_b_from_camera_a
     pose = between @ registration.camera_from_scanner

@@ -254,7 +254,7 @@ _UNKNOWN = np.diag([np.pi**2] * 3 + [100.0**2] * 3)
 
 def _no_pose(scan: Scan, photo: Photo) -> PoseResult:
     """Return a refused placeholder pose at the scanner, with a covariance that says it is unknown."""
-    return describe_pose(
+    result = describe_pose(
         Rigid(look_along(scan.mean_direction), np.zeros(3)),
         Matches.none(),
         np.zeros(0, np.bool_),
@@ -263,6 +263,7 @@ def _no_pose(scan: Scan, photo: Photo) -> PoseResult:
         sigma_range_m=STATED_SIGMA_RANGE_M,
         covariance=_UNKNOWN,
     )
+    return replace(result, diagnostics={**result.diagnostics, "no_candidate": True})
 
 
 def _registration(

@@ -35,6 +35,8 @@ STAGE_LABELS: dict[StageId | StageName, str] = {
     "default": "Default",
 }
 """Labels of all stages, in the order in which they are listed."""
+GIVEN_MARK = "given, not verified"
+"""The mark of a pose that was given, not solved."""
 STATED_OFFSET_SIGMA_RAD = float(np.radians(0.2))
 """Standard deviation assumed for the rotation of an offset if none is given."""
 STATED_OFFSET_SIGMA_M = 0.005
@@ -78,7 +80,9 @@ class PoseResult:
     stereo_depth_error_m: FloatArray
     """(M,) laser minus stereo depth as in the thesis, m; NaN where undefined. Source: thesis Eq 2.19-2.21."""
     covariance: FloatArray
-    """(6, 6) of (w, c): R_true = exp([w]x) R_estimated (rad), c = C_true - C_estimated in the scanner frame (m)."""
+    """(6, 6) of (w, c): R_true = exp([w]x) R_estimated (rad), c = C_true - C_estimated in the scanner frame (m).
+
+    NaN where it is not known, as of a pose that was given."""
     world_from_scanner: Rigid | None = None
     """The scanner's pose in the world, from the scan; None: the scan's file states none."""
     chi2_per_dof: float
@@ -103,8 +107,28 @@ class PoseResult:
     """Planarity, baseline, spread, why the solver stopped, and more; JSON-ready."""
 
     @property
-    def joint_covariance(self) -> FloatArray | CameraUncertainty:
-        """The uncertainty to propagate into pixels: with the camera's, if there is one; else the pose's."""
+    def has_pose(self) -> bool:
+        """Whether there is a candidate at all; False: the pose of this refused result is only a placeholder."""
+        return not self.diagnostics.get("no_candidate")
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether pictures, models and exports are made of it: of an accepted pose, and, marked, of a given one."""
+        return self.accepted or self.evidence == "given"
+
+    @property
+    def mark(self) -> str:
+        """What every picture and file must say of a pose that was not verified; empty for an accepted one."""
+        return GIVEN_MARK if self.evidence == "given" and not self.accepted else ""
+
+    @property
+    def joint_covariance(self) -> FloatArray | CameraUncertainty | None:
+        """The uncertainty to propagate into pixels: with the camera's, if there is one; else the pose's.
+
+        None for a pose that was given: its uncertainty is not known, so no cell is uncertain because of it.
+        """
+        if self.evidence == "given" and not np.isfinite(self.covariance).all():
+            return None
         return self.covariance if self.camera_uncertainty is None else self.camera_uncertainty
 
     @property
@@ -153,7 +177,7 @@ class PoseResult:
     @property
     def is_determined(self) -> bool:
         """Whether the numbers of the pose mean anything; those of a refused placeholder or a guess do not."""
-        if self.accepted:
+        if self.is_shown:
             return True
         if len(self.matches) and not self.inliers.any():
             return False
@@ -165,7 +189,7 @@ class Registration(PoseResult):
     """A pose with the steps that led to it."""
 
     method: str
-    """`auto`, `thesis`, `manual` or `carried`."""
+    """`auto`, `thesis`, `manual`, `carried` or `given`."""
     steps: tuple[Step, ...] = ()
     """Every step, in order."""
     options: Mapping[str, Any] = field(default_factory=dict)

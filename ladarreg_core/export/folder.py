@@ -66,7 +66,8 @@ def export_registration(
     """Write a registration into a new folder.
 
     `registration.json` and `report.html` always; `registered.png`, `labels.png`, `visibility.png`, `uncertainty.png`,
-    `model.glb` and `cloud.ply` (in the world with `offset.json`) only if the registration is accepted. The folder is
+    `model.glb` and `cloud.ply` (in the world with `offset.json`) only if the registration is accepted,
+    or its pose was given: then they are marked so. The folder is
     written atomically, see `write_folder`.
 
     Args:
@@ -258,11 +259,12 @@ def registration_files(
     @cache  # hashing the inputs takes longest
     def document() -> dict[str, Any]:
         described = registration_document(registration, assessment=found, smoothed=smoothed, inputs=inputs)
-        if registration.accepted:
+        if registration.is_shown:
             described["models"] = placed.as_dict()
         return described if rests_on is None else {**described, "rests_on": rests_on}
 
-    texture = _textured(registration, scan, photo) if registration.accepted else None
+    texture = _textured(registration, scan, photo) if registration.is_shown else None
+    mark = registration.mark
     jobs: list[FileJob] = [
         ("registration.json", lambda path: write_document(path, document())),
         (REPORT_FILE, lambda path: write_report(path, registration, scan, photo, document(), texture=texture)),
@@ -270,15 +272,15 @@ def registration_files(
     if texture is None:
         return jobs
     jobs += [
-        ("registered.png", lambda path: write_registered_png(path, texture)),
-        ("labels.png", lambda path: write_labels_png(path, texture)),
-        ("visibility.png", lambda path: write_visibility_png(path, texture)),
+        ("registered.png", lambda path: write_registered_png(path, texture, mark=mark)),
+        ("labels.png", lambda path: write_labels_png(path, texture, mark=mark)),
+        ("visibility.png", lambda path: write_visibility_png(path, texture, mark=mark)),
     ]
     if (uncertainty := found.uncertainty) is not None:
         jobs.append(("uncertainty.png", lambda path: write_uncertainty_png(path, uncertainty.sigma_px)))
     if smoothed is None or smoothed.scan is scan:
-        return jobs + _models(scan, texture, placed)
-    return jobs + _models(smoothed.scan, _textured(registration, smoothed.scan, photo), placed)
+        return jobs + _models(scan, texture, placed, mark)
+    return jobs + _models(smoothed.scan, _textured(registration, smoothed.scan, photo), placed, mark)
 
 
 def _textured(registration: Registration, scan: Scan, photo: Photo) -> RegisteredTexture:
@@ -291,21 +293,21 @@ def _textured(registration: Registration, scan: Scan, photo: Photo) -> Registere
     )
 
 
-def _models(scan: Scan, texture: RegisteredTexture, frame: OutputFrame) -> list[FileJob]:
+def _models(scan: Scan, texture: RegisteredTexture, frame: OutputFrame, mark: str) -> list[FileJob]:
     jobs: list[FileJob] = [
-        ("model.glb", lambda path: _write_model(path, scan, texture, frame)),
-        ("cloud.ply", lambda path: write_ply(path, scan, texture, frame=frame)),
+        ("model.glb", lambda path: _write_model(path, scan, texture, frame, mark)),
+        ("cloud.ply", lambda path: write_ply(path, scan, texture, frame=frame, mark=mark)),
     ]
     return jobs if frame.name == "scanner" else [*jobs, (OFFSET_FILE, frame.write)]
 
 
-def _write_model(path: Path, scan: Scan, texture: RegisteredTexture, frame: OutputFrame) -> None:
+def _write_model(path: Path, scan: Scan, texture: RegisteredTexture, frame: OutputFrame, mark: str) -> None:
     """Write the whole mesh of a scan, or that of a large one reduced by error."""
     is_small = scan.ranges.size <= _LARGEST_WHOLE_MODEL
     found = ReducedMesh(scan_mesh(scan), 0.0) if is_small else reduced_mesh(scan)
     picture = model_picture(scan, texture)
     picture.flags.writeable = False  # handed over, not copied
-    write_glb(path, found.mesh, picture, frame=frame, tolerance_m=found.tolerance_m)
+    write_glb(path, found.mesh, picture, frame=frame, tolerance_m=found.tolerance_m, mark=mark)
 
 
 def _missing_parents(target: Path) -> list[Path]:

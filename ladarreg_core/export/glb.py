@@ -36,13 +36,14 @@ def write_glb(
     for_viser: bool = False,
     frame: OutputFrame = SCANNER_FRAME,
     tolerance_m: float = 0.0,
+    mark: str = "",
 ) -> None:
     """Write a model to a GLB file; see `glb_bytes`.
 
     Raises:
         ExportError: if the mesh has no faces or the file cannot be written.
     """
-    write_bytes(path, glb_bytes(mesh, picture, for_viser=for_viser, frame=frame, tolerance_m=tolerance_m))
+    write_bytes(path, glb_bytes(mesh, picture, for_viser=for_viser, frame=frame, tolerance_m=tolerance_m, mark=mark))
 
 
 def glb_bytes(
@@ -53,6 +54,7 @@ def glb_bytes(
     frame: OutputFrame = SCANNER_FRAME,
     largest_texture_px: int = _LARGEST_TEXTURE_PX,
     tolerance_m: float = 0.0,
+    mark: str = "",
 ) -> bytes:
     """Return a model as GLB: one unlit mesh with its texture, in metres.
 
@@ -67,6 +69,7 @@ def glb_bytes(
         frame: the frame of the vertices; viser's scene has the scanner's.
         largest_texture_px: limit of the texture's longer side, at most 8192.
         tolerance_m: error that the mesh was reduced by, m, stated in the extras of the mesh; 0: it was not.
+        mark: what the file must say of a pose that was not verified, in the extras of `asset` and of the root node.
 
     Raises:
         ShapeError: if the texture is not an RGB image.
@@ -105,9 +108,11 @@ def glb_bytes(
         node["rotation"] = _GLTF_FROM_SCANNER_XYZW
     if frame.name == "world":
         node |= {"name": frame.sentence, "extras": frame.as_dict(), "rotation": _GLTF_FROM_WORLD_XYZW}
+    if mark:
+        node["extras"] = {**node.get("extras", {}), "pose": mark}
     base = VISER_BASE_COLOUR if for_viser else 1.0
     document = {
-        "asset": {"version": "2.0", "generator": "ladarreg"},
+        "asset": {"version": "2.0", "generator": "ladarreg", **({"extras": {"pose": mark}} if mark else {})},
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
         "scenes": [{"nodes": [0]}],

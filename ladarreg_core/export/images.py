@@ -13,8 +13,9 @@ from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.export.atomic_write import write_bytes
 from ladarreg_core.export.layout import beside, padded, stacked, text_block
+from ladarreg_core.export.watermark import watermarked
 from ladarreg_core.inspection.model_textures import Legend, visibility_texture
-from ladarreg_core.palette import BACKGROUND, DIM, INK, UNKNOWN, VISIBILITY, Colour, ramp_colours, scale_end
+from ladarreg_core.palette import BACKGROUND, DIM, INK, UNKNOWN, VISIBILITY, WARN, Colour, ramp_colours, scale_end
 from ladarreg_core.surface.texture import Label, RegisteredTexture
 from ladarreg_core.validation import require_positive
 
@@ -23,13 +24,13 @@ _BAR_WIDTHS, _BAR_HEIGHT, _MARGIN, _TEXT = (200, 480), 14, 12, 13
 _TICKS = 4
 
 
-def write_registered_png(path: str | Path, texture: RegisteredTexture) -> None:
-    """Write the photograph on the scan's grid.
+def write_registered_png(path: str | Path, texture: RegisteredTexture, *, mark: str = "") -> None:
+    """Write the photograph on the scan's grid; a mark, of a pose that was not verified, is a watermark across it.
 
     Raises:
         ExportError: if the file cannot be written.
     """
-    write_png(path, texture.image)
+    write_png(path, watermarked(texture.image, mark, WARN) if mark else texture.image)
 
 
 def write_png(path: str | Path, picture: ByteArray) -> None:
@@ -43,10 +44,10 @@ def write_png(path: str | Path, picture: ByteArray) -> None:
     write_bytes(path, encoded.tobytes())
 
 
-def write_labels_png(path: str | Path, texture: RegisteredTexture) -> None:
+def write_labels_png(path: str | Path, texture: RegisteredTexture, *, mark: str = "") -> None:
     """Write the labels as an indexed PNG: pixel values are the codes, the palette gives them colours.
 
-    A text chunk names the codes.
+    A text chunk names the codes, another one the mark of a pose that was not verified.
 
     Raises:
         ExportError: if the file cannot be written.
@@ -59,6 +60,8 @@ def write_labels_png(path: str | Path, texture: RegisteredTexture) -> None:
     image = Image.fromarray(texture.labels)
     image.putpalette(palette.tobytes())
     stream, notes = io.BytesIO(), PngInfo()
+    if mark:
+        notes.add_text("Pose", mark)
     notes.add_text("Legend", ", ".join(f"{label.value} {label.name.lower().replace('_', ' ')}" for label in Label))
     # Eight bits per pixel, so that readers that ignore palettes find one code per byte.
     image.save(stream, format="PNG", bits=8, pnginfo=notes)
@@ -75,13 +78,18 @@ def visibility_picture(texture: RegisteredTexture) -> NDArray[np.uint8]:
     return stacked([drawn.image, legend_strip(drawn.legend, room=texture.labels.shape[1])])
 
 
-def write_visibility_png(path: str | Path, texture: RegisteredTexture) -> None:
-    """Write the image returned by `visibility_picture`.
+def write_visibility_png(path: str | Path, texture: RegisteredTexture, *, mark: str = "") -> None:
+    """Write the image returned by `visibility_picture`, below it the mark of a pose that was not verified.
 
     Raises:
         ExportError: if the file cannot be written.
     """
-    write_png(path, visibility_picture(texture))
+    picture = visibility_picture(texture)
+    if mark:
+        picture = stacked(
+            [picture, padded(text_block(f"pose: {mark}", size=_TEXT, colour=WARN), left=_MARGIN, bottom=_MARGIN)]
+        )
+    write_png(path, picture)
 
 
 def legend_strip(legend: Legend, *, room: int) -> NDArray[np.uint8]:

@@ -36,6 +36,11 @@ WORLD_FROM_SCANNER_IS = (
     "file states none, and camera_from_world is not known either"
 )
 """Explanation of `world_from_scanner`."""
+REJECTED_GUESS_IS = (
+    "null, or of a refused registration the best candidate in the place of camera_from_scanner: it is no pose and must "
+    "not be used as one"
+)
+"""Explanation of `rejected_guess`."""
 _REGISTRATION_VERSION = 1
 _READ_BYTES = 1 << 20
 
@@ -69,22 +74,24 @@ def registration_document(
         ExportError: if an input file cannot be read.
     """
     r = registration
-    scanner_from_camera = r.camera_from_scanner.inverse
+    pose = r.camera_from_scanner if r.is_shown else None
     lengths = lengths_by_end(r.diagnostics)
     document = {
         "version": _REGISTRATION_VERSION,
-        "camera_from_scanner": r.camera_from_scanner.matrix,
+        "camera_from_scanner": None if pose is None else pose.matrix,
         "camera_from_scanner_is": CAMERA_FROM_SCANNER_IS,
-        "scanner_from_camera": scanner_from_camera.matrix,
+        "scanner_from_camera": None if pose is None else pose.inverse.matrix,
         "scanner_from_camera_is": "the inverse: maps camera points to the scanner; its last column is the camera's "
         "centre in the scanner frame",
+        "rejected_guess": r.camera_from_scanner.matrix if pose is None and r.has_pose else None,
+        "rejected_guess_is": REJECTED_GUESS_IS,
         **world_document(r),
         "camera": r.camera.as_fields(),
         "camera_sigmas": dict(r.camera_sigmas),
         **({} if r.camera_uncertainty is None else {"camera_uncertainty": r.camera_uncertainty.as_fields()}),
-        "covariance": np.asarray(r.covariance),
+        "covariance": np.asarray(r.covariance) if np.isfinite(r.covariance).all() else None,
         "covariance_is": "of (w, c): R_true = exp([w]x) R (rad), c = true minus estimated camera centre in the "
-        "scanner frame (m)",
+        "scanner frame (m); null: not known, as of a pose that was given; of a refused result it is the guess's",
         "sigma": {
             "angle_rad": r.sigma_angle_rad,
             "position_m": r.sigma_position_m,
@@ -92,9 +99,10 @@ def registration_document(
             "range_m": r.sigma_range_m,
             "chi2_per_dof": r.chi2_per_dof,
         },
-        "thesis_parameters": thesis_document(r.thesis_parameters),
+        "thesis_parameters": None if pose is None else thesis_document(r.thesis_parameters),
         "accepted": bool(r.accepted),
         "evidence": r.evidence,
+        "mark": r.mark or None,
         "reasons": list(r.reasons),
         "matches": [
             {
@@ -192,11 +200,12 @@ def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
 
 def world_document(result: PoseResult) -> dict[str, Any]:
     """Return where the scanner and the camera stand in the world, in double precision; None where it is not known."""
-    matrices = {"world_from_scanner": result.world_from_scanner, "camera_from_world": result.camera_from_world}
+    in_world = result.camera_from_world if result.is_shown else None
+    matrices = {"world_from_scanner": result.world_from_scanner, "camera_from_world": in_world}
     return {
         **{name: None if pose is None else pose.matrix for name, pose in matrices.items()},
         "world_from_scanner_is": WORLD_FROM_SCANNER_IS,
-        "camera_centre_world": result.camera_centre_world,
+        "camera_centre_world": None if in_world is None else result.camera_centre_world,
     }
 
 

@@ -30,13 +30,17 @@ _ROWS_AT_ONCE = 128
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar"}
 
 
-def write_ply(path: str | Path, scan: Scan, texture: RegisteredTexture, *, frame: OutputFrame = SCANNER_FRAME) -> None:
+def write_ply(
+    path: str | Path, scan: Scan, texture: RegisteredTexture, *, frame: OutputFrame = SCANNER_FRAME, mark: str = ""
+) -> None:
     """Write every return of a scan with its colour, intensity and label; see `ply_bytes`.
+
+    A mark, of a pose that was not verified, is written as a comment.
 
     Raises:
         ExportError: if the file cannot be written.
     """
-    write_chunks(path, _chunks(scan, texture, frame))
+    write_chunks(path, _chunks(scan, texture, frame, mark))
 
 
 def ply_bytes(scan: Scan, texture: RegisteredTexture, *, frame: OutputFrame = SCANNER_FRAME) -> bytes:
@@ -51,7 +55,7 @@ def ply_bytes(scan: Scan, texture: RegisteredTexture, *, frame: OutputFrame = SC
     return b"".join(_chunks(scan, texture, frame))
 
 
-def _chunks(scan: Scan, texture: RegisteredTexture, frame: OutputFrame) -> Iterator[bytes]:
+def _chunks(scan: Scan, texture: RegisteredTexture, frame: OutputFrame, mark: str = "") -> Iterator[bytes]:
     """Yield the header, then the vertices of some rows at a time."""
     if texture.labels.shape != scan.shape:
         raise ShapeError(f"the texture has {texture.labels.shape} cells, the scan {scan.shape}; they must agree")
@@ -61,6 +65,7 @@ def _chunks(scan: Scan, texture: RegisteredTexture, frame: OutputFrame) -> Itera
         "format binary_little_endian 1.0",
         f"comment ladarreg: {frame.sentence}",
         *([f"comment offset_m {' '.join(f'{value:.0f}' for value in frame.offset_m)}"] if any(frame.offset_m) else []),
+        *([f"comment pose: {mark}"] if mark else []),
         f"comment label: {codes}",
         f"element vertex {int(np.count_nonzero(scan.valid))}",
         *(f"property {_PLY_TYPES[_VERTEX[name].str]} {name}" for name in _VERTEX.names or ()),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -118,12 +117,10 @@ class _Report:
         rests_on = document.get("rests_on") or {}
         self._rests_on = str(rests_on.get("sentence") or "")
         self._stale = rests_on.get("current") is False
-        self._shown = registration.accepted or self._given
-        # A given pose may be shown, with a mark on every picture; drawing functions ask for accepted ones.
-        drawn = replace(registration, accepted=True) if self._given else registration
-        mark = "given, not verified" if self._given else "out of date" if self._stale else None
+        self._shown = registration.is_shown
+        mark = registration.mark or ("out of date" if self._stale else None)
         self._pictures = ReportPictures(
-            self._drawn, photo, drawn, texture=texture, mark=mark if self._shown else "rejected guess"
+            self._drawn, photo, registration, texture=texture, mark=mark if self._shown else "rejected guess"
         )
 
     @property
@@ -145,10 +142,14 @@ class _Report:
         )
         return tag(
             "header",
-            tag("h1", f"{self._photo.name} registered with {self._scan.name}" if self._shown else
-                f"{self._photo.name} with {self._scan.name}: not registered"),
+            tag("h1", f"{self._photo.name} {self._words()}"),
             tag("p", tag("span", words, class_=f"badge {kind}"), " ", tag("span", sizes, class_="dim")),
         )  # fmt: skip
+
+    def _words(self) -> str:
+        if self._given:
+            return f"on {self._scan.name}: pose given, not verified"
+        return f"registered with {self._scan.name}" if self._shown else f"with {self._scan.name}: not registered"
 
     def _badge(self) -> tuple[str, str]:
         if self._given:
@@ -176,7 +177,7 @@ class _Report:
         lengths = (self._document.get("diagnostics") or {}).get("lengths") or {}
         refused = _OTHER_LENGTHS if lengths.get("refusal") else _REFUSED
         words = _VERDICTS.get(r.evidence, refused) if self._shown else refused
-        parts: list[Content] = [tag("p", words, class_="lead")]
+        parts: list[Content] = [tag("p", words, class_="note warn lead" if self._given else "lead")]
         if self._stale:
             parts.append(tag("p", f"Out of date. {self._rests_on}", class_="note warn"))
         elif self._rests_on:
@@ -194,10 +195,16 @@ class _Report:
             rms = f", {format_number(found.rms_px)} px rms" if np.isfinite(found.rms_px) else ""
             rows.append(("Matches", f"{found.inliers} of {found.matches} are inliers{rms}"))
         rows.append(
-            ("Position", f"{r.thesis_parameters.describe_position()}, sigma {format_length(r.sigma_position_m)}")
+            (
+                "Position",
+                f"{r.thesis_parameters.describe_position()}, sigma {_sigma(format_length, r.sigma_position_m)}",
+            )
         )
         rows.append(
-            ("Orientation", f"{r.thesis_parameters.describe_orientation()}, sigma {format_angle(r.sigma_angle_rad)}")
+            (
+                "Orientation",
+                f"{r.thesis_parameters.describe_orientation()}, sigma {_sigma(format_angle, r.sigma_angle_rad)}",
+            )
         )
         if r.in_world is not None:
             rows.append(("In the world", r.in_world))
@@ -364,6 +371,10 @@ class _Report:
             for uri, legend, shares, words in self._pictures.maps()
         ]
         return section("maps", "Uncertainty and visibility", tag("div", maps, class_="pictures"))
+
+
+def _sigma(format_: Callable[[float], str], value: float) -> str:
+    return format_(value) if np.isfinite(value) else "unknown"
 
 
 def _px(value: Any) -> str:

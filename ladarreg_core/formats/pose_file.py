@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, ShapeError
 from ladarreg_core.formats.camera_file import read_stated_pose
 from ladarreg_core.formats.json_file import number, parsed_once, read_json_object, write_json
@@ -10,6 +13,7 @@ from ladarreg_core.frames import Rigid
 
 POSE_FIELD = "camera_from_scanner"
 WORLD_FIELD = "camera_from_world"
+GUESS_FIELD = "rejected_guess"
 _SAME_PLACE_M = 1e-4
 _SAME_PLACE_RAD = 1e-5
 
@@ -25,9 +29,10 @@ def read_pose(path: PathLike, *, field: str = POSE_FIELD) -> Rigid:
         FormatError: if it is not JSON with that field, or the field is not a rigid transform.
     """
     with reading(path) as file:
-        rows = read_json_object(file, "a pose file").get(field)
+        fields = read_json_object(file, "a pose file")
+        rows = fields.get(field)
         if rows is None:
-            raise FormatError(f"the field {field!r} is missing; a pose file contains it as 4 rows of 4 numbers")
+            raise FormatError(_missing(fields, field))
         if not (isinstance(rows, list) and len(rows) == 4 and all(isinstance(r, list) and len(r) == 4 for r in rows)):
             raise FormatError(f"{field!r} is {one_line(repr(rows), 60)}; it must be 4 rows of 4 numbers")
         matrix = [[number({field: value}, field) for value in row] for row in rows]
@@ -35,6 +40,15 @@ def read_pose(path: PathLike, *, field: str = POSE_FIELD) -> Rigid:
             return Rigid.from_matrix(matrix)
         except (DegenerateGeometryError, ShapeError) as error:
             raise FormatError(f"{field!r} is not a rigid transform: {error}") from error
+
+
+def _missing(fields: Mapping[str, Any], field: str) -> str:
+    if field == POSE_FIELD and GUESS_FIELD in fields:
+        return (
+            f"it has no pose: the registration was refused ({POSE_FIELD!r} is null), and its best guess "
+            f"({GUESS_FIELD!r}) must not be taken for one; register again, or give another pose"
+        )
+    return f"the field {field!r} is missing; a pose file contains it as 4 rows of 4 numbers"
 
 
 def read_initial(path: PathLike, world_from_scanner: Rigid | None, *, picture: str = "") -> Rigid:

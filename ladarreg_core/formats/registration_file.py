@@ -12,12 +12,14 @@ from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import FormatError, ShapeError
 from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.formats.json_file import choice, number, parsed_once, read_json_object
-from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.pose_file import GUESS_FIELD, POSE_FIELD, read_pose
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
+from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.results import STATED_OFFSET_SIGMA_M, STATED_OFFSET_SIGMA_RAD, Evidence, Offset, Registration
 
 _ASYMMETRY = 1e-6
+_UNKNOWN = np.full((6, 6), np.nan)
 _MATCH_COLUMNS: dict[str, tuple[int, ...]] = {
     "ray": (-1, 3), "uv": (-1, 2), "range_m": (-1,),
     "residual_px": (-1, 2), "residual_m": (-1,), "stereo_depth_error_m": (-1,),
@@ -27,13 +29,18 @@ _MATCH_COLUMNS: dict[str, tuple[int, ...]] = {
 def read_registration(path: PathLike) -> Registration:
     """Read a `registration.json`: pose, camera, covariance and verdict, without its matches and steps.
 
+    Of a refused registration, `camera_from_scanner` is its best guess, as in the result that was written; `accepted` is
+    False, and `has_pose` says whether there was one. The covariance of a pose that was given is NaN.
+
     Raises:
         FormatError: if it is not such a file, or a number in it is invalid.
         CameraError: if its camera is invalid.
     """
     with reading(path) as file, parsed_once():
-        pose = read_pose(path)
         fields = read_json_object(file, "a registration")
+        refused = fields.get("accepted") is False and fields.get(POSE_FIELD) is None and GUESS_FIELD in fields
+        has_pose = not refused or fields[GUESS_FIELD] is not None
+        pose = read_pose(path, field=GUESS_FIELD if refused else POSE_FIELD) if has_pose else Rigid.identity()
         if not isinstance(fields.get("camera"), dict) or not isinstance(fields.get("accepted"), bool):
             raise FormatError("it has a pose but lacks a camera or a verdict; give the registration.json of a result")
         sigma = fields.get("sigma") if isinstance(fields.get("sigma"), dict) else {}
@@ -52,7 +59,9 @@ def read_registration(path: PathLike) -> Registration:
             world_from_scanner=None
             if fields.get("world_from_scanner") is None
             else read_pose(path, field="world_from_scanner"),
-            covariance=_covariance(fields.get("covariance")),
+            covariance=_UNKNOWN
+            if fields.get("covariance") is None and fields.get("evidence") == "given"
+            else _covariance(fields.get("covariance")),
             camera_uncertainty=_camera_uncertainty(fields.get("camera_uncertainty")),
             chi2_per_dof=float("nan"),
             sigma_px=number(sigma, "pixel_px", 1.0),
@@ -60,6 +69,7 @@ def read_registration(path: PathLike) -> Registration:
             accepted=fields["accepted"],
             evidence=cast(Evidence, choice(fields, "evidence", get_args(Evidence))),
             reasons=tuple(reasons),
+            diagnostics={} if has_pose else {"no_candidate": True},
             method=one_line(fields.get("method", "auto"), 40),
         )
 

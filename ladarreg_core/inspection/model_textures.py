@@ -116,11 +116,13 @@ def texture_choices(result: PoseResult | None) -> tuple[TextureChoice, ...]:
     missing = None
     if result is None:
         missing = "needs a pose; there is none yet"
-    elif not result.accepted:
+    elif not result.is_shown:
         missing = "needs an accepted pose; this one is not accepted"
     choices = []
     for kind, (label, description) in _KINDS.items():
         why_not = missing if kind in _NEED_POSE else None
+        if why_not is None and kind == "uncertainty" and result is not None and result.joint_covariance is None:
+            why_not = "needs the uncertainty of the pose, which is not known of a given one"
         if why_not is None and kind == "residual" and result is not None and not result.inliers.any():
             why_not = "needs matches; this pose has none of its own"
         if why_not is None and kind == "depth_error" and result is not None and not _has_stereo_depths(result):
@@ -190,6 +192,7 @@ def model_texture(
     if known == "residual":
         return _of_pixels(residual_field(scan, result), "Residual of the nearby matches, px")
     if known == "uncertainty":
+        assert result.joint_covariance is not None, "the texture is not usable without"
         sigma = picture_sigma(scan, result.camera, result.camera_from_scanner, result.joint_covariance)
         return _of_pixels(sigma, "Standard deviation of the photo position, px")
     if known == "depth_error":

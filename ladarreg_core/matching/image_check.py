@@ -137,7 +137,8 @@ def _judged(scan: Scan, result: PoseResult, found: Verification, rival: AutoResu
         return ImageCheck("undecidable", failed, found)
     pose = result.camera_from_scanner
     apart_px = _displacement_px(scan, result, other)
-    covariance = np.asarray(result.covariance)
+    given = result.evidence == "given"
+    covariance = np.zeros((6, 6)) if given else np.asarray(result.covariance)
     if rival.evidence is not None:
         covariance = covariance + rival.evidence.covariance
     apart = np.concatenate([rotvec_from_rotation(other.rotation @ pose.rotation.T), other.centre - pose.centre])
@@ -149,13 +150,16 @@ def _judged(scan: Scan, result: PoseResult, found: Verification, rival: AutoResu
     if significant and apart_px > GateOptions().same_pose_px:
         return ImageCheck(
             "contradicted",
-            f"The images agree with another placement, {where}: correct the matches, or register automatically.",
+            f"The images agree with another placement, {where}: "
+            + ("check the given pose" if given else "correct the matches")
+            + ", or register automatically.",
             found,
         )
     return ImageCheck(
         "undecidable",
-        f"The images could not confirm it as it is: they agree best with a pose {where}. Draw the matches more "
-        "exactly, or register automatically to use that pose.",
+        f"The images could not confirm it as it is: they agree best with a pose {where}. "
+        + ("Register" if given else "Draw the matches more exactly, or register")
+        + " automatically to use that pose.",
         found,
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray, read_only
+from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError, LadarregError
 from ladarreg_core.formatting import format_number
 from ladarreg_core.quality.findings import Finding, findings
@@ -84,6 +85,8 @@ class Assessment:
 
 
 def _findings(result: PoseResult) -> tuple[Finding, ...]:
+    if len(result.matches) == 0 and result.evidence == "given":
+        raise DegenerateGeometryError("the pose was given, so it has no matches to assess it by")
     if len(result.matches) == 0 and not result.is_determined:
         raise DegenerateGeometryError("no pose was found, so there is nothing to assess; add matches")
     if len(result.matches) == 0 and result.accepted:
@@ -122,11 +125,11 @@ def assess(scan: Scan, result: PoseResult) -> Assessment:
 
 
 def _uncertainty(scan: Scan, result: PoseResult) -> PictureUncertainty:
-    _require_usable_pose(result)
+    covariance = _require_usable_pose(result)
     if scan.ranges.size > LARGEST_WHOLE_SCAN:
-        return _uncertainty_by_tiles(scan, result)
+        return _uncertainty_by_tiles(scan, result, covariance)
     camera, pose = result.camera, result.camera_from_scanner
-    sigma = picture_sigma(scan, camera, pose, result.joint_covariance)
+    sigma = picture_sigma(scan, camera, pose, covariance)
     known = np.isfinite(sigma)
     uv = np.full((*scan.shape, 2), np.nan, dtype=np.float32)
     # One product with a (3, N) matrix is ten times as fast as a million products with 3 x 3 ones.
@@ -153,7 +156,9 @@ def _uncertainty(scan: Scan, result: PoseResult) -> PictureUncertainty:
     )
 
 
-def _uncertainty_by_tiles(scan: Scan, result: PoseResult) -> PictureUncertainty:
+def _uncertainty_by_tiles(
+    scan: Scan, result: PoseResult, covariance: FloatArray | CameraUncertainty
+) -> PictureUncertainty:
     """Return the uncertainty of a large scan, computed only where it is in the photo."""
     camera, pose = result.camera, result.camera_from_scanner
     sigma = np.full(scan.shape, np.nan, np.float32)
@@ -165,7 +170,7 @@ def _uncertainty_by_tiles(scan: Scan, result: PoseResult) -> PictureUncertainty:
         uv = camera.project(points_camera)
         known = camera.contains(uv)
         part = np.full(points.shape[:2], np.nan, np.float32)
-        part[known] = pixel_sigma(points_camera[known], camera, pose.rotation, result.joint_covariance)
+        part[known] = pixel_sigma(points_camera[known], camera, pose.rotation, covariance)
         sigma[rows, columns] = part
         top, left = (max(0, one.start - _SPIKE_MARGIN) for one in (rows, columns))
         around = median_range(scan.ranges[top : rows.stop + _SPIKE_MARGIN, left : columns.stop + _SPIKE_MARGIN])
@@ -194,7 +199,11 @@ def _advice(scan: Scan, result: PoseResult) -> tuple[SuggestedMatch, ...]:
     return found
 
 
-def _require_usable_pose(result: PoseResult) -> None:
+def _require_usable_pose(result: PoseResult) -> FloatArray | CameraUncertainty:
+    """Return the covariance of a pose whose uncertainty means something."""
+    covariance = result.joint_covariance
+    if covariance is None:
+        raise DegenerateGeometryError("the pose was given without its uncertainty")
     if not result.accepted and not result.inliers.any():
         raise DegenerateGeometryError(
             "no match agrees with the pose, so its uncertainty cannot be computed; add matches"
@@ -203,3 +212,4 @@ def _require_usable_pose(result: PoseResult) -> None:
         raise DegenerateGeometryError(
             "the matches do not determine the pose, so its uncertainty means nothing; add matches"
         )
+    return covariance

@@ -105,7 +105,9 @@ def suggest_matches(
         some = None if pickable is None else pickable[::stride, ::stride]
         thinned = suggest_matches(part, result, count=count, apart=apart, pickable=some)
         return tuple(replace(one, cell=(one.cell[0] * stride, one.cell[1] * stride)) for one in thinned)
-    covariance = covariance_factor(result.joint_covariance)
+    covariance = covariance_factor(
+        result.joint_covariance if result.joint_covariance is not None else result.covariance
+    )
     covariance = covariance @ covariance.T
     pose, camera = result.camera_from_scanner, result.camera
     projection = project_scan(scan, camera, pose)

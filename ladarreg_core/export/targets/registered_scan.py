@@ -50,7 +50,7 @@ class RegisteredPhoto:
     @property
     def mark(self) -> str:
         """What every file must say of a pose that was not verified; empty for an accepted one."""
-        return "" if self.registration.accepted else "given, not verified"
+        return self.registration.mark
 
     def assessment(self, scan: Scan) -> Assessment:
         """Return what the result is worth."""
@@ -85,7 +85,7 @@ class RegisteredScan:
         if len(set(ids)) < len(ids):
             raise ExportError(f"two photographs have the same id ({', '.join(ids)}); give each its own")
         for one in photos:
-            if not one.registration.accepted and one.registration.evidence != "given":
+            if not one.registration.is_shown:
                 raise ExportError(
                     f"the pose of {one.photo.name} was refused, so nothing can be exported with it; accept another "
                     "pose, or apply one that you know"

@@ -1,0 +1,59 @@
+"""`ladarreg apply SCAN PHOTO --pose POSE -o OUT`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from ..arguments import PhotoArguments
+from ..exit_codes import ExitCode
+from ..inputs import print_notes, read_inputs, timed
+from ..messages import report, verdict
+from ..process_resources import return_memory
+from ..progress_bar import progress_bar
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(PhotoArguments):
+    """Arguments of `apply`."""
+
+    pose: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """The pose: a pose JSON (scanner or world), a registration.json, or transforms.json."""
+    frame: Literal["scanner", "world"] = "scanner"
+    """Coordinates of model.glb and cloud.ply; world: those of the survey, less the offset stated in offset.json."""
+
+
+def run(arguments: Arguments) -> ExitCode:
+    """Read, colour and export with the given pose, and print what the images say of it."""
+    from ladarreg_core.export.folder import check_folder, export_registration
+    from ladarreg_core.export.output_frame import OutputFrame
+    from ladarreg_core.formats.pose_file import read_initial
+    from ladarreg_core.given import given_pose
+    from ladarreg_core.quality.assessment import assess
+
+    started = time.perf_counter()
+    inputs = [*arguments.input_files, arguments.pose]
+    check_folder(arguments.out, force=arguments.force, inputs=inputs)
+    with progress_bar(quiet=arguments.quiet) as bar:
+        scan, photo = read_inputs(arguments, bar)
+        OutputFrame.of(scan, arguments.frame)  # refuse before the work
+        pose = read_initial(arguments.pose, scan.world_from_scanner, picture=arguments.photo.name)
+        result = given_pose(scan, photo, pose, seed=arguments.seed, report=bar.step)
+        return_memory()
+        assessment = timed("Assess", bar, lambda: assess(scan, result))
+        export_registration(
+            arguments.out, result, scan, photo, assessment=assessment, inputs=inputs, frame=arguments.frame,
+            force=arguments.force, report=bar.progress,
+        )  # fmt: skip
+    if arguments.quiet:
+        print(verdict(result))
+    else:
+        print_notes(scan, photo)
+        print(report(result))
+        print(f"Wrote    {', '.join(sorted(path.name for path in arguments.out.iterdir()))} in {arguments.out}")
+        print(f"Took     {time.perf_counter() - started:.1f} s")
+    return ExitCode.ACCEPTED
