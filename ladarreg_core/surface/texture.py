@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -20,7 +21,13 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import grid_edges
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.uncertainty import pixel_sigma
-from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, ScanProjection, project_scan, projected_tiles
+from ladarreg_core.surface.visibility import (
+    LARGEST_WHOLE_SCAN,
+    ScanProjection,
+    ScanTile,
+    project_scan,
+    projected_tiles,
+)
 from ladarreg_core.validation import require_number
 
 _LARGEST_POSE_SIGMA_PX = 2.0
@@ -111,35 +118,72 @@ def texture_scan(
 
     Source: thesis 2.5.
     """
+    colour = np.asarray(background)
+    if colour.shape != (3,) or colour.dtype.kind not in "iu" or colour.min() < 0 or colour.max() > 255:
+        raise OptionError(f"the background is {background!r}; it must be three whole numbers from 0 to 255")
+    beyond = tuple(int(value) for value in colour)
+    image = np.empty((*scan.shape, 3), np.uint8)
+    image[:] = np.array(beyond, np.uint8)
+    labels = np.full(scan.shape, Label.OUT_OF_FRAME, np.uint8)
+    for part in textured_parts(
+        scan, photo, camera_from_scanner, camera=camera, covariance=covariance, background=beyond
+    ):
+        image[part.rows, part.columns], labels[part.rows, part.columns] = part.image, part.labels
+    labels[~scan.valid] = Label.NO_RETURN
+    for array in (image, labels):
+        array.flags.writeable = False  # handed over, not copied
+    return RegisteredTexture(image, labels)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TexturedPart:
+    """A rectangle of a scan with the colours of a photograph."""
+
+    rows: slice
+    """Rows of the scan."""
+    columns: slice
+    """Columns of the scan."""
+    image: NDArray[np.uint8]
+    """(h, w, 3), as `RegisteredTexture.image`."""
+    labels: NDArray[np.uint8]
+    """(h, w), as `RegisteredTexture.labels`."""
+    projection: ScanProjection
+    """Its cells in the photograph."""
+
+
+def textured_parts(
+    scan: Scan,
+    photo: Photo,
+    camera_from_scanner: Rigid,
+    *,
+    camera: CameraModel | None = None,
+    covariance: FloatArray | CameraUncertainty | None = None,
+    background: tuple[int, ...] = UNSEEN,
+) -> Iterator[TexturedPart]:
+    """Yield the parts of `texture_scan` that a photograph may show, so that memory does not grow with the scan.
+
+    Raises:
+        ShapeError: if the camera is not of the photo's size, or the covariance not (6, 6) and positive.
+    """
     camera = photo.camera if camera is None else camera
     if camera.size != photo.camera.size:
         raise ShapeError(
             f"the camera is for {camera.width} x {camera.height} pixels, the photo has {photo.camera.width} x "
             f"{photo.camera.height}; give the intrinsics for this image size"
         )
-    colour = np.asarray(background)
-    if colour.shape != (3,) or colour.dtype.kind not in "iu" or colour.min() < 0 or colour.max() > 255:
-        raise OptionError(f"the background is {background!r}; it must be three whole numbers from 0 to 255")
     if covariance is not None and not isinstance(covariance, CameraUncertainty):
         covariance = read_only(covariance, np.float64, (6, 6), "the pose covariance")
-    beyond = tuple(int(value) for value in colour)
     if scan.ranges.size > LARGEST_WHOLE_SCAN:
-        image = np.empty((*scan.shape, 3), np.uint8)
-        image[:] = np.array(beyond, np.uint8)
-        labels = np.full(scan.shape, Label.OUT_OF_FRAME, np.uint8)
-        for tile in projected_tiles(scan, camera, camera_from_scanner):
-            part = _labels(tile.scan, tile.projection, camera, camera_from_scanner, covariance)
-            labels[tile.rows, tile.columns] = part[tile.inner]
-            drawn = _sampled(photo.pixels, tile.projection, tile.scan, camera, beyond)
-            image[tile.rows, tile.columns] = drawn[tile.inner]
-        labels[~scan.valid] = Label.NO_RETURN
+        tiles = projected_tiles(scan, camera, camera_from_scanner)
     else:
+        whole = slice(0, scan.shape[0]), slice(0, scan.shape[1])
         projection = project_scan(scan, camera, camera_from_scanner)
-        labels = _labels(scan, projection, camera, camera_from_scanner, covariance)
-        image = _sampled(photo.pixels, projection, scan, camera, beyond)
-    for array in (image, labels):
-        array.flags.writeable = False  # handed over, not copied
-    return RegisteredTexture(image, labels)
+        tiles = iter([ScanTile(*whole, scan, projection, whole)])
+    for tile in tiles:
+        labels = _labels(tile.scan, tile.projection, camera, camera_from_scanner, covariance)
+        image = _sampled(photo.pixels, tile.projection, tile.scan, camera, background)
+        inner = tile.projection.of_cells(*tile.inner)
+        yield TexturedPart(tile.rows, tile.columns, image[tile.inner], labels[tile.inner], inner)
 
 
 def model_picture(scan: Scan, texture: RegisteredTexture) -> ByteArray:

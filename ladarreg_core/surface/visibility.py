@@ -68,6 +68,18 @@ class ScanProjection:
         """(H, W) bool: in the image and not occluded."""
         return self.in_picture & ~self.occluded
 
+    def of_cells(self, rows: slice, columns: slice) -> ScanProjection:
+        """Return the projection of some rows and columns."""
+        part = rows, columns
+        return ScanProjection(
+            self.uv[part],
+            self.depth_m[part],
+            self.in_picture[part],
+            self.occluded[part],
+            self.untested[part],
+            self.cosine[part],
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
@@ -109,6 +121,55 @@ def project_scan(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) ->
     if scan.ranges.size > LARGEST_WHOLE_SCAN:
         return _projection_by_tiles(scan, camera, camera_from_scanner)
     return _projection(scan, camera, camera_from_scanner, None)
+
+
+class Occluder:
+    """The surface of a scan as a camera sees it: whether it hides points that need not be cells of the scan.
+
+    Args:
+        scan: the scan.
+        camera: the camera.
+        camera_from_scanner: its pose.
+    """
+
+    def __init__(self, scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> None:
+        self._camera, self._pose = camera, camera_from_scanner
+        if scan.ranges.size <= LARGEST_WHOLE_SCAN:
+            surfaces: Iterable[_Surface] = (_surface(scan),)
+        else:
+            places = places_in_picture(scan, camera, camera_from_scanner)
+            surfaces = _surfaces_of(scan, places)
+        self._noise_m = grid_edges(scan).noise_m
+        self._buffers = _depth_buffers(
+            camera, _sampled_buffer_scale(scan, camera, camera_from_scanner), surfaces, camera_from_scanner
+        )
+
+    def hides(self, points: FloatArray) -> BoolArray:
+        """Return which points (N, 3) of the scanner frame, m, the surface hides from the camera, (N,) bool.
+
+        A point on the surface is not hidden; neither is one outside of the picture, or without a surface before it.
+        """
+        points_camera = (self._pose @ np.asarray(points, dtype=np.float64)).astype(np.float32)
+        facing = np.ones(len(points_camera), np.float32)  # the incidence of a single point is not known
+        noise_m = np.float32(_TOLERANCE_SIGMAS * self._noise_m)
+        hidden = np.zeros(len(points_camera), np.bool_)
+        for buffer in self._buffers:
+            turned = points_camera
+            if buffer.face is not None:
+                turned = points_camera @ buffer.face.face_from_camera.T.astype(np.float32)
+            at = np.clip(np.nan_to_num(buffer.ideal.project(turned), nan=-1e4), -1e4, 1e5).astype(np.float32)
+            u, v = np.ascontiguousarray(at[None, :, 0]), np.ascontiguousarray(at[None, :, 1])
+            behind = _is_behind(turned[:, 2], look_up(buffer.inverse, u, v)[0], facing, noise_m)
+            hidden |= behind if buffer.face is None else behind & buffer.face.holds(turned)
+        return hidden
+
+
+def _surfaces_of(scan: Scan, places: Iterable[tuple[slice, slice]]) -> Iterator[_Surface]:
+    for place in places:
+        try:
+            yield _surface(scan.window(*_with_margin(*place, scan.shape)))
+        except ShapeError:  # without returns
+            continue
 
 
 @dataclass(frozen=True, slots=True, eq=False)

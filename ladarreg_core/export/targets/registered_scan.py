@@ -17,6 +17,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.quality.assessment import Assessment, assess
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.best_photo import CellColours, PointColourer, PosedPhoto, best_photo
 from ladarreg_core.surface.texture import RegisteredTexture, texture_scan
 
 _NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]+")
@@ -68,7 +69,7 @@ class RegisteredScan:
     scan: Scan
     """The scan, in the scanner's frame."""
     photos: Sequence[RegisteredPhoto]
-    """The photographs; where several see a cell, the best one colours it, see `cell_colours`."""
+    """The photographs; where several see a cell, the best one colours it, see `colours`."""
     scan_file: Path | None = None
     """The file it was read from."""
     scan_options: dict[str, Any] = field(default_factory=dict)
@@ -104,6 +105,23 @@ class RegisteredScan:
             )
             for one in self.photos
         )
+
+    @cached_property
+    def views(self) -> tuple[PosedPhoto, ...]:
+        """The photographs with the poses and cameras by which they are drawn."""
+        return tuple(
+            PosedPhoto(one.photo, one.camera_from_scanner, one.camera, one.registration.joint_covariance)
+            for one in self.photos
+        )
+
+    @cached_property
+    def colours(self) -> CellColours:
+        """The colours of the cells, each by the photograph that shows it best."""
+        return best_photo(self.scan, self.views)
+
+    def point_colourer(self) -> PointColourer:
+        """Return what colours points that need not be cells of the scan."""
+        return PointColourer(self.scan, self.views, self.colours)
 
     @property
     def marks(self) -> tuple[str, ...]:
