@@ -275,9 +275,9 @@ def _merit(part: TexturedPart, camera: CameraModel) -> NDArray[np.int16]:
     with np.errstate(invalid="ignore", divide="ignore"):
         squared = np.float32(camera.focal_px**2) * np.abs(part.projection.cosine) / part.projection.depth_m**2
         steps = np.rint(np.log2(np.maximum(squared, np.float32(1e-6))) * np.float32(_STEPS_PER_OCTAVE / 2))
-    return (
-        rank[part.labels] * np.int16(1000) + np.clip(np.nan_to_num(steps), -400, 400).astype(np.int16) + np.int16(400)
-    )
+    fine = np.clip(np.nan_to_num(steps), -400, 400).astype(np.int16)
+    result: NDArray[np.int16] = rank[part.labels] * np.int16(1000) + fine + np.int16(400)
+    return result
 
 
 def _sigma(scan: Scan, view: PosedPhoto, here: tuple[slice, slice], coloured: NDArray[np.bool_]) -> NDArray[np.float32]:
