@@ -39,7 +39,9 @@ class ReducedMesh:
     """Largest difference along the ray between the mesh and a measured range within it, m; 0: not reduced."""
 
 
-def reduced_mesh(scan: Scan, *, tolerance_m: float | None = None, most_faces: int = MOST_FACES) -> ReducedMesh:
+def reduced_mesh(
+    scan: Scan, *, tolerance_m: float | None = None, most_faces: int = MOST_FACES, groups: IntArray | None = None
+) -> ReducedMesh:
     """Return the surface of a scan with as few triangles as a tolerance allows.
 
     Args:
@@ -48,6 +50,8 @@ def reduced_mesh(scan: Scan, *, tolerance_m: float | None = None, most_faces: in
             median range.
         most_faces: largest number of triangles; the tolerance is increased, and at last the grid thinned, until there
             are no more.
+        groups: (H, W) whole numbers; only cells of one group are drawn together, so that a triangle with corners of
+            two groups is as small as a cell. None: all are one group.
 
     Raises:
         OptionError: if `most_faces` is below 1000.
@@ -59,7 +63,8 @@ def reduced_mesh(scan: Scan, *, tolerance_m: float | None = None, most_faces: in
         if tolerance_m is None:
             tolerance_m = max(_NOISE_SIGMAS * edges.noise_m, _LEAST_RELATIVE * typical_range(part.ranges))
         for _ in range(_MOST_ROUNDS):
-            blocks = _Blocks(part.ranges, edges, tolerance_m)
+            grouped = None if groups is None else groups[::stride, ::stride]
+            blocks = _Blocks(part.ranges, edges, tolerance_m, grouped)
             if blocks.least_faces > most_faces:
                 break  # the rest is not flat at any tolerance: only thinning helps
             faces = blocks.faces()
@@ -104,8 +109,8 @@ def _toward_scanner(faces: IntArray, vertices: FloatArray) -> IntArray:
 class _Blocks:
     """Division of a grid into flat blocks and single cells."""
 
-    def __init__(self, ranges: FloatArray, edges: GridEdges, tolerance_m: float) -> None:
-        self._ranges, self._edges = ranges, edges
+    def __init__(self, ranges: FloatArray, edges: GridEdges, tolerance_m: float, groups: IntArray | None) -> None:
+        self._ranges, self._edges, self._groups = ranges, edges, groups
         self._height, self._width = ranges.shape
         self._single = np.ones((self._height - 1, self._width - 1), np.bool_)
         self._corners: dict[int, IntArray] = {}
@@ -144,6 +149,10 @@ class _Blocks:
         bottom = min(top + _ROWS_AT_ONCE, self._height - 1)
         right, down = self._edges.right[top : bottom + 1], self._edges.down[top:bottom]
         whole: BoolArray = right[:-1] & right[1:] & down[:, :-1] & down[:, 1:]
+        if self._groups is not None:
+            group = self._groups[top : bottom + 1]
+            beside, below = group[:, 1:] == group[:, :-1], group[1:, :-1] == group[:-1, :-1]
+            whole &= beside[:-1] & beside[1:] & below
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             q = np.float32(1) / self._ranges[top : bottom + 1]
         found = {}

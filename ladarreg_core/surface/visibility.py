@@ -15,7 +15,8 @@ from ladarreg_core.camera import Camera, CameraModel, Face, cube_faces
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.mesh import GridEdges, grid_edges, grid_faces, typical_range
+from ladarreg_core.surface.mesh import GridEdges, grid_edges, grid_faces
+from ladarreg_core.surface.normals import length_of, normals_of, range_slopes, ray_gradients
 from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_depth
 from ladarreg_core.surface.remap import look_up
 
@@ -28,8 +29,6 @@ _TOLERANCE_SIGMAS = 4.0
 _LEAST_COSINE = 0.15
 _GRAZING_COSINE = float(np.cos(np.deg2rad(80)))
 _STEEPEST_END = 2.0  # tan 63 deg
-_SLOPE_NOISE = 0.05
-_WIDEST_SLOPE_WINDOW = 5
 LARGEST_WHOLE_SCAN = 4_000_000
 """Cells of the largest scan that is projected in one piece; larger ones are projected tile by tile."""
 _TILE_ROWS, _TILE_CELLS, _TILE_MARGIN = 512, 1_500_000, 32
@@ -259,7 +258,7 @@ def _projection(
     """Project a scan; `buffers` are the occluding surface, None: that of the scan itself."""
     surface = _surface(scan)
     points_camera = _transformed(surface.points, camera_from_scanner)
-    depth = points_camera[..., 2] if isinstance(camera, Camera) else _norm(np.moveaxis(points_camera, -1, 0))
+    depth = points_camera[..., 2] if isinstance(camera, Camera) else length_of(np.moveaxis(points_camera, -1, 0))
     uv = camera.project(points_camera)
     in_picture = camera.contains(uv)
     shape = scan.shape
@@ -375,14 +374,7 @@ def _cosine(surface: _Surface, points_camera: FloatArray, centre: FloatArray) ->
     """Return n . (centre - p) / |centre - p|."""
     along = (centre.astype(np.float32) @ surface.normals.reshape(3, -1)).reshape(surface.distance.shape)
     along -= surface.distance
-    return np.asarray(along / _norm(np.moveaxis(points_camera, -1, 0)))
-
-
-def _norm(planes: FloatArray) -> FloatArray:
-    total = np.square(planes[0])
-    total += np.square(planes[1])
-    total += np.square(planes[2])
-    return np.asarray(np.sqrt(total, out=total))
+    return np.asarray(along / length_of(np.moveaxis(points_camera, -1, 0)))
 
 
 def _buffer_scale(scan: Scan, camera: CameraModel, depth: FloatArray, in_picture: BoolArray) -> float:
@@ -437,73 +429,15 @@ def _surface(scan: Scan) -> _Surface:
     surface = _surface_of_scan.get(scan)
     if surface is None:
         edges = grid_edges(scan)
-        slopes = _range_slopes(scan, edges)
+        slopes = range_slopes(scan, edges)
         rays = np.ascontiguousarray(np.moveaxis(scan.rays, -1, 0), dtype=np.float32)
-        gradients = _ray_gradients(rays)
+        gradients = ray_gradients(rays)
         vertices, faces = _occluder(scan, edges, slopes, rays, gradients)
         points = rays * scan.ranges
-        normals = _normals(rays, gradients, slopes)
+        normals = normals_of(rays, gradients, slopes)
         distance = normals[0] * points[0] + normals[1] * points[1] + normals[2] * points[2]
         surface = _surface_of_scan[scan] = _Surface(vertices, faces, points, normals, distance, edges)
     return surface
-
-
-def _range_slopes(scan: Scan, edges: GridEdges) -> tuple[FloatArray, FloatArray]:
-    """Return the change of ln(range) per (row, column), averaged over edges within one surface; 0 without any.
-
-    The window grows with the noise, which would otherwise tilt the normals of a finely stepped scan.
-    """
-    with np.errstate(invalid="ignore"):
-        log_range = np.log(scan.ranges)
-    typical = typical_range(scan.ranges)
-    slopes = []
-    for axis, on_surface in ((0, edges.down), (1, edges.right)):
-        step = np.where(on_surface, np.diff(log_range, axis=axis), np.float32(0))
-        noise = edges.noise_m / (typical * max(scan.geometry.step_rad[axis], 1e-6))
-        # Differences along a line telescope, across lines they average: the error falls with the 3/2 power.
-        window = int(
-            np.clip(np.ceil(((np.sqrt(2) * noise / _SLOPE_NOISE) ** (2 / 3) - 1) / 2), 0, _WIDEST_SLOPE_WINDOW)
-        )
-        before = [(0, 0), (0, 0)]
-        before[axis] = (1, 1)
-        padded, present = np.pad(step, before), np.pad(on_surface, before).astype(np.float32)
-        pair = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
-        other = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
-        total, count = padded[pair] + padded[other], present[pair] + present[other]
-        if window:
-            size = (2 * window + 1, 2 * window + 1)
-            total, count = _box_sum(total, size), _box_sum(count, size)
-        slopes.append(np.asarray(total / np.maximum(count, 1)))
-    return slopes[0], slopes[1]
-
-
-def _box_sum(values: FloatArray, size: tuple[int, int]) -> FloatArray:
-    return np.asarray(cv2.boxFilter(values, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT), np.float32)
-
-
-def _ray_gradients(rays: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the change of the rays (3, H, W) per (row, column), of the same shape."""
-    by_row, by_column = np.empty_like(rays), np.empty_like(rays)
-    by_row[:, 1:-1] = (rays[:, 2:] - rays[:, :-2]) * np.float32(0.5)
-    by_row[:, 0], by_row[:, -1] = rays[:, 1] - rays[:, 0], rays[:, -1] - rays[:, -2]
-    by_column[..., 1:-1] = (rays[..., 2:] - rays[..., :-2]) * np.float32(0.5)
-    by_column[..., 0], by_column[..., -1] = rays[..., 1] - rays[..., 0], rays[..., -1] - rays[..., -2]
-    return by_row, by_column
-
-
-def _normals(
-    rays: FloatArray, gradients: tuple[FloatArray, FloatArray], slopes: tuple[FloatArray, FloatArray]
-) -> NDArray[np.float32]:
-    """Return unit normals toward the scanner, (3, H, W): with p = r d, dp/r = dd + d dr/r along each axis."""
-    a, b = (gradient + slope * rays for gradient, slope in zip(gradients, slopes, strict=True))
-    normal = np.empty_like(rays)
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        np.multiply(a[i], b[j], out=normal[k])
-        normal[k] -= a[j] * b[i]
-    toward = normal[0] * rays[0] + normal[1] * rays[1] + normal[2] * rays[2]
-    normal /= np.copysign(np.maximum(_norm(normal), np.float32(1e-20)), -toward)
-    return normal
 
 
 def _occluder(
