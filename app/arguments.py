@@ -93,15 +93,9 @@ class ScanArguments:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhotoArguments(ScanArguments):
-    """Scan, photo, and what is known about them; output folder."""
+class CameraArguments(ScanArguments):
+    """What is known of a photo and its camera."""
 
-    scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
-    """Scan: E57, PCD, NPZ or a descriptor JSON."""
-    photo: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTO")]
-    """Photo: JPEG, PNG, TIFF, WebP, AVIF."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
-    """Output folder; an existing one is refused, but see --force."""
     camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Camera of the photo: JSON, OpenCV, ROS, Kalibr, COLMAP, nerfstudio or Agisoft."""
     camera_name: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
@@ -116,6 +110,23 @@ class PhotoArguments(ScanArguments):
     """Model of the photo's camera without a camera file: equirectangular is a panorama; default: as its XMP says."""
     temperature_unit: Literal["K", "C", "none"] | None = None
     """Unit of the pixels of a thermal TIFF that does not state it; none: the pixels are no temperatures."""
+
+    @property
+    def photo_options(self) -> dict[str, Any]:
+        """The arguments of `read_photo`."""
+        return {name: getattr(self, name) for name in CameraArguments.__annotations__}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoArguments(CameraArguments):
+    """Scan, photo, and what is known about them; output folder."""
+
+    scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
+    """Scan: E57, PCD, NPZ or a descriptor JSON."""
+    photo: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTO")]
+    """Photo: JPEG, PNG, TIFF, WebP, AVIF."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
+    """Output folder; an existing one is refused, but see --force."""
     seed: int = 0
     """Random seed; equal seeds give equal results."""
     force: bool = False

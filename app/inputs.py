@@ -30,16 +30,7 @@ def read_inputs(arguments: PhotoArguments, bar: ProgressBar) -> tuple[Scan, Phot
     photo = timed(
         "Read photo",
         bar,
-        lambda: lr.read_photo(
-            arguments.photo,
-            camera=arguments.camera,
-            camera_name=arguments.camera_name,
-            focal_px=arguments.focal_px,
-            focal_mm=arguments.focal_mm,
-            sensor_mm=arguments.sensor_mm,
-            camera_model=arguments.camera_model,
-            temperature_unit=arguments.temperature_unit,
-        ),
+        lambda: lr.read_photo(arguments.photo, **arguments.photo_options),
     )
     return scan, photo
 

@@ -37,6 +37,7 @@ def run(arguments: Arguments) -> ExitCode:
     from ..gateway.options import GatewayOptions
     from ..process_resources import limit_arenas
     from ..stop_signals import StopSignals
+    from ..workbench.given_files import Reading
     from ..workbench.launch import TokenChoice, open_workbench, serve_and_close
     from ..workbench.sample import SAMPLE_NAME, register_sample, sample_files
 
@@ -46,7 +47,7 @@ def run(arguments: Arguments) -> ExitCode:
     scan, photo, camera = sample_files()
     workbench = open_workbench(
         (scan, photo),
-        camera=camera,
+        reading=Reading(camera=camera),
         project=arguments.project,
         name=SAMPLE_NAME,
         check=stop.check,

@@ -13,6 +13,7 @@ from ..arguments import RegisterArguments, check_method, register_options
 from ..exit_codes import ExitCode
 from ..inputs import print_notes, read_inputs, read_start, timed
 from ..messages import assessment_lines, length_lines, report, verdict
+from ..open_command import open_command
 from ..process_resources import return_memory
 from ..progress_bar import ProgressBar, progress_bar
 
@@ -71,6 +72,8 @@ def run(arguments: Arguments) -> ExitCode:
                 f"Smooth   {smoothed.sentence if smoothed else 'Skipped: only an accepted registration is smoothed.'}"
             )
         print(f"Wrote    {', '.join(names)} in {arguments.out}")
+        if not result.accepted:
+            print(f"Open     {open_command(arguments)}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED if result.accepted else ExitCode.NOT_ACCEPTED
 
@@ -141,6 +144,7 @@ def _export(
         smoothed=smoothed,
         inputs=_input_files(arguments),
         frame=arguments.frame,
+        open_command=None if result.accepted else open_command(arguments),
         force=arguments.force,
         report=bar.progress,
     )

@@ -9,22 +9,28 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from ..arguments import CameraArguments
 from ..exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from ..gateway.options import GatewayOptions
+    from ..workbench.given_files import Reading
 
 _TOKEN_VARIABLE = "LADARREG_TOKEN"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(CameraArguments):
     """Arguments of `serve`."""
 
     inputs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[PROJECT | SCAN PHOTO ...]")] = ()
     """A project folder, or a scan and photos to start a project with; default: the start page."""
     project: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of a project that is started with a scan and photos."""
+    matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Manual matches of the photos: JSON, or CSV of points; read where a photo has none yet."""
+    initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Pose from which the search begins: a pose JSON (scanner or world), registration.json, or transforms.json."""
     folder: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Let clients open files below this folder."""
     host: str = "127.0.0.1"
@@ -82,6 +88,35 @@ def run(arguments: Arguments) -> ExitCode:
     return ExitCode.ACCEPTED
 
 
+def _reading(arguments: Arguments) -> Reading:
+    """Return what the command line says about the files.
+
+    Raises:
+        OptionError: if an option has no meaning, or a file does not exist.
+    """
+    from ladarreg_core.errors import OptionError
+    from ladarreg_core.formats.scan_request import ScanRequest
+
+    from ..workbench.given_files import Reading
+
+    files = {name: getattr(arguments, name) for name in ("camera", "matches", "initial")}
+    for path in files.values():
+        if path is not None and not path.exists():
+            raise OptionError(f"{path}: no such file; give another")
+    names = {"camera_name": "name", "camera_model": "model"}
+    camera = {
+        names.get(name, name): value
+        for name, value in arguments.photo_options.items()
+        if value is not None and name not in ("camera", "temperature_unit")
+    }
+    return Reading(
+        scan_options=ScanRequest(**arguments.scan_options).given(),
+        camera_options=camera,
+        temperature_unit=arguments.temperature_unit,
+        **{name: None if path is None else Path(os.path.abspath(path)) for name, path in files.items()},
+    )
+
+
 def _serve(arguments: Arguments, token: str | None, options: GatewayOptions) -> None:
     from ..process_resources import limit_arenas
     from ..stop_signals import StopSignals
@@ -93,6 +128,7 @@ def _serve(arguments: Arguments, token: str | None, options: GatewayOptions) -> 
     workbench = open_workbench(
         arguments.inputs,
         project=arguments.project,
+        reading=_reading(arguments),
         folder=arguments.folder,
         upload_bytes=arguments.upload_limit_mb << 20,
         check=stop.check,

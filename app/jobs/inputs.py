@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
 
 
-FROM_STATED = "The search began at the pose that the scan's file states for this picture."
-"""Note of a pose for which that was the first guess."""
-
-
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """The document, scan and photograph that a job works on."""
@@ -42,11 +38,19 @@ class Inputs:
 
     @property
     def stated_pose(self) -> Rigid | None:
-        """The pose that the scan's file states for the photograph; None without one."""
+        """The pose that the scan's file or the operator states for the photograph; None without one."""
         from ladarreg_core.frames import Rigid
 
         rows = self.entry.stated_pose
         return None if rows is None else Rigid.from_matrix(rows)
+
+    @property
+    def note_on_start(self) -> str:
+        """A sentence on where a search begins, if that is the stated pose; empty otherwise."""
+        if self.entry.stated_pose is None:
+            return ""
+        stated_by = self.entry.stated_by or "the scan's file"
+        return f"The search began at the pose that {stated_by} states for this picture."
 
     @property
     def picks(self) -> list[Pick]:

@@ -10,7 +10,7 @@ from ladarreg_core.project.edits import with_picks, with_pose, without_origin
 from ladarreg_core.project.results import pose_entry, pose_of
 from ladarreg_core.results import STAGE_LABELS
 
-from .inputs import FROM_STATED, Inputs, Workspace
+from .inputs import Inputs, Workspace
 from .runner import JobContext
 from .solve import SolveJobs
 
@@ -38,7 +38,7 @@ class RegistrationJobs:
 
         pose = inputs.entry.pose
         known = pose_of(pose) if pose is not None and pose.accepted else None
-        note = FROM_STATED if known is None and inputs.stated_pose is not None else ""
+        note = inputs.note_on_start if known is None else ""
         result = lr.register(
             inputs.scan,
             inputs.photo,

@@ -13,7 +13,7 @@ from ladarreg_core.project.results import pose_entry, pose_of
 from ladarreg_core.results import STAGE_LABELS
 
 from ..messages import matches, verdict
-from .inputs import FROM_STATED, Inputs, Workspace
+from .inputs import Inputs, Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class SolveJobs:
 
     def note_on_start(self, inputs: Inputs) -> str:
         """Return what there is to say about the pose that solving starts from; empty: nothing."""
-        return FROM_STATED if inputs.entry.pose is None and inputs.stated_pose is not None else ""
+        return inputs.note_on_start if inputs.entry.pose is None else ""
 
     def verify(self, inputs: Inputs, context: JobContext) -> str:
         """Verify the shown pose against the images; whatever the outcome, it is stored with the pose."""

@@ -24,6 +24,7 @@ from ..session.isolated_readers import READERS
 from ..session.loader import Loader
 from ..session.session import Session, now
 from ..stop_signals import StopSignals, exit_now, print_error
+from .given_files import Reading, add_files
 
 if TYPE_CHECKING:
     import viser
@@ -49,7 +50,7 @@ def open_workbench(
     folder: Path | None = None,
     upload_bytes: int = 2 << 30,
     name: str = "",
-    camera: Path | None = None,
+    reading: Reading | None = None,
     clients: Clients | None = None,
     solve_automatically: bool = True,
     check: Callable[[], None] = lambda: None,
@@ -62,7 +63,7 @@ def open_workbench(
         folder: folder whose files clients may open.
         upload_bytes: the largest upload.
         name: name of a project that is started with a scan and photographs; empty: that of the scan.
-        camera: a camera file for new photographs.
+        reading: what is known about the scan and the photographs, beyond their files; None: nothing.
         clients: the clients of the workbench that this one replaces; None: it is the first.
         solve_automatically: whether matches are solved after edits, where the project's settings want it.
         check: called between files; may raise `Cancelled`.
@@ -78,6 +79,7 @@ def open_workbench(
 
     from .workbench import Workbench
 
+    said = reading or Reading()
     given = [Path(os.path.abspath(path)) for path in inputs]
     for path in given:
         if not path.exists():
@@ -86,6 +88,8 @@ def open_workbench(
     if old is None and len(given) == 1 and given[0].is_dir():
         raise OptionError(f"{given[0]} is not a project: it has no project.json; give a project folder, or a scan")
     files = [] if old else given
+    if not files and not said.is_empty:
+        raise OptionError("the options of scans and photographs need them: give SCAN PHOTO with the options")
     is_scratch = project is None and not given
     where = project or old or (_project_folder(files[0], name) if files else None)
     kept = ProjectFolder(where) if where else _scratch_folder()
@@ -114,7 +118,7 @@ def open_workbench(
         raise
     try:
         check()
-        _add_files(workbench, files, camera, check)
+        add_files(workbench, files, said, check)
     except BaseException:
         workbench.close()
         raise
@@ -264,23 +268,6 @@ def _save_and_exit(session: Session) -> None:
         exit_now(ExitCode.FAILED)
     print_error("ladarreg: stopped at once; everything is saved")
     exit_now(ExitCode.INTERRUPTED)
-
-
-def _add_files(workbench: Workbench, files: Sequence[Path], camera: Path | None, check: Callable[[], None]) -> None:
-    """Open the files that are not in the project yet."""
-    if not files:
-        return
-    document, folder = workbench.session.document, workbench.session.folder
-    scan, *photos = files
-    if document.scan is None or folder.source_path(document.scan.path) != scan:
-        workbench.files.open(scan, scan.name, "scan", None, None)
-    there = {folder.source_path(photo.source.path) for photo in workbench.session.document.photos}
-    for photo in photos:
-        check()
-        if photo not in there:
-            made = workbench.files.open(photo, photo.name, "photo", None, None)
-            if camera is not None:
-                workbench.files.open(camera, camera.name, "camera", made, None)
 
 
 def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:

@@ -21,8 +21,10 @@ from ladarreg_core.export.images import (
 from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.export.ply import write_ply
+from ladarreg_core.export.rejected_overlay import write_rejected_overlay
 from ladarreg_core.export.replacement import (
     OFFSET_FILE,
+    OVERLAY_FILE,
     REGISTRATION_FILES,
     REPORT_FILE,
     display_path,
@@ -60,15 +62,16 @@ def export_registration(
     apart_from: Sequence[str | Path] = (),
     more: Sequence[FileJob] = (),
     frame: FrameName = "scanner",
+    open_command: str | None = None,
     force: bool = False,
     report: Report | None = None,
 ) -> None:
     """Write a registration into a new folder.
 
-    `registration.json` and `report.html` always; `registered.png`, `labels.png`, `visibility.png`, `uncertainty.png`,
-    `model.glb` and `cloud.ply` (in the world with `offset.json`) only if the registration is accepted,
-    or its pose was given: then they are marked so. The folder is
-    written atomically, see `write_folder`.
+    `registration.json` and `report.html` always; `rejected_overlay.png` if it is refused; `registered.png`,
+    `labels.png`, `visibility.png`, `uncertainty.png`, `model.glb` and `cloud.ply` (in the world with `offset.json`)
+    only if the registration is accepted, or its pose was given: then they are marked so. The folder is written
+    atomically, see `write_folder`.
 
     Args:
         folder: output folder; missing parents are created.
@@ -81,6 +84,7 @@ def export_registration(
         apart_from: as in `write_folder`.
         more: additional files, such as the picks.
         frame: of `model.glb` and `cloud.ply`; in the world, `offset.json` states what was subtracted.
+        open_command: the command that opens a refused case in the workbench, stated in its document and report.
         force: replace the results of an earlier run.
         report: receives the progress, per file.
 
@@ -91,7 +95,12 @@ def export_registration(
     """
     write_folder(
         folder,
-        lambda: [*registration_files(registration, scan, photo, inputs, assessment, smoothed, frame=frame), *more],
+        lambda: [
+            *registration_files(
+                registration, scan, photo, inputs, assessment, smoothed, frame=frame, open_command=open_command
+            ),
+            *more,
+        ],
         inputs=inputs,
         apart_from=apart_from,
         more_names=[name for name, _ in more],
@@ -248,6 +257,7 @@ def registration_files(
     rests_on: Mapping[str, Any] | None = None,
     *,
     frame: FrameName = "scanner",
+    open_command: str | None = None,
 ) -> list[FileJob]:
     """Return the names and writers of a registration's files; the arguments are those of `export_registration`.
 
@@ -261,6 +271,8 @@ def registration_files(
         described = registration_document(registration, assessment=found, smoothed=smoothed, inputs=inputs)
         if registration.is_shown:
             described["models"] = placed.as_dict()
+        elif open_command is not None:
+            described["open_in_workbench"] = open_command
         return described if rests_on is None else {**described, "rests_on": rests_on}
 
     texture = _textured(registration, scan, photo) if registration.is_shown else None
@@ -270,7 +282,7 @@ def registration_files(
         (REPORT_FILE, lambda path: write_report(path, registration, scan, photo, document(), texture=texture)),
     ]
     if texture is None:
-        return jobs
+        return [*jobs, (OVERLAY_FILE, lambda path: write_rejected_overlay(path, scan, photo, registration))]
     jobs += [
         ("registered.png", lambda path: write_registered_png(path, texture, mark=mark)),
         ("labels.png", lambda path: write_labels_png(path, texture, mark=mark)),

@@ -23,7 +23,11 @@ REGISTRATION_FILES = (
     "registration.json", REPORT_FILE,
     "registered.png", "labels.png", "visibility.png", "uncertainty.png", "model.glb", "cloud.ply",
 )  # fmt: skip
-"""Files of a registration; all but the first two are only written if it is accepted."""
+"""Files of a registration; all but the first two are only written if it is accepted, or its pose was given."""
+OVERLAY_FILE = "rejected_overlay.png"
+"""Picture of a refused registration."""
+REFUSED_FILES = ("registration.json", REPORT_FILE, OVERLAY_FILE)
+"""Files of a registration that was refused; a folder with nothing else may be replaced."""
 OFFSET_FILE = "offset.json"
 """File beside models that are written in the world."""
 MATCHES_FILE = "matches.json"
@@ -78,7 +82,9 @@ def folder_content(folder: Path, *, more_names: Collection[str] = ()) -> FolderC
             others = tuple(
                 name for name in names if not (name in ours if entries[name] else _only_contains(folder, name, ours))
             )
-            refused = document == "registration.json" and fields["accepted"] is False
+            refused = (
+                document == "registration.json" and fields["accepted"] is False and fields.get("evidence") != "given"
+            )
             return FolderContent(names, document, others, refused)
     return FolderContent(names, None, names, False)
 
@@ -109,7 +115,7 @@ def require_replaceable(
             f"the folder {called} contains {_listed(content.others)}{beside}, which ladarreg did not write, so it is "
             "not replaced; give another folder, or move them away first"
         )
-    if force or (content.refused and {*content.names} <= {"registration.json", REPORT_FILE}):
+    if force or (content.refused and {*content.names} <= {*REFUSED_FILES}):
         return
     state = f"contains earlier results ({_listed(content.names)})" if content.names else "exists and is empty"
     raise ExportError(
@@ -158,7 +164,7 @@ def is_project(folder: Path) -> bool:
 
 def remove_results(folder: Path, *, more_names: Collection[str] = ()) -> None:
     """Remove the files that exports write into a folder, and the folder if it is empty then."""
-    registration = {*REGISTRATION_FILES, OFFSET_FILE, MATCHES_FILE, EXPORT_FILE}
+    registration = {*REGISTRATION_FILES, *REFUSED_FILES, OFFSET_FILE, MATCHES_FILE, EXPORT_FILE}
     own = {*registration, *_COMPARISON_FILES, *_SIMULATION_FILES, *_FILE_MANAGER_FILES, *more_names}
     with contextlib.suppress(OSError):
         with os.scandir(folder) as listed:
@@ -230,7 +236,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 def _files_of_registration(fields: Mapping[str, Any]) -> Collection[str] | None:
     ours = _is_export_document(fields) and isinstance(fields.get("accepted"), bool) and "camera_from_scanner" in fields
-    return (*REGISTRATION_FILES, OFFSET_FILE, MATCHES_FILE) if ours else None
+    return (*REGISTRATION_FILES, OVERLAY_FILE, OFFSET_FILE, MATCHES_FILE) if ours else None
 
 
 def _files_of_comparison(fields: Mapping[str, Any]) -> Collection[str] | None:

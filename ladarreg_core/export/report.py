@@ -292,9 +292,11 @@ class _Report:
         )
 
     def _refused_guess(self) -> Html:
+        command = self._document.get("open_in_workbench")
+        opens = [tag("p", "To draw matches by hand, open it in the workbench: ", tag("code", str(command)))]
         if not self._has_guess:
             words = "No pose was found that is worth showing: the candidates are not determined by the data."
-            return section("guess", "Rejected guess", tag("p", words))
+            return section("guess", "Rejected guess", tag("p", words), *(opens if command else ()))
         rows = [(p.name, p.value, p.unit) for p in parameters(self._r)]
         return section(
             "guess",
@@ -306,6 +308,7 @@ class _Report:
             ),
             figure(self._pictures.overlay(), "Edges of the scan at the rejected guess, on the photograph.", wide=True),
             table(("parameter", "guess", "unit"), rows, numbers=(1,)),
+            *(opens if command else ()),
         )
 
     def _matches(self) -> Html:

@@ -180,7 +180,9 @@ class PhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
     camera: CameraGiven = CameraGiven()
     """Camera data given by the operator."""
     stated_pose: Rows | None = None
-    """Pose `camera_from_scanner` (4, 4) that the scan's file states for this picture, which nobody has verified."""
+    """Pose `camera_from_scanner` (4, 4) that the scan's file or the operator states for it; nobody has verified it."""
+    stated_by: str = ""
+    """Name of the file that states it; empty: the scan's."""
     picks: tuple[PickEntry, ...] = ()
     """Picks in the order of their creation."""
     numbered: int = 0

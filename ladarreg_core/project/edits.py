@@ -35,7 +35,9 @@ WEIGHTS = 1e-6, 1e6
 
 def with_scan(document: Document, scan: Source) -> Document:
     """Return the document with another scan, without the picks and poses that belong to the old one."""
-    photos = tuple(replace(p, picks=(), poses=(), shown_stage=None, stated_pose=None) for p in document.photos)
+    photos = tuple(
+        replace(p, picks=(), poses=(), shown_stage=None, stated_pose=None, stated_by="") for p in document.photos
+    )
     return replace(document, scan=scan, photos=photos)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from ladarreg.gateway.protocol import Visitor
 from ladarreg.workbench.clients import Client
+from ladarreg.workbench.given_files import Reading
 from ladarreg.workbench.launch import open_workbench
 from ladarreg.workbench.workbench import Workbench
 
@@ -71,7 +72,9 @@ class WorkbenchDriver:
 
 def open_bench(home: Path, *inputs: Path, camera: Path | None = None, **options: Any) -> WorkbenchDriver:
     """Open a workbench whose project lies in `home`; it solves by itself only with `solve_automatically`."""
-    workbench = open_workbench(inputs, project=home, camera=camera, **{"solve_automatically": False, **options})
+    workbench = open_workbench(
+        inputs, project=home, reading=Reading(camera=camera), **{"solve_automatically": False, **options}
+    )
     bench = WorkbenchDriver(workbench, workbench.join(Visitor("test")))
     workbench.subscribe(bench.received.append, bench.client)
     return bench

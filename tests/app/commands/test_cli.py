@@ -431,7 +431,7 @@ def test_a_uniform_gray_photo_is_not_accepted(tmp_path: Path, capsys: pytest.Cap
     words[2] = str(photo)
     assert main(words) == ExitCode.NOT_ACCEPTED
     assert "Not accepted" in capsys.readouterr().out
-    assert {path.name for path in out.iterdir()} == {"registration.json", "report.html"}
+    assert {path.name for path in out.iterdir()} == {"registration.json", "report.html", "rejected_overlay.png"}
     assert json.loads((out / "registration.json").read_text())["accepted"] is False
 
 

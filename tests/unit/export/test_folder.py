@@ -43,7 +43,7 @@ def test_an_accepted_registration_writes_everything(tmp_path, registration, scan
 
 def test_what_is_not_accepted_is_never_written_as_registered(tmp_path, scan, photo):
     export_registration(tmp_path / "out", sample_registration(accepted=False), scan, photo)
-    assert names(tmp_path / "out") == ["registration.json", "report.html"]
+    assert names(tmp_path / "out") == ["registration.json", "rejected_overlay.png", "report.html"]
     assert json.loads((tmp_path / "out" / "registration.json").read_text(encoding="utf-8"))["accepted"] is False
 
 

@@ -1,0 +1,125 @@
+"""Files of the command line that a project is opened with: scan, photographs, and what is known about them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from ladarreg_core.project import edits
+from ladarreg_core.project.document import CameraGiven, Source
+from ladarreg_core.project.history import NOBODY
+
+from ..session.isolated_readers import READERS
+from .reading import with_reading
+
+if TYPE_CHECKING:
+    from ladarreg_core.project.document import PhotoEntry
+
+    from .workbench import Workbench
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """What the command line says about the files; what is not said stays as it is in the project."""
+
+    scan_options: Mapping[str, Any] = field(default_factory=dict)
+    """Options of `read_scan` that were given."""
+    camera: Path | None = None
+    """Camera file of the photographs."""
+    camera_options: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of `CameraGiven` that were given."""
+    temperature_unit: str | None = None
+    """Unit of thermal images."""
+    matches: Path | None = None
+    """Matches of the photographs."""
+    initial: Path | None = None
+    """Initial pose of the photographs."""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was said."""
+        return self == Reading()
+
+
+def add_files(workbench: Workbench, files: Sequence[Path], reading: Reading, check: Callable[[], None]) -> None:
+    """Open the files that are not in the project yet, as the command line says that they are to be read.
+
+    What it says of a file that is in the project already, and differs, becomes an edit, which can be undone.
+
+    Args:
+        workbench: the workbench.
+        files: the scan and the photographs; empty: nothing is opened.
+        reading: what is said about them.
+        check: called between files; may raise `Cancelled`.
+
+    Raises:
+        LadarregError: if a file cannot be opened.
+    """
+    if not files:
+        return
+    document, folder = workbench.session.document, workbench.session.folder
+    scan, *photos = files
+    there = document.scan
+    same = there is not None and folder.source_path(there.path) == scan
+    if there is None or not same or with_reading(there, reading.scan_options) != there:
+        workbench.files.open(scan, scan.name, "scan", None, None, reading.scan_options)
+    for photo in photos:
+        check()
+        _add_photo(workbench, photo, reading)
+
+
+def _add_photo(workbench: Workbench, photo: Path, reading: Reading) -> None:
+    session = workbench.session
+    known = (p for p in session.document.photos if session.folder.source_path(p.source.path) == photo)
+    entry = next(known, None)
+    unit = reading.temperature_unit
+    if entry is None or (unit is not None and entry.source.temperature_unit != unit):
+        options = {} if unit is None else {"temperature_unit": unit}
+        made = workbench.files.open(photo, photo.name, "photo", None, None, options)
+        entry = edits.require_photo(session.document, made)
+    _set_camera(workbench, entry, reading)
+    _set_initial(workbench, entry, photo, reading)
+    entry = edits.require_photo(session.document, entry.id)
+    if reading.matches is not None and not entry.picks:
+        workbench.files.open(reading.matches, reading.matches.name, "matches", entry.id, None)
+
+
+def _set_camera(workbench: Workbench, entry: PhotoEntry, reading: Reading) -> None:
+    camera = CameraGiven(**reading.camera_options)
+    if reading.camera is not None:
+        size, folder = reading.camera.stat().st_size, workbench.session.folder
+        source = Source(path=folder.relative(reading.camera), name=reading.camera.name, size=size)
+        camera = msgspec.structs.replace(camera, file=source)
+    if camera in (CameraGiven(), entry.camera):
+        return
+    workbench.queries.check_camera(entry, camera)
+    workbench.session.commit(
+        f"Camera of {entry.source.name}",
+        lambda d: edits.edited_photo(d, entry.id, lambda p: edits.with_camera(p, camera)),
+        author=NOBODY,
+    )
+
+
+def _set_initial(workbench: Workbench, entry: PhotoEntry, photo: Path, reading: Reading) -> None:
+    from ladarreg_core.formats.pose_file import read_initial
+
+    session = workbench.session
+    scan = workbench.loader.scan(session.document)
+    if reading.initial is None or scan is None:
+        return
+    stated_by = reading.initial.name
+    pose = READERS.run(read_initial, reading.initial, scan.world_from_scanner, picture=photo.name)
+    rows = tuple(tuple(map(float, row)) for row in pose.matrix)
+    if rows == entry.stated_pose:
+        return
+    session.commit(
+        f"Initial pose of {entry.source.name}",
+        lambda d: edits.edited_photo(
+            d, entry.id, lambda p: msgspec.structs.replace(p, stated_pose=rows, stated_by=stated_by)
+        ),
+        author=NOBODY,
+    )
