@@ -6,10 +6,13 @@ BIN := $(VENV)/bin
 # Half of the tests wait for servers and browsers: one worker more than there are cores.
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2) + 1)
 
-.PHONY: demo test browser clean
+.PHONY: demo test docs browser clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/ladarreg demo
+
+docs: $(VENV)/.installed-dev
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet && echo "build/docs/index.html"
 
 # Everything runs even where an earlier check fails, so that pytest's closing line is always the last; any failure fails.
 test: $(VENV)/.installed-dev browser
