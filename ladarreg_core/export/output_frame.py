@@ -63,8 +63,14 @@ class OutputFrame:
         """Return points (..., 3) of the scanner's frame as they are written, in double precision."""
         if self.name == "scanner":
             return np.asarray(points, dtype=np.float64)
+        pose = self.written_from_scanner
+        return np.asarray(points.astype(np.float64) @ pose.rotation.T + pose.translation)
+
+    @property
+    def written_from_scanner(self) -> Rigid:
+        """The scanner's pose among the written points: in the world less the offset."""
         moved = self.world_from_scanner.translation - np.array(self.offset_m)  # small, and exact
-        return np.asarray(points.astype(np.float64) @ self.world_from_scanner.rotation.T + moved)
+        return Rigid(self.world_from_scanner.rotation, moved)
 
     @property
     def sentence(self) -> str:

@@ -6,9 +6,18 @@ from collections.abc import Sequence
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.targets.report import report_files
+from ladarreg_core.export.targets.ros import ros_files, ros_refusal
 from ladarreg_core.export.targets.target import Target
 
 TARGETS: tuple[Target, ...] = (
+    Target(
+        name="ros",
+        title="ROS 2",
+        purpose="Calibrations, static transforms, a URDF and a recording (MCAP) of cloud and photographs, for ROS 2, "
+        "RViz and Foxglove.",
+        files=ros_files,
+        refusal=ros_refusal,
+    ),
     Target(
         name="report",
         title="Report",
