@@ -5,11 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.export.targets.e57 import e57_files, e57_refusal
 from ladarreg_core.export.targets.report import report_files
 from ladarreg_core.export.targets.ros import ros_files, ros_refusal
 from ladarreg_core.export.targets.target import Target
 
 TARGETS: tuple[Target, ...] = (
+    Target(
+        name="e57",
+        title="E57",
+        purpose="The scan's file as it was, plus colours and the photographs with their poses: for CloudCompare, ReCap "
+        "and other programs for laser scans.",
+        files=e57_files,
+        refusal=e57_refusal,
+    ),
     Target(
         name="ros",
         title="ROS 2",
