@@ -34,7 +34,7 @@ from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, Regist
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.formats.e57 import e57_file
 from ladarreg_core.formats.e57_header import SIGNATURE, read_e57_info, sniff_e57
-from ladarreg_core.formats.untrusted import one_line
+from ladarreg_core.formats.untrusted import one_line, reading
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.surface.best_photo import NO_PHOTO
@@ -57,7 +57,8 @@ def e57_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
         source = _source(handed)
         if source is None:
             return None
-        info = read_e57_info(source)
+        with reading(source) as file:
+            info = read_e57_info(file)
     except LadarregError as error:
         return str(error)
     texts = [field.name for scan in info.scans for field in scan.fields if not field.stored]
