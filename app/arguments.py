@@ -141,6 +141,11 @@ class PhotoArguments(CameraArguments):
         """Every file that was given."""
         return [path for path in (self.scan, self.photo, self.camera) if path is not None]
 
+    @property
+    def read_with(self) -> list[dict[str, Any]]:
+        """The options that the scan and the photo are read with, recorded with the results."""
+        return [self.scan_options, self.photo_options]
+
 
 @dataclass(frozen=True, kw_only=True)
 class InputArguments(PhotoArguments):

@@ -46,8 +46,8 @@ def run(arguments: Arguments) -> ExitCode:
         return_memory()
         assessment = timed("Assess", bar, lambda: assess(scan, result))
         export_registration(
-            arguments.out, result, scan, photo, assessment=assessment, inputs=inputs, frame=arguments.frame,
-            force=arguments.force, report=bar.progress,
+            arguments.out, result, scan, photo, assessment=assessment, inputs=inputs, read_with=arguments.read_with,
+            frame=arguments.frame, force=arguments.force, report=bar.progress,
         )  # fmt: skip
     if arguments.quiet:
         print(verdict(result))

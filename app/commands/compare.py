@@ -62,6 +62,7 @@ def _export(arguments: Arguments, comparison: Comparison, scan: Scan, photo: Pho
         scan,
         photo,
         inputs=arguments.input_files,
+        read_with=arguments.read_with,
         force=arguments.force,
         report=bar.progress,
     )

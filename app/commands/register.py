@@ -143,6 +143,7 @@ def _export(
         assessment=assessment,
         smoothed=smoothed,
         inputs=_input_files(arguments),
+        read_with=arguments.read_with,
         frame=arguments.frame,
         open_command=None if result.accepted else open_command(arguments),
         force=arguments.force,

@@ -62,32 +62,24 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _of_results(arguments: Arguments, bar: ProgressBar) -> Path:
     """Write the report of a folder of results, whose inputs are found by their names and hashes."""
-    import ladarreg_core as lr
     from ladarreg_core.errors import FormatError, OptionError
     from ladarreg_core.export.atomic_write import replaced_file
-    from ladarreg_core.export.json import find_inputs
     from ladarreg_core.export.replacement import REPORT_FILE
     from ladarreg_core.export.report import write_report
-    from ladarreg_core.formats.registration_file import read_result
+    from ladarreg_core.saved_results import read_saved_result
 
     folder = arguments.source
     if arguments.photo is not None:
         raise OptionError("--photo chooses a photo of a project; a folder of results has one only")
-    registration, document = read_result(folder / "registration.json")
-    recorded = document.get("inputs")
-    if not isinstance(recorded, list) or len(recorded) < 2 or not all(isinstance(one, dict) for one in recorded):
-        raise FormatError(f"{folder / 'registration.json'} does not name the scan and the photo that it was made of")
-    places = [*arguments.inputs, folder, folder.resolve().parent, Path.cwd()]
-    scan_path, photo_path = timed("Find inputs", bar, lambda: find_inputs(recorded[:2], places))
+    saved = read_saved_result(folder)
+    scan_path, photo_path = timed("Find inputs", bar, lambda: saved.find(arguments.inputs))
     out = _target(arguments, folder / REPORT_FILE)
-    scan = timed("Read scan", bar, lambda: lr.read_scan(scan_path, report=bar.loading, **arguments.scan_options))
-    unit = arguments.temperature_unit
-    photo = timed(
-        "Read photo", bar, lambda: lr.read_photo(photo_path, camera=registration.camera, temperature_unit=unit)
-    )
+    given, unit = arguments.scan_options, arguments.temperature_unit
+    scan = timed("Read scan", bar, lambda: saved.read_scan(scan_path, given, report=bar.loading))
+    photo = timed("Read photo", bar, lambda: saved.read_photo(photo_path, temperature_unit=unit))
     with replaced_file(out) as new:
         try:
-            timed("Write report", bar, lambda: write_report(new, registration, scan, photo, document))
+            timed("Write report", bar, lambda: write_report(new, saved.registration, scan, photo, saved.document))
         except (KeyError, TypeError, ValueError, AttributeError):  # fields of other types than those that are written
             raise FormatError(f"{folder / 'registration.json'} is damaged; give an unmodified one") from None
     return out

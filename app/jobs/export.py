@@ -116,6 +116,7 @@ class ExportJobs:
             inputs.scan,
             inputs.photo,
             inputs=pose.inputs,
+            read_with=pose.read_with,
             assessment=pose.assessment,
             rests_on=pose.rests_on,
             frame=frame,

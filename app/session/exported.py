@@ -31,10 +31,25 @@ class ExportedPose:
     """Its assessment."""
     inputs: Sequence[Path]
     """The files of the scan, the photograph and its camera, in this order."""
+    read_with: Sequence[Mapping[str, Any]]
+    """The options that the scan and the photograph are read with."""
     picks: Sequence[Pick]
     """The matches that belong to it: the present ones, or those that it was solved on if it is out of date."""
     rests_on: Mapping[str, Any] | None
     """The matches that it was solved on, and whether they are still the same; None: not known."""
+
+    def document(self) -> dict[str, Any]:
+        """Return its `registration.json`.
+
+        Raises:
+            ExportError: if an input cannot be read again.
+        """
+        from ladarreg_core.export.json import registration_document
+
+        document = registration_document(
+            self.registration, assessment=self.assessment, inputs=self.inputs, read_with=self.read_with
+        )
+        return document if self.rests_on is None else {**document, "rests_on": self.rests_on}
 
     def write_report(self, path: Path, scan: Scan, photo: Photo) -> None:
         """Write its report, which replaces a file of this name in one step.
@@ -43,12 +58,9 @@ class ExportedPose:
             LadarregError: if an input cannot be read again, or the file cannot be written.
         """
         from ladarreg_core.export.atomic_write import replaced_file
-        from ladarreg_core.export.json import registration_document
         from ladarreg_core.export.report import write_report
 
-        document = registration_document(self.registration, assessment=self.assessment, inputs=self.inputs)
-        if self.rests_on is not None:
-            document = {**document, "rests_on": self.rests_on}
+        document = self.document()
         with replaced_file(path) as new:
             write_report(new, self.registration, scan, photo, document)
 
@@ -73,6 +85,7 @@ def exported_pose(
         replace(loader.registration(pose), world_from_scanner=scan.world_from_scanner),
         loader.assessment(scan, pose),
         [folder.source_path(source.path) for source in sources if source is not None],
+        [{} if document.scan is None else document.scan.scan_options, entry.photo_options],
         [pick.as_pick() for pick in (then if stale and then is not None else entry.picks)],
         None if then is None else rests_on(entry, pose, then),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from ladarreg_core.export.folder import FileJob, write_folder
 from ladarreg_core.export.images import write_registered_png
 from ladarreg_core.export.json import (
     CAMERA_FROM_SCANNER_IS,
-    input_document,
+    input_documents,
     plain,
     software_document,
     thesis_document,
@@ -53,6 +53,7 @@ def export_comparison(
     photo: Photo,
     *,
     inputs: Sequence[str | Path] = (),
+    read_with: Sequence[Mapping[str, Any]] = (),
     force: bool = False,
     report: Report | None = None,
 ) -> None:
@@ -67,6 +68,7 @@ def export_comparison(
         scan: the scan.
         photo: the photograph.
         inputs: the files that scan and photo were read from, recorded in `comparison.json`.
+        read_with: the options that they were read with, see `json.input_documents`; recorded, too.
         force: replace the results of an earlier run.
         report: receives the progress, before each file and at the end.
 
@@ -75,7 +77,13 @@ def export_comparison(
             written.
         ShapeError: if there is no column, or an image is not on the scan's grid.
     """
-    write_folder(folder, lambda: _files(comparison, scan, photo, inputs), inputs=inputs, force=force, report=report)
+    write_folder(
+        folder,
+        lambda: _files(comparison, scan, photo, inputs, read_with),
+        inputs=inputs,
+        force=force,
+        report=report,
+    )
 
 
 def picture_name(column: Column) -> str | None:
@@ -85,13 +93,20 @@ def picture_name(column: Column) -> str | None:
     return f"{'registered' if column.stage.result.accepted else 'not_accepted'}_{column.stage.name}.png"
 
 
-def comparison_document(comparison: Comparison, scan: Scan, *, inputs: Sequence[str | Path] = ()) -> dict[str, Any]:
+def comparison_document(
+    comparison: Comparison,
+    scan: Scan,
+    *,
+    inputs: Sequence[str | Path] = (),
+    read_with: Sequence[Mapping[str, Any]] = (),
+) -> dict[str, Any]:
     """Return a comparison as a JSON-ready document; undefined numbers are None.
 
     Args:
         comparison: the columns.
         scan: the scan that they share.
         inputs: the input files; their names, sizes and SHA-256 are recorded, without their folders.
+        read_with: how the first of them were read, see `json.input_documents`.
 
     Raises:
         ExportError: if an input file cannot be read.
@@ -106,7 +121,7 @@ def comparison_document(comparison: Comparison, scan: Scan, *, inputs: Sequence[
             for column, apart in zip(comparison.columns, differences(comparison, scan), strict=True)
         ],
         "seed": comparison.seed,
-        "inputs": [input_document(Path(path)) for path in inputs],
+        "inputs": input_documents(inputs, read_with),
         "software": software_document(),
     }
     ready = plain(document)
@@ -129,11 +144,19 @@ def table_text(comparison: Comparison, scan: Scan) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _files(comparison: Comparison, scan: Scan, photo: Photo, inputs: Sequence[str | Path]) -> list[FileJob]:
+def _files(
+    comparison: Comparison,
+    scan: Scan,
+    photo: Photo,
+    inputs: Sequence[str | Path],
+    read_with: Sequence[Mapping[str, Any]],
+) -> list[FileJob]:
     jobs: list[FileJob] = [
         (
             "comparison.json",
-            lambda path: write_document(path, comparison_document(comparison, scan, inputs=inputs)),
+            lambda path: write_document(
+                path, comparison_document(comparison, scan, inputs=inputs, read_with=read_with)
+            ),
         ),
         ("table.md", lambda path: write_bytes(path, table_text(comparison, scan).encode("utf-8"))),
         ("contact_sheet.png", lambda path: write_contact_sheet(path, comparison, scan, photo)),

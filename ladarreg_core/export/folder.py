@@ -59,6 +59,7 @@ def export_registration(
     assessment: Assessment | None = None,
     smoothed: SmoothedScan | None = None,
     inputs: Sequence[str | Path] = (),
+    read_with: Sequence[Mapping[str, Any]] = (),
     apart_from: Sequence[str | Path] = (),
     more: Sequence[FileJob] = (),
     frame: FrameName = "scanner",
@@ -81,6 +82,7 @@ def export_registration(
         assessment: assessment of the result; None: it is computed here.
         smoothed: the scan used for `model.glb` and `cloud.ply`; None: `scan`.
         inputs: the files that scan and photo were read from, recorded in `registration.json`.
+        read_with: the options that they were read with, see `json.input_documents`; recorded, too.
         apart_from: as in `write_folder`.
         more: additional files, such as the picks.
         frame: of `model.glb` and `cloud.ply`; in the world, `offset.json` states what was subtracted.
@@ -97,7 +99,15 @@ def export_registration(
         folder,
         lambda: [
             *registration_files(
-                registration, scan, photo, inputs, assessment, smoothed, frame=frame, open_command=open_command
+                registration,
+                scan,
+                photo,
+                inputs,
+                assessment,
+                smoothed,
+                read_with=read_with,
+                frame=frame,
+                open_command=open_command,
             ),
             *more,
         ],
@@ -256,6 +266,7 @@ def registration_files(
     smoothed: SmoothedScan | None = None,
     rests_on: Mapping[str, Any] | None = None,
     *,
+    read_with: Sequence[Mapping[str, Any]] = (),
     frame: FrameName = "scanner",
     open_command: str | None = None,
 ) -> list[FileJob]:
@@ -268,7 +279,9 @@ def registration_files(
 
     @cache  # hashing the inputs takes longest
     def document() -> dict[str, Any]:
-        described = registration_document(registration, assessment=found, smoothed=smoothed, inputs=inputs)
+        described = registration_document(
+            registration, assessment=found, smoothed=smoothed, inputs=inputs, read_with=read_with
+        )
         if registration.is_shown:
             described["models"] = placed.as_dict()
         elif open_command is not None:

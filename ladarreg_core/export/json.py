@@ -61,6 +61,7 @@ def registration_document(
     assessment: Assessment | None = None,
     smoothed: SmoothedScan | None = None,
     inputs: Sequence[str | Path] = (),
+    read_with: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
     """Return a registration as a JSON-ready document; undefined numbers are None.
 
@@ -69,6 +70,7 @@ def registration_document(
         assessment: assessment of the result; None: that part of the document is empty.
         smoothed: the scan used for the models, if spikes were searched for.
         inputs: the input files; their names, sizes and SHA-256 are recorded, without their folders.
+        read_with: how the first of them were read, see `input_documents`.
 
     Raises:
         ExportError: if an input file cannot be read.
@@ -137,7 +139,7 @@ def registration_document(
         else {"cells_replaced": smoothed.cells_replaced, "sentence": smoothed.sentence},
         "options": r.options,
         "seed": r.seed,
-        "inputs": [input_document(Path(path)) for path in inputs],
+        "inputs": input_documents(inputs, read_with),
         "software": software_document(),
     }
     ready = plain(document)
@@ -233,6 +235,27 @@ def software_document() -> dict[str, str]:
     }
 
 
+def input_documents(inputs: Sequence[str | Path], read_with: Sequence[Mapping[str, Any]] = ()) -> list[dict[str, Any]]:
+    """Return the documents of input files.
+
+    Args:
+        inputs: the files, the scan first, then the photograph.
+        read_with: the options that the first of them were read with, in the same order: the arguments of `read_scan`
+            and `read_photo`, recorded as `read_with` so that nobody need repeat them. A file among them is recorded by
+            its name; options that were not given are left out.
+
+    Raises:
+        ExportError: if a file cannot be read.
+    """
+    found = [input_document(Path(path)) for path in inputs]
+    for document, options in zip(found, read_with, strict=False):
+        given = {name: value for name, value in options.items() if value is not None and value != ()}
+        document["read_with"] = {
+            name: value.name if isinstance(value, Path) else plain(value) for name, value in given.items()
+        }
+    return found
+
+
 def input_document(path: Path) -> dict[str, Any]:
     """Return the name, size and SHA-256 of an input file, without its folder.
 
@@ -251,8 +274,15 @@ def input_document(path: Path) -> dict[str, Any]:
     return {"name": path.name, "size": size, "sha256": digest.hexdigest()}
 
 
-def find_inputs(recorded: Sequence[Mapping[str, Any]], folders: Sequence[Path]) -> list[Path]:
+def find_inputs(
+    recorded: Sequence[Mapping[str, Any]], folders: Sequence[Path], *, option: str = "--inputs"
+) -> list[Path]:
     """Return the files of input documents, found in folders by their names and recognised by their SHA-256.
+
+    Args:
+        recorded: the input documents.
+        folders: the folders; an entry that is a file stands for itself, whatever its name.
+        option: how to give a folder, for messages.
 
     Raises:
         ExportError: if one is not found, or only files of its name with another content.
@@ -260,14 +290,22 @@ def find_inputs(recorded: Sequence[Mapping[str, Any]], folders: Sequence[Path]) 
     found = []
     for record in recorded:
         name = Path(str(record.get("name"))).name
-        there = [folder / name for folder in dict.fromkeys(folders) if (folder / name).is_file()]
-        same = (path for path in there if input_document(path)["sha256"] == record.get("sha256"))
-        path = next(same, None)
+        there = [folder if folder.is_file() else folder / name for folder in dict.fromkeys(folders)]
+        there = [path for path in there if path.is_file()]
+        path = next((path for path in there if _is_recorded(path, record)), None)
         if path is None:
             why = f"{there[0]} differs from it (another SHA-256)" if there else "there is no such file"
-            raise ExportError(f"the input {name} is needed, but {why}; give its folder with --inputs")
+            raise ExportError(f"the input {name} is needed, but {why}; give its folder with {option}")
         found.append(path)
     return found
+
+
+def _is_recorded(path: Path, record: Mapping[str, Any]) -> bool:
+    """Return whether a file is that of an input document; a file of another size is not hashed."""
+    size = record.get("size")
+    if isinstance(size, int) and path.stat().st_size != size:
+        return False
+    return bool(input_document(path)["sha256"] == record.get("sha256"))
 
 
 def plain(value: Any) -> Any:

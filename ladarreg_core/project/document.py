@@ -193,6 +193,20 @@ class PhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Stage whose pose is the current one."""
 
     @property
+    def photo_options(self) -> dict[str, Any]:
+        """What was given for reading the photograph, as arguments of `read_photo`; its camera file by its name."""
+        given = self.camera
+        return {
+            "camera": None if given.file is None else given.file.name,
+            "camera_name": given.name,
+            "focal_px": given.focal_px,
+            "focal_mm": given.focal_mm,
+            "sensor_mm": given.sensor_mm,
+            "camera_model": given.model,
+            "temperature_unit": self.source.temperature_unit,
+        }
+
+    @property
     def pose(self) -> PoseEntry | None:
         """The current pose."""
         return self.stage(self.shown_stage) if self.shown_stage else None

@@ -66,6 +66,12 @@ def export_files(
         ExportError: if a target cannot be written for this scan or these cameras.
     """
     chosen, options = targets_of(targets), options or ExportOptions()
+    if handed.refused and (others := [target.name for target in chosen if not target.shows_refused]):
+        photos = ", ".join(one.photo.name for one in handed.refused)
+        raise ExportError(
+            f"{', '.join(others)} cannot be written: the pose of {photos} was refused, and only a report may show it; "
+            "accept another pose, apply one that you know, or write the report alone"
+        )
     refused = {target.name: why for target in chosen if (why := target.refusal(handed, options))}
     if refused:
         raise ExportError("; ".join(f"{name} cannot be written: {why}" for name, why in refused.items()))
@@ -94,7 +100,7 @@ def _document(
                 "evidence": one.registration.evidence,
                 "mark": one.mark or None,
             }
-            for one in handed.photos
+            for one in (*handed.photos, *handed.refused)
         ],
         "options": {"full": options.full, "crop": options.crop},
         "inputs": [input_document(path) for path in _sources(handed)],
@@ -104,6 +110,6 @@ def _document(
 
 def _sources(handed: RegisteredScan) -> list[Path]:
     listed = [handed.scan_file]
-    for one in handed.photos:
+    for one in (*handed.photos, *handed.refused):
         listed += [one.file, one.camera_file]
     return list(dict.fromkeys(path for path in listed if path is not None))

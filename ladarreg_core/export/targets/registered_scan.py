@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -37,6 +37,10 @@ class RegisteredPhoto:
     """The file it was read from."""
     camera_file: Path | None = None
     """The file that its camera was read from."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """How the photograph was read: the arguments of `read_photo`."""
+    saved_document: Callable[[], Mapping[str, Any]] | None = None
+    """Returns the `registration.json` that it was read from; None: one is made of the registration."""
 
     @property
     def camera(self) -> CameraModel:
@@ -63,7 +67,8 @@ class RegisteredScan:
     """A scan with at least one registered photograph.
 
     Raises:
-        ExportError: if there is no photograph, two have the same id, or a pose was refused.
+        ExportError: if there is no photograph, two have the same id, a pose was refused, or
+            one under `refused` was not.
     """
 
     scan: Scan
@@ -76,13 +81,18 @@ class RegisteredScan:
     """How that file was read: the arguments of `read_scan`."""
     frame: OutputFrame = field(default_factory=OutputFrame)
     """The frame of written points, models and poses; formats with a frame of their own say so."""
+    refused: Sequence[RegisteredPhoto] = ()
+    """Photographs whose pose was refused: a report shows them with the reasons, and nothing else may."""
 
     def __post_init__(self) -> None:
-        photos = tuple(self.photos)
+        photos, refused = tuple(self.photos), tuple(self.refused)
         object.__setattr__(self, "photos", photos)
-        if not photos:
+        object.__setattr__(self, "refused", refused)
+        if any(one.registration.is_shown for one in refused):
+            raise ExportError("a photograph with a pose is listed as refused; list it among the others")
+        if not photos and not refused:
             raise ExportError("there is no registered photograph to export; register one, or give its pose")
-        ids = [one.id for one in photos]
+        ids = [one.id for one in (*photos, *refused)]
         if len(set(ids)) < len(ids):
             raise ExportError(f"two photographs have the same id ({', '.join(ids)}); give each its own")
         for one in photos:

@@ -32,6 +32,7 @@ TARGETS: tuple[Target, ...] = (
         title="Report",
         purpose="One HTML page a photograph with verdict, figures and pictures, to read, print and sign.",
         files=report_files,
+        shows_refused=True,
     ),
 )
 

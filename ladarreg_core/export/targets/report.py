@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+from ladarreg_core.errors import FormatError
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.export.report import write_report
@@ -15,23 +18,33 @@ from ladarreg_core.surface.texture import RegisteredTexture
 
 
 def report_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
-    """Return `ID.html` and `ID.json` of every photograph."""
+    """Return `ID.html` and `ID.json` of every photograph; those whose pose was refused have them, too."""
     del options, report
-    return [
-        job for one, texture in zip(handed.photos, handed.textures, strict=True) for job in _of(handed, one, texture)
-    ]
+    accepted = [job for k, one in enumerate(handed.photos) for job in _of(handed, one, k)]
+    return [*accepted, *(job for one in handed.refused for job in _of(handed, one, None))]
 
 
-def _of(handed: RegisteredScan, one: RegisteredPhoto, texture: RegisteredTexture) -> list[FileJob]:
-    sources = (handed.scan_file, one.file, one.camera_file)
-    inputs = [path for path in sources if path is not None]
+def _of(handed: RegisteredScan, one: RegisteredPhoto, k: int | None) -> list[FileJob]:
+    @cache  # hashing the inputs takes longest
+    def document() -> Mapping[str, Any]:
+        if one.saved_document is not None:
+            return one.saved_document()
+        sources = (handed.scan_file, one.file, one.camera_file)
+        return registration_document(
+            one.registration,
+            assessment=one.assessment(handed.scan),
+            inputs=[path for path in sources if path is not None],
+            read_with=[handed.scan_options, one.options] if handed.scan_file and one.file else (),
+        )
 
     def write(path: Path) -> None:
-        document = registration_document(one.registration, assessment=one.assessment(handed.scan), inputs=inputs)
-        write_report(path, one.registration, handed.scan, one.photo, document, texture=texture)
+        texture: RegisteredTexture | None = None if k is None else handed.textures[k]
+        try:
+            write_report(path, one.registration, handed.scan, one.photo, document(), texture=texture)
+        except (KeyError, TypeError, ValueError, AttributeError):
+            if one.saved_document is None:
+                raise
+            # fields of other types than those that are written
+            raise FormatError(f"the registration.json of {one.photo.name} is damaged; give an unmodified one") from None
 
-    def write_json(path: Path) -> None:
-        found = registration_document(one.registration, assessment=one.assessment(handed.scan), inputs=inputs)
-        write_document(path, found)
-
-    return [(f"{one.id}.html", write), (f"{one.id}.json", write_json)]
+    return [(f"{one.id}.html", write), (f"{one.id}.json", lambda path: write_document(path, document()))]

@@ -47,5 +47,7 @@ class Target:
 
     A writer of a large file reports its progress (`Progress`) at least every second; the report may raise `Cancelled`.
     """
+    shows_refused: bool = False
+    """Whether it may show poses that were refused."""
     refusal: Callable[[RegisteredScan, ExportOptions], str | None] = lambda handed, options: None
     """Returns a sentence (found, needed, what to do) if it cannot be written, before anything is; None otherwise."""

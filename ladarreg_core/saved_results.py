@@ -1,0 +1,253 @@
+"""Saved results: folders with a `registration.json`, opened again together with the files that they were made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from ladarreg_core.errors import ExportError, FormatError, OptionError
+from ladarreg_core.export.json import find_inputs
+from ladarreg_core.export.output_frame import FrameName, OutputFrame
+from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
+from ladarreg_core.formats import read_photo, read_scan
+from ladarreg_core.formats.registration_file import read_result
+from ladarreg_core.photo import Photo
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.results import Registration
+from ladarreg_core.scan import Scan
+
+RESULT_FILE = "registration.json"
+"""The file by which a folder of results is recognised."""
+_DAMAGED = "give an unmodified one"
+
+
+class _ScanReading(msgspec.Struct):
+    """Recorded arguments of `read_scan`."""
+
+    scan_index: int | msgspec.UnsetType = msgspec.UNSET
+    origin: tuple[float, float, float] | msgspec.UnsetType = msgspec.UNSET
+    intensity: Literal["auto", "luma"] | msgspec.UnsetType = msgspec.UNSET
+    columns: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
+    topic: str | msgspec.UnsetType = msgspec.UNSET
+    seconds: float | msgspec.UnsetType = msgspec.UNSET
+
+
+class _PhotoReading(msgspec.Struct):
+    """Recorded arguments of `read_photo`."""
+
+    camera: str | msgspec.UnsetType = msgspec.UNSET
+    camera_name: str | msgspec.UnsetType = msgspec.UNSET
+    focal_px: float | msgspec.UnsetType = msgspec.UNSET
+    focal_mm: float | msgspec.UnsetType = msgspec.UNSET
+    sensor_mm: float | msgspec.UnsetType = msgspec.UNSET
+    camera_model: Literal["pinhole", "equirectangular"] | msgspec.UnsetType = msgspec.UNSET
+    temperature_unit: Literal["K", "C", "none"] | msgspec.UnsetType = msgspec.UNSET
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedResult:
+    """A `registration.json`, and how the files were read that it was made of."""
+
+    file: Path
+    """The `registration.json`."""
+    registration: Registration
+    """The result with its matches; of a refused one with the best guess as its pose."""
+    document: Mapping[str, Any]
+    """The whole document."""
+    inputs: Sequence[Mapping[str, Any]]
+    """Documents of the input files: the scan, the photograph, and others."""
+    scan_options: Mapping[str, Any]
+    """The recorded arguments of `read_scan`; empty in results of earlier versions."""
+    photo_options: Mapping[str, Any] | None
+    """The recorded arguments of `read_photo`, a camera file by its name; None in results of earlier versions."""
+
+    @property
+    def photo_name(self) -> str:
+        """The photograph's file name."""
+        return str(self.inputs[1].get("name"))
+
+    def find(self, folders: Sequence[Path], *, option: str = "--inputs") -> tuple[Path, Path]:
+        """Return the files of scan and photograph, see `find_inputs`.
+
+        Raises:
+            ExportError: if one is not found, or only files of its name with another content.
+        """
+        near = [*folders, self.file.parent, self.file.resolve().parent.parent, Path.cwd()]
+        scan, photo = find_inputs(self.inputs[:2], near, option=option)
+        return scan, photo
+
+    def camera_file(self, folders: Sequence[Path]) -> Path | None:
+        """Return the camera file, if there was one and it is found."""
+        name = (self.photo_options or {}).get("camera")
+        record = next((one for one in self.inputs[2:] if one.get("name") == name), None)
+        if name is None or record is None:
+            return None
+        try:
+            return find_inputs([record], [*folders, self.file.parent, self.file.resolve().parent.parent, Path.cwd()])[0]
+        except ExportError:
+            return None
+
+    def read_scan(self, file: Path, given: Mapping[str, Any] | None = None, *, report: Report | None = None) -> Scan:
+        """Read the scan as it was read for the result.
+
+        Args:
+            file: the scan's file.
+            given: arguments of `read_scan`; those that differ from its defaults precede the recorded ones.
+            report: receives the progress.
+
+        Raises:
+            LadarregError: as `read_scan`.
+        """
+        return read_scan(file, report=report, **self.scan_reading(given))
+
+    def scan_reading(self, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return the arguments of `read_scan`: the recorded ones, and those `given` that are no defaults."""
+        return {**self.scan_options, **_changed(given)}
+
+    def read_photo(self, file: Path, *, temperature_unit: str | None = None) -> Photo:
+        """Read the photograph as it was read for the result, with the camera of the result.
+
+        Args:
+            file: the photograph's file.
+            temperature_unit: precedes the recorded unit.
+
+        Raises:
+            LadarregError: as `read_photo`.
+        """
+        recorded = dict(self.photo_options or {})
+        unit: Any = temperature_unit or recorded.pop("temperature_unit", None)
+        camera = self.registration.camera
+        if self.photo_options is None or "camera" in recorded:  # its size says whether pixels are raw
+            return read_photo(file, camera=camera, temperature_unit=unit)
+        photo = read_photo(file, **{**recorded, "temperature_unit": unit})
+        if photo.camera.size != camera.size:
+            raise FormatError(f"{self.file}: its camera is {camera.size}, the photo {photo.camera.size}; {_DAMAGED}")
+        return replace(photo, camera=camera)
+
+
+def is_saved_result(folder: Path) -> bool:
+    """Return whether a folder has a `registration.json`."""
+    return (folder / RESULT_FILE).is_file()
+
+
+def read_saved_result(folder: str | Path) -> SavedResult:
+    """Read a folder of results, or its `registration.json`.
+
+    Raises:
+        FormatError: if it is none, or damaged.
+    """
+    file = Path(folder) / RESULT_FILE if Path(folder).is_dir() else Path(folder)
+    registration, document = read_result(file)
+    inputs = document.get("inputs")
+    if not isinstance(inputs, list) or len(inputs) < 2 or not all(isinstance(one, dict) for one in inputs):
+        raise FormatError(f"{file} does not name the scan and the photo that it was made of")
+    try:
+        scan = _recorded(inputs[0], _ScanReading)
+        photo = _recorded(inputs[1], _PhotoReading)
+    except msgspec.ValidationError as error:
+        raise FormatError(f"{file}: the options of an input are damaged ({error}); {_DAMAGED}") from None
+    return SavedResult(file, registration, document, inputs, scan or {}, photo)
+
+
+def registered_scan(
+    results: Sequence[SavedResult],
+    *,
+    folders: Sequence[Path] = (),
+    scan_file: Path | None = None,
+    scan_options: Mapping[str, Any] | None = None,
+    temperature_unit: str | None = None,
+    frame: FrameName = "scanner",
+    option: str = "--inputs",
+    report: Report | None = None,
+) -> RegisteredScan:
+    """Return results on the same scan as one hand-over, their inputs read again.
+
+    Args:
+        results: the results, accepted, given or refused; refused ones are listed as such.
+        folders: where inputs are looked for before the folders of the results, the folders above them, and the working
+            folder; a file among them stands for itself. Files are recognised by their SHA-256.
+        scan_file: the scan's file; None: it is looked for.
+        scan_options: arguments of `read_scan` for results that do not record them.
+        temperature_unit: unit of the pixels of thermal photographs whose results do not record it.
+        frame: of written points and poses.
+        option: how to give a folder, for messages.
+        report: receives the progress of reading, with the files' names.
+
+    Raises:
+        OptionError: if there is no result, they are on different scans, or the frame is `world` and the scan does not
+            state where it stands.
+        ExportError: if an input is not found.
+        LadarregError: if an input cannot be read.
+    """
+    if not results:
+        raise OptionError("there is no result to export; give one or several folders of results")
+    _require_one_scan(results, scan_options)
+    near = [*([scan_file] if scan_file else []), *folders]
+    found = [one.find(near, option=option) for one in results]
+    reading = results[0].scan_reading(scan_options)
+    scan = read_scan(found[0][0], report=report, **reading)
+    placed = OutputFrame.of(scan, frame)
+    photos: list[RegisteredPhoto] = []
+    for done, (one, (_, file)) in enumerate(zip(results, found, strict=True)):
+        if report is not None:
+            report(Progress(done, len(results), f"reading {file.name}"))
+        photos.append(
+            RegisteredPhoto(
+                photo_id(file.name, [other.id for other in photos]),
+                one.read_photo(file, temperature_unit=temperature_unit),
+                replace(one.registration, world_from_scanner=scan.world_from_scanner),
+                file,
+                one.camera_file(near),
+                dict(one.photo_options or {}),
+                _document_of(one),
+            )
+        )
+    return RegisteredScan(
+        scan,
+        [one for one in photos if one.registration.is_shown],
+        found[0][0],
+        reading,
+        placed,
+        [one for one in photos if not one.registration.is_shown],
+    )
+
+
+def _document_of(result: SavedResult) -> Callable[[], Mapping[str, Any]]:
+    return lambda: result.document
+
+
+def _require_one_scan(results: Sequence[SavedResult], scan_options: Mapping[str, Any] | None) -> None:
+    first = results[0]
+    for other in results[1:]:
+        if other.inputs[0].get("sha256") != first.inputs[0].get("sha256"):
+            one, two = (f"{result.file.parent} ({result.inputs[0].get('name')})" for result in (first, other))
+            raise OptionError(f"the results are on different scans: {one}, {two}; export the results of each by itself")
+        if other.scan_reading(scan_options) != first.scan_reading(scan_options):
+            raise OptionError(
+                f"{first.file.parent} and {other.file.parent} read {first.inputs[0].get('name')} with different "
+                "options (another scan of the file, or another origin); export each by itself"
+            )
+
+
+def _recorded(record: Mapping[str, Any], kind: type[msgspec.Struct]) -> dict[str, Any] | None:
+    """Return the options that an input document records; None if it is of an earlier version."""
+    fields = record.get("read_with")
+    if fields is None:
+        return None
+    found = msgspec.convert(fields, kind)
+    values = {name: getattr(found, name) for name in kind.__struct_fields__}
+    return {name: value for name, value in values.items() if value is not msgspec.UNSET}
+
+
+def _changed(given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the arguments of `read_scan` that are no defaults."""
+    default = {"scan_index": 0, "intensity": "auto"}
+    return {
+        name: value
+        for name, value in (given or {}).items()
+        if value is not None and value != () and value != default.get(name)
+    }
