@@ -5,15 +5,12 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 import tyro
-
-from .exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from ladarreg_core.registration import RegisterOptions
@@ -21,6 +18,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 _ARGUMENT = re.compile(r"((?:-[a-z] [A-Z]+, )?--[a-z-]+|[A-Z]{3,})(?= |$)")
 _FRAME = re.compile(r"^[\s│|╭╰╮╯─┌└┐┘+]*(?:-{3,})?|[\s│|╮╯─+]*$")
+_INVALID_CHOICE = re.compile(r"invalid choice '([^']*)' for argument '([^']*)'.*?\((.*)\)")
+_TOO_MANY = "Unrecognized options:"
 _THESIS_ONLY = ("t1", "t2_px", "culling", "first_pose", "residual", "reject_depth_m")
 
 
@@ -28,19 +27,43 @@ def parse(kind: type[T], words: Sequence[str], *, prog: str, description: str) -
     """Parse words into a frozen `Arguments`.
 
     Raises:
-        SystemExit: 0 after help, 2 after a one-line error on stderr.
+        OptionError: naming what is missing, misspelt or invalid.
+        SystemExit: 0 after help.
     """
+    from ladarreg_core.errors import OptionError
+
+    from .help import examples_of, help_text, misspelt
+
+    if "-h" in words or "--help" in words:
+        print(help_text(kind, prog=prog, summary=description, examples=examples_of(kind)))
+        raise SystemExit(0)
+    wrong = misspelt(kind, words)
+    if wrong is not None:
+        raise OptionError(f"{wrong} (see {prog} --help)")
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
             return tyro.cli(
                 kind, args=list(words), prog=prog, description=description, config=(tyro.conf.FlagCreatePairsOff,)
             )
-    except SystemExit as stop:
-        if stop.code in (0, None):
-            raise
-        print(f"ladarreg: {condense(errors.getvalue())}; see {prog} --help", file=sys.stderr)
-        raise SystemExit(int(ExitCode.BAD_INPUT)) from None
+    except SystemExit:
+        raise OptionError(f"{_in_words(condense(errors.getvalue()), kind)}; see {prog} --help") from None
+
+
+def _in_words(text: str, kind: type) -> str:
+    """Return an error of the parser on a choice or a word too many in plainer words; any other text unchanged."""
+    from .help import arguments_of, suggestion
+
+    if text.startswith(_TOO_MANY):
+        return f"more words than the command takes:{text.removeprefix(_TOO_MANY)}"
+    found = _INVALID_CHOICE.search(text)
+    if found is None:
+        return text
+    value, name, listed = found.groups()
+    names = {name: one.choices for one in arguments_of(kind) for name in (one.name, *one.flags)}
+    choices = names.get(name.lower()) or [one for one in re.findall(r"'([^']*)'", listed) if one != "None"]
+    near, use = suggestion(value, choices), f"; use one of {', '.join(choices)}"
+    return f"{value!r} is not a choice of {name}{near or use}".rstrip("?")
 
 
 def condense(box: str) -> str:
@@ -62,6 +85,7 @@ def condense(box: str) -> str:
 class ScanArguments:
     """What the file of a scan does not say itself."""
 
+    GROUP: ClassVar[tuple[int, str]] = (30, "scan: what its file does not say itself")
     scan_index: Annotated[int, tyro.conf.arg(aliases=["--scan"], metavar="N")] = 0
     """Index of the scan in a file with several, from 0; `ladarreg info FILE` lists them."""
     origin: Annotated[str | None, tyro.conf.arg(metavar="X,Y,Z")] = None
@@ -96,6 +120,7 @@ class ScanArguments:
 class CameraArguments(ScanArguments):
     """What is known of a photo and its camera."""
 
+    GROUP: ClassVar[tuple[int, str]] = (20, "photo and camera")
     camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Camera of the photo: JSON, OpenCV, ROS, Kalibr, COLMAP, nerfstudio or Agisoft."""
     camera_name: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
@@ -114,7 +139,7 @@ class CameraArguments(ScanArguments):
     @property
     def photo_options(self) -> dict[str, Any]:
         """The arguments of `read_photo`."""
-        return {name: getattr(self, name) for name in CameraArguments.__annotations__}
+        return {name: getattr(self, name) for name in CameraArguments.__annotations__ if name != "GROUP"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,6 +158,8 @@ class PhotoArguments(CameraArguments):
     """Replace OUT if it contains results of an earlier run and nothing else; any other folder is never touched."""
     quiet: bool = False
     """Print no progress, and the verdict in one line."""
+    json: bool = False
+    """Print the result as one JSON document, and nothing else, on stdout; errors, too."""
     debug: bool = False
     """Print a log, and a traceback on failure."""
 
@@ -151,6 +178,7 @@ class PhotoArguments(CameraArguments):
 class InputArguments(PhotoArguments):
     """The inputs, and where to start from."""
 
+    GROUP: ClassVar[tuple[int, str]] = (10, "matches and initial pose")
     matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Manual matches: JSON, or CSV of points; rays, cells, or points with their lengths."""
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -164,31 +192,39 @@ class InputArguments(PhotoArguments):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegisterArguments(InputArguments):
-    """The inputs, and the thresholds of the thesis; an omitted flag leaves the default."""
+class EstimationArguments(InputArguments):
+    """What is estimated, and with which tolerances; an omitted flag leaves the default."""
 
-    t1: Annotated[float | None, tyro.conf.arg(metavar="C")] = None
-    """Thesis: minimum lead of the best correlation over the second best (.2)."""
-    t2_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
-    """Thesis: maximum deviation of a disparity from the median (20)."""
-    culling: Literal["two-sided", "one-sided"] | None = None
-    """Thesis: filter disparities on both sides, or on one as in its Step 5."""
-    first_pose: Literal["linear", "robust", "linear-only"] | None = None
-    """Thesis: the pose that predicts positions for guided matching."""
-    residual: Literal["epipolar", "stereo"] | None = None
-    """Thesis: the residual that the simplex minimises; stereo is Eq 2.21."""
-    reject_depth_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
-    """Thesis: stereo depth error above which a match is an outlier; default: estimated from the data."""
-    samples_per_line: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Thesis: sample points per manual line (9)."""
-    match_tolerance_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
-    """Largest difference allowed between lengths of matches and the scan's ranges; default: 3 sigma, at least .05."""
+    GROUP: ClassVar[tuple[int, str]] = (40, "estimation")
     intrinsics: Literal["auto", "fixed", "focal", "focal-k1", "focal-k1-centre"] | None = None
     """Camera parameters to estimate; auto: those that the image, or held-out matches, support."""
     centre_sigma_percent: Annotated[float | None, tyro.conf.arg(metavar="PERCENT")] = None
     """Without a camera file: standard deviation of the principal point, % of the photo's width (1.5); 0: exact."""
     k1_sigma: Annotated[float | None, tyro.conf.arg(metavar="K1")] = None
     """Without a camera file: standard deviation of the distortion coefficient k1 (.05); 0: exact."""
+    match_tolerance_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    """Largest difference allowed between lengths of matches and the scan's ranges; default: 3 sigma, at least .05."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterArguments(EstimationArguments):
+    """The inputs, and the thresholds of the thesis; an omitted flag leaves the default."""
+
+    GROUP: ClassVar[tuple[int, str]] = (50, "the thesis's method")
+    t1: Annotated[float | None, tyro.conf.arg(metavar="C")] = None
+    """Minimum lead of the best correlation over the second best (.2)."""
+    t2_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
+    """Maximum deviation of a disparity from the median (20)."""
+    culling: Literal["two-sided", "one-sided"] | None = None
+    """Filter disparities on both sides, or on one as in its Step 5."""
+    first_pose: Literal["linear", "robust", "linear-only"] | None = None
+    """The pose that predicts positions for guided matching."""
+    residual: Literal["epipolar", "stereo"] | None = None
+    """The residual that the simplex minimises; stereo is Eq 2.21."""
+    reject_depth_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    """Stereo depth error above which a match is an outlier; default: estimated from the data."""
+    samples_per_line: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Sample points per manual line (9)."""
 
 
 def check_method(arguments: RegisterArguments, method: str) -> None:

@@ -34,6 +34,8 @@ _EXIT_CODES = "Exit codes: 0 success, accepted; 1 failure; 2 bad input; 3 not ac
 def main(args: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code; errors are one line on stderr."""
     words = list(sys.argv[1:] if args is None else args)
+    if len(words) > 1 and words[0] == "help" and not words[1].startswith("-"):
+        words = [words[1], "--help"]
     if not words or words[0] in ("-h", "--help", "help"):
         print(_help())
         return ExitCode.ACCEPTED if words else ExitCode.BAD_INPUT
@@ -43,21 +45,19 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"ladarreg {__version__}")
         return ExitCode.ACCEPTED
     if words[0] not in COMMANDS:
-        return _fail(
-            f"{words[0]!r} is not a command; use one of {', '.join(COMMANDS)} (see ladarreg --help)", ExitCode.BAD_INPUT
-        )
+        return _fail(_no_command(words[0]), ExitCode.BAD_INPUT, as_json="--json" in words)
     debug = "--debug" in words
     interrupt_on_stop_signals()
     try:
         return _run(words[0], words[1:], debug=debug)
-    except SystemExit as stop:  # help and errors of the argument parser
+    except SystemExit as stop:  # after help
         return stop.code if isinstance(stop.code, int) else ExitCode.ACCEPTED
     except (KeyboardInterrupt, Exception) as error:
         if debug:
             import traceback
 
             traceback.print_exc()
-        return _fail(*_explain(error))
+        return _fail(*_explain(error), as_json="--json" in words)
 
 
 def entry_point() -> NoReturn:
@@ -112,9 +112,21 @@ def _stems_from_interrupt(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _fail(text: str, code: ExitCode) -> ExitCode:
+def _no_command(word: str) -> str:
+    from difflib import get_close_matches
+
+    near = get_close_matches(word.lower(), COMMANDS, n=1)
+    wanted = f"did you mean {near[0]}?" if near else f"use one of {', '.join(COMMANDS)}"
+    return f"{word!r} is not a command; {wanted} (see ladarreg --help)"
+
+
+def _fail(text: str, code: ExitCode, *, as_json: bool = False) -> ExitCode:
     from .messages import one_line
 
+    if as_json:
+        import json
+
+        print(json.dumps({"error": one_line(text), "exit_code": int(code)}))
     print(f"ladarreg: {one_line(text)}", file=sys.stderr)
     return code
 
@@ -131,7 +143,7 @@ def _help() -> str:
             "commands:",
             *lines,
             "",
-            "ladarreg COMMAND --help lists the options of a command.",
+            "ladarreg help COMMAND lists the options of a command, with examples.",
             _EXIT_CODES,
         ]
     )

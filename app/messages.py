@@ -16,13 +16,6 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
     from ladarreg_core.self_test.report import SelfTest
 
-ACCEPTED = {
-    "image": "Accepted: verified against the image.",
-    "statistics": "Accepted on match statistics only, not image-verified.",
-    "given": "Given, not verified: this pose was applied, not solved.",
-    "none": "Accepted without evidence.",
-}
-"""The verdict on a pose that is shown, by its evidence."""
 _HEAD_WIDTH = 16
 _MOST_FINDINGS = 4
 _MOST_LENGTHS = 40
@@ -42,14 +35,9 @@ def one_line(text: str) -> str:
 
 def verdict(result: PoseResult) -> str:
     """Return whether a pose is accepted, and on what evidence."""
-    if result.is_shown:
-        return ACCEPTED[result.evidence]
-    if (result.diagnostics.get("lengths") or {}).get("refusal"):
-        return "Not accepted: lengths of the matches disagree with the scan."
-    contradicted = result.diagnostics.get("verification", {}).get("outcome") == "contradicted"
-    return (
-        "Not accepted: contradicted by the images." if contradicted else "Not accepted: the evidence is insufficient."
-    )
+    from ladarreg_core.results import verdict_words
+
+    return verdict_words(result.accepted, result.evidence, result.diagnostics)
 
 
 def position(result: PoseResult) -> str:

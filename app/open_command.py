@@ -19,7 +19,7 @@ def open_command(arguments: InputArguments) -> str:
     names = [*ScanArguments.__annotations__, *CameraArguments.__annotations__, "matches", "initial"]
     for name in names:
         value = getattr(arguments, name)
-        if value == getattr(InputArguments, name):
+        if name == "GROUP" or value == getattr(InputArguments, name):
             continue
         text = os.path.abspath(value) if isinstance(value, Path) else str(value)
         flag = f"--{name.replace('_', '-')}"

@@ -47,6 +47,27 @@ _MOST_POSITION_OF_RANGE = 0.5
 _USUAL_RANGE_M = 10.0
 
 
+VERDICTS: dict[str, str] = {
+    "image": "Accepted: verified against the image.",
+    "statistics": "Accepted on match statistics only, not image-verified.",
+    "given": "Given, not verified: this pose was applied, not solved.",
+    "none": "Accepted without evidence.",
+}
+"""The verdict on a pose that is shown, by its evidence."""
+
+
+def verdict_words(accepted: bool, evidence: str, diagnostics: Mapping[str, Any]) -> str:
+    """Return whether a pose is accepted, and on what evidence, as a sentence; the arguments are a result's."""
+    if accepted or evidence == "given":
+        return VERDICTS.get(evidence, VERDICTS["none"])
+    if (diagnostics.get("lengths") or {}).get("refusal"):
+        return "Not accepted: lengths of the matches disagree with the scan."
+    contradicted = (diagnostics.get("verification") or {}).get("outcome") == "contradicted"
+    return (
+        "Not accepted: contradicted by the images." if contradicted else "Not accepted: the evidence is insufficient."
+    )
+
+
 def is_determined(sigma_angle_rad: float, sigma_position_m: float, ranges_m: FloatArray) -> bool:
     """Return whether standard deviations are small enough for the numbers of a pose to be worth showing.
 

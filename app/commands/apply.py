@@ -12,9 +12,16 @@ import tyro
 from ..arguments import PhotoArguments
 from ..exit_codes import ExitCode
 from ..inputs import print_notes, read_inputs, timed
+from ..json_output import print_written
 from ..messages import report, verdict
 from ..process_resources import return_memory
 from ..progress_bar import progress_bar
+
+EXAMPLES = (
+    "ladarreg apply room.e57 photo.jpg --pose pose.json -o coloured",
+    "# with the camera and the pose of a reconstruction in the scan's world:",
+    "ladarreg apply a.e57 b.jpg --camera cameras.bin --pose cameras.bin -o out",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +56,9 @@ def run(arguments: Arguments) -> ExitCode:
             arguments.out, result, scan, photo, assessment=assessment, inputs=inputs, read_with=arguments.read_with,
             frame=arguments.frame, force=arguments.force, report=bar.progress,
         )  # fmt: skip
-    if arguments.quiet:
+    if arguments.json:
+        print_written(arguments.out, "registration.json", scan, photo)
+    elif arguments.quiet:
         print(verdict(result))
     else:
         print_notes(scan, photo)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ..arguments import RegisterArguments, register_options
 from ..exit_codes import ExitCode
 from ..inputs import print_notes, read_inputs, read_start
+from ..json_output import print_written
 from ..messages import comparison_report, comparison_verdict
 from ..progress_bar import ProgressBar, progress_bar
 
@@ -16,6 +17,11 @@ if TYPE_CHECKING:
     from ladarreg_core.comparison import Comparison
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
+
+EXAMPLES = (
+    "ladarreg compare room.e57 photo.jpg --camera camera.json -o comparison",
+    "ladarreg compare room.e57 photo.jpg --matches matches.json -o comparison",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +40,9 @@ def run(arguments: Arguments) -> ExitCode:
         scan, photo = read_inputs(arguments, bar)
         comparison = _compare(arguments, scan, photo, bar)
         names = _export(arguments, comparison, scan, photo, bar)
-    if arguments.quiet:
+    if arguments.json:
+        print_written(arguments.out, "comparison.json", scan, photo)
+    elif arguments.quiet:
         print(comparison_verdict(comparison))
     else:
         print_notes(scan, photo)

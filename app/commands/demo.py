@@ -10,6 +10,8 @@ import tyro
 
 from ..exit_codes import ExitCode
 
+EXAMPLES = ("ladarreg demo", "ladarreg demo --port 0 --no-browser")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +11,15 @@ import tyro
 
 from ..arguments import ScanArguments
 from ..exit_codes import ExitCode
+from ..json_output import print_json
 from ..messages import one_line
+
+EXAMPLES = (
+    "ladarreg info room.e57",
+    "ladarreg info results/registration.json",
+    "# the images that a scanner took, with their cameras and poses:",
+    "ladarreg info room.e57 --scan 1 --extract images",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +31,8 @@ class Arguments(ScanArguments):
     extract: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Extract the images of an E57 file to this folder, with their cameras, and their poses relative to the
     scan (--scan) for --initial."""
+    json: bool = False
+    """Print the description as one JSON document, and nothing else, on stdout; errors, too."""
     debug: bool = False
     """Print a log, and a traceback on failure."""
 
@@ -31,13 +41,19 @@ def run(arguments: Arguments) -> ExitCode:
     """Print a description of the file, one property a line, and extract its images on request."""
     from ladarreg_core.formats import describe, extract_images
 
-    facts = list(_facts(describe(arguments.file, **arguments.scan_options)))
+    info = describe(arguments.file, **arguments.scan_options)
+    facts = list(_facts(info))
+    extracted: list[str] = []
     if arguments.extract is not None:
         found = extract_images(arguments.file, arguments.extract, scan_index=arguments.scan_index)
         facts += [("left out", one_line(reason)) for reason in found.damaged]
         for image in found:
             written = (image.picture, image.camera, image.pose)
+            extracted += [str(path) for path in written if path is not None]
             facts.append(("extracted", ", ".join(one_line(str(path)) for path in written if path is not None)))
+    if arguments.json:
+        print_json({**asdict(info), "extracted": extracted})
+        return ExitCode.ACCEPTED
     width = max(len(name) for name, _ in facts)
     for name, value in facts:
         print(f"{name:<{width}}  {value}")

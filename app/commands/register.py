@@ -12,6 +12,7 @@ import tyro
 from ..arguments import RegisterArguments, check_method, register_options
 from ..exit_codes import ExitCode
 from ..inputs import print_notes, read_inputs, read_start, timed
+from ..json_output import print_written
 from ..messages import assessment_lines, length_lines, report, verdict
 from ..open_command import open_command
 from ..process_resources import return_memory
@@ -23,6 +24,14 @@ if TYPE_CHECKING:
     from ladarreg_core.quality.smoothing import SmoothedScan
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
+
+EXAMPLES = (
+    "ladarreg register room.e57 photo.jpg -o results",
+    "# with a calibrated camera, in the survey's coordinates:",
+    "ladarreg register room.e57 photo.jpg --camera cam.json --frame world -o out",
+    "# from matches drawn by hand:",
+    "ladarreg register room.e57 photo.jpg --matches matches.json -o results",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +71,9 @@ def run(arguments: Arguments) -> ExitCode:
         assessment = timed("Assess", bar, lambda: assess(scan, result))
         smoothed = _smooth(arguments, result, scan, bar)
         names = _export(arguments, result, scan, photo, bar, assessment=assessment, smoothed=smoothed)
-    if arguments.quiet:
+    if arguments.json:
+        print_written(arguments.out, "registration.json", scan, photo)
+    elif arguments.quiet:
         print(verdict(result))
     else:
         print_notes(scan, photo)

@@ -16,6 +16,12 @@ from ..progress_bar import ProgressBar, progress_bar
 if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry
 
+EXAMPLES = (
+    "ladarreg report results",
+    "# of one photo of a project, into a file of its own:",
+    "ladarreg report my-project --photo photo.jpg -o report.html",
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(ScanArguments):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,11 +11,14 @@ import tyro
 from ..arguments import ScanArguments
 from ..exit_codes import ExitCode
 from ..inputs import timed
+from ..json_output import print_json
 from ..messages import self_test_report
 from ..progress_bar import progress_bar
 
 if TYPE_CHECKING:
     from ladarreg_core.camera import Camera
+
+EXAMPLES = ("ladarreg selftest room.e57 --camera camera.json --photos 30 --seconds 300",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +41,8 @@ class Arguments(ScanArguments):
     """Random seed; equal seeds give equal results."""
     quiet: bool = False
     """Print no progress, and the expectation in one line."""
+    json: bool = False
+    """Print the result as one JSON document, and nothing else, on stdout; errors, too."""
     debug: bool = False
     """Print a log, and a traceback on failure."""
 
@@ -61,7 +66,12 @@ def run(arguments: Arguments) -> ExitCode:
             "Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options)
         )
         found = self_test(scan, camera, options, report=bar.progress)
-    print(found.summary() if arguments.quiet else self_test_report(found))
+    if arguments.json:
+        names = ("accepted_wrongly", "position_mm", "angle_deg", "picture_px", "start_deg")
+        figures = {name: getattr(found, name) for name in names}
+        print_json({"summary": found.summary(), **figures, "trials": [asdict(trial) for trial in found.trials]})
+    else:
+        print(found.summary() if arguments.quiet else self_test_report(found))
     return ExitCode.NOT_ACCEPTED if found.accepted_wrongly else ExitCode.ACCEPTED
 
 

@@ -18,6 +18,13 @@ if TYPE_CHECKING:
 
 _TOKEN_VARIABLE = "LADARREG_TOKEN"
 
+EXAMPLES = (
+    "ladarreg serve",
+    "ladarreg serve room.e57 photo.jpg --focal-px 2900",
+    "# for others on the network, see docs/remote.md:",
+    "ladarreg serve my-project --host 0.0.0.0 --certfile a.pem --keyfile b.pem",
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(CameraArguments):

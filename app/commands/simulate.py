@@ -11,6 +11,11 @@ import tyro
 
 from ..exit_codes import ExitCode
 
+EXAMPLES = (
+    "ladarreg simulate office -o case",
+    "ladarreg simulate desk --set hard --seed 7 -o hard-case",
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:

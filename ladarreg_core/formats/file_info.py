@@ -40,7 +40,7 @@ from ladarreg_core.frames import ThesisParameters, describe_direction, describe_
 from ladarreg_core.scan import Scan
 from ladarreg_core.thermal import kelvin_of, may_be_celsius
 
-FileKind = Literal["scan", "photo", "camera", "pose", "matches"]
+FileKind = Literal["scan", "photo", "camera", "pose", "matches", "results"]
 _MOST_LISTED = 50
 _MOST_DESCRIBED_BY_READING = 2_000_000
 
@@ -57,6 +57,14 @@ class FileInfo:
     """Kind of content."""
     format: str
     """Name of the file format."""
+    verdict: str | None = None
+    """Verdict of a registration."""
+    evidence: str | None = None
+    """What it rests on: `image`, `statistics`, `given` or `none`."""
+    method: str | None = None
+    """Method of a registration."""
+    reasons: tuple[str, ...] = ()
+    """Reasons of the verdict."""
     size: str | None = None
     """Rows and columns, or width and height."""
     returns: int | None = None
@@ -87,6 +95,16 @@ class FileInfo:
     """Where the scanner stands in the world, formatted; empty: the file does not state it."""
     matches: str | None = None
     """Number of points and lines."""
+    rejected_guess: Mapping[str, Any] = field(default_factory=dict)
+    """Best candidate of a refused registration, formatted; it is no pose."""
+    sigma: Mapping[str, Any] = field(default_factory=dict)
+    """Standard deviations of a pose."""
+    contents: tuple[str, ...] = ()
+    """What results consist of."""
+    inputs: tuple[str, ...] = ()
+    """Files that results were made of."""
+    made_by: str | None = None
+    """Software that wrote results."""
     notes: tuple[str, ...] = ()
     """Remarks that the operator should read."""
 

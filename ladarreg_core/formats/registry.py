@@ -45,6 +45,7 @@ from ladarreg_core.formats.pcd import read_pcd, sniff_pcd
 from ladarreg_core.formats.ply import read_ply, sniff_ply
 from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD
 from ladarreg_core.formats.ptx import read_ptx, sniff_ptx
+from ladarreg_core.formats.results_info import describe_results
 from ladarreg_core.formats.scan_request import IntensitySource, ScanRequest
 from ladarreg_core.formats.text_cloud import read_text_cloud, sniff_pts, sniff_text_cloud
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
@@ -376,7 +377,7 @@ def describe(
     topic: str | None = None,
     seconds: float | None = None,
 ) -> FileInfo:
-    """Describe a file of any supported format: scan, photograph, camera, pose or matches.
+    """Describe a file of any supported format: scan, photograph, camera, pose, matches or results.
 
     Args:
         path: the file.
@@ -389,6 +390,10 @@ def describe(
         scan_index=scan_index, origin=origin, intensity=intensity, columns=columns, topic=topic, seconds=seconds
     )
     with parsed_once():
+        results = describe_results(Path(path))
+        if results is not None:
+            asked.require_only((), results.format)
+            return results
         found = recognise(path)
         asked.require_only(found.takes, found.name)
         return found.describe(Path(path), asked)

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ladarreg.arguments import condense
 from ladarreg.exit_codes import ExitCode
-from ladarreg.messages import ACCEPTED, assessment_lines, one_line
+from ladarreg.messages import assessment_lines, one_line
 from ladarreg.progress_bar import progress_bar
 
 from ladarreg_core.progress import Progress, Step
 from ladarreg_core.quality.assessment import Assessment
 from ladarreg_core.quality.findings import LEVELS, Finding
-from ladarreg_core.results import STAGE_LABELS, Evidence, StageId, StageName
+from ladarreg_core.results import STAGE_LABELS, VERDICTS, Evidence, StageId, StageName
 from tests.unit.export.samples import sample_registration
 
 
@@ -36,7 +36,7 @@ def test_any_box_becomes_one_line(lines: list[str]) -> None:
 
 def test_every_stage_has_a_label_and_every_evidence_a_verdict() -> None:
     assert set(STAGE_LABELS) == {*get_args(StageId), *get_args(StageName)}
-    assert set(ACCEPTED) >= set(get_args(Evidence))
+    assert set(VERDICTS) >= set(get_args(Evidence))
 
 
 def test_exit_codes_are_fixed() -> None:

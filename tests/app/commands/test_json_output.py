@@ -1,0 +1,132 @@
+"""`--json`: one document on stdout and nothing else; and what `info` says of results."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ladarreg.cli import main
+from ladarreg.exit_codes import ExitCode
+from PIL import Image
+
+from ladarreg_core.formats import describe
+from ladarreg_core.simulate.sample import sample_folder
+
+SAMPLE = sample_folder()
+INPUTS = [str(SAMPLE / "scan.npz"), str(SAMPLE / "photo.png"), "--camera", str(SAMPLE / "camera.json")]
+
+
+def document(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """Return what stdout consists of: one line of strict JSON."""
+    out = capsys.readouterr().out
+    assert out.count("\n") == 1
+    return json.loads(out, parse_constant=pytest.fail)  # type: ignore[no-any-return]
+
+
+def test_register_prints_the_registration_and_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert main(["register", *INPUTS, "-o", str(out), "--json"]) == ExitCode.ACCEPTED
+    found = document(capsys)
+    output = found.pop("output")
+    assert output == {"folder": str(out), "files": sorted(path.name for path in out.iterdir())}
+    notes = found.pop("notes")
+    assert isinstance(notes, list)
+    assert found == json.loads((out / "registration.json").read_text())
+    assert main(["info", str(out / "registration.json"), "--json"]) == 0
+    info = document(capsys)
+    assert (info["kind"], info["verdict"]) == ("results", "Accepted: verified against the image.")
+    assert info["sigma"]["position_mm"] == pytest.approx(1000 * found["sigma"]["position_m"])
+    assert [one.split(" ")[0] for one in info["inputs"]] == ["scan.npz", "photo.png", "camera.json"]
+    assert info["rejected_guess"] == {}
+
+
+def test_a_refused_registration_is_a_document_too_and_info_shows_a_guess_as_a_guess(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photo, out = tmp_path / "mirror.png", tmp_path / "out"
+    Image.fromarray(np.array(Image.open(SAMPLE / "photo.png"))[:, ::-1]).save(photo)
+    words = ["register", INPUTS[0], str(photo), "--focal-px", "974", "-o", str(out), "--json"]
+    assert main(words) == ExitCode.NOT_ACCEPTED
+    found = document(capsys)
+    assert found["camera_from_scanner"] is None
+    assert found["open_in_workbench"].startswith("ladarreg serve ")
+    assert main(["info", str(out / "registration.json")]) == 0
+    shown = capsys.readouterr().out
+    assert "Not accepted: the evidence is insufficient." in shown
+    assert "rejected guess camera" in shown
+    assert "it is no pose" in shown or "is no pose: do not use it" in shown
+    assert "\npose camera" not in shown
+    assert "sigma" not in shown
+    # A file of an earlier version has the guess in the place of the pose.
+    fields = json.loads((out / "registration.json").read_text())
+    fields["camera_from_scanner"] = fields.pop("rejected_guess")
+    old = tmp_path / "registration.json"
+    old.write_text(json.dumps(fields))
+    info = describe(old)
+    assert info.pose == {}
+    assert info.rejected_guess["camera"]
+
+
+def test_apply_prints_a_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["apply", *INPUTS, "--pose", str(SAMPLE / "truth.json"), "-o", str(tmp_path / "out"), "--json"]
+    assert main(words) == ExitCode.ACCEPTED
+    found = document(capsys)
+    assert (found["evidence"], found["accepted"], found["covariance"]) == ("given", False, None)
+    assert main(["info", str(tmp_path / "out" / "registration.json")]) == 0
+    shown = capsys.readouterr().out
+    assert "Given, not verified" in shown
+    assert "unknown" in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["register", "none.npz", "none.jpg", "-o", "out", "--json"], "none.npz"),
+        (["apply", *INPUTS, "-o", "out", "--json"], "--pose"),
+        (["info", "none", "--json"], "none"),
+        (["regster", "--json"], "did you mean register?"),
+        (["register", "a", "b", "-o", "c", "--focal-p", "3", "--json"], "--focal-px"),
+    ],
+)
+def test_an_error_is_a_document_too_and_one_line_on_stderr(
+    words: list[str], part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == ExitCode.BAD_INPUT
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
+    assert set(found) == {"error", "exit_code"}
+    assert part in found["error"]
+    assert found["exit_code"] == 2
+    assert captured.err.endswith(f"ladarreg: {found['error']}\n")
+
+
+def test_info_of_a_scan_and_a_pose_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", INPUTS[0], "--json"]) == 0
+    scan = document(capsys)
+    assert (scan["kind"], scan["returns"]) == ("scan", 683_826)
+    assert main(["info", str(SAMPLE / "truth.json"), "--json"]) == 0
+    assert document(capsys)["kind"] == "pose"
+
+
+EXPORT = {
+    "version": 1, "kind": "export", "targets": [{"name": "laz"}], "files": ["export.json", "laz/a.laz"],
+    "photos": [{"id": "a", "name": "a", "evidence": "given", "mark": "given, not verified"}],
+    "inputs": [{"name": "s.e57", "size": 3, "sha256": "ab"}], "software": {"name": "ladarreg", "version": "1"},
+}  # fmt: skip
+
+
+def test_info_of_other_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "export.json"
+    path.write_text(json.dumps(EXPORT))
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert "2 files for laz" in shown
+    assert "a (a): given, not verified" in shown
+    for damage in ({"photos": 3}, {"photos": [3]}, {"targets": [None]}, {"inputs": [{}]}, {"inputs": {"a": 1}}):
+        path.write_text(json.dumps({**EXPORT, **damage}))
+        assert main(["info", str(path)]) == ExitCode.BAD_INPUT, damage
+        assert "damaged" in capsys.readouterr().err
