@@ -239,14 +239,26 @@ def _sampled_intensity(scan: Scan) -> FloatArray:
     return some if len(some) else scan.intensity[scan.valid]
 
 
+def intensity_levels(scan: Scan) -> tuple[float, float]:
+    """Return the intensities that are drawn darkest and brightest in a picture of the scan."""
+    low, high = np.percentile(_sampled_intensity(scan), _PERCENTILES)
+    return float(low), float(high)
+
+
+def intensity_rows(intensity: FloatArray, levels: tuple[float, float]) -> NDArray[np.uint8]:
+    """Return intensities (...,) as gray levels with stretched contrast, given `intensity_levels` of their scan."""
+    low, high = levels
+    share = np.clip((intensity - np.float32(low)) / np.float32(max(high - low, 1e-12)), 0, 1)
+    return np.asarray(np.rint(_DARKEST + share**_GAMMA * (_BRIGHTEST - _DARKEST)), dtype=np.uint8)
+
+
 def intensity_picture(scan: Scan) -> ByteArray:
     """Return the scan's intensity, with stretched contrast, as gray RGB, (H, W, 3) uint8."""
-    low, high = np.percentile(_sampled_intensity(scan), _PERCENTILES)
+    levels = intensity_levels(scan)
     gray = np.empty(scan.shape, np.uint8)
     for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)
-        share = np.clip((scan.intensity[rows] - np.float32(low)) / np.float32(max(high - low, 1e-12)), 0, 1)
-        gray[rows] = np.rint(_DARKEST + share**_GAMMA * (_BRIGHTEST - _DARKEST))
+        gray[rows] = intensity_rows(scan.intensity[rows], levels)
     gray[~scan.valid] = 0
     return np.repeat(gray[..., None], 3, axis=-1)
 

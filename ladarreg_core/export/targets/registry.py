@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.targets.e57 import e57_files, e57_refusal
+from ladarreg_core.export.targets.laz import laz_files
+from ladarreg_core.export.targets.ply import ply_files
 from ladarreg_core.export.targets.report import report_files
 from ladarreg_core.export.targets.ros import ros_files, ros_refusal
 from ladarreg_core.export.targets.target import Target
@@ -26,6 +28,18 @@ TARGETS: tuple[Target, ...] = (
         "RViz and Foxglove.",
         files=ros_files,
         refusal=ros_refusal,
+    ),
+    Target(
+        name="laz",
+        title="LAS / LAZ",
+        purpose="The coloured cloud as LAS 1.4, compressed: CloudCompare, QGIS, PDAL, and surveying programs.",
+        files=laz_files,
+    ),
+    Target(
+        name="ply",
+        title="PLY cloud",
+        purpose="The coloured cloud with intensity, label and uncertainty as fields: CloudCompare, MeshLab, Open3D.",
+        files=ply_files,
     ),
     Target(
         name="report",

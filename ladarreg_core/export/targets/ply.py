@@ -1,0 +1,25 @@
+"""The target `ply`: the coloured cloud, one point a return, as binary PLY."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ladarreg_core.export.folder import FileJob
+from ladarreg_core.export.ply import write_ply
+from ladarreg_core.export.replacement import OFFSET_FILE
+from ladarreg_core.export.targets.registered_scan import RegisteredScan
+from ladarreg_core.export.targets.target import ExportOptions
+from ladarreg_core.progress import Report
+
+
+def ply_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
+    """Return the cloud, and in the world `offset.json`."""
+    del options
+    comments = [f"photo_id {k}: {one.photo.name} ({one.mark or 'accepted'})" for k, one in enumerate(handed.photos, 1)]
+
+    def write(path: Path) -> None:
+        write_ply(path, handed.scan, handed.colours, frame=handed.frame, comments=comments, report=report)
+
+    jobs: list[FileJob] = [("cloud.ply", write)]
+    return jobs if handed.frame.name == "scanner" else [*jobs, (OFFSET_FILE, handed.frame.write)]
