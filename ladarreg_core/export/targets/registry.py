@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.targets.e57 import e57_files, e57_refusal
+from ladarreg_core.export.targets.kalibr import kalibr_files, kalibr_refusal
 from ladarreg_core.export.targets.laz import laz_files
+from ladarreg_core.export.targets.opencv import opencv_files, opencv_refusal
 from ladarreg_core.export.targets.ply import ply_files
 from ladarreg_core.export.targets.report import report_files
 from ladarreg_core.export.targets.ros import ros_files, ros_refusal
@@ -40,6 +42,20 @@ TARGETS: tuple[Target, ...] = (
         title="PLY cloud",
         purpose="The coloured cloud with intensity, label and uncertainty as fields: CloudCompare, MeshLab, Open3D.",
         files=ply_files,
+    ),
+    Target(
+        name="opencv",
+        title="OpenCV",
+        purpose="One YAML a photograph with camera matrix, distortion and pose, for programs that call OpenCV.",
+        files=opencv_files,
+        refusal=opencv_refusal,
+    ),
+    Target(
+        name="kalibr",
+        title="Kalibr",
+        purpose="Camchains with intrinsics and the relative poses of several cameras, for Kalibr and odometry.",
+        files=kalibr_files,
+        refusal=kalibr_refusal,
     ),
     Target(
         name="report",

@@ -1,0 +1,121 @@
+"""What the targets for cameras share: sentences about a photograph, its picture as a file, and its undistorted form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import ByteArray
+from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.errors import ExportError
+from ladarreg_core.export.atomic_write import write_bytes, write_chunks
+from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.surface.remap import look_up
+
+_ROWS_AT_ONCE = 512
+_KEPT_AS_THEY_ARE = {b"\xff\xd8\xff": ".jpg", b"\x89PNG\r\n\x1a\n": ".png"}
+_EXIF_ORIENTATION = 0x0112
+
+
+def on_one_line(text: str) -> str:
+    """Return a text for a comment: on one line, without control characters."""
+    return "".join(letter if letter.isprintable() else " " for letter in text).strip()
+
+
+def shown_names(photos: list[RegisteredPhoto]) -> str:
+    """Return the names of photographs for a message, five at most."""
+    names = [on_one_line(one.photo.name)[:60] for one in photos]
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def text_writer(text: str) -> Callable[[Path], None]:
+    """Return the writer of a text file."""
+    return lambda path: write_bytes(path, text.encode("utf-8"))
+
+
+def words_of(handed: RegisteredScan, one: RegisteredPhoto) -> list[str]:
+    """Return sentences for the comments of a file: the photograph, its world, and the mark of its pose."""
+    lines = [
+        f"Photograph: {on_one_line(one.photo.name)} ({one.camera.width} x {one.camera.height} pixels)",
+        f"World: {handed.frame.sentence}",
+    ]
+    return [*lines, *([f"Pose: {one.mark}"] if one.mark else [])]
+
+
+class PictureFile:
+    """The picture of a photograph as a file: the photograph's own file where it has just these pixels, else a PNG."""
+
+    def __init__(self, one: RegisteredPhoto) -> None:
+        self._pixels = one.photo.pixels
+        copied = _copied(one)
+        self._file = None if copied is None else copied[0]
+        self.name = f"{one.id}{'.png' if copied is None else copied[1]}"
+        """Its file name."""
+
+    def write(self, path: Path) -> None:
+        """Write it.
+
+        Raises:
+            ExportError: if the file cannot be written.
+        """
+        if self._file is None:
+            write_png_picture(path, self._pixels)
+        else:
+            write_bytes(path, self._file.read_bytes())
+
+
+def write_png_picture(path: Path, pixels: ByteArray) -> None:
+    """Write pixels (H, W, 3) RGB losslessly.
+
+    Raises:
+        ExportError: if the picture is too large for a PNG or the file cannot be written.
+    """
+    done, encoded = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
+    if not done:
+        raise ExportError(
+            f"a picture of {pixels.shape[1]} x {pixels.shape[0]} pixels cannot be written as PNG; give a smaller one"
+        )
+    write_chunks(path, (encoded.data,))
+
+
+def _copied(one: RegisteredPhoto) -> tuple[Path, str] | None:
+    """Return the file that has a photograph's pixels for every reader, and its extension; None if there is none."""
+    from PIL import Image
+
+    file = one.file
+    if file is None or not file.is_file():
+        return None
+    try:
+        with open(file, "rb") as stream:
+            head = stream.read(8)
+        extension = next((found for magic, found in _KEPT_AS_THEY_ARE.items() if head.startswith(magic)), None)
+        if extension is None:
+            return None
+        with Image.open(file) as image:
+            plain = image.mode == "RGB" and image.getexif().get(_EXIF_ORIENTATION, 1) == 1
+            if not plain or image.size != one.camera.size or not np.array_equal(np.asarray(image), one.photo.pixels):
+                return None
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return None
+    return file, extension
+
+
+def undistorted(pixels: ByteArray, camera: CameraModel, ideal: Camera) -> NDArray[np.uint8]:
+    """Return the picture that an ideal camera at the same place would have taken; black where the photograph ends.
+
+    Args:
+        pixels: (H, W, 3) of the photograph.
+        camera: its camera.
+        ideal: a pinhole without distortion, with the same axes.
+    """
+    result = np.empty((ideal.height, ideal.width, 3), np.uint8)
+    for first in range(0, ideal.height, _ROWS_AT_ONCE):
+        rows = np.arange(first, min(first + _ROWS_AT_ONCE, ideal.height))
+        uv = camera.project(ideal.unproject(np.stack(np.meshgrid(np.arange(ideal.width), rows), axis=-1)))
+        u, v = np.moveaxis(np.where(np.isfinite(uv), uv, -10.0), -1, 0)
+        result[rows] = look_up(pixels, u, v, outside=(0, 0, 0))
+    return result
