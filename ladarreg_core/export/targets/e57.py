@@ -136,7 +136,9 @@ def _copy(old: Any, file: Any, handed: RegisteredScan, told: _Told, source: Path
         "guid": lambda _: e57.StringNode(file, _guid()),
         "creationDateTime": lambda _: _now(file),
         "e57LibraryVersion": lambda _: e57.StringNode(file, _software()),
-        "data3D": lambda node: copy.vector(node, {index: lambda scan: _painted(scan, file, copy, handed, source)}),
+        "data3D": lambda node: copy.vector(
+            node, {index: lambda scan: _painted(scan, file, copy, handed, source, told)}
+        ),
     }
     for number in range(root.childCount()):
         child = root[number]
@@ -149,12 +151,12 @@ def _copy(old: Any, file: Any, handed: RegisteredScan, told: _Told, source: Path
     copy.finish()
 
 
-def _painted(scan: Any, file: Any, copy: E57Copy, handed: RegisteredScan, source: Path) -> Any:
+def _painted(scan: Any, file: Any, copy: E57Copy, handed: RegisteredScan, source: Path, told: _Told) -> Any:
     """Return the copy of a scan with the photographs' colours."""
     e57 = library()
     channels = channels_of(scan)
     prototype = e57.StructureNode(scan["points"].prototype())
-    painter = PointPainter(handed, read_e57_info(source).scans[_index(handed)], prototype, channels)
+    painter = PointPainter(handed, read_e57_info(source).scans[_index(handed)], scan["points"], channels, told)
 
     def points(node: Any) -> Any:
         if channels is not None:
@@ -193,7 +195,7 @@ def _make(file: Any, handed: RegisteredScan, told: _Told) -> str:
     if scan.world_from_scanner is not None:
         node.set("pose", _pose(file, scan.world_from_scanner))
     height, width = scan.shape
-    limits = _limits(handed)
+    limits = _limits(handed, told)
     node.set("cartesianBounds", _numbers(file, limits["cartesian"]))
     node.set("intensityLimits", _numbers(file, limits["intensity"]))
     bounds: dict[str, float] = {
@@ -254,12 +256,13 @@ def _write_cells(file: Any, points: Any, prototype: Any, handed: RegisteredScan,
             told(count)
 
 
-def _limits(handed: RegisteredScan) -> dict[str, dict[str, float]]:
+def _limits(handed: RegisteredScan, told: _Told) -> dict[str, dict[str, float]]:
     """Return the bounds of a scan's returns and of their intensity."""
     scan = handed.scan
     low, high = np.full(4, np.inf), np.full(4, -np.inf)
     step = max(1, _CELLS_AT_ONCE // scan.shape[1])
     for first in range(0, scan.shape[0], step):
+        told()
         rows = slice(first, first + step)
         valid = scan.valid[rows]
         if valid.any():

@@ -7,6 +7,8 @@ then the gray of its laser intensity (dimmed, as in clouds and models), for the 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.export.targets.e57_tree import Buffers, library
+from ladarreg_core.export.targets.e57_tree import RECORDS_AT_ONCE, Buffers, library, read_records
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.formats.e57_header import E57ScanInfo
 from ladarreg_core.frames import Rigid
@@ -24,6 +26,7 @@ from ladarreg_core.surface.texture import dimmed_levels
 
 COLOURS = ("colorRed", "colorGreen", "colorBlue")
 INVALID = "isColorInvalid"
+_INDICES = ("rowIndex", "columnIndex")
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _LEVELS = 255
@@ -129,18 +132,21 @@ class PointPainter:
     Args:
         handed: the scan that was read from the file, and its photographs.
         info: the scan's header.
-        prototype: the fields of its points.
+        points: its points.
         channels: how its colours are stored; None: it has none.
+        report: called at least every second; may raise `Cancelled`.
     """
 
     def __init__(
         self,
         handed: RegisteredScan,
         info: E57ScanInfo,
-        prototype: Any,
+        points: Any,
         channels: tuple[Channel, ...] | None,
+        report: Callable[[int], None],
     ) -> None:
         e57 = library()
+        prototype = e57.StructureNode(points.prototype())
         self._handed, self._scan = handed, handed.scan
         self._channels, self._keeps = channels or (PLAIN,) * 3, channels is not None
         self._scales = {
@@ -150,7 +156,7 @@ class PointPainter:
         }
         self._has = {prototype[index].elementName() for index in range(prototype.childCount())}
         self._scanner_from_file = _scanner_from_file(self._scan, info)
-        self._cells = _FileCells(self._scan, info)
+        self._cells = _FileCells(self._scan, info, points, report)
         self._others = handed.point_colourer()
         self._gray = Gray(self._scan)
 
@@ -247,12 +253,15 @@ class _FileCells:
     Every point is compared with the range of its cell, so that points whose cell kept another one are not confused.
     """
 
-    def __init__(self, scan: Scan, info: E57ScanInfo) -> None:
+    def __init__(self, scan: Scan, info: E57ScanInfo, points: Any, report: Callable[[int], None]) -> None:
         self._scan = scan
-        self._shape = info.grid
-        self._first = info.first_cell
         self._order: tuple[bool, bool, bool] | None = None
-        self._is_usable = info.grid is not None and info.grid in (scan.shape, scan.shape[::-1])
+        self._is_usable = set(_INDICES) <= info.field_names
+        self._shape, self._first = info.grid, info.first_cell
+        if self._is_usable and info.grid not in (scan.shape, scan.shape[::-1]):
+            # The reader leaves out empty rows and columns at the borders, and does not rely on bounds that are wrong.
+            self._shape, self._first = _index_bounds(points, report)
+            self._is_usable = self._shape in (scan.shape, scan.shape[::-1])
 
     def find(
         self, count: int, values: Buffers, points: FloatArray, known: NDArray[np.bool_]
@@ -304,3 +313,14 @@ class _FileCells:
         row = height - 1 - row if flip_rows else row
         column = width - 1 - column if flip_columns else column
         return row, column, inside
+
+
+def _index_bounds(points: Any, report: Callable[[int], None]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return the numbers of rows and columns that points have, and the first ones."""
+    buffers = {name: np.zeros(max(1, min(RECORDS_AT_ONCE, points.childCount())), "q") for name in _INDICES}
+    low, high = [2**62, 2**62], [-(2**62), -(2**62)]
+    with closing(read_records(points, buffers, report)) as chunks:
+        for count in chunks:
+            for k, values in enumerate(buffers.values()):
+                low[k], high[k] = min(low[k], int(values[:count].min())), max(high[k], int(values[:count].max()))
+    return (high[0] - low[0] + 1, high[1] - low[1] + 1), (low[0], low[1])

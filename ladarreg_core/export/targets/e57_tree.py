@@ -7,8 +7,8 @@ that scaled integers keep their whole numbers and floating-point numbers their b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from ladarreg_core.formats.untrusted import one_line
 
 RECORDS_AT_ONCE = 131_072
 _BLOB_BYTES_AT_ONCE = 1 << 22
-_WRITING_FAILED = ("write", "lseek", "open() failed", "close")
 
 Buffers = dict[str, NDArray[Any]]
 """Values of some records by the path of their field, raw: int64, float32 or float64."""
@@ -64,8 +63,9 @@ def new_e57(path: Path) -> Iterator[Any]:
             raise
     except libe57.E57Exception as error:
         path.unlink(missing_ok=True)
-        said = one_line(str(error).strip().partition("\n")[0].partition(" (Error")[0], 120)
-        if any(word in said.lower() for word in _WRITING_FAILED):
+        text = str(error).strip()
+        said = one_line(text.partition("\n")[0].partition(" (Error")[0], 120)
+        if f"fileName={path}" in text:  # pages of the new file are read again while it is written, too
             raise ExportError(
                 f"the E57 cannot be written: {said}; give a writable folder with enough free space"
             ) from error
@@ -181,25 +181,16 @@ class E57Copy:
         values = record_buffers(prototype, size)
         kept = {path: values[path] for path in values if path not in dropped}
         changed = record_buffers(made_prototype, size) | kept
-        with record_writer(self._file, made, {path: changed[path] for path, _ in leaves(made_prototype)}) as write:
-            if not count:
-                return
-            source = node.destImageFile()
-            reader = node.reader(_bound(source, values))
-            done = 0
-            try:
-                while done < count:
-                    self._report(0)
-                    some = min(reader.read(), count - done)
-                    if some == 0:
-                        raise FormatError(f"the points of the E57 end after {done:,} of {count:,}; it is truncated")
-                    if fill is not None:
-                        fill(some, changed)
-                    write(some)
-                    done += some
-                    self._report(some)
-            finally:
-                reader.close()
+        written = {path: changed[path] for path, _ in leaves(made_prototype)}
+        with (
+            record_writer(self._file, made, written) as write,
+            closing(read_records(node, values, self._report)) as chunks,
+        ):
+            for some in chunks:
+                if fill is not None:
+                    fill(some, changed)
+                write(some)
+                self._report(some)
 
     def _bytes(self, node: Any, made: Any) -> None:
         left = node.byteCount()
@@ -241,6 +232,33 @@ def record_buffers(prototype: Any, size: int) -> Buffers:
                 "export the scan without it"
             )
     return buffers
+
+
+def read_records(node: Any, buffers: Buffers, report: Callable[[int], None]) -> Generator[int, None, None]:
+    """Read records of a compressed vector into buffers again and again; yields how many were read.
+
+    Args:
+        node: the compressed vector.
+        buffers: those of the fields that are wanted.
+        report: called before every chunk; may raise `Cancelled`.
+
+    Raises:
+        FormatError: if there are fewer than the vector claims.
+    """
+    count, done = node.childCount(), 0
+    if not count:
+        return
+    reader = node.reader(_bound(node.destImageFile(), buffers))
+    try:
+        while done < count:
+            report(0)
+            some = min(reader.read(), count - done)
+            if some == 0:
+                raise FormatError(f"the points of the E57 end after {done:,} of {count:,}; it is truncated")
+            yield some
+            done += some
+    finally:
+        reader.close()
 
 
 @contextmanager

@@ -128,7 +128,7 @@ def write_cartesian(path: Path, scan: Scan) -> int:
         "cartesianInvalidState": (w.integer(0, 2), state),
         "intensity": (w.real(single=True), intensity),
         "rowIndex": (w.integer(0, 4095), (scan.shape[0] - 1 - row).astype("q")),  # row 0 at the bottom
-        "columnIndex": (w.integer(0, 511), column.astype("q")),
+        "columnIndex": (w.integer(0, max(511, scan.shape[1] - 1)), column.astype("q")),
         "timeStamp": (w.real(), np.arange(len(row)) * 1e-5),
         "nor:normalX": (w.scaled(-100, 100, 0.01), (row % 201 - 100).astype("q")),
     }
@@ -166,7 +166,7 @@ def write_scaled(path: Path, scan: Scan) -> int:
     fields |= {
         "intensity": (w.scaled(0, 32767, 1 / 32767), np.rint(intensity * 32767).astype("q")),
         "rowIndex": (w.integer(5, 5000), row.astype("q") + 5),
-        "columnIndex": (w.integer(0, 511), (scan.shape[1] - 1 - column).astype("q")),
+        "columnIndex": (w.integer(0, max(511, scan.shape[1] - 1)), (scan.shape[1] - 1 - column).astype("q")),
     }
     for k, name in enumerate(COLOURS):
         fields[name] = (w.integer(0, 65535), (row * 257 + column * 131 + k * 9001) % 65536)

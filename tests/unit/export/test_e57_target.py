@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
+from tests.abuse.full_disk import largest_file
 from tests.scenes.colour_room import POSE, paint, photo_of, registered, scan_of, seen_along
 from tests.unit.export import e57_samples
 from tests.unit.export.e57_samples import COLOURS, KINDS, differences, libe57, raw_values
@@ -357,6 +359,32 @@ def test_a_cancelled_export_leaves_nothing(tmp_path: Path) -> None:
             with pytest.raises(Cancelled):
                 write(tmp_path / "part.e57")
             assert not (tmp_path / "part.e57").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the size of files is not limited there")
+@pytest.mark.parametrize("is_copy", [True, False])
+def test_a_full_disk_leaves_nothing_and_is_said(is_copy: bool, tmp_path: Path) -> None:
+    source = tmp_path / "a.e57"
+    index = e57_samples.write_scaled(source, scan_of())
+    handed = handed_over(source, index, registered(photo_of(PINHOLE)))
+    handed = handed if is_copy else replace(handed, scan_file=None)
+    assert handed.colours
+    for size in (2_000, 60_000, 145_000):
+        with largest_file(size), pytest.raises(ExportError, match=r"cannot be written.*; give a writable folder"):
+            export_to(tmp_path / "out", handed, ["e57"])
+        assert [path.name for path in tmp_path.iterdir()] == ["a.e57"]
+
+
+def test_damage_that_shows_only_in_the_points_is_said(tmp_path: Path) -> None:
+    source = tmp_path / "a.e57"
+    index = e57_samples.write_scaled(source, scan_of())
+    handed = handed_over(source, index, registered(photo_of(PINHOLE)))
+    data = bytearray(source.read_bytes())
+    data[60_000] ^= 1
+    source.write_bytes(data)
+    with pytest.raises(ExportError, match=r"^the E57 cannot be copied: .*checksum.*; export the scan again"):
+        export_to(tmp_path / "out", handed, ["e57"])
+    assert [path.name for path in tmp_path.iterdir()] == ["a.e57"]
 
 
 def test_what_cannot_be_copied_is_refused_before_anything_is_written(tmp_path: Path) -> None:
