@@ -18,6 +18,7 @@ COMMANDS = {
     "register": "Register a scan with a photo: pose, registered image, textured model.",
     "apply": "Colour a scan and export it with a pose that is known: given, not verified.",
     "compare": "Compare the thesis's stages with the default method: table and contact sheet.",
+    "export": "Hand results over to other programs: COLMAP, E57, LAZ, ROS, meshes, reports.",
     "report": "Write the report of a result or project: one HTML file, to read and to print.",
     "info": "Describe a scan, photo, camera, pose or matches file.",
     "selftest": "Estimate, before fieldwork, how well a scan and a camera will register.",

@@ -25,14 +25,19 @@ def read_inputs(arguments: PhotoArguments, bar: ProgressBar) -> tuple[Scan, Phot
     import ladarreg_core as lr
 
     scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options))
-    if scan.ranges.size > _LARGE_SCAN_CELLS:
-        keep_heap_small()
+    spare_heap(scan)
     photo = timed(
         "Read photo",
         bar,
         lambda: lr.read_photo(arguments.photo, **arguments.photo_options),
     )
     return scan, photo
+
+
+def spare_heap(scan: Scan) -> None:
+    """Keep the heap small while a large scan is in memory."""
+    if scan.ranges.size > _LARGE_SCAN_CELLS:
+        keep_heap_small()
 
 
 def read_start(arguments: InputArguments, scan: Scan) -> tuple[list[Pick] | None, Rigid | None]:

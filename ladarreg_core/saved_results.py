@@ -70,14 +70,17 @@ class SavedResult:
         """The photograph's file name."""
         return str(self.inputs[1].get("name"))
 
-    def find(self, folders: Sequence[Path], *, option: str = "--inputs") -> tuple[Path, Path]:
-        """Return the files of scan and photograph, see `find_inputs`.
+    def find(
+        self, folders: Sequence[Path], *, scan_file: Path | None = None, option: str = "--inputs"
+    ) -> tuple[Path, Path]:
+        """Return the files of scan and photograph, see `find_inputs`; `scan_file` must be that of the scan.
 
         Raises:
             ExportError: if one is not found, or only files of its name with another content.
         """
-        near = [*folders, self.file.parent, self.file.resolve().parent.parent, Path.cwd()]
-        scan, photo = find_inputs(self.inputs[:2], near, option=option)
+        near = self._near(folders)
+        (scan,) = find_inputs(self.inputs[:1], near if scan_file is None else [scan_file], option=option)
+        (photo,) = find_inputs(self.inputs[1:2], near, option=option)
         return scan, photo
 
     def camera_file(self, folders: Sequence[Path]) -> Path | None:
@@ -87,9 +90,12 @@ class SavedResult:
         if name is None or record is None:
             return None
         try:
-            return find_inputs([record], [*folders, self.file.parent, self.file.resolve().parent.parent, Path.cwd()])[0]
+            return find_inputs([record], self._near(folders))[0]
         except ExportError:
             return None
+
+    def _near(self, folders: Sequence[Path]) -> list[Path]:
+        return [*folders, self.file.parent, self.file.resolve().parent.parent, Path.cwd()]
 
     def read_scan(self, file: Path, given: Mapping[str, Any] | None = None, *, report: Report | None = None) -> Scan:
         """Read the scan as it was read for the result.
@@ -186,8 +192,7 @@ def registered_scan(
     if not results:
         raise OptionError("there is no result to export; give one or several folders of results")
     _require_one_scan(results, scan_options)
-    near = [*([scan_file] if scan_file else []), *folders]
-    found = [one.find(near, option=option) for one in results]
+    found = [one.find(folders, scan_file=scan_file, option=option) for one in results]
     reading = results[0].scan_reading(scan_options)
     scan = read_scan(found[0][0], report=report, **reading)
     placed = OutputFrame.of(scan, frame)
@@ -201,7 +206,7 @@ def registered_scan(
                 one.read_photo(file, temperature_unit=temperature_unit),
                 replace(one.registration, world_from_scanner=scan.world_from_scanner),
                 file,
-                one.camera_file(near),
+                one.camera_file(folders),
                 dict(one.photo_options or {}),
                 _document_of(one),
             )

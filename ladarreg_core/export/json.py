@@ -281,7 +281,8 @@ def find_inputs(
 
     Args:
         recorded: the input documents.
-        folders: the folders; an entry that is a file stands for itself, whatever its name.
+        folders: the folders; an entry that is a file stands for itself, but files of the
+            recorded name precede it.
         option: how to give a folder, for messages.
 
     Raises:
@@ -291,7 +292,7 @@ def find_inputs(
     for record in recorded:
         name = Path(str(record.get("name"))).name
         there = [folder if folder.is_file() else folder / name for folder in dict.fromkeys(folders)]
-        there = [path for path in there if path.is_file()]
+        there = sorted((path for path in there if path.is_file()), key=lambda path: path.name != name)
         path = next((path for path in there if _is_recorded(path, record)), None)
         if path is None:
             why = f"{there[0]} differs from it (another SHA-256)" if there else "there is no such file"

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import ExportError, FormatError, OptionError
+from ladarreg_core.errors import ExportError, FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.export.folder import export_registration
 from ladarreg_core.export.targets.hand_over import export_to
 from ladarreg_core.formats import read_photo, read_scan
@@ -93,6 +93,20 @@ def test_several_results_on_one_scan_are_one_hand_over(inputs: Path, tmp_path: P
         registered_scan([one, read_saved_result(tmp_path / "d")], folders=[inputs])
     with pytest.raises(OptionError, match="no result"):
         registered_scan([])
+
+
+def test_the_unit_of_a_thermal_photograph_is_recorded(inputs: Path, tmp_path: Path) -> None:
+    import tifffile
+
+    celsius = 20 + sample_photo().pixels[..., 0].astype(np.float32) / 10
+    tifffile.imwrite(tmp_path / "t.tif", celsius)
+    with pytest.raises(UnderspecifiedError):
+        read_photo(tmp_path / "t.tif", focal_px=100.0)
+    shutil.copy(inputs / "two.ptx", tmp_path)
+    saved = results(tmp_path / "out", tmp_path, "t.tif", temperature_unit="C")
+    (one,) = registered_scan([saved]).photos
+    assert one.photo.temperature_k is not None
+    assert np.allclose(one.photo.temperature_k, celsius + 273.15, atol=1e-3)
 
 
 def test_inputs_are_recognised_by_their_content(inputs: Path, tmp_path: Path) -> None:

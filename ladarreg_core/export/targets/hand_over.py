@@ -66,12 +66,7 @@ def export_files(
         ExportError: if a target cannot be written for this scan or these cameras.
     """
     chosen, options = targets_of(targets), options or ExportOptions()
-    if handed.refused and (others := [target.name for target in chosen if not target.shows_refused]):
-        photos = ", ".join(one.photo.name for one in handed.refused)
-        raise ExportError(
-            f"{', '.join(others)} cannot be written: the pose of {photos} was refused, and only a report may show it; "
-            "accept another pose, apply one that you know, or write the report alone"
-        )
+    require_shown([one.photo.name for one in handed.refused], chosen)
     refused = {target.name: why for target in chosen if (why := target.refusal(handed, options))}
     if refused:
         raise ExportError("; ".join(f"{name} cannot be written: {why}" for name, why in refused.items()))
@@ -80,6 +75,24 @@ def export_files(
         jobs += [(f"{target.name}/{name}", write) for name, write in target.files(handed, options, report)]
     names = [name for name, _ in jobs]
     return [(EXPORT_FILE, lambda path: write_document(path, _document(handed, chosen, options, names))), *jobs]
+
+
+def require_shown(refused: Sequence[str], targets: Sequence[Target]) -> None:
+    """Refuse targets that would show a pose that was refused.
+
+    Args:
+        refused: names of the photographs whose pose was refused.
+        targets: the targets.
+
+    Raises:
+        ExportError: if there are such photographs, and a target may not show them.
+    """
+    others = [target.name for target in targets if not target.shows_refused]
+    if refused and others:
+        raise ExportError(
+            f"{', '.join(others)} cannot be written: the pose of {', '.join(refused)} was refused, and only a report "
+            "may show it; accept another pose, apply one that you know, or write the report alone"
+        )
 
 
 def _document(

@@ -1,0 +1,172 @@
+"""`ladarreg export`: of folders of results, of a project, in the page, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ladarreg.cli import main
+from ladarreg.exit_codes import ExitCode
+
+from ladarreg_core.export.targets.registry import TARGETS
+from ladarreg_core.simulate.sample import sample_folder
+from tests.app.workbench_driver import WorkbenchDriver, open_bench
+from tests.true_matches import true_points
+
+SAMPLE = sample_folder()
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
+    """A workbench with two solved photographs, one of which has a name of its own, and one without a pose."""
+    home = tmp_path_factory.mktemp("exported")
+    pictures = [home / name for name in ("one.png", "Größe 2.png", "three.png")]
+    for picture in pictures:
+        shutil.copy(SAMPLE / "photo.png", picture)
+    found = open_bench(home / "project", SAMPLE / "scan.npz", *pictures, camera=SAMPLE / "camera.json")
+    for photo in ("p1", "p2"):
+        for point in true_points(24, seed=int(photo[1])):
+            found.do("add_pick", photo=photo, **point)
+        assert found.job("robust", photo).state == "done"
+        assert found.slice(f"poses:{photo}")["stages"][0]["accepted"]
+    yield found
+    found.workbench.close()
+
+
+@pytest.fixture(scope="module")
+def project(bench: WorkbenchDriver, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same project, closed."""
+    folder = tmp_path_factory.mktemp("closed") / "project"
+    shutil.copytree(bench.workbench.session.folder.path, folder, ignore=shutil.ignore_patterns("lock"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def exported(project: Path) -> Path:
+    """The reports of all photographs of the project."""
+    out = project.parent / "exported"
+    assert main(["export", str(project), "--to", "report", "-o", str(out), "--quiet"]) == ExitCode.ACCEPTED
+    return out
+
+
+@pytest.fixture(scope="module")
+def results(exported: Path) -> Path:
+    """`registration.json` of two photographs, each in a folder."""
+    folder = exported.parent / "results"
+    for name in ("one", "Gr-e-2"):
+        (folder / name).mkdir(parents=True)
+        shutil.copy(exported / "report" / f"{name}.json", folder / name / "registration.json")
+    return folder
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """Run the command, which must refuse in one line."""
+    capsys.readouterr()
+    assert main(["export", "--quiet", *words]) == ExitCode.BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("ladarreg: ")
+    return line
+
+
+def ids(out: Path) -> list[str]:
+    return [photo["id"] for photo in json.loads((out / "export.json").read_bytes())["photos"]]
+
+
+def test_the_targets_are_listed_with_what_each_is_for(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["--list"], ["--to", "list"]):
+        assert main(["export", *words]) == ExitCode.ACCEPTED
+        lines = capsys.readouterr().out.splitlines()
+        assert [line.split()[0] for line in lines] == [target.name for target in TARGETS]
+        assert all(target.purpose in line for target, line in zip(TARGETS, lines, strict=True))
+
+
+def test_a_project_goes_out_with_all_its_registered_photographs(
+    project: Path, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert ids(exported) == ["one", "Gr-e-2"]
+    out = tmp_path / "out"
+    words = ["export", str(project), "--to", "report", "-o", str(out), "--photo", "Größe 2.png"]
+    assert main(words) == ExitCode.ACCEPTED
+    assert "Photo    Gr-e-2: accepted, statistics" in capsys.readouterr().out
+    assert ids(out) == ["Gr-e-2"]
+    assert sorted(path.name for path in (out / "report").iterdir()) == ["Gr-e-2.html", "Gr-e-2.json"]
+    said = complaint(capsys, str(project), "--to", "report", "-o", str(out), "--force", "--photo", "p3")
+    assert "nothing was written: three.png: it has no pose" in said
+    assert ids(out) == ["Gr-e-2"]
+
+
+def test_results_of_several_photographs_go_out_together(
+    results: Path, exported: Path, bench: WorkbenchDriver, tmp_path: Path
+) -> None:
+    home = bench.workbench.session.folder.path.parent
+    words = ["export", str(results / "one"), str(results / "Gr-e-2"), "--to", "report", "-o", str(tmp_path / "out")]
+    files = ["--scan", str(SAMPLE / "scan.npz"), "--photo", str(home / "one.png"), "--root", str(home)]
+    assert main([*words, *files, "--quiet"]) == ExitCode.ACCEPTED
+    assert ids(tmp_path / "out") == ["one", "Gr-e-2"]
+    for name in ("one", "Gr-e-2"):
+        for kind in ("html", "json"):
+            written = (tmp_path / "out" / "report" / f"{name}.{kind}").read_bytes()
+            assert written == (exported / "report" / f"{name}.{kind}").read_bytes()
+    recorded = json.loads((results / "one" / "registration.json").read_bytes())["inputs"]
+    assert recorded[0]["read_with"] == {"scan_index": 0, "intensity": "auto"}
+    assert recorded[1]["read_with"] == {"camera": "camera.json"}
+
+
+def test_photographs_that_are_left_out_are_listed(
+    bench: WorkbenchDriver,
+) -> None:
+    from ladarreg.session.hand_over import chosen_photos
+
+    workbench = bench.workbench
+    chosen = chosen_photos(workbench.loader, workbench.session.document, None)
+    assert [(one.name, one.why) for one in chosen.left_out] == [("three.png", "it has no pose; register it")]
+    bench.do("switch_picks", photo="p1", picks=["1"], on=False)
+    try:
+        stale = chosen_photos(workbench.loader, workbench.session.document, None)
+        assert [entry.id for entry in stale.entries] == ["p2"]
+        assert stale.left_out[0].why.startswith("its pose is out of date: ")
+        last = chosen_photos(workbench.loader, workbench.session.document, {"p1"}, last_solved=True)
+        assert [entry.id for entry in last.entries] == ["p1"]
+    finally:
+        bench.do("undo")
+
+
+def test_refusals(results: Path, project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    to = ["--to", "report", "-o", str(out)]
+    one = str(results / "one")
+    assert "missing --to, --out" in complaint(capsys, one)
+    assert "missing RESULT" in complaint(capsys, *to)
+    assert "'colmop' is not an export target" in complaint(capsys, one, "--to", "report,colmop", "-o", str(out))
+    assert "has neither a registration.json nor a project.json" in complaint(capsys, str(SAMPLE), *to)
+    assert "is not a folder" in complaint(capsys, str(tmp_path / "gone"), *to)
+    assert "scan.npz is needed, but there is no such file; give its folder with --root" in complaint(capsys, one, *to)
+    assert "a project is exported by itself" in complaint(capsys, str(project), one, *to)
+    assert "a project knows its files" in complaint(capsys, str(project), "--root", str(SAMPLE), *to)
+    assert "0 photos are called 'p9'; the project has p1 (one.png)" in complaint(
+        capsys, str(project), "--photo", "p9", *to
+    )
+    assert "lies in the project" in complaint(
+        capsys, str(project), "--to", "report", "-o", str(project / "exports"), "--force"
+    )
+    assert "--scan give the files" in complaint(capsys, one, "--scan", "0", *to)
+    assert "the frame 'world' needs the scanner's pose" in complaint(capsys, str(project), "--frame", "world", *to)
+    assert not out.exists()
+
+
+def test_a_refused_result_is_refused_before_anything_is_read(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "refused").mkdir()
+    document = json.loads((results / "one" / "registration.json").read_bytes())
+    document |= {"accepted": False, "evidence": "none", "reasons": ["No."], "camera_from_scanner": None}
+    document["rejected_guess"] = np.eye(4).tolist()
+    (tmp_path / "refused" / "registration.json").write_text(json.dumps(document))
+    others = next(target.name for target in TARGETS if not target.shows_refused)
+    said = complaint(capsys, str(tmp_path / "refused"), "--to", f"report,{others}", "-o", str(tmp_path / "out"))
+    assert f"{others} cannot be written: the pose of one.png was refused" in said
+    assert not (tmp_path / "out").exists()
