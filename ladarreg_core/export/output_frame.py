@@ -94,8 +94,8 @@ class OutputFrame:
         """
         document = {
             **self.as_dict(),
-            "offset_is": "what was subtracted from the world's X, Y, Z (m) in model.glb and cloud.ply; add it to their "
-            "coordinates in double precision",
+            "offset_is": "what was subtracted from the world's X, Y, Z (m) in the clouds, models and poses beside "
+            "this file; add it to their coordinates in double precision",
             "world_from_scanner": self.world_from_scanner.matrix,
         }
         write_document(path, document)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -26,7 +26,7 @@ def on_one_line(text: str) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in text).strip()
 
 
-def shown_names(photos: list[RegisteredPhoto]) -> str:
+def shown_names(photos: Sequence[RegisteredPhoto]) -> str:
     """Return the names of photographs for a message, five at most."""
     names = [on_one_line(one.photo.name)[:60] for one in photos]
     return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
@@ -46,26 +46,49 @@ def words_of(handed: RegisteredScan, one: RegisteredPhoto) -> list[str]:
     return [*lines, *([f"Pose: {one.mark}"] if one.mark else [])]
 
 
-class PictureFile:
-    """The picture of a photograph as a file: the photograph's own file where it has just these pixels, else a PNG."""
+class WrittenPhoto:
+    """A photograph as a target writes it: as it is, or undistorted.
 
-    def __init__(self, one: RegisteredPhoto) -> None:
-        self._pixels = one.photo.pixels
-        copied = _copied(one)
+    Args:
+        one: the photograph.
+        camera: the camera of the written picture: the photograph's own, or a pinhole without distortion with the same
+            axes.
+        ending: what follows the id in the file's name.
+    """
+
+    def __init__(self, one: RegisteredPhoto, camera: CameraModel, *, ending: str = "") -> None:
+        self.one = one
+        self.camera = camera
+        copied = _copied(one) if camera == one.camera else None
         self._file = None if copied is None else copied[0]
-        self.name = f"{one.id}{'.png' if copied is None else copied[1]}"
-        """Its file name."""
+        self.name = f"{one.id}{ending}{'.png' if copied is None else copied[1]}"
+        """File name of the picture."""
+
+    @property
+    def is_undistorted(self) -> bool:
+        """Whether the picture is not the photograph's own."""
+        return self.camera != self.one.camera
+
+    def words(self, handed: RegisteredScan) -> list[str]:
+        """Return sentences about it for the comments of a file."""
+        found = [f"{self.name}: {line}" for line in words_of(handed, self.one)]
+        if self.is_undistorted:
+            found.append(f"{self.name}: undistorted, since the model of the file has no such lens or none at all")
+        return found
 
     def write(self, path: Path) -> None:
-        """Write it.
+        """Write the picture: the photograph's file where it has just its pixels, otherwise a PNG.
 
         Raises:
             ExportError: if the file cannot be written.
         """
-        if self._file is None:
-            write_png_picture(path, self._pixels)
-        else:
+        if self._file is not None:
             write_bytes(path, self._file.read_bytes())
+        elif self.is_undistorted:
+            assert isinstance(self.camera, Camera)
+            write_png_picture(path, undistorted(self.one.photo.pixels, self.one.camera, self.camera))
+        else:
+            write_png_picture(path, self.one.photo.pixels)
 
 
 def write_png_picture(path: Path, pixels: ByteArray) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.export.targets.colmap import colmap_files, colmap_refusal
 from ladarreg_core.export.targets.e57 import e57_files, e57_refusal
 from ladarreg_core.export.targets.kalibr import kalibr_files, kalibr_refusal
 from ladarreg_core.export.targets.laz import laz_files
@@ -15,6 +16,14 @@ from ladarreg_core.export.targets.ros import ros_files, ros_refusal
 from ladarreg_core.export.targets.target import Target
 
 TARGETS: tuple[Target, ...] = (
+    Target(
+        name="colmap",
+        title="COLMAP",
+        purpose="Photographs, cameras, poses and the laser's points as a reconstruction, for COLMAP and the programs "
+        "that read it.",
+        files=colmap_files,
+        refusal=colmap_refusal,
+    ),
     Target(
         name="e57",
         title="E57",

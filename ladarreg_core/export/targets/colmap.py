@@ -1,0 +1,82 @@
+"""The target `colmap`: the photographs with their poses and the laser's points as a COLMAP reconstruction.
+
+Next to it, if a lens has a distortion, stands the same with undistorted pictures, in the layout of COLMAP's
+`image_undistorter`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, axial_pinhole
+from ladarreg_core.export.colmap_files import (
+    ColmapModel,
+    colmap_parameters,
+    write_cameras,
+    write_images,
+    write_points,
+)
+from ladarreg_core.export.folder import FileJob
+from ladarreg_core.export.replacement import OFFSET_FILE
+from ladarreg_core.export.targets.photo_files import WrittenPhoto, shown_names
+from ladarreg_core.export.targets.reconstruction import Reconstruction
+from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.target import ExportOptions
+from ladarreg_core.progress import Report
+
+_FILES: tuple[tuple[str, Callable[[Path, ColmapModel], None]], ...] = (
+    ("cameras", write_cameras),
+    ("images", write_images),
+    ("points3D", write_points),
+)
+
+
+def colmap_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
+    """Return a sentence if a camera has no model in COLMAP and cannot be undistorted to one."""
+    del options
+    found = [one for one in handed.photos if not has_colmap_camera(one)]
+    if not found:
+        return None
+    return (
+        f"{shown_names(found)} is a part of a panorama, and COLMAP's EQUIRECTANGULAR is the whole sphere; leave it "
+        "out, export it to nerfstudio, or cut perspective views out of it"
+    )
+
+
+def colmap_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
+    """Return the reconstruction, the pictures and, if a lens has a distortion, the undistorted reconstruction."""
+    del options
+    written = [WrittenPhoto(one, _colmap_camera(one)) for one in handed.photos]
+    jobs: list[FileJob] = [(f"images/{each.name}", each.write) for each in written]
+    jobs += model_files("sparse/0", Reconstruction(handed, written, report))
+    wide = [one for one in handed.photos if isinstance(one.camera, EquirectangularCamera)]
+    flat = [WrittenPhoto(one, axial_pinhole(one.camera)) for one in handed.photos if one not in wide]
+    if any(each.is_undistorted for each in flat):
+        jobs += [(f"undistorted/images/{each.name}", each.write) for each in flat]
+        jobs += model_files("undistorted/sparse", Reconstruction(handed, flat, report))
+    if handed.frame.name == "world":
+        jobs.append((OFFSET_FILE, handed.frame.write))
+    return jobs
+
+
+def model_files(folder: str, reconstruction: Reconstruction) -> list[FileJob]:
+    """Return cameras, images and points3D of a reconstruction, binary and text."""
+
+    def writer(write: Callable[[Path, ColmapModel], None]) -> Callable[[Path], None]:
+        return lambda path: write(path, reconstruction.model)
+
+    return [(f"{folder}/{name}{end}", writer(write)) for name, write in _FILES for end in (".bin", ".txt")]
+
+
+def has_colmap_camera(one: RegisteredPhoto) -> bool:
+    """Return whether a photograph can be written for COLMAP, as it is or undistorted."""
+    return colmap_parameters(_colmap_camera(one)) is not None
+
+
+def _colmap_camera(one: RegisteredPhoto) -> CameraModel:
+    """Return the camera of the written picture: without its lens where COLMAP has none like it."""
+    camera = one.camera
+    if colmap_parameters(camera) is None and isinstance(camera, Camera):
+        return camera.without_distortion()
+    return camera
