@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import LadarregError
+from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import software_document
 from ladarreg_core.export.targets.e57_colours import (
@@ -121,13 +121,18 @@ def _write(path: Path, handed: RegisteredScan, report: Report | None) -> None:
     told = _Told(sum(scan.points for scan in info.scans) + pictures_take, path.name, report)
     told()
     with e57_file(source) as old, new_e57(path) as file:
-        _copy(old, file, handed, told, source)
+        try:
+            _copy(old, file, handed, told, source)
+        except (AttributeError, KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
+            raise FormatError(
+                f"{source.name} cannot be copied: it has other nodes than an E57; it is damaged: copy it again"
+            ) from error
         _add_images(file, handed, info.scans[_index(handed)].guid, told)
 
 
 def _copy(old: Any, file: Any, handed: RegisteredScan, told: _Told, source: Path) -> None:
     """Copy a file with the colours of one of its scans."""
-    e57, copy, index = library(), E57Copy(file, told), _index(handed)
+    e57, copy, index = library(), E57Copy(file, told, source.stat().st_size), _index(handed)
     copy.extensions(old)
     root, new = old.root(), file.root()
     if not file.extensionsLookupPrefix(_PREFIX, ""):

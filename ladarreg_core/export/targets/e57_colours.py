@@ -181,10 +181,11 @@ class PointPainter:
         for k, (name, channel) in enumerate(zip(COLOURS, self._channels, strict=True)):
             stored = channel.stored(colour[:, k])
             target = values[name][:count]
-            if self._keeps:
-                target[shown] = stored[shown]
-            else:
-                target[:] = stored
+            with np.errstate(over="ignore", invalid="ignore"):
+                if self._keeps:
+                    target[shown] = stored[shown]
+                else:
+                    target[:] = stored
         if INVALID in values:
             flag = values[INVALID][:count]
             if INVALID in self._has:

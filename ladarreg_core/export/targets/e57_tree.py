@@ -82,11 +82,13 @@ class E57Copy:
 
     Args:
         file: the new file.
-        report: receives the numbers of records and bytes that were copied; may raise `Cancelled`.
+        report: receives the numbers of records that were copied; may raise `Cancelled`.
+        source_bytes: size of the file that is copied; what claims more than it can hold is damaged.
     """
 
-    def __init__(self, file: Any, report: Callable[[int], None]) -> None:
+    def __init__(self, file: Any, report: Callable[[int], None], source_bytes: int) -> None:
         self._file, self._report, self._e57 = file, report, library()
+        self._blob_bytes_left, self._most_records = source_bytes, 8 * source_bytes
         self._later: list[Callable[[], None]] = []
 
     def extensions(self, source: Any) -> None:
@@ -113,6 +115,9 @@ class E57Copy:
             return e57.FloatNode(file, node.value(), node.precision(), node.minimum(), node.maximum())
         if isinstance(node, e57.StringNode):
             return e57.StringNode(file, node.value())
+        self._blob_bytes_left -= node.byteCount()
+        if self._blob_bytes_left < 0:
+            raise FormatError("the pictures of the E57 claim more bytes than the file has; it is damaged")
         made = e57.BlobNode(file, node.byteCount())
         self._later.append(lambda: self._bytes(node, made))
         return made
@@ -151,6 +156,8 @@ class E57Copy:
             dropped: fields of the prototype that are left out of the copy; `change` may define them anew.
         """
         e57 = self._e57
+        if node.childCount() > self._most_records:
+            raise FormatError("the records of the E57 are more than the file has bits; it is damaged")
         prototype = e57.StructureNode(node.prototype())
         made_prototype = self.structure(prototype, dict.fromkeys(dropped))
         if change is not None:

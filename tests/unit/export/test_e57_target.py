@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,7 +15,7 @@ import pytest
 from PIL import Image
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
-from ladarreg_core.errors import Cancelled, ExportError
+from ladarreg_core.errors import Cancelled, ExportError, LadarregError
 from ladarreg_core.export.targets.hand_over import export_files, export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.formats import extract_images, read_scan
@@ -24,6 +25,7 @@ from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
+from tests.abuse.bombs import e57_with_xml
 from tests.abuse.full_disk import largest_file
 from tests.scenes.colour_room import POSE, paint, photo_of, registered, scan_of, seen_along
 from tests.unit.export import e57_samples
@@ -383,6 +385,34 @@ def test_damage_that_shows_only_in_the_points_is_said(tmp_path: Path) -> None:
     data[60_000] ^= 1
     source.write_bytes(data)
     with pytest.raises(ExportError, match=r"^the E57 cannot be copied: .*checksum.*; export the scan again"):
+        export_to(tmp_path / "out", handed, ["e57"])
+    assert [path.name for path in tmp_path.iterdir()] == ["a.e57"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            b'jpegImage type="Blob" fileOffset="48" length="',
+            b'imageMask type="Blob" fileOffset="48" length="99999',
+            "claim more",
+        ),
+        (b'recordCount="5"', b'recordCount="99999999999"', "more than the file has bits"),
+        (b'groupingByLine type="Structure"', b'groupingByLine type="String"', "cannot be copied|damaged"),
+    ],
+)
+def test_what_claims_more_than_the_file_holds_is_refused(old: bytes, new: bytes, said: str, tmp_path: Path) -> None:
+    source = tmp_path / "a.e57"
+    index = e57_samples.write_cartesian(source, scan_of())
+    handed = handed_over(source, index, registered(photo_of(PINHOLE)))
+
+    def change(xml: bytes) -> bytes:
+        xml = re.sub(rb'jpegImage type="Blob" fileOffset="\d+"', b'jpegImage type="Blob" fileOffset="48"', xml)
+        assert old in xml
+        return xml.replace(old, new)
+
+    e57_with_xml(source, change)
+    with pytest.raises(LadarregError, match=said):
         export_to(tmp_path / "out", handed, ["e57"])
     assert [path.name for path in tmp_path.iterdir()] == ["a.e57"]
 
