@@ -100,7 +100,7 @@ def given_pose(
         elif check_images:
             check = check_against_images(scan, photo, result, steps, seed=seed)
             diagnostics["verification"] = check.as_dict()
-            reasons.insert(0, f"{_OUTCOMES[check.outcome]} {check.sentence}")
+            reasons.insert(0, f"Image verification: {check.outcome}. {check.sentence}")
         reasons.append(found.summary())
     fields = {name: getattr(result, name) for name in PoseResult.__dataclass_fields__}
     fields |= {"reasons": tuple(reasons), "diagnostics": diagnostics}
@@ -136,13 +136,6 @@ def coverage(scan: Scan, photo: Photo, pose: Rigid) -> Coverage:
         in_photo=float((returns - counts[Label.OUT_OF_FRAME] - counts[Label.NO_RETURN]) / returns),
         of_photo=float(fields.mean()),
     )
-
-
-_OUTCOMES = {
-    "verified": "The images agree with it.",
-    "contradicted": "The images contradict it.",
-    "undecidable": "The images neither confirm nor contradict it.",
-}
 
 
 def _percent(share: float) -> str:

@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
@@ -97,7 +97,7 @@ class ModelParts:
             made_of += [] if pose is None else [pose.camera_from_scanner, pose.camera, pose.covariance, pose.accepted]
         choices = [
             {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.description}
-            for choice in texture_choices(result)
+            for choice in texture_choices(_accepted_only(result))
         ]
         rev = hashlib.sha256(repr(made_of).encode()).hexdigest()[:12]
         return {"rev": rev, "accepted": bool(result is not None and result.accepted), "choices": choices}
@@ -116,7 +116,7 @@ class ModelParts:
         if entry is None and name != NO_PHOTO:
             raise OptionError("there is no such photograph")
         result, kind, z_buffer = self._result(entry), query.get("kind", "intensity"), query.get("z_buffer") != "0"
-        if usable_texture(kind, result) != kind:
+        if usable_texture(kind, _accepted_only(result)) != kind:
             raise OptionError(f"the texture {kind!r} needs an accepted pose")
         of_scan = kind in ("intensity", "range")
         pose = None if of_scan or entry is None else entry.pose
@@ -137,6 +137,11 @@ class ModelParts:
                 "model", key, lambda: ((result, photo), registered_texture(scan, photo, result))
             )[1]
         return model_texture(scan, kind, photo=photo, result=result, z_buffer=z_buffer, registered=registered)
+
+
+def _accepted_only(result: PoseResult | None) -> PoseResult | None:
+    """Return a result that the model may show; a given pose would need its mark there, and counts as refused."""
+    return result if result is None or not result.mark else replace(result, evidence="none")
 
 
 def legend_entries(legend: Legend) -> dict[str, Any]:

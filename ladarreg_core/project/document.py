@@ -128,7 +128,7 @@ class PoseEntry(msgspec.Struct, frozen=True, kw_only=True):
     world_from_scanner: Rows | None = None
     """The scanner's pose in the world (4, 4) when this was solved; None: not known."""
     covariance: Rows
-    """Covariance (6, 6) of the pose."""
+    """Covariance (6, 6) of the pose; empty: not known, as of a pose that was given."""
     chi2_per_dof: float | None
     """None if undefined."""
     sigma_px: float

@@ -49,7 +49,8 @@ def pose_entry(
         DegenerateGeometryError: if the covariance or a noise level is not finite, which project files cannot store.
     """
     sigmas = [result.sigma_px, result.sigma_range_m, *result.camera_sigmas.values()]
-    if not (np.isfinite(result.covariance).all() and np.isfinite(sigmas).all()):
+    known = np.isfinite(result.covariance).all()
+    if not ((known or result.evidence == "given") and np.isfinite(sigmas).all()):
         raise DegenerateGeometryError("the matches do not determine the pose, so the result was not kept; add matches")
     arrays: dict[str, Any] = {name: getattr(result.matches, name) for name in _MATCH_ARRAYS}
     arrays |= {name: getattr(result, name) for name in _RESULT_ARRAYS}
@@ -65,7 +66,7 @@ def pose_entry(
         camera_from_scanner=_rows(result.camera_from_scanner.matrix),
         camera=plain(result.camera.as_fields()),
         world_from_scanner=None if result.world_from_scanner is None else _rows(result.world_from_scanner.matrix),
-        covariance=_rows(result.covariance),
+        covariance=_rows(result.covariance) if known else (),
         chi2_per_dof=float(result.chi2_per_dof) if math.isfinite(result.chi2_per_dof) else None,
         sigma_px=float(result.sigma_px),
         sigma_range_m=float(result.sigma_range_m),
@@ -126,7 +127,7 @@ def registration_of(entry: PoseEntry) -> Registration:
             if entry.world_from_scanner is None
             else Rigid.from_matrix(np.array(entry.world_from_scanner)),
             matches=matches,
-            covariance=np.array(entry.covariance),
+            covariance=np.array(entry.covariance) if entry.covariance else np.full((6, 6), np.nan),
             chi2_per_dof=math.nan if entry.chi2_per_dof is None else entry.chi2_per_dof,
             sigma_px=entry.sigma_px,
             sigma_range_m=entry.sigma_range_m,

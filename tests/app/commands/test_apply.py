@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import re
 import struct
 from pathlib import Path
 
@@ -35,8 +38,13 @@ def apply(pose: Path, out: Path, *more: str) -> int:
 @pytest.fixture(scope="module")
 def applied(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results of the true pose, given."""
-    out = tmp_path_factory.mktemp("applied") / "out"
-    assert apply(SAMPLE / "truth.json", out, "--quiet") == ExitCode.ACCEPTED
+    out, printed = tmp_path_factory.mktemp("applied") / "out", io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert apply(SAMPLE / "truth.json", out, "--json", "--quiet") == ExitCode.ACCEPTED
+    document = json.loads(printed.getvalue())
+    assert document.pop("output")["folder"] == str(out)
+    document.pop("notes")
+    assert document == json.loads((out / "registration.json").read_text())
     return out
 
 
@@ -85,7 +93,9 @@ def test_the_registered_picture_bears_a_watermark_and_the_model_does_not_lose_it
     assert (np.array(Image.open(applied / "labels.png")) == clean.labels).all()  # no cell is uncertain for the pose
 
 
-def test_what_was_applied_is_read_again_and_handed_over_with_its_mark(applied: Path) -> None:
+def test_what_was_applied_is_read_again_and_handed_over_with_its_mark(
+    applied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     registration, _ = read_result(applied / "registration.json")
     assert registration.evidence == "given"
     assert registration.is_shown
@@ -96,7 +106,11 @@ def test_what_was_applied_is_read_again_and_handed_over_with_its_mark(applied: P
     photo = read_photo(SAMPLE / "photo.png", camera=registration.camera)
     handed = RegisteredScan(scan, [RegisteredPhoto("photo", photo, registration)])
     assert handed.marks == (f"photo: {MARK}",)
-    assert main(["report", str(applied), "--inputs", str(SAMPLE), "--quiet"]) == ExitCode.ACCEPTED
+    capsys.readouterr()
+    assert main(["info", str(applied / "registration.json")]) == 0
+    shown = capsys.readouterr().out
+    assert "Given, not verified" in shown
+    assert re.search(r"^sigma pose +unknown$", shown, re.MULTILINE)
 
 
 def test_a_carried_pose_needs_an_uncertainty_to_propagate(
@@ -111,7 +125,7 @@ def test_a_carried_pose_needs_an_uncertainty_to_propagate(
 @pytest.mark.parametrize(
     ("turn", "move", "outcome", "words"),
     [
-        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), "verified", "The images agree with it."),
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), "verified", "Image verification: verified. "),
         ((0.0, np.radians(2.0), 0.0), (0.0, 0.0, 0.0), "contradicted", "check the given pose"),
         ((0.0, np.pi, 0.0), (0.0, 0.0, 0.0), None, "No return of the scan lies in the photograph"),
     ],

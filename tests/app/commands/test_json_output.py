@@ -6,13 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
-from PIL import Image
 
-from ladarreg_core.formats import describe
 from ladarreg_core.simulate.sample import sample_folder
 
 SAMPLE = sample_folder()
@@ -41,44 +38,6 @@ def test_register_prints_the_registration_and_where_it_is(tmp_path: Path, capsys
     assert info["sigma"]["position_mm"] == pytest.approx(1000 * found["sigma"]["position_m"])
     assert [one.split(" ")[0] for one in info["inputs"]] == ["scan.npz", "photo.png", "camera.json"]
     assert info["rejected_guess"] == {}
-
-
-def test_a_refused_registration_is_a_document_too_and_info_shows_a_guess_as_a_guess(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    photo, out = tmp_path / "mirror.png", tmp_path / "out"
-    Image.fromarray(np.array(Image.open(SAMPLE / "photo.png"))[:, ::-1]).save(photo)
-    words = ["register", INPUTS[0], str(photo), "--focal-px", "974", "-o", str(out), "--json"]
-    assert main(words) == ExitCode.NOT_ACCEPTED
-    found = document(capsys)
-    assert found["camera_from_scanner"] is None
-    assert found["open_in_workbench"].startswith("ladarreg serve ")
-    assert main(["info", str(out / "registration.json")]) == 0
-    shown = capsys.readouterr().out
-    assert "Not accepted: the evidence is insufficient." in shown
-    assert "rejected guess camera" in shown
-    assert "it is no pose" in shown or "is no pose: do not use it" in shown
-    assert "\npose camera" not in shown
-    assert "sigma" not in shown
-    # A file of an earlier version has the guess in the place of the pose.
-    fields = json.loads((out / "registration.json").read_text())
-    fields["camera_from_scanner"] = fields.pop("rejected_guess")
-    old = tmp_path / "registration.json"
-    old.write_text(json.dumps(fields))
-    info = describe(old)
-    assert info.pose == {}
-    assert info.rejected_guess["camera"]
-
-
-def test_apply_prints_a_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["apply", *INPUTS, "--pose", str(SAMPLE / "truth.json"), "-o", str(tmp_path / "out"), "--json"]
-    assert main(words) == ExitCode.ACCEPTED
-    found = document(capsys)
-    assert (found["evidence"], found["accepted"], found["covariance"]) == ("given", False, None)
-    assert main(["info", str(tmp_path / "out" / "registration.json")]) == 0
-    shown = capsys.readouterr().out
-    assert "Given, not verified" in shown
-    assert "unknown" in shown
 
 
 @pytest.mark.parametrize(

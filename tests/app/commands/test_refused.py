@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import shlex
 from pathlib import Path
@@ -19,8 +21,10 @@ from ladarreg.progress_bar import progress_bar
 from ladarreg.workbench.launch import open_workbench
 from PIL import Image
 
+from ladarreg_core.errors import ExportError
+from ladarreg_core.export.folder import check_folder
 from ladarreg_core.export.rejected_overlay import rejected_overlay
-from ladarreg_core.formats import read_photo, read_scan
+from ladarreg_core.formats import describe, read_photo, read_scan
 from ladarreg_core.formats.registration_file import read_result
 from ladarreg_core.simulate.sample import sample_folder
 
@@ -39,8 +43,12 @@ def other_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def refused(other_scene: Path) -> Path:
     """The results of a registration that was refused."""
     out = other_scene.parent / "out"
-    words = ["register", str(SAMPLE / "scan.npz"), str(other_scene), "--focal-px", "974", "-o", str(out), "--quiet"]
-    assert main(words) == ExitCode.NOT_ACCEPTED
+    words = ["register", str(SAMPLE / "scan.npz"), str(other_scene), "--focal-px", "974", "-o", str(out)]
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main(words) == ExitCode.NOT_ACCEPTED
+    command = json.loads((out / "registration.json").read_text())["open_in_workbench"]
+    assert f"Open     {command}\n" in printed.getvalue()
     return out
 
 
@@ -87,39 +95,53 @@ def test_a_result_without_any_candidate_still_has_a_picture(other_scene: Path) -
     assert rejected_overlay(scan, photo, result).shape[1] == photo.camera.width
 
 
-def test_the_next_try_needs_no_force_but_a_result_of_someones_work_does(
-    refused: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_next_try_needs_no_force_but_what_is_somebodys_work_does(
+    refused: Path, other_scene: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    again = ["register", str(SAMPLE / "scan.npz"), str(SAMPLE / "photo.png"), "--focal-px", "974", "-o", str(refused)]
+    again = ["register", str(SAMPLE / "scan.npz"), str(other_scene), "--focal-px", "974", "-o", str(refused), "--json"]
     (refused / "notes.txt").write_text("mine")
-    assert main([*again, "--quiet"]) == ExitCode.BAD_INPUT
+    assert main(again) == ExitCode.BAD_INPUT
     (refused / "notes.txt").unlink()
-    given = ["apply", *again[1:], "--pose", str(SAMPLE / "truth.json"), "--quiet"]
-    keep = {path.name: path.read_bytes() for path in refused.iterdir()}
-    assert main(given) == ExitCode.ACCEPTED
-    assert (refused / "cloud.ply").exists()
     capsys.readouterr()
-    assert main(given) == ExitCode.BAD_INPUT  # a given pose is not accepted, and yet a result to keep
-    assert "--force" in capsys.readouterr().err
-    for path in refused.iterdir():
-        path.unlink()
-    for name, content in keep.items():
-        (refused / name).write_bytes(content)
+    assert main(again) == ExitCode.NOT_ACCEPTED
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["camera_from_scanner"] is None
+    assert printed["open_in_workbench"].startswith("ladarreg serve ")
+    document = refused / "registration.json"
+    kept = document.read_text()
+    document.write_text(json.dumps({**json.loads(kept), "evidence": "given"}))
+    with pytest.raises(ExportError, match="--force"):  # a given pose is not accepted, and yet a result to keep
+        check_folder(refused)
+    document.write_text(kept)
+    check_folder(refused)
+
+
+def test_info_shows_a_guess_as_a_guess(refused: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(refused / "registration.json")]) == 0
+    shown = capsys.readouterr().out
+    assert "Not accepted: the evidence is insufficient." in shown
+    assert "rejected guess camera" in shown
+    assert "is no pose: do not use it" in shown
+    assert "\npose camera" not in shown
+    assert "sigma" not in shown
+    # A file of an earlier version has the guess in the place of the pose.
+    fields = json.loads((refused / "registration.json").read_text())
+    fields["camera_from_scanner"] = fields.pop("rejected_guess")
+    old = tmp_path / "registration.json"
+    old.write_text(json.dumps(fields))
+    info = describe(old)
+    assert info.pose == {}
+    assert info.rejected_guess["camera"]
 
 
 def parsed(words: list[str]) -> register.Arguments:
     return parse(register.Arguments, words, prog="ladarreg register", description="")
 
 
-def test_the_command_is_printed_and_in_the_files(
-    refused: Path, other_scene: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_is_in_the_files(refused: Path, other_scene: Path) -> None:
     command = json.loads((refused / "registration.json").read_text())["open_in_workbench"]
     assert shlex.split(command)[:4] == ["ladarreg", "serve", str(SAMPLE / "scan.npz"), str(other_scene)]
     assert "To draw matches by hand, open it in the workbench" in (refused / "report.html").read_text()
-    words = ["register", str(SAMPLE / "scan.npz"), str(other_scene), "--focal-px", "974", "-o", str(refused)]
-    assert main(words) == ExitCode.NOT_ACCEPTED
-    assert f"Open     {command}\n" in capsys.readouterr().out
 
 
 def cloud(folder: Path) -> Path:

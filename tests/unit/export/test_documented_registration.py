@@ -25,7 +25,7 @@ from ladarreg_core.surface.texture import Label
 PAGE = (Path(__file__).parents[3] / "docs" / "outputs.md").read_text(encoding="utf-8")
 FREE = {
     "camera", "camera_sigmas", "camera_uncertainty", "diagnostics", "options", "labels", "not_assessed",
-    "steps[].detail", "findings[].values",
+    "steps[].detail", "findings[].values", "inputs[].read_with",
 }  # fmt: skip
 """Fields whose own fields differ between cameras, methods and steps."""
 
@@ -76,7 +76,7 @@ def documents(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, A
         ("refused", refused, {"open_command": "ladarreg serve"}),
         ("given", given_pose(scan, photo, truth, check_images=False), {}),
     ):
-        jobs = registration_files(result, scan, photo, [sample / "scan.npz"], **more)  # type: ignore[arg-type]
+        jobs = registration_files(result, scan, photo, [sample / "scan.npz"], read_with=[{"scan_index": 0}], **more)  # type: ignore[arg-type]
         jobs[0][1](path)
         found[name] = json.loads(path.read_text(encoding="utf-8"))
         found[name]["written files"] = [job for job, _ in jobs]
