@@ -8,48 +8,67 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import ladarreg_core
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.export.atomic_write import cannot_write
+from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import write_document
+from ladarreg_core.export.targets.las_file import LasWriter, extra_bytes_entry, extra_bytes_record, variable_record
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
+from ladarreg_core.formats.las_header import sniff_las
+from ladarreg_core.formats.las_records import (
+    EXTRA_BYTES_RECORD,
+    GEOTIFF_RECORD,
+    LASZIP_RECORD,
+    WKT_RECORD,
+    LasRecords,
+    extra_bytes_of,
+    point_dtype,
+)
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.best_photo import NO_PHOTO, PointColours
+from ladarreg_core.surface.best_photo import NO_PHOTO
 from ladarreg_core.surface.texture import Label, intensity_levels, intensity_rows
 
-if TYPE_CHECKING:
-    import laspy
-
 EXTRA_BYTES = {
-    "photo_id": ("uint16", "photograph, see legend; 0: none"),
-    "label": ("uint8", "visibility class, see legend"),
-    "sigma_px": ("float32", "uncertainty in photograph, px"),
+    "photo_id": ("<u2", "photograph, see legend; 0: none"),
+    "label": ("|u1", "visibility class, see legend"),
+    "sigma_px": ("<f4", "uncertainty in photograph, px"),
 }
 """Extra bytes that are added: type and description, at most 32 characters."""
-_CHUNK = 500_000
+_CHUNK = 400_000  # eight chunks of LASzip
+_COLOURS = ("red", "green", "blue")
 _SCALE_M = 1e-4
 _COARSER_SCALE_M = 1e-3
 _LARGEST_INTEGER = 2**31 - 1
 _OFFSET_ROUNDED_TO_M = 100.0
-_WITHOUT_COLOUR = {0: 2, 1: 3, 6: 7}
+_LEGACY = (0, 1, 2, 3)
+_WITH_COLOUR = {0: 2, 1: 3, 6: 7}
 _NEW_FORMATS = {0: 7, 1: 7, 2: 7, 3: 7, 6: 7, 7: 7, 8: 8}
-_GEOTIFF_RECORDS = (34735, 34736, 34737)
-_WKT_RECORD = 2112
-_PROJECTION = "LASF_Projection"
-_LEGEND_RECORD = 1
-_SIXTEEN_BITS = 257  # 255 becomes 65535
+_USER = "ladarreg"
+_LARGEST_LEGEND = 60_000
+_SIXTEEN_BITS = np.uint16(257)  # 255 becomes 65535
 _SCAN_ANGLE_STEP_DEG = 0.006
+_BYTE_ORDER_RECORDS = ("copc",)  # they state where chunks of points stand, which is not so in the copy
+
+
+def laz_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
+    """Return why the scan's file cannot be copied; None if it can."""
+    del options
+    try:
+        if (source := _las_source(handed)) is not None:
+            LasRecords(source)
+    except LadarregError as error:
+        return str(error)
+    return None
 
 
 def laz_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
@@ -57,37 +76,23 @@ def laz_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
     del options
     source = _las_source(handed)
     stem = "cloud" if handed.scan_file is None else handed.scan_file.stem
-    name = f"{stem}.laz"
+    if stem.lower().endswith(".copc"):  # its points have another order, which readers know by the name
+        stem = stem[:-5]
+    cloud = _Returns(handed) if source is None else _Copy(handed, source)
 
     def write(path: Path) -> None:
-        try:
-            if source is None:
-                _write_scan(path, handed, report)
-            else:
-                _write_copy(path, source, handed, report)
-        except OSError as error:
-            raise cannot_write(path, error) from None
+        done, label = 0, f"writing {path.name}"
+        if report is not None:
+            report(Progress(done, cloud.count, label))
+        with cloud.writer(path) as file:
+            for points in cloud.chunks():
+                file.write(points)
+                done += len(points)
+                if report is not None:
+                    report(Progress(done, cloud.count, label))
+            cloud.finish(file)
 
-    return [("legend.json", lambda path: write_document(path, legend(handed, source))), (name, write)]
-
-
-def legend(handed: RegisteredScan, source: Path | None) -> dict[str, Any]:
-    """Return what the extra bytes and the coordinates mean."""
-    if source is not None:
-        frame = "the coordinates of the source file, unchanged"
-    elif handed.scan.world_from_scanner is None:
-        frame = "scanner frame, X forward, Y left, Z up; metres"
-    else:
-        frame = "world frame, as the scan's file states it; metres"
-    return {
-        "coordinates": frame,
-        "photo_id": {"0": None, **{str(k): one.photo.name for k, one in enumerate(handed.photos, 1)}},
-        "poses": {str(k): one.mark or "accepted" for k, one in enumerate(handed.photos, 1)},
-        "label": {str(int(label)): label.name.lower().replace("_", " ") for label in Label},
-        "sigma_px": "standard deviation of the point's position in the photograph, px; NaN where it is not known",
-        "colour": "of the photograph; where none shows the point, that of the source file, or gray laser intensity",
-        "software": f"ladarreg {ladarreg_core.__version__}",
-    }
+    return [("legend.json", lambda path: write_document(path, cloud.legend)), (f"{stem}.laz", write)]
 
 
 def _las_source(handed: RegisteredScan) -> Path | None:
@@ -96,228 +101,263 @@ def _las_source(handed: RegisteredScan) -> Path | None:
     if path is None or not path.is_file():
         return None
     with open(path, "rb") as file:
-        return path if file.read(4) == b"LASF" else None
+        return path if sniff_las(file.read(4)) else None
 
 
-# A cloud that was read from LAS.
+def _legend(handed: RegisteredScan, coordinates: str, intensity: str, unseen: str, notes: Sequence[str]) -> Any:
+    """Return what the extra bytes and the coordinates mean."""
+    return {
+        "coordinates": coordinates,
+        "photo_id": {"0": None, **{str(k): one.photo.name for k, one in enumerate(handed.photos, 1)}},
+        "poses": {str(k): one.mark or "accepted" for k, one in enumerate(handed.photos, 1)},
+        "label": {str(int(label)): label.name.lower().replace("_", " ") for label in Label},
+        "sigma_px": "standard deviation of the point's position in the photograph, px; NaN where it is not known",
+        "colour": f"16 bits, of the photograph; where none shows the point, {unseen}",
+        "intensity": intensity,
+        "notes": list(notes),
+        "software": f"ladarreg {ladarreg_core.__version__}",
+    }
 
 
-def _write_copy(path: Path, source: Path, handed: RegisteredScan, report: Report | None) -> None:
-    import laspy
-
-    colourer = handed.point_colourer()
-    scanner_from_file = (handed.scan.world_from_scanner or Rigid.identity()).inverse
-    with laspy.open(source) as reader:
-        header, names = _header_like(reader.header, handed, source)
-        count, done = reader.header.point_count, 0
-        with _writer(path, header) as writer:
-            for chunk in reader.chunk_iterator(_CHUNK):
-                xyz = np.stack([chunk[axis] * s for axis, s in zip("XYZ", reader.header.scales, strict=True)], axis=-1)
-                xyz += reader.header.offsets
-                points = scanner_from_file @ xyz
-                record = _converted(chunk, header)
-                gray = _gray_of(chunk.intensity, handed.scan)
-                _set_colours(record, names, colourer.colours_of(points), _colours_before(chunk, gray))
-                writer.write_points(record)
-                done += len(chunk)
-                _report(report, done, count, path)
-            if reader.evlrs and header.version.minor >= 4:
-                writer.write_evlrs(reader.evlrs)
+def _legend_record(legend: Mapping[str, Any], number: int) -> bytes:
+    """Return the legend as a record; names of so many photographs that they do not fit stand in the file alone."""
+    content = json.dumps(legend).encode()
+    if len(content) > _LARGEST_LEGEND:
+        content = json.dumps({**legend, "photo_id": "see legend.json", "poses": _marked(legend["poses"])}).encode()
+    return variable_record(_USER, number, "labels and photographs, JSON", content)
 
 
-def _header_like(source: laspy.LasHeader, handed: RegisteredScan, path: Path) -> tuple[Any, Mapping[str, str]]:
-    """Return the header of the copy, and the names of the added extra bytes.
+def _marked(poses: Mapping[str, str]) -> str:
+    marks = sorted(set(poses.values()) - {"accepted"})
+    return f"some: {', '.join(marks)}; see legend.json" if marks else "accepted"
+
+
+def _opaque(size: int) -> list[tuple[str, str]]:
+    return [("extra", f"V{size}")] if size else []
+
+
+class _Copy:
+    """A cloud that was read from LAS or LAZ.
 
     LAS 1.4 needs WKT for the point formats from 6 on: a file whose reference system is in GeoTIFF keys alone stays in
     its version, in the point format of its own with colours.
     """
-    import laspy
 
-    old = source.point_format.id
-    records = {(vlr.user_id, vlr.record_id) for vlr in source.vlrs}
-    geotiff = any((_PROJECTION, key) in records for key in _GEOTIFF_RECORDS)
-    wkt = (_PROJECTION, _WKT_RECORD) in records or any(
-        getattr(vlr, "record_id", 0) == _WKT_RECORD for vlr in source.evlrs or ()
-    )
-    stays = geotiff and not wkt
-    number = _WITHOUT_COLOUR.get(old, old) if stays else _NEW_FORMATS[old]
-    lowest = {2: "1.2", 3: "1.2"}.get(number, "1.4")
-    header = laspy.LasHeader(point_format=number, version=max(str(source.version), lowest) if stays else "1.4")
-    header.scales, header.offsets = source.scales, source.offsets
-    header.system_identifier, header.file_source_id = source.system_identifier, source.file_source_id
-    header.generating_software = f"ladarreg {ladarreg_core.__version__}"
-    header.creation_date, header.uuid = source.creation_date, source.uuid
-    header.global_encoding = source.global_encoding
-    header.global_encoding.wkt = number >= 6
-    own = ("ExtraBytesVlr", "LasZipVlr")
-    header.vlrs.extend([vlr for vlr in source.vlrs if type(vlr).__name__ not in own])
-    taken = {name.lower() for name in source.point_format.dimension_names}
-    for dimension in source.point_format.extra_dimensions:
-        header.add_extra_dim(
-            laspy.ExtraBytesParams(
-                name=dimension.name,
-                type=_type_of(dimension),
-                description=dimension.description,
-                offsets=dimension.offsets,
-                scales=dimension.scales,
-                no_data=dimension.no_data,
-            )
+    def __init__(self, handed: RegisteredScan, source: Path) -> None:
+        self._handed = handed
+        self._stored = stored = LasRecords(source)
+        header = stored.header
+        self.count = header.points
+        self._old = header.point_format
+        stays = stored.has(GEOTIFF_RECORD) and not stored.has(WKT_RECORD)
+        self._new = _WITH_COLOUR.get(self._old, self._old) if stays else _NEW_FORMATS[self._old]
+        version = int(header.version.split(".")[1])
+        self._minor = max(version, 2) if stays else 4
+        self._has_wkt = not stays
+        self._has_colour = "red" in (point_dtype(self._old).names or ())
+        extra = header.record_bytes - point_dtype(self._old).itemsize
+        self._as_read = point_dtype(self._old, _opaque(extra))
+        described = next((one.content for one in stored.records if one.key == EXTRA_BYTES_RECORD), b"")
+        self._entries, taken = extra_bytes_of(described, extra)
+        taken |= {name.lower() for part in (self._old, self._new) for name in point_dtype(part).fields or {}}
+        self._names = {name: _free_name(name, taken) for name in EXTRA_BYTES}
+        added = [(self._names[name], dtype) for name, (dtype, _) in EXTRA_BYTES.items()]
+        self._dtype = point_dtype(self._new, _opaque(extra) + added)
+        self.legend = _legend(
+            handed,
+            "the coordinates of the source file, unchanged",
+            "the source file's, unchanged",
+            "that of the source file" if self._has_colour else "gray laser intensity",
+            self._notes(stays),
         )
-    names = {}
-    for name, (kind, description) in EXTRA_BYTES.items():
-        names[name] = name if name not in taken else next(n for n in _numbered(f"ladarreg_{name}") if n not in taken)
-        header.add_extra_dim(laspy.ExtraBytesParams(name=names[name], type=kind, description=description))
-    _add_legend(header, handed, path)
-    return header, names
+
+    def writer(self, path: Path) -> LasWriter:
+        """Return the writer of the copy."""
+        stored = self._stored
+        kept = [one for one in stored.records if not _is_rewritten(one.user, one.number)]
+        numbers = {one.number for one in kept if one.user == _USER}
+        added = (extra_bytes_entry(self._names[name], *rest) for name, rest in EXTRA_BYTES.items())
+        return LasWriter(
+            path,
+            point_format=self._new,
+            dtype=self._dtype,
+            minor=self._minor,
+            scale=stored.header.scale,
+            offset=stored.header.offset,
+            records=[
+                *(one.data for one in kept),
+                extra_bytes_record(self._entries + b"".join(added)),
+                _legend_record(self.legend, next(k for k in range(1, 1 << 16) if k not in numbers)),
+            ],
+            head=stored.head,
+            has_wkt=self._has_wkt and self._new not in _LEGACY,
+        )
+
+    def finish(self, file: LasWriter) -> None:
+        """Complete the copy with the records that stand behind the points."""
+        kept = [one for one in self._stored.long_records if not _is_rewritten(one.user, one.number)]
+        file.finish(self._stored.path, [(one.start, one.size) for one in kept])
+
+    def chunks(self) -> Iterator[NDArray[Any]]:
+        """Yield the points with their colours."""
+        colourer, scan, header = self._handed.point_colourer(), self._handed.scan, self._stored.header
+        pose, scale = scan.world_from_scanner or Rigid.identity(), np.array(header.scale)
+        moved = np.array(header.offset) - pose.translation  # small, and exact
+        levels = intensity_levels(scan)
+        factor = 0  # of the file's colours; 0 as long as all are black
+        for stored in self._stored.chunks(_CHUNK):
+            old = stored.reshape(-1).view(self._as_read)
+            made = self._converted(old)
+            points = np.stack([old[axis] for axis in "XYZ"], axis=-1) * scale + moved
+            if not np.array_equal(pose.rotation, np.eye(3)):
+                points = points @ pose.rotation
+            found = colourer.colours_of(points)
+            shown = found.photo != NO_PHOTO
+            if not self._has_colour:
+                gray = intensity_rows(old["intensity"].astype(np.float32), levels) * _SIXTEEN_BITS
+            elif not factor:
+                brightest = max(int(old[name].max()) for name in _COLOURS)
+                # Many writers store 8 bits in the 16 of the standard: in one file they would be black beside ours.
+                factor = 0 if brightest == 0 else int(_SIXTEEN_BITS) if brightest < 256 else 1
+            for k, name in enumerate(_COLOURS):
+                before = old[name] * np.uint16(factor) if self._has_colour else gray
+                made[name] = np.where(shown, found.colour[:, k] * _SIXTEEN_BITS, before)
+            made[self._names["photo_id"]] = np.where(shown, found.photo + np.uint16(1), 0)
+            made[self._names["label"]], made[self._names["sigma_px"]] = found.labels, found.sigma_px
+            yield made
+
+    def _converted(self, old: NDArray[Any]) -> NDArray[Any]:
+        """Return points in the record of the copy, with all their values; those of equal names are equal in storage."""
+        made = np.zeros(len(old), self._dtype)
+        for name in set(old.dtype.names or ()) & set(made.dtype.names or ()):
+            made[name] = old[name]
+        if self._old in _LEGACY and self._new not in _LEGACY:
+            bits, kind = old["bits"], old["class_bits"]
+            made["returns"] = (bits & 7) | (bits >> 3 & 7) << 4
+            made["flags"] = kind >> 5 | bits & 0xC0  # synthetic, key point, withheld; scan direction, edge
+            made["classification"] = kind & 31
+            made["scan_angle"] = np.rint(old["scan_angle_rank"] / _SCAN_ANGLE_STEP_DEG)
+        return made
+
+    def _notes(self, stays: bool) -> list[str]:
+        notes = []
+        if stays:
+            notes.append(
+                "the reference system is stated by GeoTIFF keys only, which LAS 1.4 does not allow for point formats "
+                f"from 6 on: the file stays in LAS 1.{self._minor}, point format {self._new}"
+            )
+        renamed = [f"{new} ({name})" for name, new in self._names.items() if name != new]
+        if renamed:
+            notes.append(f"the source has extra bytes of the same names; the new ones are {', '.join(renamed)}")
+        return notes
 
 
-def _numbered(name: str) -> Iterator[str]:
-    yield name
-    number = 2
-    while True:
-        yield f"{name}_{number}"
-        number += 1
+def _is_rewritten(user: str, number: int) -> bool:
+    return (user, number) in (EXTRA_BYTES_RECORD, LASZIP_RECORD) or user in _BYTE_ORDER_RECORDS
 
 
-def _type_of(dimension: Any) -> Any:
-    base = dimension.dtype.base
-    return base if dimension.num_elements == 1 else np.dtype((base, (dimension.num_elements,)))
+def _free_name(name: str, taken: set[str]) -> str:
+    candidate, number = name, 2
+    while candidate in taken:
+        candidate = f"ladarreg_{name}" if candidate == name else f"ladarreg_{name}_{number}"
+        number += candidate != f"ladarreg_{name}"
+    return candidate
 
 
-def _converted(chunk: Any, header: Any) -> Any:
-    """Return points in the format of a header; coordinates and all other values are those of the chunk, bit for bit."""
-    import laspy
+class _Returns:
+    """The returns of a scan that was not read from LAS."""
 
-    record = laspy.ScaleAwarePointRecord.zeros(len(chunk), header=header)
-    there = set(record.point_format.dimension_names)
-    for name in chunk.point_format.dimension_names:
-        if name in there:
-            target = record.array[name] if name in (record.array.dtype.names or ()) else None
-            plain = target is not None and name in (chunk.array.dtype.names or ())
-            if plain:
-                record.array[name] = chunk.array[name]  # as stored: scaled extra bytes are not rounded again
-            else:
-                record[name] = chunk[name]
-        elif name == "scan_angle_rank" and "scan_angle" in there:
-            record["scan_angle"] = np.rint(np.asarray(chunk[name], np.float64) / _SCAN_ANGLE_STEP_DEG).astype(np.int16)
-    return record
+    def __init__(self, handed: RegisteredScan) -> None:
+        self._handed = handed
+        scan = handed.scan
+        self.count = int(np.count_nonzero(scan.valid))
+        pose = scan.world_from_scanner or Rigid.identity()
+        large = np.abs(pose.translation).max() > _OFFSET_ROUNDED_TO_M
+        self._offset = (
+            np.round(pose.translation / _OFFSET_ROUNDED_TO_M) * _OFFSET_ROUNDED_TO_M + 0.0 if large else np.zeros(3)
+        )
+        self._placed = Rigid(pose.rotation, pose.translation - self._offset)  # small, and exact
+        reach = float(np.nanmax(scan.ranges)) + 2 * _OFFSET_ROUNDED_TO_M
+        self._scale_m = _SCALE_M if reach / _SCALE_M < _LARGEST_INTEGER else _COARSER_SCALE_M
+        self._intensity = _Intensity(scan)
+        in_world = scan.world_from_scanner is not None
+        self.legend = _legend(
+            handed,
+            "world frame, as the scan's file states it; metres"
+            if in_world
+            else "scanner frame, X forward, Y left, Z up; metres",
+            self._intensity.words,
+            "gray laser intensity" if scan.color is None else "that of the source file",
+            [],
+        )
+        self._dtype = point_dtype(7, [(name, dtype) for name, (dtype, _) in EXTRA_BYTES.items()])
 
+    def writer(self, path: Path) -> LasWriter:
+        """Return the writer of the cloud."""
+        entries = b"".join(extra_bytes_entry(name, *rest) for name, rest in EXTRA_BYTES.items())
+        return LasWriter(
+            path,
+            point_format=7,
+            dtype=self._dtype,
+            minor=4,
+            scale=[self._scale_m] * 3,
+            offset=self._offset.tolist(),
+            records=[extra_bytes_record(entries), _legend_record(self.legend, 1)],
+            has_wkt=True,
+        )
 
-def _colours_before(chunk: Any, gray: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Return the colours (N, 3) of points that no photograph shows: their own, or gray."""
-    if "red" not in chunk.point_format.dimension_names:
-        return np.repeat(gray[:, None], 3, axis=1)
-    return np.stack([np.asarray(chunk[name], np.uint16) for name in ("red", "green", "blue")], axis=-1)
+    def finish(self, file: LasWriter) -> None:
+        """Complete the file."""
+        file.finish()
 
-
-def _gray_of(intensity: Any, scan: Scan) -> NDArray[np.uint16]:
-    return intensity_rows(np.asarray(intensity, np.float32), intensity_levels(scan)).astype(np.uint16) * _SIXTEEN_BITS
-
-
-# A scan of another format.
-
-
-@dataclass(frozen=True, slots=True)
-class _Coordinates:
-    """Scale and offset of written coordinates."""
-
-    scale_m: float
-    offset_m: FloatArray
-
-
-def _write_scan(path: Path, handed: RegisteredScan, report: Report | None) -> None:
-    import laspy
-
-    scan, colours = handed.scan, handed.colours
-    pose = scan.world_from_scanner or Rigid.identity()
-    coordinates = _coordinates(scan, pose)
-    header = laspy.LasHeader(point_format=7, version="1.4")
-    header.scales, header.offsets = np.full(3, coordinates.scale_m), coordinates.offset_m
-    header.generating_software = f"ladarreg {ladarreg_core.__version__}"
-    header.global_encoding.wkt = True
-    for name, (kind, description) in EXTRA_BYTES.items():
-        header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=kind, description=description))
-    _add_legend(header, handed, None)
-    levels, factor = intensity_levels(scan), _intensity_factor(scan)
-    count, done = int(np.count_nonzero(scan.valid)), 0
-    rows_at_once = max(1, _CHUNK // scan.shape[1])
-    with _writer(path, header) as writer:
+    def chunks(self) -> Iterator[NDArray[Any]]:
+        """Yield the points with their colours."""
+        scan, colours = self._handed.scan, self._handed.colours
+        levels = intensity_levels(scan)
+        rows_at_once = max(1, _CHUNK // scan.shape[1])
         for first in range(0, scan.shape[0], rows_at_once):
             rows = slice(first, first + rows_at_once)
             valid = scan.valid[rows]
-            xyz = pose @ scan.points_at(rows, slice(None))[valid].astype(np.float64)
-            record = laspy.ScaleAwarePointRecord.zeros(len(xyz), header=header)
+            points = scan.points_at(rows, slice(None))[valid].astype(np.float64)
+            made = np.zeros(len(points), self._dtype)
+            points = (points @ self._placed.rotation.T + self._placed.translation) / self._scale_m
             for k, axis in enumerate("XYZ"):
-                record[axis] = np.rint((xyz[:, k] - coordinates.offset_m[k]) / coordinates.scale_m).astype(np.int32)
+                made[axis] = np.rint(points[:, k])
             intensity = scan.intensity[rows][valid]
-            record["intensity"] = np.clip(np.rint(np.nan_to_num(intensity) * factor), 0, 65535).astype(np.uint16)
-            record["return_number"] = record["number_of_returns"] = np.ones(len(xyz), np.uint8)
-            found = PointColours(
-                colours.image[rows][valid],
-                colours.labels[rows][valid],
-                colours.photo[rows][valid],
-                colours.sigma_px[rows][valid],
-            )
-            before = _colours_of_scan(scan, rows, valid, levels)
-            _set_colours(record, {name: name for name in EXTRA_BYTES}, found, before)
-            writer.write_points(record)
-            done += len(xyz)
-            _report(report, done, count, path)
+            made["intensity"] = self._intensity.written(intensity)
+            made["returns"] = 1 | 1 << 4  # the first of one
+            photo, rgb = colours.photo[rows][valid], colours.image[rows][valid]
+            shown = photo != NO_PHOTO
+            if scan.color is None:
+                before = np.broadcast_to(intensity_rows(intensity, levels)[:, None], rgb.shape)
+            else:
+                before = scan.color[rows][valid]
+            for k, name in enumerate(_COLOURS):
+                made[name] = np.where(shown, rgb[:, k], before[:, k]) * _SIXTEEN_BITS
+            made["photo_id"] = np.where(shown, photo + np.uint16(1), 0)
+            made["label"], made["sigma_px"] = colours.labels[rows][valid], colours.sigma_px[rows][valid]
+            yield made
 
 
-def _coordinates(scan: Scan, pose: Rigid) -> _Coordinates:
-    """Return a scale and an offset that hold all coordinates of a scan."""
-    reach = float(np.nanmax(scan.ranges))
-    large = np.abs(pose.translation).max() > _OFFSET_ROUNDED_TO_M
-    offset = np.round(pose.translation / _OFFSET_ROUNDED_TO_M) * _OFFSET_ROUNDED_TO_M + 0.0 if large else np.zeros(3)
-    fine = (reach + _OFFSET_ROUNDED_TO_M) / _SCALE_M < _LARGEST_INTEGER
-    return _Coordinates(_SCALE_M if fine else _COARSER_SCALE_M, offset)
+class _Intensity:
+    """The intensities of a scan in 16 bits: unchanged where they are whole numbers that fit."""
 
+    def __init__(self, scan: Scan) -> None:
+        low, high, whole = np.inf, -np.inf, True
+        for first in range(0, scan.shape[0], 256):
+            here = scan.intensity[first : first + 256][scan.valid[first : first + 256]]
+            if here.size:
+                low, high = min(low, float(here.min())), max(high, float(here.max()))
+                whole = whole and bool((here == np.rint(here)).all())
+        self._zero, self._factor = min(low, 0.0), 1.0
+        if not whole or low < 0 or high > 65535:
+            self._factor = 65535.0 / max(high - self._zero, 1e-30)
+        self.words = "the scan's"
+        if self._factor != 1.0:
+            less = f" less {self._zero:g}" if self._zero else ""
+            self.words = f"the scan's{less}, times {self._factor:.9g}, which is 65535 for the largest"
 
-def _intensity_factor(scan: Scan) -> float:
-    """Return the factor that brings intensities into 16 bits: 1 where they are whole numbers that fit."""
-    largest = float(np.nanmax(scan.intensity)) if np.isfinite(scan.intensity).any() else 0.0
-    some = scan.intensity[:: max(1, scan.shape[0] // 64)]
-    some = some[np.isfinite(some)]
-    fits = largest <= 65535 and float(some.min(initial=0.0)) >= 0 and bool((some == np.rint(some)).all())
-    return 1.0 if fits or largest <= 0 else 65535.0 / largest
-
-
-def _colours_of_scan(
-    scan: Scan, rows: slice, valid: NDArray[np.bool_], levels: tuple[float, float]
-) -> NDArray[np.uint16]:
-    if scan.color is not None:
-        return scan.color[rows][valid].astype(np.uint16) * np.uint16(_SIXTEEN_BITS)
-    gray = intensity_rows(scan.intensity[rows][valid], levels).astype(np.uint16) * np.uint16(_SIXTEEN_BITS)
-    return np.repeat(gray[:, None], 3, axis=1)
-
-
-# Both.
-
-
-def _set_colours(record: Any, names: Mapping[str, str], found: PointColours, before: NDArray[np.uint16]) -> None:
-    shown = found.photo != NO_PHOTO
-    rgb = np.where(shown[:, None], found.colour.astype(np.uint16) * np.uint16(_SIXTEEN_BITS), before)
-    for k, name in enumerate(("red", "green", "blue")):
-        record[name] = rgb[:, k]
-    record[names["photo_id"]] = np.where(shown, found.photo + np.uint16(1), 0).astype(np.uint16)
-    record[names["label"]] = found.labels
-    record[names["sigma_px"]] = found.sigma_px
-
-
-def _add_legend(header: Any, handed: RegisteredScan, source: Path | None) -> None:
-    import laspy
-
-    text = json.dumps(legend(handed, source), ensure_ascii=True).encode()[:65000]
-    header.vlrs.append(laspy.VLR("ladarreg", _LEGEND_RECORD, "labels and photographs (JSON)", text))
-
-
-def _writer(path: Path, header: Any) -> Any:
-    import laspy
-
-    return laspy.open(path, mode="w", header=header, do_compress=True, laz_backend=laspy.LazBackend.LazrsParallel)
-
-
-def _report(report: Report | None, done: int, count: int, path: Path) -> None:
-    if report is not None:
-        report(Progress(done, count, f"writing {path.name}"))
+    def written(self, values: FloatArray) -> NDArray[np.uint16]:
+        """Return intensities (N,) as they are written."""
+        scaled = (values.astype(np.float64) - self._zero) * self._factor
+        return np.asarray(np.rint(np.clip(scaled, 0, 65535)), dtype=np.uint16)

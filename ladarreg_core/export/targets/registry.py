@@ -8,7 +8,7 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.export.targets.colmap import colmap_files, colmap_refusal
 from ladarreg_core.export.targets.e57 import e57_files, e57_refusal
 from ladarreg_core.export.targets.kalibr import kalibr_files, kalibr_refusal
-from ladarreg_core.export.targets.laz import laz_files
+from ladarreg_core.export.targets.laz import laz_files, laz_refusal
 from ladarreg_core.export.targets.opencv import opencv_files, opencv_refusal
 from ladarreg_core.export.targets.ply import ply_files
 from ladarreg_core.export.targets.report import report_files
@@ -45,6 +45,7 @@ TARGETS: tuple[Target, ...] = (
         title="LAS / LAZ",
         purpose="The coloured cloud as LAS 1.4, compressed: CloudCompare, QGIS, PDAL, and surveying programs.",
         files=laz_files,
+        refusal=laz_refusal,
     ),
     Target(
         name="ply",

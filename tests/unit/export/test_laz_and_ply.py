@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -144,20 +145,113 @@ def test_geotiff_keys_alone_keep_a_file_in_its_version(tmp_path: Path, old: int,
     assert (str(found.header.version), found.header.point_format.id) == (version, new)
     np.testing.assert_array_equal(found.X, data.X)
     assert any(vlr.record_id == 34735 for vlr in found.header.vlrs)
+    assert not found.header.global_encoding.wkt, "readers would look for WKT and find no reference system"
+    assert "GeoTIFF" in json.loads((tmp_path / "out" / "laz" / "legend.json").read_text())["notes"][0]
 
 
-def test_old_scan_angles_are_converted(tmp_path: Path) -> None:
+def written_again(tmp_path: Path, name: str, *, point_format: int = 6, evlrs: Any = None, **fields: Any) -> Any:
+    """Return a cloud written by laspy, its copy, and the paths of both."""
+    header = laspy.LasHeader(point_format=point_format, version="1.4")
+    header.scales = [0.001] * 3
+    header.vlrs.extend(fields.pop("vlrs", []))
+    for key, values in fields.items():
+        if key not in header.point_format.dimension_names:
+            header.add_extra_dim(laspy.ExtraBytesParams(key, values.dtype))
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = (in_room(dome(3.0)) - [0.4, -0.6, 1.5]).T
+    data.intensity = np.arange(len(data.x)) % 5000
+    for key, values in fields.items():
+        data[key] = values
+    if evlrs is not None:
+        data.evlrs = laspy.vlrs.vlrlist.VLRList(evlrs)
+    file = tmp_path / name
+    data.write(file)
+    if "hidden" in fields:  # the record that describes the extra bytes
+        file.write_bytes(file.read_bytes().replace(b"LASF_Spec", b"SomeoneXX"))
+    export_to(tmp_path / "out", registered(read_scan(file, origin=(0, 0, 0)), file), ["laz"])
+    (copy,) = (tmp_path / "out" / "laz").glob("*.laz")
+    return laspy.read(file), laspy.read(copy), file, copy
+
+
+COUNT = len(in_room(dome(3.0)))
+
+
+def stored_records(data: bytes) -> dict[tuple[bytes, int], bytes]:
+    """Return the variable length records by user and number, parsed by hand."""
+    at, _, count = struct.unpack_from("<HII", data, 94)
+    found = {}
+    for _ in range(count):
+        user, number, size = struct.unpack_from("<2x16sHH", data, at)
+        found[user.rstrip(b"\0"), number] = data[at : at + 54 + size]
+        at += 54 + size
+    return found
+
+
+def test_records_of_others_are_copied_byte_by_byte_but_not_those_of_copc(tmp_path: Path) -> None:
+    wkt = laspy.vlrs.known.WktCoordinateSystemVlr('PROJCS["ETRS89"]')
+    theirs = [laspy.VLR("LASF_Spec", 3, "text", b"a\0b"), laspy.VLR("copc", 1, "COPC info", bytes(160))]
+    _, after, file, copy = written_again(tmp_path, "x.copc.las", vlrs=theirs, evlrs=[wkt])
+    assert copy.name == "x.laz"
+    before, now = (stored_records(path.read_bytes()) for path in (file, copy))
+    assert now[b"LASF_Spec", 3] == before[b"LASF_Spec", 3]
+    assert (b"copc", 1) not in now
+    assert [(one.user_id, one.record_id, one.string) for one in after.evlrs] == [
+        ("LASF_Projection", 2112, 'PROJCS["ETRS89"]')
+    ]
+    assert after.header.global_encoding.wkt
+
+
+def test_header_states_bounds_and_returns(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    numbers = rng.integers(1, 6, COUNT)
+    before, after, _, _ = written_again(tmp_path, "r.las", return_number=numbers, number_of_returns=numbers * 0 + 5)
+    np.testing.assert_allclose(after.header.mins, before.xyz.min(axis=0), atol=1e-9)
+    np.testing.assert_allclose(after.header.maxs, before.xyz.max(axis=0), atol=1e-9)
+    assert after.header.number_of_points_by_return[:5].tolist() == np.bincount(numbers)[1:].tolist()
+    assert after.header.point_count == COUNT
+
+
+def test_colours_of_eight_bits_become_sixteen_beside_the_photographs(tmp_path: Path) -> None:
+    rgb = np.random.default_rng(3).integers(0, 256, (3, COUNT)).astype(np.uint16)
+    fields = dict(zip(("red", "green", "blue"), rgb, strict=True))
+    before, after, _, _ = written_again(tmp_path, "c.las", point_format=8, nir=rgb[0] * 3, **fields)
+    assert after.header.point_format.id == 8
+    np.testing.assert_array_equal(after.nir, before.nir)
+    unseen = np.asarray(after.photo_id) == 0
+    assert 100 < unseen.sum() < COUNT - 100
+    np.testing.assert_array_equal(after.green[unseen], before.green[unseen] * 257)
+
+
+def test_extra_bytes_without_a_description_stay(tmp_path: Path) -> None:
+    hidden = np.random.default_rng(4).integers(0, 2**32, COUNT).astype(np.uint32)
+    _, after, _, _ = written_again(tmp_path, "h.las", hidden=hidden)
+    (name, *ours) = after.point_format.extra_dimension_names
+    assert ours == ["photo_id", "label", "sigma_px"]
+    np.testing.assert_array_equal(np.ascontiguousarray(after[name]).view(np.uint32).ravel(), hidden)
+
+
+def test_points_of_old_formats_keep_their_flags_and_angles(tmp_path: Path) -> None:
     header = laspy.LasHeader(point_format=1, version="1.2")
     header.scales = [0.001] * 3
     data = laspy.LasData(header)
     data.x, data.y, data.z = (in_room(dome(3.0)) - [0.4, -0.6, 1.5]).T
     data.intensity = np.arange(len(data.x)) % 5000
-    data.scan_angle_rank = np.arange(len(data.x)) % 181 - 90
+    count = len(data.x)
+    data.scan_angle_rank = np.arange(count) % 181 - 90
+    rng = np.random.default_rng(1)
+    flags = {"return_number": 8, "number_of_returns": 8, "classification": 32, "scan_direction_flag": 2,
+             "edge_of_flight_line": 2, "synthetic": 2, "key_point": 2, "withheld": 2, "user_data": 256,
+             "point_source_id": 65536}  # fmt: skip
+    for name, most in flags.items():
+        data[name] = rng.integers(0, most, count)
+    data.gps_time = rng.random(count) * 1e9
     file = tmp_path / "old.las"
     data.write(file)
     export_to(tmp_path / "out", registered(read_scan(file, origin=(0, 0, 0)), file), ["laz"])
     found = laspy.read(tmp_path / "out" / "laz" / "old.laz")
     assert found.header.point_format.id == 7
+    for name in (*flags, "gps_time", "intensity", "X", "Y", "Z"):
+        np.testing.assert_array_equal(found[name], data[name], err_msg=name)
     np.testing.assert_allclose(np.asarray(found.scan_angle) * 0.006, data.scan_angle_rank, atol=0.003)
 
 
