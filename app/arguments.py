@@ -147,7 +147,7 @@ class PhotoArguments(CameraArguments):
     """Scan, photo, and what is known about them; output folder."""
 
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
-    """Scan: E57, PCD, NPZ or a descriptor JSON."""
+    """Scan: E57, PTX, LAS, LAZ, PLY, PTS, XYZ, CSV, PCD, bag, MCAP, PCAP, NPZ ..."""
     photo: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTO")]
     """Photo: JPEG, PNG, TIFF, WebP, AVIF."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]

@@ -26,9 +26,9 @@ class Arguments(ScanArguments):
     """Arguments of `selftest`."""
 
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
-    """Scan: E57, PCD, NPZ or a descriptor JSON."""
+    """Scan: E57, PTX, LAS, LAZ, PLY, PTS, XYZ, CSV, PCD, bag, MCAP, PCAP, NPZ ..."""
     camera: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """Camera of the planned photos: JSON, OpenCV YAML or ROS camera_info."""
+    """Camera of the planned photos: JSON, OpenCV, ROS, Kalibr, COLMAP, nerfstudio or Agisoft."""
     photos: int = 20
     """Number of photos registered without an initial pose."""
     starts: int = 9
