@@ -57,7 +57,7 @@ class ExportJobs:
 
         target = self.zip_path(inputs.entry.id)
         write_zip(target, lambda: self._files(inputs, frame), report=context.progress)
-        return f"Wrote a zip of {_size(target.stat().st_size)}."
+        return f"Wrote a zip of {size_of(target)}."
 
     def report_path(self, photo: str) -> Path:
         """Return the path of a photograph's report."""
@@ -69,7 +69,7 @@ class ExportJobs:
         context.check()
         target = self.report_path(inputs.entry.id)
         pose.write_report(target, inputs.scan, inputs.photo)
-        return f"Wrote a report of {_size(target.stat().st_size)}."
+        return f"Wrote a report of {size_of(target)}."
 
     def check_folder(self, folder: Path, document: Document, *, force: bool) -> None:
         """Refuse a folder that must not be written or replaced.
@@ -145,5 +145,7 @@ def download_name(project: str, photo: str, *, ending: str = ".zip") -> str:
     return f"{words[:80] or 'registration'}{ending}"
 
 
-def _size(count: int) -> str:
+def size_of(path: Path) -> str:
+    """Return the size of a file, in words."""
+    count = path.stat().st_size
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.0f} kB"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from ladarreg_core.project.history import Author
 
 from .automatic import IDLE, AutomaticSolver
 from .export import ExportJobs, download_name
+from .hand_over import HAND_OVER, HandOverJobs, Wanted
 from .inputs import Inputs, Workspace
 from .matching import MatchingJobs
 from .registration import RegistrationJobs
@@ -65,6 +66,7 @@ class JobRegistry:
         simplex = SimplexJobs(solve, self._show_frame)
         self._registration = RegistrationJobs(workspace, solve)
         self._exports = ExportJobs(workspace)
+        self._hand_over = HandOverJobs(workspace, self._exports)
         self._kinds = {
             "find_corners": JobKind("Find corners", self._matching.find_corners),
             "match": JobKind("Match corners", self._matching.match),
@@ -120,6 +122,25 @@ class JobRegistry:
         )
         return self._start("export", kind, photo, author)
 
+    def export_targets(self, wanted: Wanted) -> dict[str, Any]:
+        """Return the table of targets; raises as `HandOverJobs.table`."""
+        return self._hand_over.table(wanted)
+
+    def run_hand_over(
+        self, names: Sequence[str], wanted: Wanted, author: Author, *, folder: Path | None, force: bool
+    ) -> str:
+        """Start an export to targets, as a zip or into a folder; raises as `run` and `HandOverJobs.work`."""
+        work, photo = self._hand_over.work(names, wanted, folder, force=force)
+
+        def and_report(context: JobContext) -> str:
+            sentence = work(context)
+            if folder is None:
+                self._publish_event({"event": "hand_over_ready", "url": f"export/{HAND_OVER}.zip"})
+            return sentence
+
+        label = "Export to other programs" if folder is None else f"Export into {folder.name}"
+        return self._runner.start("hand_over", and_report, label=label, photo=photo, author=author)
+
     def corners(self, photo: str) -> dict[str, Any] | None:
         """Return the corners found in a photograph and the scan."""
         return self._matching.corners(photo)
@@ -138,8 +159,11 @@ class JobRegistry:
             self._automatic.close()
 
     def export_file(self, photo: str) -> tuple[Path, str] | None:
-        """Return the last zip of a photograph and its download name; None before there is one."""
+        """Return the last zip of a photograph, or of a hand-over, and its download name; None before there is one."""
         document = self._workspace.session.document
+        if photo == HAND_OVER:
+            path = self._hand_over.zip_path
+            return (path, download_name(document.name, HAND_OVER)) if path.is_file() else None
         entry = document.photo(photo)
         if entry is None:
             return None

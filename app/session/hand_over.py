@@ -30,6 +30,8 @@ class LeftOut:
     """Its file name."""
     why: str
     """The reason, without a full stop."""
+    is_stale: bool = False
+    """Whether its pose is only out of date."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,22 +68,25 @@ def chosen_photos(
     for entry in document.photos:
         if photos is not None and entry.id not in photos:
             continue
-        why = _why_not(loader, entry, last_solved=last_solved, with_refused=with_refused)
-        if why:
-            left_out.append(LeftOut(entry.id, entry.source.name, why))
-        else:
+        out = _left_out(loader, entry, last_solved=last_solved, with_refused=with_refused)
+        if out is None:
             entries.append(entry)
+        else:
+            left_out.append(out)
     return Chosen(entries, left_out)
 
 
-def _why_not(loader: Loader, entry: PhotoEntry, *, last_solved: bool, with_refused: bool) -> str:
-    pose = entry.pose
+def _left_out(loader: Loader, entry: PhotoEntry, *, last_solved: bool, with_refused: bool) -> LeftOut | None:
+    pose, name = entry.pose, entry.source.name
     if pose is None:
-        return "it has no pose; register it"
+        return LeftOut(entry.id, name, "it has no pose; register it")
     if not loader.registration(pose).is_shown and not with_refused:
-        return "its pose was not accepted; register it again"
-    stale = loader.stale(entry, pose)
-    return f"its pose is out of date: {stale}, or export the last solved state" if stale and not last_solved else ""
+        return LeftOut(entry.id, name, "its pose was not accepted; register it again")
+    stale = "" if last_solved else loader.stale(entry, pose)
+    if stale:
+        why = f"its pose is out of date: {stale}, or export the last solved state"
+        return LeftOut(entry.id, name, why, is_stale=True)
+    return None
 
 
 def project_scan(

@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
@@ -25,6 +24,7 @@ from ..session.session import Session
 from .batches import Batches
 from .clients import Client, Clients, valid_name
 from .embedded import EmbeddedPictures
+from .export_commands import EXPORT_COMMANDS
 from .files import Files
 from .people_commands import PEOPLE_COMMANDS
 from .queries import Queries
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _MAX_ACTION = 80
 _OF_EVERY_MESSAGE = ("id", "do", "project")
-_MAX_PATH, _MAX_PATH_PART = 4000, 255
 _MAX_QUOTE, _MAX_SENTENCE = 40, 600
 _FOCALS = {
     "focal_px": "the focal length",
@@ -436,22 +435,13 @@ def job_control(context: Context, client: Client, fields: Fields) -> Reply:
     return {}
 
 
-def export_folder(context: Context, client: Client, fields: Fields) -> Reply:
-    """Export the results into a folder of the server."""
-    folder = _folder(fields.get("folder"))
-    force, last_solved = fields.get("force") is True, fields.get("last_solved") is True
-    photo, frame = fields.get("photo"), fields.get("frame", "scanner")
-    job = context.jobs.run_export(folder, photo, client.author, force=force, last_solved=last_solved, frame=frame)
-    return {"job": job}
-
-
 COMMANDS: dict[str, Command] = {
     command.__name__: command
     for command in (
         add_pick, set_pick, remove_picks, switch_picks, reject, set_camera, set_settings, rename, remove_photo,
         use_stage, undo, redo, go_to, show_photo, set_model, call_me, hover_pick, open_served, list_served, open_files,
-        add_embedded, discard_files, predict, where, snap, sample_line, probe, run, refine, job_control, export_folder,
-        look, read_only_link, *PEOPLE_COMMANDS,
+        add_embedded, discard_files, predict, where, snap, sample_line, probe, run, refine, job_control,
+        look, read_only_link, *EXPORT_COMMANDS, *PEOPLE_COMMANDS,
     )
 }  # fmt: skip
 LOOKING = frozenset(
@@ -524,18 +514,6 @@ def _existing(context: Context, fields: Fields, ids: list[str]) -> list[str]:
     """Return those ids that are matches of the photograph, without duplicates."""
     wanted = frozenset(ids)
     return [pick.id for pick in _photo(context, fields).picks if pick.id in wanted]
-
-
-def _folder(value: object) -> Path:
-    """Return the path of a folder if its name is valid."""
-    text = value.strip() if isinstance(value, str) else ""
-    if not text:
-        raise OptionError("give the folder to export to")
-    if not text.isprintable():
-        raise OptionError("the folder's path contains control characters; enter it again")
-    if len(text.encode()) > _MAX_PATH or any(len(part.encode()) > _MAX_PATH_PART for part in Path(text).parts):
-        raise OptionError(f"the folder's path is too long; the limit is {_MAX_PATH} bytes, {_MAX_PATH_PART} per name")
-    return Path(text)
 
 
 def _name(value: object) -> str:

@@ -56,6 +56,8 @@ FEW = {
     ("export_folder", "photo"): (*OTHERS, *WORDS),
     ("export_folder", "folder"): BAD_FOLDERS,
     ("export_folder", "force"): OTHERS[:2],
+    ("hand_over", "folder"): BAD_FOLDERS,
+    **dict.fromkeys((("hand_over", name) for name in ("force", "full", "last_solved")), OTHERS[:2]),
     **dict.fromkeys(
         (("set_settings", name) for name in Settings.__struct_fields__), (*NUMBERS, *OTHERS[:6], *WORDS[:6])
     ),
@@ -127,6 +129,13 @@ SOUND: dict[str, list[dict[str, Any]]] = {
     "run": [{"photo": "p1", "job": "linear"}],
     "refine": [{"photo": "p1", "camera_from_scanner": [[1, 0, 0, 9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}],
     "job_control": [{"action": "speed", "value": 3}],
+    "export_targets": [{"photos": ["p1"], "frame": "scanner", "full": True, "crop": "photo", "last_solved": True}],
+    "hand_over": [
+        {
+            "targets": ["opencv"], "photos": ["p1"], "frame": "scanner", "full": False, "crop": "none",
+            "last_solved": True, "folder": "FOLDER", "force": False,
+        }
+    ],
     "export_folder": [{"photo": "p1", "folder": "FOLDER", "force": False}],
 }  # fmt: skip
 """Arguments of each command; each is replaced by hostile ones, one at a time."""

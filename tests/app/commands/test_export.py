@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -170,3 +171,57 @@ def test_a_refused_result_is_refused_before_anything_is_read(
     said = complaint(capsys, str(tmp_path / "refused"), "--to", f"report,{others}", "-o", str(tmp_path / "out"))
     assert f"{others} cannot be written: the pose of one.png was refused" in said
     assert not (tmp_path / "out").exists()
+
+
+def test_the_page_lists_the_targets_and_exports_all_photographs_together(
+    bench: WorkbenchDriver, tmp_path: Path
+) -> None:
+    table = bench.do("export_targets")
+    assert [(one["name"], one["purpose"]) for one in table["targets"]] == [(one.name, one.purpose) for one in TARGETS]
+    assert [one["id"] for one in table["photos"]] == ["p1", "p2"]
+    assert [(one["name"], one["is_stale"]) for one in table["left_out"]] == [("three.png", False)]
+    assert {one["refusal"] for one in table["targets"] if one["name"] in ("opencv", "report")} == {None}
+    bench.do("hand_over", targets=["report", "opencv"])
+    bench.workbench.runner.wait(240)
+    job = bench.workbench.runner.job
+    assert job is not None
+    assert job.state == "done", job.message
+    assert job.message.endswith("with report, opencv. Left out: three.png: it has no pose; register it.")
+    (ready,) = [m for m in bench.received if m.get("event") == "hand_over_ready"]
+    assert ready["url"] == "export/hand-over.zip"
+    path, name = bench.workbench.export_file("hand-over") or (Path(), "")
+    assert name.endswith("-hand-over.zip")
+    with zipfile.ZipFile(path) as file:
+        names = set(file.namelist())
+        assert [one["id"] for one in json.loads(file.read("export.json"))["photos"]] == ["one", "Gr-e-2"]
+    assert {"opencv/one.yaml", "opencv/Gr-e-2.yaml", "report/one.html", "report/Gr-e-2.html"} <= names
+    folder = tmp_path / "opencv"
+    bench.do("hand_over", targets=["opencv"], photos=["p2"], folder=str(folder))
+    bench.workbench.runner.wait(240)
+    assert ids(folder) == ["Gr-e-2"]
+    assert "contains earlier results" in bench.refused("hand_over", targets=["opencv"], folder=str(folder))
+    bench.do("hand_over", targets=["opencv"], folder=str(folder), force=True)
+    bench.workbench.runner.wait(240)
+    assert ids(folder) == ["one", "Gr-e-2"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"targets": ["colmop"]}, "is not an export target"),
+        ({"targets": []}, "there is no export target"),
+        ({"targets": "opencv"}, "the targets are a list of names"),
+        ({"targets": ["opencv"], "photos": ["p3"]}, "three.png: it has no pose"),
+        ({"targets": ["opencv"], "frame": "world"}, "the frame 'world' needs the scanner's pose"),
+        ({"targets": ["opencv"], "crop": "all"}, "crop"),
+        ({"targets": ["opencv"], "folder": "here"}, "is not an absolute path"),
+    ],
+)
+def test_the_page_refuses_at_once(bench: WorkbenchDriver, fields: dict[str, object], said: str) -> None:
+    assert said.lower() in bench.refused("hand_over", **fields).lower()
+
+
+def test_targets_say_why_they_cannot_be_written(bench: WorkbenchDriver) -> None:
+    table = bench.do("export_targets", photos=["p3"])
+    assert table["photos"] == []
+    assert {one["refusal"] for one in table["targets"]} == {"three.png: it has no pose; register it"}
