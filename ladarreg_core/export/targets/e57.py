@@ -141,6 +141,7 @@ def _copy(old: Any, file: Any, handed: RegisteredScan, told: _Told, source: Path
         "guid": lambda _: e57.StringNode(file, _guid()),
         "creationDateTime": lambda _: _now(file),
         "e57LibraryVersion": lambda _: e57.StringNode(file, _software()),
+        "images2D": lambda node: copy.vector(node, {}),
         "data3D": lambda node: copy.vector(
             node, {index: lambda scan: _painted(scan, file, copy, handed, source, told)}
         ),

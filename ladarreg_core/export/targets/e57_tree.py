@@ -134,8 +134,8 @@ class E57Copy:
         return made
 
     def vector(self, node: Any, changed: dict[int, Made] | None = None) -> Any:
-        """Return a copy of a vector, in which some children are made by functions."""
-        made = self._e57.VectorNode(self._file, node.allowHeteroChildren())
+        """Return a copy of a vector, in which some children are made by functions and others may be added."""
+        made = self._e57.VectorNode(self._file, changed is not None or node.allowHeteroChildren())
         for index in range(node.childCount()):
             made.append((changed or {}).get(index, self.node)(node[index]))
         return made

@@ -312,6 +312,16 @@ def test_several_photographs_and_a_given_pose_are_said(tmp_path: Path) -> None:
     assert np.median(np.abs(values["colorRed"] - paint(where)[:, 0])[in_second]) < 2
 
 
+def test_lists_of_equal_children_take_an_image_of_another_kind(tmp_path: Path) -> None:
+    source = tmp_path / "a.e57"
+    index = e57_samples.write_cartesian(source, scan_of())
+    mixed = b' allowHeterogeneousChildren="1"'
+    e57_with_xml(source, lambda xml: xml.replace(b'<images2D type="Vector"' + mixed, b'<images2D type="Vector"'))
+    path = exported(handed_over(source, index, registered(photo_of(PINHOLE))), tmp_path / "out")
+    assert not opened(source).root()["images2D"].allowHeteroChildren()
+    assert opened(path).root()["images2D"].childCount() == 2
+
+
 def test_the_scanner_of_a_cloud_may_stand_anywhere_in_its_coordinates(tmp_path: Path) -> None:
     room, moved = scan_of(), np.array([12.0, -7.0, 3.0])
     w = e57_samples.Writer(tmp_path / "a.e57")
