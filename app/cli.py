@@ -15,21 +15,22 @@ from .exit_codes import ExitCode
 from .stop_signals import forget_interrupt, interrupt_on_stop_signals
 
 COMMANDS = {
-    "register": "Register a scan with a photo: pose, registered image, textured model.",
-    "apply": "Colour a scan and export it with a pose that is known: given, not verified.",
-    "compare": "Compare the thesis's stages with the default method: table and contact sheet.",
-    "export": "Hand results over to other programs: COLMAP, E57, LAZ, ROS, meshes, reports.",
-    "report": "Write the report of a result or project: one HTML file, to read and to print.",
-    "info": "Describe a scan, photo, camera, pose or matches file.",
-    "selftest": "Estimate, before fieldwork, how well a scan and a camera will register.",
+    "register": "Register a scan with a photo: pose, registered image, model.",
+    "apply": "Colour and export with a pose that is known: given, not verified.",
+    "compare": "Compare the thesis's stages with the default method.",
+    "export": "Hand results over to other programs: COLMAP, E57, LAZ, ROS ...",
+    "report": "Write the report of a result or project: one HTML file.",
+    "info": "Describe a scan, photo, camera, pose, matches or results file.",
+    "selftest": "Estimate how well a scan and a camera will register.",
     "simulate": "Write a synthetic scan and photo with their true pose.",
-    "serve": "Open the workbench in the browser: on a project, a scan and photos, or the start page.",
+    "serve": "Open the workbench in the browser, also on a project or files.",
     "demo": "Open the workbench on the embedded sample.",
 }
 """Summary of each command; its code is `commands/<name>.py`."""
 
+_EXAMPLES = ("ladarreg demo", "ladarreg register room.e57 photo.jpg -o results", "ladarreg serve room.e57 photo.jpg")
 _INTERRUPTED = "interrupted; no incomplete files are left"
-_EXIT_CODES = "Exit codes: 0 success, accepted; 1 failure; 2 bad input; 3 not accepted; 130 interrupted."
+_EXIT_CODES = "Exit codes: 0 accepted, or done; 1 failure; 2 bad input; 3 not accepted; 130 interrupted."
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -133,19 +134,30 @@ def _fail(text: str, code: ExitCode, *, as_json: bool = False) -> ExitCode:
 
 
 def _help() -> str:
+    import shutil
+    import textwrap
+
+    columns = max(50, min(shutil.get_terminal_size((80, 24)).columns - 1, 110))
     width = max(map(len, COMMANDS))
+
+    def wrapped(text: str, *, hang: int = 0) -> str:
+        return textwrap.fill(text, columns, subsequent_indent=" " * hang)
+
     lines = [f"  {name:<{width}}  {summary}" for name, summary in COMMANDS.items()]
     return "\n".join(
         [
             "usage: ladarreg [-h] [--version] COMMAND ...",
             "",
-            "Register laser scans with photos taken from another position, and assess the result.",
+            wrapped("Register laser scans with photos taken from another position, and assess the result."),
             "",
             "commands:",
             *lines,
             "",
             "ladarreg help COMMAND lists the options of a command, with examples.",
-            _EXIT_CODES,
+            wrapped(_EXIT_CODES, hang=2),
+            "",
+            "examples:",
+            *(f"  {example}" for example in _EXAMPLES),
         ]
     )
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ladarreg_core.formats import read_scan as read_scan
     from ladarreg_core.frames import Rigid as Rigid
     from ladarreg_core.frames import ThesisParameters as ThesisParameters
+    from ladarreg_core.given import given_pose as given_pose
     from ladarreg_core.matches import Matches as Matches
     from ladarreg_core.matches import Pick as Pick
     from ladarreg_core.photo import Photo as Photo
@@ -54,6 +55,7 @@ _HOMES = {
     "read_scan": "formats",
     "compare": "comparison",
     "register": "registration",
+    "given_pose": "given",
     "estimate_pose": "pose.estimate",
 }
 __all__ = sorted(_HOMES)

@@ -81,6 +81,19 @@ def test_options_stand_in_groups_in_the_order_of_use(
         assert "(default: auto)" in text
 
 
+def test_the_overview_fits_and_names_every_command(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(len(line) < 80 for line in text.splitlines())
+    for line in text[text.index("examples:") :].splitlines()[1:]:
+        words = shlex.split(line)
+        kind = importlib.import_module(f"ladarreg.commands.{words[1]}").Arguments
+        parse(kind, words[2:], prog="ladarreg", description="")
+
+
 def test_help_of_a_command_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["register", "--help"]) == 0
     wanted = capsys.readouterr().out

@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -213,3 +214,28 @@ def test_the_command_opens_the_same_inputs(case: str, tmp_path: Path, monkeypatc
 def test_options_without_files_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["serve", "--focal-px", "900", "--no-browser", "--project", str(tmp_path / "p")]) == ExitCode.BAD_INPUT
     assert "give SCAN PHOTO" in capsys.readouterr().err
+
+
+NASTY = {
+    "scan_index": [3], "origin": ["-1.5,2,-3"], "intensity": ["luma"], "columns": ["-,x,y,z"],
+    "topic": ["/a b", "it's"],
+    "seconds": [0.25], "camera": [Path("a camera.json"), Path("-c.json")], "camera_name": ["ä \"b\"", "-x"],
+    "focal_px": [1e-3, 2918.123456789012], "focal_mm": [35.0], "sensor_mm": [36.0], "camera_model": ["equirectangular"],
+    "temperature_unit": ["none", "C"], "matches": [Path("$HOME/m;n.csv")], "initial": [Path("`p`.json")],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_every_option_survives_the_shell(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(seed)
+    some = {
+        name: values[rng.integers(len(values))] for name, values in NASTY.items() if seed == 0 or rng.random() < 0.5
+    }
+    arguments = replace(parsed(["s", "p", "-o", "x"]), **some)
+    words = shlex.split(open_command(arguments))
+    served = parse(serve.Arguments, words[2:], prog="ladarreg serve", description="")
+    assert served.inputs == (tmp_path / "s", tmp_path / "p")
+    for name in NASTY:
+        value = getattr(arguments, name)
+        assert getattr(served, name) == (tmp_path / value if isinstance(value, Path) else value), name
