@@ -6,8 +6,6 @@ the exported scan, its `colorLimits` and images are added. From other files a ne
 
 from __future__ import annotations
 
-import time
-import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,16 +18,26 @@ from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import software_document
 from ladarreg_core.export.targets.e57_colours import (
     COLOURS,
-    INVALID,
     PLAIN,
-    Gray,
     PointPainter,
     add_colour_fields,
     channels_of,
     colour_limits,
 )
+from ladarreg_core.export.targets.e57_new import write_new_scan
+from ladarreg_core.export.targets.e57_nodes import (
+    NOTE,
+    declare_note,
+    new_guid,
+    note_of,
+    plain,
+    pose_node,
+    set_numbers,
+    software_name,
+    time_node,
+)
 from ladarreg_core.export.targets.e57_pictures import Picture, pictures
-from ladarreg_core.export.targets.e57_tree import E57Copy, Made, library, new_e57, record_buffers, record_writer
+from ladarreg_core.export.targets.e57_tree import E57Copy, Made, library, new_e57
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.formats.e57 import e57_file
@@ -37,16 +45,9 @@ from ladarreg_core.formats.e57_header import SIGNATURE, read_e57_info, sniff_e57
 from ladarreg_core.formats.untrusted import one_line, reading
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.surface.best_photo import NO_PHOTO
 
-_PREFIX, _NAMESPACE = "ladarreg", "urn:ladarreg:e57"
-_NOTE = f"{_PREFIX}:note"
 _SENSOR_WIDTH_M = 0.036  # of a pinhole image whose sensor is not known: only the ratio to the focal length matters
-_CELLS_AT_ONCE = 131_072
 _PICTURE_WEIGHT = 500_000  # points that take about as long as a picture
-_GPS_EPOCH_S = 315_964_800  # 1980-01-06 in Unix time
-_LEAP_SECONDS = 18  # of GPS time since then
-_LONGEST_NAME = 200
 
 
 def e57_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
@@ -114,7 +115,7 @@ def _write(path: Path, handed: RegisteredScan, report: Report | None) -> None:
         told = _Told(int(np.count_nonzero(handed.scan.valid)) + pictures_take, path.name, report)
         told()
         with new_e57(path) as file:
-            guid = _make(file, handed, told)
+            guid = write_new_scan(file, handed, told)
             _add_images(file, handed, guid, told)
         return
     info = read_e57_info(source)
@@ -135,12 +136,11 @@ def _copy(old: Any, file: Any, handed: RegisteredScan, told: _Told, source: Path
     e57, copy, index = library(), E57Copy(file, told, source.stat().st_size), _index(handed)
     copy.extensions(old)
     root, new = old.root(), file.root()
-    if not file.extensionsLookupPrefix(_PREFIX, ""):
-        file.extensionsAdd(_PREFIX, _NAMESPACE)
+    declare_note(file)
     made: dict[str, Made] = {
-        "guid": lambda _: e57.StringNode(file, _guid()),
-        "creationDateTime": lambda _: _now(file),
-        "e57LibraryVersion": lambda _: e57.StringNode(file, _software()),
+        "guid": lambda _: e57.StringNode(file, new_guid()),
+        "creationDateTime": lambda _: time_node(file),
+        "e57LibraryVersion": lambda _: e57.StringNode(file, software_name()),
         "images2D": lambda node: copy.vector(node, {}),
         "data3D": lambda node: copy.vector(
             node, {index: lambda scan: _painted(scan, file, copy, handed, source, told)}
@@ -149,11 +149,11 @@ def _copy(old: Any, file: Any, handed: RegisteredScan, told: _Told, source: Path
     for number in range(root.childCount()):
         child = root[number]
         name = child.elementName()
-        if name != _NOTE:
+        if name != NOTE:
             new.set(name, made.get(name, copy.node)(child))
     if not new.isDefined("images2D"):
         new.set("images2D", e57.VectorNode(file, True))
-    new.set(_NOTE, e57.StringNode(file, _note(handed)))
+    new.set(NOTE, e57.StringNode(file, note_of(handed)))
     copy.finish()
 
 
@@ -177,112 +177,6 @@ def _painted(scan: Any, file: Any, copy: E57Copy, handed: RegisteredScan, source
     return made
 
 
-def _make(file: Any, handed: RegisteredScan, told: _Told) -> str:
-    """Write a scan that was not read from an E57; returns its GUID."""
-    e57, scan, guid = library(), handed.scan, _guid()
-    file.extensionsAdd("", e57.E57_V1_0_URI)
-    file.extensionsAdd(_PREFIX, _NAMESPACE)
-    root = file.root()
-    root.set("formatName", e57.StringNode(file, "ASTM E57 3D Imaging Data File"))
-    root.set("guid", e57.StringNode(file, _guid()))
-    root.set("versionMajor", e57.IntegerNode(file, e57.E57_FORMAT_MAJOR))
-    root.set("versionMinor", e57.IntegerNode(file, e57.E57_FORMAT_MINOR))
-    root.set("e57LibraryVersion", e57.StringNode(file, _software()))
-    root.set("coordinateMetadata", e57.StringNode(file, ""))
-    root.set("creationDateTime", _now(file))
-    root.set(_NOTE, e57.StringNode(file, _note(handed)))
-    data3d, images = e57.VectorNode(file, True), e57.VectorNode(file, True)
-    root.set("data3D", data3d)
-    root.set("images2D", images)
-    node = e57.StructureNode(file)
-    node.set("guid", e57.StringNode(file, guid))
-    node.set("name", e57.StringNode(file, _plain(scan.name)))
-    node.set("description", e57.StringNode(file, _note(handed)))
-    if scan.world_from_scanner is not None:
-        node.set("pose", _pose(file, scan.world_from_scanner))
-    height, width = scan.shape
-    limits = _limits(handed, told)
-    node.set("cartesianBounds", _numbers(file, limits["cartesian"]))
-    node.set("intensityLimits", _numbers(file, limits["intensity"]))
-    bounds: dict[str, float] = {
-        "rowMinimum": 0,
-        "rowMaximum": height - 1,
-        "columnMinimum": 0,
-        "columnMaximum": width - 1,
-    }
-    bounds |= {"returnMinimum": 0, "returnMaximum": 0}
-    node.set("indexBounds", _numbers(file, bounds))
-    node.set("colorLimits", colour_limits(file))
-    prototype = e57.StructureNode(file)
-    for name in ("cartesianX", "cartesianY", "cartesianZ", "intensity"):
-        prototype.set(name, e57.FloatNode(file, 0.0, e57.E57_SINGLE))
-    prototype.set("rowIndex", e57.IntegerNode(file, 0, 0, height - 1))
-    prototype.set("columnIndex", e57.IntegerNode(file, 0, 0, width - 1))
-    if scan.color is None:
-        add_colour_fields(prototype, file)
-    else:
-        for name in COLOURS:
-            prototype.set(name, e57.IntegerNode(file, 0, 0, 255))
-    points = e57.CompressedVectorNode(file, prototype, e57.VectorNode(file, True))
-    node.set("points", points)
-    data3d.append(node)
-    _write_cells(file, points, prototype, handed, told)
-    return guid
-
-
-def _write_cells(file: Any, points: Any, prototype: Any, handed: RegisteredScan, told: _Told) -> None:
-    scan, colours = handed.scan, handed.colours
-    gray = Gray(scan)
-    rows_at_once = max(1, _CELLS_AT_ONCE // scan.shape[1])
-    buffers = record_buffers(prototype, rows_at_once * scan.shape[1])
-    with record_writer(file, points, buffers) as write:
-        for first in range(0, scan.shape[0], rows_at_once):
-            rows = slice(first, min(first + rows_at_once, scan.shape[0]))
-            valid = scan.valid[rows]
-            row, column = np.nonzero(valid)
-            count = len(row)
-            if not count:
-                continue
-            here = scan.points_at(rows, slice(None))[valid]
-            shown = (colours.photo[rows] != NO_PHOTO)[valid]
-            rgb = colours.image[rows][valid]
-            intensity = scan.intensity[rows][valid]
-            if scan.color is not None:
-                rgb = np.where(shown[:, None], rgb, scan.color[rows][valid])
-            else:
-                rgb = np.where(shown[:, None], rgb, gray.levels(intensity)[:, None])
-                buffers[INVALID][:count] = ~shown
-            for k, name in enumerate(("cartesianX", "cartesianY", "cartesianZ")):
-                buffers[name][:count] = here[:, k]
-            for k, name in enumerate(COLOURS):
-                buffers[name][:count] = rgb[:, k]
-            buffers["intensity"][:count] = intensity
-            buffers["rowIndex"][:count], buffers["columnIndex"][:count] = row + first, column
-            write(count)
-            told(count)
-
-
-def _limits(handed: RegisteredScan, told: _Told) -> dict[str, dict[str, float]]:
-    """Return the bounds of a scan's returns and of their intensity."""
-    scan = handed.scan
-    low, high = np.full(4, np.inf), np.full(4, -np.inf)
-    step = max(1, _CELLS_AT_ONCE // scan.shape[1])
-    for first in range(0, scan.shape[0], step):
-        told()
-        rows = slice(first, first + step)
-        valid = scan.valid[rows]
-        if valid.any():
-            values = np.column_stack([scan.points_at(rows, slice(None))[valid], scan.intensity[rows][valid]])
-            low, high = np.minimum(low, values.min(axis=0)), np.maximum(high, values.max(axis=0))
-    cartesian: dict[str, float] = {}
-    for k, axis in enumerate("xyz"):
-        cartesian |= {f"{axis}Minimum": float(low[k]), f"{axis}Maximum": float(high[k])}
-    return {
-        "cartesian": cartesian,
-        "intensity": {"intensityMinimum": float(low[3]), "intensityMaximum": float(high[3])},
-    }
-
-
 def _add_images(file: Any, handed: RegisteredScan, scan_guid: str, told: _Told) -> None:
     """Append the photographs to the images of the file."""
     images = file.root()["images2D"]
@@ -298,14 +192,14 @@ def _add_image(
 ) -> None:
     e57 = library()
     node, shape = e57.StructureNode(file), e57.StructureNode(file)
-    node.set("guid", e57.StringNode(file, _guid()))
-    node.set("name", e57.StringNode(file, _plain(picture.name)))
-    node.set("description", e57.StringNode(file, _plain(_about(one), 1000)))
+    node.set("guid", e57.StringNode(file, new_guid()))
+    node.set("name", e57.StringNode(file, plain(picture.name)))
+    node.set("description", e57.StringNode(file, plain(_about(one), 1000)))
     if scan_guid:
         node.set("associatedData3DGuid", e57.StringNode(file, scan_guid))
     world_from_scanner = handed.scan.world_from_scanner or Rigid.identity()
     photo_from_image = Rigid(picture.photo_from_image, np.zeros(3))
-    node.set("pose", _pose(file, world_from_scanner @ one.camera_from_scanner.inverse @ photo_from_image))
+    node.set("pose", pose_node(file, world_from_scanner @ one.camera_from_scanner.inverse @ photo_from_image))
     blob = e57.BlobNode(file, len(picture.data))
     shape.set("jpegImage" if picture.is_jpeg else "pngImage", blob)
     camera, (width, height) = picture.camera, picture.size
@@ -322,7 +216,7 @@ def _add_image(
         kind = "spherical"
         numbers["pixelHeight"] = float(np.radians(top - bottom) / height)
         numbers["pixelWidth"] = float(np.radians(right - left) / width)
-    _set_numbers(file, shape, numbers)
+    set_numbers(file, shape, numbers)
     node.set(f"{kind}Representation", shape)
     images.append(node)
     blob.write(np.frombuffer(picture.data, np.uint8).copy(), 0, len(picture.data))
@@ -331,53 +225,3 @@ def _add_image(
 def _about(one: RegisteredPhoto) -> str:
     words = f"registered to the scan with {software_document()['name']}: {one.registration.evidence}"
     return f"{one.mark.capitalize()}: the pose was given and not solved" if one.mark else words
-
-
-def _note(handed: RegisteredScan) -> str:
-    software = software_document()
-    names = ", ".join(_plain(one.photo.name) for one in handed.photos)
-    marks = "".join(f"; {_plain(mark)}" for mark in handed.marks)
-    return f"colours and images by {software['name']} {software['version']} from {names}{marks}"
-
-
-def _software() -> str:
-    software = software_document()
-    return f"{software['name']}-{software['version']}-{library().E57_LIBRARY_ID}"
-
-
-def _pose(file: Any, pose: Rigid) -> Any:
-    """Return the pose of a frame in the coordinates of the file."""
-    from scipy.spatial.transform import Rotation
-
-    made = library().StructureNode(file)
-    x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat().tolist()
-    made.set("rotation", _numbers(file, {"w": w, "x": x, "y": y, "z": z}))
-    made.set("translation", _numbers(file, dict(zip("xyz", pose.translation.tolist(), strict=True))))
-    return made
-
-
-def _numbers(file: Any, numbers: dict[str, float]) -> Any:
-    return _set_numbers(file, library().StructureNode(file), numbers)
-
-
-def _set_numbers(file: Any, made: Any, numbers: dict[str, float]) -> Any:
-    """Add numbers to a structure, whole ones as integers and others as doubles."""
-    e57 = library()
-    for name, value in numbers.items():
-        whole = isinstance(value, int)
-        made.set(name, e57.IntegerNode(file, value) if whole else e57.FloatNode(file, value))
-    return made
-
-
-def _now(file: Any) -> Any:
-    made = _numbers(file, {"dateTimeValue": time.time() - _GPS_EPOCH_S + _LEAP_SECONDS})
-    made.set("isAtomicClockReferenced", library().IntegerNode(file, 0))
-    return made
-
-
-def _guid() -> str:
-    return f"{{{str(uuid.uuid4()).upper()}}}"
-
-
-def _plain(text: str, longest: int = _LONGEST_NAME) -> str:
-    return one_line(text, longest)

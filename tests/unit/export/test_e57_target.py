@@ -155,6 +155,8 @@ LENSES: dict[str, tuple[CameraModel, int]] = {
     ),
     "fisheye": (FisheyeCamera(240, 200, 75.0, 75.0, 120.5, 98.0, (0.03, -0.01, 0.002, 0.0)), 6),
     "panorama": (EquirectangularCamera(360, 180), 1),
+    "turned panorama": (EquirectangularCamera(360, 180, (-100.0, 90.0, 260.0, -90.0)), 1),
+    "panorama without its top": (EquirectangularCamera(360, 150, (-180.0, 60.0, 180.0, -90.0)), 2),
     "part of one": (EquirectangularCamera(200, 110, (-30.0, 50.0, 70.0, -5.0)), 2),
 }
 
