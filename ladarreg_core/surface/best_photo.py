@@ -15,6 +15,7 @@ from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.palette import UNSEEN
 from ladarreg_core.photo import Photo
+from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import grid_edges
 from ladarreg_core.surface.remap import look_up
@@ -25,6 +26,7 @@ from ladarreg_core.surface.visibility import Occluder
 NO_PHOTO = np.iinfo(np.uint16).max
 """The photograph of cells and points that no photograph shows."""
 _RANK: dict[int, int] = {Label.SEEN: 3, Label.GRAZING: 2, Label.UNCERTAIN: 1}
+_COLOURING = "colouring the scan"
 _STEPS_PER_OCTAVE = 2  # finer differences of resolution count less than the uncertainty of the pose
 _POINTS_AT_ONCE = 500_000
 _TOLERANCE_RELATIVE = 0.002
@@ -87,7 +89,13 @@ class PointColours:
     """(N,) float32."""
 
 
-def best_photo(scan: Scan, views: Sequence[PosedPhoto], *, background: tuple[int, int, int] = UNSEEN) -> CellColours:
+def best_photo(
+    scan: Scan,
+    views: Sequence[PosedPhoto],
+    *,
+    background: tuple[int, int, int] = UNSEEN,
+    report: Report | None = None,
+) -> CellColours:
     """Colour a scan by the photograph that shows each cell best.
 
     Cells that are seen come before those at grazing incidence, and these before uncertain ones; then the resolution of
@@ -97,6 +105,7 @@ def best_photo(scan: Scan, views: Sequence[PosedPhoto], *, background: tuple[int
         scan: the scan.
         views: the photographs.
         background: RGB of cells that none shows.
+        report: receives the progress, in photographs, several times for each one on a large scan.
 
     Raises:
         ShapeError: if there is no photograph or there are more than 65,535, or a camera is not of its photo's size.
@@ -111,6 +120,8 @@ def best_photo(scan: Scan, views: Sequence[PosedPhoto], *, background: tuple[int
     sigma_px = np.full(shape, np.nan, np.float32)
     merit = np.full(shape, -1, np.int16) if len(views) > 1 else None
     for index, view in enumerate(views):
+        if report is not None:
+            report(Progress(index, len(views), _COLOURING))
         for part in textured_parts(
             scan,
             view.photo,
@@ -135,6 +146,8 @@ def best_photo(scan: Scan, views: Sequence[PosedPhoto], *, background: tuple[int
             for whole, values in ((image, part.image), (sigma_px, sigma)):
                 whole[here][better] = values[better]
             photo[here][better] = index
+            if report is not None:
+                report(Progress(index, len(views), _COLOURING))
     labels[~scan.valid] = Label.NO_RETURN
     for array in (image, labels, photo, sigma_px):
         array.flags.writeable = False  # handed over, not copied

@@ -109,6 +109,7 @@ def _index(handed: RegisteredScan) -> int:
 
 
 def _write(path: Path, handed: RegisteredScan, report: Report | None) -> None:
+    handed.compute_colours(report)
     source = _source(handed)
     pictures_take = _PICTURE_WEIGHT * len(handed.photos)
     if source is None:

@@ -81,6 +81,7 @@ def laz_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
     cloud = _Returns(handed) if source is None else _Copy(handed, source)
 
     def write(path: Path) -> None:
+        handed.compute_colours(report)
         done, label = 0, f"writing {path.name}"
         if report is not None:
             report(Progress(done, cloud.count, label))

@@ -19,6 +19,7 @@ def ply_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
     comments = [f"photo_id {k}: {one.photo.name} ({one.mark or 'accepted'})" for k, one in enumerate(handed.photos, 1)]
 
     def write(path: Path) -> None:
+        handed.compute_colours(report)
         write_ply(path, handed.scan, handed.colours, frame=handed.frame, comments=comments, report=report)
 
     jobs: list[FileJob] = [("cloud.ply", write)]

@@ -14,6 +14,7 @@ from ladarreg_core.errors import ExportError
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
+from ladarreg_core.progress import Report
 from ladarreg_core.quality.assessment import Assessment, assess
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
@@ -128,6 +129,11 @@ class RegisteredScan:
     def colours(self) -> CellColours:
         """The colours of the cells, each by the photograph that shows it best."""
         return best_photo(self.scan, self.views)
+
+    def compute_colours(self, report: Report | None = None) -> None:
+        """Compute `colours` with a report of the progress, unless they are there already."""
+        if "colours" not in self.__dict__:
+            self.__dict__["colours"] = best_photo(self.scan, self.views, report=report)
 
     def point_colourer(self) -> PointColourer:
         """Return what colours points that need not be cells of the scan."""

@@ -9,6 +9,7 @@ from ladarreg_core.camera import Camera, EquirectangularCamera
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
+from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface import texture
@@ -124,7 +125,10 @@ def test_large_scans_are_coloured_alike_by_tiles(monkeypatch: pytest.MonkeyPatch
     views = [view(RED, (0, 0.5, 0), 100), view(BLUE, (0, -0.5, 0), 300)]
     whole = best_photo(scan, views)
     monkeypatch.setattr(texture, "LARGEST_WHOLE_SCAN", 2000)
-    tiled = best_photo(room(), views)
+    reported: list[Progress] = []
+    tiled = best_photo(room(), views, report=reported.append)
+    assert [one.done for one in reported] == sorted(one.done for one in reported)
+    assert [one.done for one in reported].count(1) >= 2, "before each photograph, and after each of its parts"
     assert (whole.photo == tiled.photo).mean() > 0.995
     assert (whole.labels == tiled.labels).mean() > 0.99
 
