@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import CameraModel
-from ladarreg_core.errors import FormatError, LadarregError
+from ladarreg_core.camera import CameraModel, EquirectangularCamera
+from ladarreg_core.camera.equirectangular import FULL_WINDOW
+from ladarreg_core.errors import CameraError, FormatError, LadarregError
 from ladarreg_core.formats.camera_in_file import (
     FileCamera,
     equirectangular_camera,
@@ -92,7 +93,7 @@ def _camera_and_notes(given: Mapping[str, Any]) -> tuple[CameraModel, tuple[str,
         raise FormatError("the size of the photographs, 'w' and 'h', is missing; add both to the file")
     width, height = whole_number(given, "w"), whole_number(given, "h")
     if model.upper() == "EQUIRECTANGULAR":
-        return equirectangular_camera(width, height), ()
+        return _panorama(given, width, height), ()
     fx, fy = _focal(given, "fl_x", "camera_angle_x", width), _focal(given, "fl_y", "camera_angle_y", height)
     fx, fy = fx or fy, fy or fx
     if fx is None or fy is None:
@@ -117,6 +118,20 @@ def _camera_and_notes(given: Mapping[str, Any]) -> tuple[CameraModel, tuple[str,
 
     camera, note = refitted(project, "pinhole", width, height, matrix, f"k4 = {k4:g} (r^8)")
     return camera, (note,)
+
+
+def _panorama(given: Mapping[str, Any], width: int, height: int) -> CameraModel:
+    """Return a whole sphere or, if the focal lengths (pixels per half turn) and centre say so, a window of one."""
+    if all(given.get(name) is not None for name in ("fl_x", "fl_y", "cx", "cy")):
+        fx, fy, cx, cy = (number(given, name) for name in ("fl_x", "fl_y", "cx", "cy"))
+        if fx > 0 and fy > 0:
+            left, top, right, bottom = -180 * cx / fx, 180 * cy / fy, 180 * (width - cx) / fx, 180 * (cy - height) / fy
+            is_whole = np.allclose((left, top, right, bottom), FULL_WINDOW, atol=1e-6)
+            try:
+                return EquirectangularCamera(width, height, None if is_whole else (left, top, right, bottom))
+            except CameraError:  # other programs fill these fields with numbers that mean nothing
+                pass
+    return equirectangular_camera(width, height)
 
 
 def _focal(given: Mapping[str, Any], name: str, angle: str, side: int) -> float | None:

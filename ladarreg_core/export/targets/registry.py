@@ -9,6 +9,7 @@ from ladarreg_core.export.targets.colmap import colmap_files, colmap_refusal
 from ladarreg_core.export.targets.e57 import e57_files, e57_refusal
 from ladarreg_core.export.targets.kalibr import kalibr_files, kalibr_refusal
 from ladarreg_core.export.targets.laz import laz_files, laz_refusal
+from ladarreg_core.export.targets.nerfstudio import nerfstudio_files
 from ladarreg_core.export.targets.opencv import opencv_files, opencv_refusal
 from ladarreg_core.export.targets.ply import ply_files
 from ladarreg_core.export.targets.report import report_files
@@ -23,6 +24,13 @@ TARGETS: tuple[Target, ...] = (
         "that read it.",
         files=colmap_files,
         refusal=colmap_refusal,
+    ),
+    Target(
+        name="nerfstudio",
+        title="Splatting",
+        purpose="Photographs, poses, depth maps from the laser, masks and an initial cloud for nerfstudio and other "
+        "programs for Gaussian splats.",
+        files=nerfstudio_files,
     ),
     Target(
         name="e57",
