@@ -20,6 +20,7 @@ EXAMPLES = (
     "# the images that a scanner took, with their cameras and poses:",
     "ladarreg info room.e57 --scan 1 --extract images",
 )
+_DOCUMENTS = ("registration.json", "comparison.json", "export.json")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +28,7 @@ class Arguments(ScanArguments):
     """Arguments of `info`."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """A scan, photo, camera, pose or matches file."""
+    """A scan, photo, camera, pose, matches or results file, or a folder of results."""
     extract: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Extract the images of an E57 file to this folder, with their cameras, and their poses relative to the
     scan (--scan) for --initial."""
@@ -41,7 +42,10 @@ def run(arguments: Arguments) -> ExitCode:
     """Print a description of the file, one property a line, and extract its images on request."""
     from ladarreg_core.formats import describe, extract_images
 
-    info = describe(arguments.file, **arguments.scan_options)
+    file = arguments.file
+    if file.is_dir() and (document := next(filter(Path.is_file, (file / name for name in _DOCUMENTS)), None)):
+        file = document
+    info = describe(file, **arguments.scan_options)
     facts = list(_facts(info))
     extracted: list[str] = []
     if arguments.extract is not None:

@@ -100,7 +100,7 @@ class FileInfo:
     sigma: Mapping[str, Any] = field(default_factory=dict)
     """Standard deviations of a pose."""
     contents: tuple[str, ...] = ()
-    """What results consist of."""
+    """What a file of results, or of the pictures of a camera, consists of."""
     inputs: tuple[str, ...] = ()
     """Files that results were made of."""
     made_by: str | None = None
@@ -341,9 +341,19 @@ def describe_camera_file(path: Path) -> FileInfo:
         kind="camera",
         format=camera_format(path),
         camera={} if only is None else describe_camera(only.camera),
+        contents=_pictures(only),
         cameras=() if only is not None else tuple(map(_camera_line, cameras[:_MOST_LISTED])),
         notes=tuple(dict.fromkeys(note for each in cameras for note in each.notes))[:_MOST_LISTED],
     )
+
+
+def _pictures(only: FileCamera | None) -> tuple[str, ...]:
+    """Return which pictures a file names that were taken with its only camera."""
+    if only is None or not only.pictures:
+        return ()
+    more = ", ..." if len(only.pictures) > 1 else ""
+    count = f"{len(only.pictures)} picture{'s' * (len(only.pictures) > 1)}"
+    return (f"camera of {count} ({one_line(only.pictures[0], 60)}{more})",)
 
 
 def _camera_line(each: FileCamera) -> str:

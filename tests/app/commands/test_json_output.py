@@ -38,6 +38,8 @@ def test_register_prints_the_registration_and_where_it_is(tmp_path: Path, capsys
     assert info["sigma"]["position_mm"] == pytest.approx(1000 * found["sigma"]["position_m"])
     assert [one.split(" ")[0] for one in info["inputs"]] == ["scan.npz", "photo.png", "camera.json"]
     assert info["rejected_guess"] == {}
+    assert main(["info", str(out), "--json"]) == 0
+    assert document(capsys) == info
 
 
 @pytest.mark.parametrize(
