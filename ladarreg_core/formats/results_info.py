@@ -41,7 +41,7 @@ def describe_results(path: Path) -> FileInfo | None:
             return None
         try:
             return describe(path, fields)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise FormatError(f"it is damaged ({one_line(error, 60)}); give an unmodified file") from None
 
 

@@ -10,7 +10,11 @@ import pytest
 from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.export.json import registration_document, write_document
+from ladarreg_core.formats import describe
 from ladarreg_core.simulate.sample import sample_folder
+from tests.unit.export.samples import sample_registration
 
 SAMPLE = sample_folder()
 INPUTS = [str(SAMPLE / "scan.npz"), str(SAMPLE / "photo.png"), "--camera", str(SAMPLE / "camera.json")]
@@ -91,3 +95,25 @@ def test_info_of_other_results(tmp_path: Path, capsys: pytest.CaptureFixture[str
         path.write_text(json.dumps({**EXPORT, **damage}))
         assert main(["info", str(path)]) == ExitCode.BAD_INPUT, damage
         assert "damaged" in capsys.readouterr().err
+
+
+HOSTILE = (None, 0, -1e308, "a\n\u202e" * 300, [[]], [{}], {"a": [1]}, [{"name": 3}])
+
+
+def test_damaged_results_end_in_a_description_or_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "registration.json"
+    result = sample_registration()
+    write_document(path, registration_document(result, inputs=[SAMPLE / "scan.npz"]))
+    fields = json.loads(path.read_text())
+    documents = [{**fields, name: value} for name in fields for value in HOSTILE]
+    documents += [{**EXPORT, name: value} for name in EXPORT for value in HOSTILE]
+    ended = {"described": 0, "refused": 0, "badly refused": 0}
+    for document_ in documents:
+        path.write_text(json.dumps(document_).replace("-1e+308", "1e400"))
+        try:
+            describe(path)
+            ended["described"] += 1
+        except LadarregError as error:
+            ended["refused" if str(error).isprintable() else "badly refused"] += 1
+    assert ended["badly refused"] == 0
+    assert min(ended["described"], ended["refused"]) > 50
