@@ -14,22 +14,30 @@ from ladarreg_core.camera import Camera, CameraModel, cube_faces
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.mesh import scan_mesh
+from ladarreg_core.surface.mesh import grid_edges, scan_mesh
 from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_depth
-from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, places_in_picture
+from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, occluding_surface, places_in_picture
 
 _MOST_PIXELS = 16_000_000  # of a band that is rasterised at once
 _ROWS_AT_ONCE = 256
+_RAYS_AT_ONCE = 400_000
 _SAME_SURFACE = 0.02  # relative change of the depth within one pixel; beyond it, nothing is interpolated
 _FINER = 1.5  # pixels of the ideal picture per pixel of a distorted one
 _SQUARE_PX = 8
 _ROUNDING_PX = 0.01  # lens distortion bends the sides of triangles by less
 _BESIDE = 1e-6
+_TOLERANCE_SIGMAS = 4.0
+_FACES_AT_ONCE = 1_000_000
 _PAIRS_AT_ONCE = 4_000_000
 
 
 def depth_map(
-    scan: Scan, camera: CameraModel, camera_from_scanner: Rigid, *, report: Callable[[], None] = lambda: None
+    scan: Scan,
+    camera: CameraModel,
+    camera_from_scanner: Rigid,
+    *,
+    only_seen: bool = False,
+    report: Callable[[], None] = lambda: None,
 ) -> NDArray[np.float32]:
     """Return the depth of the scan's surface at every pixel centre of a photograph.
 
@@ -39,6 +47,8 @@ def depth_map(
         scan: the scan.
         camera: the camera.
         camera_from_scanner: its pose.
+        only_seen: leave out what the photograph cannot show: the backs of surfaces, what is behind them, and what is
+            behind the half cell by which the near side of a depth edge extends beyond its outermost points.
         report: called for every part; may raise `Cancelled`.
 
     Returns:
@@ -46,14 +56,16 @@ def depth_map(
         equirectangular camera; NaN where the scan has no surface.
     """
     if isinstance(camera, Camera) and not any(camera.distortion):
-        return _of_ideal(scan, camera, camera_from_scanner, report)
+        return _of_ideal(scan, camera, camera_from_scanner, only_seen, report)
     if isinstance(camera, Camera):
         ideal = covering_pinhole(camera, scale=_FINER)
-        return _looked_up(camera, _InverseDepth(_of_ideal(scan, ideal, camera_from_scanner, report)), ideal, report)
+        return _looked_up(
+            camera, _InverseDepth(_of_ideal(scan, ideal, camera_from_scanner, only_seen, report)), ideal, report
+        )
     result = np.full((camera.height, camera.width), np.nan, np.float32)
     for face in cube_faces(camera, scale=_FINER):
         turned = Rigid(face.face_from_camera, np.zeros(3)) @ camera_from_scanner
-        inverse = _InverseDepth(_of_ideal(scan, face.camera, turned, report))
+        inverse = _InverseDepth(_of_ideal(scan, face.camera, turned, only_seen, report))
         for rows, rays in _rays(camera, report):
             of_face = rays @ face.face_from_camera.T.astype(np.float32)
             here = face.holds(of_face)
@@ -150,36 +162,74 @@ def _hit_distance(rays: FloatArray, corners: FloatArray) -> NDArray[np.float64]:
 
 def _meshes(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> Iterator[tuple[FloatArray, IntArray]]:
     """Yield the scan's mesh, of a large scan in parts: vertices (N, 3) in the camera's axes, and faces."""
-    if scan.ranges.size <= LARGEST_WHOLE_SCAN:
-        mesh = scan_mesh(scan)
+    for part in _parts(scan, camera, camera_from_scanner):
+        mesh = scan_mesh(part)
         yield camera_from_scanner @ mesh.vertices.astype(np.float64), mesh.faces
+
+
+def _parts(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> Iterator[Scan]:
+    """Yield the scan, of a large one the parts that a camera may see; their meshes meet."""
+    if scan.ranges.size <= LARGEST_WHOLE_SCAN:
+        yield scan
         return
     for rows, columns in places_in_picture(scan, camera, camera_from_scanner):
         parts = zip((rows, columns), scan.shape, strict=True)
         beyond = [slice(part.start, min(part.stop + 1, size)) for part, size in parts]
         try:
-            mesh = scan_mesh(scan.window(beyond[0], beyond[1]))
+            yield scan.window(beyond[0], beyond[1])
         except ShapeError:  # without returns
             continue
-        yield camera_from_scanner @ mesh.vertices.astype(np.float64), mesh.faces
 
 
 def _of_ideal(
-    scan: Scan, camera: Camera, camera_from_scanner: Rigid, report: Callable[[], None]
+    scan: Scan, camera: Camera, camera_from_scanner: Rigid, only_seen: bool, report: Callable[[], None]
 ) -> NDArray[np.float32]:
     """Return z (h, w), NaN without a surface, of a pinhole without distortion; large pictures in bands."""
-    depth = np.full((camera.height, camera.width), np.inf, np.float32)
-    rows = max(1, _MOST_PIXELS // camera.width)
-    for points, faces in _meshes(scan, camera, camera_from_scanner):
-        v = camera.project(points)[:, 1] if camera.height > rows else None
-        for first in range(0, camera.height, rows):
-            report()
-            band = slice(first, min(first + rows, camera.height))
-            part = Camera(camera.width, band.stop - first, camera.fx, camera.fy, camera.cx, camera.cy - first)
-            chosen = faces if v is None else faces[_touches(v[faces], first, band.stop)]
-            np.minimum(depth[band], rasterise_depth(points, chosen, part), out=depth[band])
+    shape = (camera.height, camera.width)
+    depth = np.full(shape, np.inf, np.float32)
+    nearest = np.full(shape, np.inf, np.float32) if only_seen else None
+    noise_m = 0.0
+    for part in _parts(scan, camera, camera_from_scanner):
+        mesh = scan_mesh(part)
+        points = camera_from_scanner @ mesh.vertices.astype(np.float64)
+        if nearest is None:
+            _draw(points, mesh.faces, camera, depth, report)
+            continue
+        _draw(points, mesh.faces[_face_the_camera(points, mesh.faces)], camera, depth, report)
+        vertices, faces = occluding_surface(part)
+        _draw(camera_from_scanner @ vertices.astype(np.float64), faces, camera, nearest, report)
+        noise_m = max(noise_m, grid_edges(part).noise_m)
+    if nearest is not None:
+        margin = np.float32(_TOLERANCE_SIGMAS * noise_m)
+        for first in range(0, camera.height, _ROWS_AT_ONCE):
+            rows = slice(first, first + _ROWS_AT_ONCE)
+            hidden = depth[rows] > nearest[rows] * np.float32(1 + _SAME_SURFACE) + margin
+            depth[rows][hidden] = np.inf
     depth[np.isinf(depth)] = np.nan
     return depth
+
+
+def _draw(
+    points: FloatArray, faces: IntArray, camera: Camera, depth: NDArray[np.float32], report: Callable[[], None]
+) -> None:
+    """Draw triangles into a depth buffer, (h, w) with infinity where there is nothing, by bands."""
+    rows = max(1, _MOST_PIXELS // camera.width)
+    v = camera.project(points)[:, 1] if camera.height > rows else None
+    for first in range(0, camera.height, rows):
+        report()
+        band = slice(first, min(first + rows, camera.height))
+        part = Camera(camera.width, band.stop - first, camera.fx, camera.fy, camera.cx, camera.cy - first)
+        chosen = faces if v is None else faces[_touches(v[faces], first, band.stop)]
+        np.minimum(depth[band], rasterise_depth(points, chosen, part), out=depth[band])
+
+
+def _face_the_camera(points: FloatArray, faces: IntArray) -> BoolArray:
+    """Return which triangles (F, 3) of points in the camera's axes show it their front: the side of the scanner."""
+    result = np.empty(len(faces), np.bool_)
+    for first in range(0, len(faces), _FACES_AT_ONCE):
+        a, b, c = (points[faces[first : first + _FACES_AT_ONCE, k]] for k in range(3))
+        result[first : first + _FACES_AT_ONCE] = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
+    return result
 
 
 def _touches(v: FloatArray, first: int, last: int) -> BoolArray:
@@ -234,8 +284,9 @@ def _looked_up(
 
 def _rays(camera: CameraModel, report: Callable[[], None]) -> Iterator[tuple[slice, FloatArray]]:
     """Yield rows of a picture with the rays (h, w, 3) of their pixels."""
-    for first in range(0, camera.height, _ROWS_AT_ONCE):
+    at_once = max(1, _RAYS_AT_ONCE // camera.width)
+    for first in range(0, camera.height, at_once):
         report()
-        rows = slice(first, min(first + _ROWS_AT_ONCE, camera.height))
+        rows = slice(first, min(first + at_once, camera.height))
         uv = np.stack(np.meshgrid(np.arange(camera.width), np.arange(rows.start, rows.stop)), axis=-1)
         yield rows, camera.unproject(uv).astype(np.float32)

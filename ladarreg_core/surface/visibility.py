@@ -425,6 +425,15 @@ def _without_cracks(inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.erode(wider, kernel, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
 
 
+def occluding_surface(scan: Scan) -> tuple[FloatArray, IntArray]:
+    """Return the surface that hides what is behind it: vertices (N, 3), scanner frame, m, and faces (F, 3).
+
+    It has the scan's mesh, flat parts of it coarsely, and whole cells on the near side of depth edges.
+    """
+    surface = _surface(scan)
+    return surface.vertices, surface.faces
+
+
 def _surface(scan: Scan) -> _Surface:
     surface = _surface_of_scan.get(scan)
     if surface is None:

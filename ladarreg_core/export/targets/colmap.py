@@ -47,11 +47,11 @@ def colmap_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None
 def colmap_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
     """Return the reconstruction, the pictures and, if a lens has a distortion, the undistorted reconstruction."""
     del options
-    written = [WrittenPhoto(one, _colmap_camera(one)) for one in handed.photos]
+    written = [WrittenPhoto(one, _colmap_camera(one), report=report) for one in handed.photos]
     jobs: list[FileJob] = [(f"images/{each.name}", each.write) for each in written]
     jobs += model_files("sparse/0", Reconstruction(handed, written, report))
     wide = [one for one in handed.photos if isinstance(one.camera, EquirectangularCamera)]
-    flat = [WrittenPhoto(one, axial_pinhole(one.camera)) for one in handed.photos if one not in wide]
+    flat = [WrittenPhoto(one, axial_pinhole(one.camera), report=report) for one in handed.photos if one not in wide]
     if any(each.is_undistorted for each in flat):
         jobs += [(f"undistorted/images/{each.name}", each.write) for each in flat]
         jobs += model_files("undistorted/sparse", Reconstruction(handed, flat, report))

@@ -51,7 +51,7 @@ _VERTEX = np.dtype([(name, "<f4") for name in "xyz"] + [(name, "u1") for name in
 def nerfstudio_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
     """Return pictures, depth maps, masks, `transforms.json`, the initial cloud and a reconstruction for COLMAP."""
     del options
-    written = [WrittenPhoto(one, _camera(one.camera)) for one in handed.photos]
+    written = [WrittenPhoto(one, _camera(one.camera), report=report) for one in handed.photos]
     maps = _DepthMaps(handed, written, report)
     jobs: list[FileJob] = []
     for index, each in enumerate(written):
@@ -194,7 +194,9 @@ class _DepthMaps:
                 if self._report is not None:
                     self._report(Progress(index, len(self._written), f"depth of {written.name}"))
 
-            depth = depth_map(self._handed.scan, written.camera, written.one.camera_from_scanner, report=go_on)
+            depth = depth_map(
+                self._handed.scan, written.camera, written.one.camera_from_scanner, only_seen=True, report=go_on
+            )
             np.nan_to_num(depth, copy=False, nan=0.0)
             self._index, self._depth = index, depth
         return self._depth

@@ -14,9 +14,11 @@ from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import write_bytes, write_chunks
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.photo import Photo
+from ladarreg_core.progress import Progress, Report
 from ladarreg_core.surface.remap import look_up
 
-_ROWS_AT_ONCE = 512
+_PIXELS_AT_ONCE = 1_000_000
 _KEPT_AS_THEY_ARE = {b"\xff\xd8\xff": ".jpg", b"\x89PNG\r\n\x1a\n": ".png"}
 _EXIF_ORIENTATION = 0x0112
 
@@ -53,15 +55,16 @@ class WrittenPhoto:
         one: the photograph.
         camera: the camera of the written picture: the photograph's own, or a pinhole without distortion with the same
             axes.
-        ending: what follows the id in the file's name.
+        report: receives the progress; may raise `Cancelled`.
     """
 
-    def __init__(self, one: RegisteredPhoto, camera: CameraModel, *, ending: str = "") -> None:
+    def __init__(self, one: RegisteredPhoto, camera: CameraModel, *, report: Report | None = None) -> None:
         self.one = one
         self.camera = camera
         copied = _copied(one) if camera == one.camera else None
+        self._report = report
         self._file = None if copied is None else copied[0]
-        self.name = f"{one.id}{ending}{'.png' if copied is None else copied[1]}"
+        self.name = f"{one.id}{'.png' if copied is None else copied[1]}"
         """File name of the picture."""
 
     @property
@@ -86,7 +89,7 @@ class WrittenPhoto:
             write_bytes(path, self._file.read_bytes())
         elif self.is_undistorted:
             assert isinstance(self.camera, Camera)
-            write_png_picture(path, undistorted(self.one.photo.pixels, self.one.camera, self.camera))
+            write_png_picture(path, undistorted(self.one.photo, self.one.camera, self.camera, report=self._report))
         else:
             write_png_picture(path, self.one.photo.pixels)
 
@@ -127,18 +130,25 @@ def _copied(one: RegisteredPhoto) -> tuple[Path, str] | None:
     return file, extension
 
 
-def undistorted(pixels: ByteArray, camera: CameraModel, ideal: Camera) -> NDArray[np.uint8]:
+def undistorted(photo: Photo, camera: CameraModel, ideal: Camera, *, report: Report | None = None) -> NDArray[np.uint8]:
     """Return the picture that an ideal camera at the same place would have taken; black where the photograph ends.
 
     Args:
-        pixels: (H, W, 3) of the photograph.
+        photo: the photograph.
         camera: its camera.
         ideal: a pinhole without distortion, with the same axes.
+        report: receives the progress; may raise `Cancelled`.
+
+    Returns:
+        (height, width, 3) RGB.
     """
     result = np.empty((ideal.height, ideal.width, 3), np.uint8)
-    for first in range(0, ideal.height, _ROWS_AT_ONCE):
-        rows = np.arange(first, min(first + _ROWS_AT_ONCE, ideal.height))
+    at_once = max(1, _PIXELS_AT_ONCE // ideal.width)
+    for first in range(0, ideal.height, at_once):
+        if report is not None:
+            report(Progress(first, ideal.height, f"undistorting {on_one_line(photo.name)}"))
+        rows = np.arange(first, min(first + at_once, ideal.height))
         uv = camera.project(ideal.unproject(np.stack(np.meshgrid(np.arange(ideal.width), rows), axis=-1)))
         u, v = np.moveaxis(np.where(np.isfinite(uv), uv, -10.0), -1, 0)
-        result[rows] = look_up(pixels, u, v, outside=(0, 0, 0))
+        result[rows] = look_up(photo.pixels, u, v, outside=(0, 0, 0))
     return result

@@ -7,7 +7,7 @@ import pytest
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface import depth_map as module
@@ -88,3 +88,21 @@ def test_positions_outside_have_no_depth() -> None:
     assert len(depth_at(room(), camera, POSE, np.zeros((0, 2)))) == 0
     with pytest.raises(ShapeError, match=r"\(N, 2\)"):
         depth_at(room(), camera, POSE, np.zeros(2))
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_what_the_photograph_cannot_show_is_left_out_on_request(name: str) -> None:
+    camera = CAMERAS[name]
+    whole, seen = (depth_map(room(), camera, POSE, only_seen=only) for only in (False, True))
+    kept = np.isfinite(seen)
+    assert np.array_equal(seen[kept], whole[kept])
+    assert 0.97 < kept.sum() / np.isfinite(whole).sum() < 1, "but for the margin of the box"
+    behind = Rigid.from_centre(look_along([-1.0, 0.0, 0.02]), (3.5, 0.0, 0.0))  # between box and wall: the box's back
+    assert np.isfinite(depth_map(room(), camera, behind)).sum() > 500
+    backs = depth_map(room(), camera, behind, only_seen=True)
+    if not isinstance(camera, Camera):  # the wall is seen, too, beside and behind the camera
+        v, u = np.nonzero(np.isfinite(backs))
+        x = (camera.unproject(np.stack([u, v], axis=-1)) * backs[v, u, None]) @ behind.rotation[:, 0] + 3.5
+        assert np.abs(x - WALL_M).max() < 0.05
+    else:
+        assert not np.isfinite(backs).any()
