@@ -154,6 +154,18 @@ def best_photo(
     return CellColours(image, labels, photo, sigma_px)
 
 
+def photo_labels(scan: Scan, view: PosedPhoto) -> ByteArray:
+    """Return the labels (H, W) uint8 of one photograph, as by `texture_scan`."""
+    labels = np.full(scan.shape, Label.OUT_OF_FRAME, np.uint8)
+    for part in textured_parts(
+        scan, view.photo, view.camera_from_scanner, camera=view.camera, covariance=view.covariance
+    ):
+        labels[part.rows, part.columns] = part.labels
+    labels[~scan.valid] = Label.NO_RETURN
+    labels.flags.writeable = False
+    return labels
+
+
 class PointColourer:
     """Colours points that need not be cells of the scan: those of the file that it was read from.
 

@@ -95,7 +95,8 @@ def photo_model(
     Args:
         scan: the scan.
         photos: the photographs.
-        best: (H, W) integers, the photograph that colours each cell, negative: none; None: the first that sees it.
+        best: (H, W) integers, the photograph that colours each cell, no index of one: none; None: the first that sees
+            it.
         full: keep the whole mesh, whatever its size.
         crop: leave out what no photograph covers.
         most_faces: largest number of triangles, unless `full`.
@@ -107,7 +108,9 @@ def photo_model(
     """
     say = _Stages(report)
     say("the mesh")
-    chosen = _first_that_sees(photos, scan.shape) if best is None else best
+    chosen = _first_that_sees(photos, scan.shape)
+    if best is not None:
+        chosen = np.where((best >= 0) & (best < len(photos)), best, LASER).astype(np.int16)
     found = _mesh(scan, chosen, full=full, most_faces=most_faces)
     mesh = found.mesh
     say("the photographs' borders")

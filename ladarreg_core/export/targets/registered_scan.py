@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from ladarreg_core.arrays import ByteArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.output_frame import OutputFrame
@@ -18,7 +19,7 @@ from ladarreg_core.progress import Report
 from ladarreg_core.quality.assessment import Assessment, assess
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.best_photo import CellColours, PointColourer, PosedPhoto, best_photo
+from ladarreg_core.surface.best_photo import CellColours, PointColourer, PosedPhoto, best_photo, photo_labels
 from ladarreg_core.surface.texture import RegisteredTexture, texture_scan
 
 _NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]+")
@@ -134,6 +135,13 @@ class RegisteredScan:
         """Compute `colours` with a report of the progress, unless they are there already."""
         if "colours" not in self.__dict__:
             self.__dict__["colours"] = best_photo(self.scan, self.views, report=report)
+
+    @cached_property
+    def photo_labels(self) -> tuple[ByteArray, ...]:
+        """(H, W) uint8 of every photograph: codes of `Label`, whether it colours the cell or not."""
+        if len(self.views) == 1:
+            return (self.colours.labels,)
+        return tuple(photo_labels(self.scan, view) for view in self.views)
 
     def point_colourer(self) -> PointColourer:
         """Return what colours points that need not be cells of the scan."""

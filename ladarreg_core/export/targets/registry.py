@@ -15,6 +15,7 @@ from ladarreg_core.export.targets.ply import ply_files
 from ladarreg_core.export.targets.report import report_files
 from ladarreg_core.export.targets.ros import ros_files, ros_refusal
 from ladarreg_core.export.targets.target import Target
+from ladarreg_core.export.targets.tiles import tiles_files
 
 TARGETS: tuple[Target, ...] = (
     Target(
@@ -74,6 +75,13 @@ TARGETS: tuple[Target, ...] = (
         purpose="Camchains with intrinsics and the relative poses of several cameras, for Kalibr and odometry.",
         files=kalibr_files,
         refusal=kalibr_refusal,
+    ),
+    Target(
+        name="tiles",
+        title="3D Tiles",
+        purpose="The textured model in tiles from coarse to fine, which viewers on the web (Cesium, three.js) load as "
+        "they are seen.",
+        files=tiles_files,
     ),
     Target(
         name="report",
