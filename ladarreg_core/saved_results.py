@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from ladarreg_core.scan import Scan
 RESULT_FILE = "registration.json"
 """The file by which a folder of results is recognised."""
 _DAMAGED = "give an unmodified one"
+_MOST_SUBFOLDERS = 500
 
 
 class _ScanReading(msgspec.Struct):
@@ -95,7 +97,8 @@ class SavedResult:
             return None
 
     def _near(self, folders: Sequence[Path]) -> list[Path]:
-        return [*folders, self.file.parent, self.file.resolve().parent.parent, Path.cwd()]
+        near = [*folders, self.file.parent, self.file.resolve().parent.parent, Path.cwd()]
+        return [*near, *(inner for folder in near for inner in _subfolders(folder))]
 
     def read_scan(self, file: Path, given: Mapping[str, Any] | None = None, *, report: Report | None = None) -> Scan:
         """Read the scan as it was read for the result.
@@ -133,6 +136,16 @@ class SavedResult:
         if photo.camera.size != camera.size:
             raise FormatError(f"{self.file}: its camera is {camera.size}, the photo {photo.camera.size}; {_DAMAGED}")
         return replace(photo, camera=camera)
+
+
+def _subfolders(folder: Path) -> list[Path]:
+    """Return the first folders in a folder, by name, without hidden ones and those that cannot be listed."""
+    try:
+        with os.scandir(folder) as listed:
+            names = sorted(entry.name for entry in listed if entry.is_dir() and not entry.name.startswith("."))
+    except OSError:
+        return []
+    return [folder / name for name in names[:_MOST_SUBFOLDERS]]
 
 
 def is_saved_result(folder: Path) -> bool:

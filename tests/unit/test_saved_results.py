@@ -109,6 +109,15 @@ def test_the_unit_of_a_thermal_photograph_is_recorded(inputs: Path, tmp_path: Pa
     assert np.allclose(one.photo.temperature_k, celsius + 273.15, atol=1e-3)
 
 
+def test_inputs_are_found_in_a_folder_beside_the_results(inputs: Path, tmp_path: Path) -> None:
+    saved = results(tmp_path / "out", inputs)
+    kept = Path(shutil.copytree(inputs, tmp_path / "kept"))
+    assert registered_scan([saved]).scan_file == kept / "two.ptx"
+    kept.rename(tmp_path / ".hidden")
+    with pytest.raises(ExportError, match="there is no such file"):
+        registered_scan([saved])
+
+
 def test_inputs_are_recognised_by_their_content(inputs: Path, tmp_path: Path) -> None:
     saved = results(tmp_path / "out", inputs)
     with pytest.raises(
