@@ -11,8 +11,9 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
+import trimesh
 
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.targets.hand_over import export_to
@@ -301,3 +302,58 @@ def test_a_given_pose_is_marked_and_a_cancelled_export_leaves_nothing(cloud: Pat
     with pytest.raises(Cancelled):
         export_to(tmp_path / "new", handed, ["laz"], report=cancel)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_several_photographs_in_the_world_by_laspy_and_trimesh(tmp_path: Path) -> None:
+    world = Rigid.from_rotvec((0.02, -0.01, 2.0), UTM)
+    scan = replace(sample_scan(), world_from_scanner=world)
+    cameras = (
+        Camera(110, 84, 80.0, 82.0, 53.0, 43.0),
+        FisheyeCamera(160, 100, 60.0, 61.0, 80.0, 49.0, (0.02, -0.01, 0.003, -0.0004)),
+        EquirectangularCamera(240, 120),
+    )
+    poses = [Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, centre) for centre in ((0.1, 1.0, 0), (0, -1, 0.1), (1.45, 0, 0))]
+    ones = []
+    for k, (camera, pose) in enumerate(zip(cameras, poses, strict=True)):
+        v, u = np.mgrid[: camera.height, : camera.width]
+        levels = 250 / max(camera.size)
+        pixels = np.rint(np.stack([levels * u, levels * v, 50 * k + 0 * u], axis=-1)).astype(np.uint8)
+        if k == 1:
+            pixels = np.repeat(pixels[..., :1], 3, axis=-1)  # gray, as a thermal or 16-bit picture is shown
+        result = replace(sample_registration(), camera=camera, camera_from_scanner=pose)
+        ones.append(RegisteredPhoto(f"p{k}", Photo(pixels, camera, name=f"Größe {k}, 図.jpg"), result))
+    (tmp_path / "gone.ptx").write_text("the file that it was read from")
+    handed = RegisteredScan(scan, tuple(ones), tmp_path / "gone.ptx", frame=OutputFrame.of(scan, "world"))
+    export_to(tmp_path / "out", handed, ["laz", "ply"])
+    found = laspy.read(tmp_path / "out" / "laz" / "gone.laz")
+    ply = trimesh.load(tmp_path / "out" / "ply" / "cloud.ply")
+    raw = ply.metadata["_ply_raw"]["vertex"]["data"]
+    offset = json.loads((tmp_path / "out" / "ply" / "offset.json").read_text())["offset_m"]
+
+    np.testing.assert_allclose(found.xyz - offset, np.asarray(ply.vertices), atol=0.6e-4)
+    ids, rgb = np.asarray(found["photo_id"]), np.stack([found.red, found.green, found.blue], axis=-1) // 257
+    np.testing.assert_array_equal(raw["photo_id"].ravel(), ids)
+    np.testing.assert_array_equal(ply.colors[ids > 0, :3], rgb[ids > 0])
+    legend = json.loads((tmp_path / "out" / "laz" / "legend.json").read_text())
+    assert legend["photo_id"]["3"] == "Größe 2, 図.jpg"
+
+    points = (found.xyz - UTM) @ world.rotation
+    others = [1, 2, 0]
+    for k, (camera, pose) in enumerate(zip(cameras, poses, strict=True)):
+        mine = ids == k + 1
+        assert mine.sum() > 20
+        channels = 1 if k == 1 else 2
+        seen = rgb[mine][:, :channels] * max(camera.size) / 250
+
+        def mean_error(at: np.ndarray, k: int = k, seen: np.ndarray = seen, shift: float = 0.0) -> float:
+            uv = cameras[k].project(at) + shift
+            return float(np.abs(np.nanmean(seen - uv[:, : seen.shape[1]], axis=0)).max())
+
+        at = pose @ points[mine]
+        assert mean_error(at) < 0.15
+        assert mean_error(at, shift=0.5) > 0.3, "half a pixel off"
+        assert mean_error(pose @ (points[mine] * [1, -1, 1])) > 1, "an axis flipped"
+        assert mean_error(poses[others[k]] @ points[mine]) > 1, "the pose of another photograph"
+    first = points[ids == 1] - poses[0].centre  # by hand: x right is -Y, y down is -Z, z forward is X
+    by_hand = np.stack([53 - 80 * first[:, 1] / first[:, 0], 43 - 82 * first[:, 2] / first[:, 0]], axis=-1)
+    assert np.abs((rgb[ids == 1][:, :2] * 110 / 250 - by_hand).mean(axis=0)).max() < 0.15
