@@ -163,7 +163,8 @@ class LasWriter:
         except Exception as error:
             if type(error).__module__.startswith("lazrs") or type(error).__name__ == "LazrsError":
                 raise ExportError(
-                    f"cannot write {self._path}: {error}; give a writable folder with enough free space"
+                    f"cannot write {self._path}: the disk may be full ({error}); give a writable folder with enough "
+                    "free space"
                 ) from error
             raise
 

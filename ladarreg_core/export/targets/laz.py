@@ -65,7 +65,7 @@ def laz_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
     del options
     try:
         if (source := _las_source(handed)) is not None:
-            LasRecords(source)
+            _Copy(handed, source)
     except LadarregError as error:
         return str(error)
     return None
@@ -101,8 +101,11 @@ def _las_source(handed: RegisteredScan) -> Path | None:
     path = handed.scan_file
     if path is None or not path.is_file():
         return None
-    with open(path, "rb") as file:
-        return path if sniff_las(file.read(4)) else None
+    try:
+        with open(path, "rb") as file:
+            return path if sniff_las(file.read(4)) else None
+    except OSError:
+        return None
 
 
 def _legend(handed: RegisteredScan, coordinates: str, intensity: str, unseen: str, notes: Sequence[str]) -> Any:
@@ -159,10 +162,12 @@ class _Copy:
         extra = header.record_bytes - point_dtype(self._old).itemsize
         self._as_read = point_dtype(self._old, _opaque(extra))
         described = next((one.content for one in stored.records if one.key == EXTRA_BYTES_RECORD), b"")
-        self._entries, taken = extra_bytes_of(described, extra)
+        entries, taken = extra_bytes_of(described, extra)
         taken |= {name.lower() for part in (self._old, self._new) for name in point_dtype(part).fields or {}}
         self._names = {name: _free_name(name, taken) for name in EXTRA_BYTES}
         added = [(self._names[name], dtype) for name, (dtype, _) in EXTRA_BYTES.items()]
+        entries += b"".join(extra_bytes_entry(self._names[name], *rest) for name, rest in EXTRA_BYTES.items())
+        self._extra_bytes = extra_bytes_record(entries)
         self._dtype = point_dtype(self._new, _opaque(extra) + added)
         self.legend = _legend(
             handed,
@@ -177,7 +182,6 @@ class _Copy:
         stored = self._stored
         kept = [one for one in stored.records if not _is_rewritten(one.user, one.number)]
         numbers = {one.number for one in kept if one.user == _USER}
-        added = (extra_bytes_entry(self._names[name], *rest) for name, rest in EXTRA_BYTES.items())
         return LasWriter(
             path,
             point_format=self._new,
@@ -187,7 +191,7 @@ class _Copy:
             offset=stored.header.offset,
             records=[
                 *(one.data for one in kept),
-                extra_bytes_record(self._entries + b"".join(added)),
+                self._extra_bytes,
                 _legend_record(self.legend, next(k for k in range(1, 1 << 16) if k not in numbers)),
             ],
             head=stored.head,

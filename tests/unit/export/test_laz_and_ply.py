@@ -312,7 +312,9 @@ def test_several_photographs_in_the_world_by_laspy_and_trimesh(tmp_path: Path) -
         FisheyeCamera(160, 100, 60.0, 61.0, 80.0, 49.0, (0.02, -0.01, 0.003, -0.0004)),
         EquirectangularCamera(240, 120),
     )
-    poses = [Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, centre) for centre in ((0.1, 1.0, 0), (0, -1, 0.1), (1.45, 0, 0))]
+    poses = [
+        Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, centre) for centre in ((0.1, 1.0, 0), (0, -1, 0.1), (1.45, 0, 0))
+    ]
     ones = []
     for k, (camera, pose) in enumerate(zip(cameras, poses, strict=True)):
         v, u = np.mgrid[: camera.height, : camera.width]
