@@ -182,7 +182,8 @@ class InputArguments(PhotoArguments):
     matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Manual matches: JSON, or CSV of points; rays, cells, or points with their lengths."""
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Initial pose: a pose JSON (scanner or world), an earlier registration.json, or transforms.json."""
+    """Initial pose: a pose JSON (scanner or world), an earlier registration.json, or transforms.json. A
+    registration.json of the same files also says with which options they are read."""
 
     @property
     def input_files(self) -> list[Path]:

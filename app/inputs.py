@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from .arguments import InputArguments, PhotoArguments
 from .process_resources import keep_heap_small
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
 
 T = TypeVar("T")
+A = TypeVar("A", bound=PhotoArguments)
+_CAMERA = ("camera", "focal_px", "focal_mm", "sensor_mm", "camera_model")
 _LARGE_SCAN_CELLS = 4_000_000
 
 
@@ -32,6 +36,28 @@ def read_inputs(arguments: PhotoArguments, bar: ProgressBar) -> tuple[Scan, Phot
         lambda: lr.read_photo(arguments.photo, **arguments.photo_options),
     )
     return scan, photo
+
+
+def with_recorded_options(arguments: A, *results: Path | None) -> A:
+    """Return arguments with the options that earlier results record of the same scan and photo, where none is given.
+
+    Args:
+        arguments: the arguments of a command.
+        results: files that may be results, such as an initial pose.
+    """
+    from ladarreg_core.saved_results import recorded_options
+
+    found: dict[str, Any] = {}
+    for path in filter(None, results):
+        found = recorded_options(path, arguments.scan, arguments.photo) | found
+    default = {field.name: field.default for field in fields(arguments)}
+    if any(getattr(arguments, name) != default[name] for name in _CAMERA):
+        found = {name: value for name, value in found.items() if name not in _CAMERA}
+    words: dict[str, Any] = {
+        name: ",".join(map(str, value)) if isinstance(value, tuple) else value for name, value in found.items()
+    }
+    taken: dict[str, Any] = {n: value for n, value in words.items() if getattr(arguments, n) == default[n]}
+    return replace(arguments, **taken)
 
 
 def spare_heap(scan: Scan) -> None:

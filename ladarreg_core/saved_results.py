@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from ladarreg_core.errors import ExportError, FormatError, OptionError
-from ladarreg_core.export.json import find_inputs
+from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
+from ladarreg_core.export.json import find_inputs, is_recorded
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
 from ladarreg_core.formats import read_photo, read_scan
@@ -170,6 +170,28 @@ def read_saved_result(folder: str | Path) -> SavedResult:
     except msgspec.ValidationError as error:
         raise FormatError(f"{file}: the options of an input are damaged ({error}); {_DAMAGED}") from None
     return SavedResult(file, registration, document, inputs, scan or {}, photo)
+
+
+def recorded_options(result: Path, scan: Path, photo: Path) -> dict[str, Any]:
+    """Return the options that a result records of a scan and a photograph, if it was made of them.
+
+    Args:
+        result: a `registration.json`; of any other file, such as a pose, the options are empty.
+        scan: the scan's file.
+        photo: the photograph's file.
+
+    Returns:
+        Arguments of `read_scan` and `read_photo` by their names, without the camera file; those of a file with another
+        content than the recorded one are left out.
+    """
+    try:
+        saved = read_saved_result(result)
+        found = dict(saved.scan_options) if is_recorded(scan, saved.inputs[0]) else {}
+        if is_recorded(photo, saved.inputs[1]):
+            found |= saved.photo_options or {}
+    except (LadarregError, OSError):  # each file is read again, and refused, where it is needed
+        return {}
+    return {name: value for name, value in found.items() if name not in ("camera", "camera_name")}
 
 
 def registered_scan(

@@ -11,7 +11,7 @@ import tyro
 
 from ..arguments import PhotoArguments
 from ..exit_codes import ExitCode
-from ..inputs import print_notes, read_inputs, timed
+from ..inputs import print_notes, read_inputs, timed, with_recorded_options
 from ..json_output import print_written
 from ..messages import report, verdict
 from ..process_resources import return_memory
@@ -29,7 +29,8 @@ class Arguments(PhotoArguments):
     """Arguments of `apply`."""
 
     pose: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """The pose: a pose JSON (scanner or world), a registration.json, or transforms.json."""
+    """The pose: a pose JSON (scanner or world), a registration.json, or transforms.json. A registration.json of the
+    same files also says with which options they are read."""
     frame: Literal["scanner", "world"] = "scanner"
     """Coordinates of model.glb and cloud.ply; world: those of the survey, less the offset stated in offset.json."""
 
@@ -45,6 +46,7 @@ def run(arguments: Arguments) -> ExitCode:
     started = time.perf_counter()
     inputs = [*arguments.input_files, arguments.pose]
     check_folder(arguments.out, force=arguments.force, inputs=inputs)
+    arguments = with_recorded_options(arguments, arguments.pose)
     with progress_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar)
         OutputFrame.of(scan, arguments.frame)  # refuse before the work

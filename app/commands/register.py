@@ -11,7 +11,7 @@ import tyro
 
 from ..arguments import RegisterArguments, check_method, register_options
 from ..exit_codes import ExitCode
-from ..inputs import print_notes, read_inputs, read_start, timed
+from ..inputs import print_notes, read_inputs, read_start, timed, with_recorded_options
 from ..json_output import print_written
 from ..messages import assessment_lines, length_lines, report, verdict
 from ..open_command import open_command
@@ -59,6 +59,7 @@ def run(arguments: Arguments) -> ExitCode:
 
     started = time.perf_counter()
     check_folder(arguments.out, force=arguments.force, inputs=_input_files(arguments))
+    arguments = with_recorded_options(arguments, arguments.initial, arguments.carry)
     check_method(arguments, arguments.method)
     _check_carry(arguments)
     with progress_bar(quiet=arguments.quiet) as bar:

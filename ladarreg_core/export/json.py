@@ -293,7 +293,7 @@ def find_inputs(
         name = Path(str(record.get("name"))).name
         there = [folder if folder.is_file() else folder / name for folder in dict.fromkeys(folders)]
         there = sorted((path for path in there if path.is_file()), key=lambda path: path.name != name)
-        path = next((path for path in there if _is_recorded(path, record)), None)
+        path = next((path for path in there if is_recorded(path, record)), None)
         if path is None:
             why = f"{there[0]} differs from it (another SHA-256)" if there else "there is no such file"
             raise ExportError(f"the input {name} is needed, but {why}; give its folder with {option}")
@@ -301,8 +301,12 @@ def find_inputs(
     return found
 
 
-def _is_recorded(path: Path, record: Mapping[str, Any]) -> bool:
-    """Return whether a file is that of an input document; a file of another size is not hashed."""
+def is_recorded(path: Path, record: Mapping[str, Any]) -> bool:
+    """Return whether a file is that of an input document; a file of another size is not hashed.
+
+    Raises:
+        ExportError: if it cannot be read.
+    """
     size = record.get("size")
     if isinstance(size, int) and path.stat().st_size != size:
         return False

@@ -16,7 +16,7 @@ from ladarreg_core.errors import ExportError, FormatError, OptionError, Underspe
 from ladarreg_core.export.folder import export_registration
 from ladarreg_core.export.targets.hand_over import export_to
 from ladarreg_core.formats import read_photo, read_scan
-from ladarreg_core.saved_results import SavedResult, read_saved_result, registered_scan
+from ladarreg_core.saved_results import SavedResult, read_saved_result, recorded_options, registered_scan
 from tests.formats.test_ptx import block
 from tests.unit.export.samples import sample_photo, sample_registration, sample_scan
 
@@ -159,3 +159,12 @@ def test_damaged_records_are_refused(inputs: Path, tmp_path: Path, broken: dict[
     (tmp_path / "out" / "registration.json").write_text(json.dumps({**saved.document, **broken}))
     with pytest.raises(FormatError):
         read_saved_result(tmp_path / "out")
+
+
+def test_the_options_are_those_of_the_same_files_only(inputs: Path, tmp_path: Path) -> None:
+    results(tmp_path / "out", inputs)
+    file, scan, photo = tmp_path / "out" / "registration.json", inputs / "two.ptx", inputs / "Größe 1.png"
+    assert recorded_options(file, scan, photo) == {"scan_index": 1, "focal_px": 100.0}
+    assert recorded_options(file, scan, inputs / "b.png") == {"scan_index": 1}
+    assert recorded_options(file, photo, photo) == {"focal_px": 100.0}
+    assert recorded_options(scan, scan, photo) == recorded_options(file, tmp_path / "gone", photo) == {}

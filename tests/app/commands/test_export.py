@@ -6,6 +6,7 @@ import json
 import shutil
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -225,3 +226,23 @@ def test_targets_say_why_they_cannot_be_written(bench: WorkbenchDriver) -> None:
     table = bench.do("export_targets", photos=["p3"])
     assert table["photos"] == []
     assert {one["refusal"] for one in table["targets"]} == {"three.png: it has no pose; register it"}
+
+
+def test_an_earlier_result_says_how_the_same_files_are_read(results: Path, tmp_path: Path) -> None:
+    from ladarreg.commands.apply import Arguments
+    from ladarreg.inputs import with_recorded_options
+
+    scan, photo = SAMPLE / "scan.npz", SAMPLE / "photo.png"  # of which the project has a copy under another name
+    file = tmp_path / "registration.json"
+    document = json.loads((results / "one" / "registration.json").read_bytes())
+    document["inputs"][0]["read_with"] |= {"scan_index": 2, "origin": [1.0, 2.5, 3.0], "columns": ["x", "y"]}
+    document["inputs"][1]["read_with"] = {"focal_px": 900.0, "temperature_unit": "C"}
+    file.write_text(json.dumps(document))
+    words = Arguments(scan=scan, photo=photo, out=tmp_path / "out", pose=file)
+    found = with_recorded_options(words, file, None)
+    assert (found.scan_index, found.origin, found.columns) == (2, "1.0,2.5,3.0", "x,y")
+    assert found.scan_options["origin"] == (1.0, 2.5, 3.0)
+    assert (found.focal_px, found.temperature_unit) == (900.0, "C")
+    given = with_recorded_options(replace(words, scan_index=1, camera=photo), file)
+    assert (given.scan_index, given.camera, given.focal_px) == (1, photo, None)
+    assert with_recorded_options(words, SAMPLE / "truth.json") == words
