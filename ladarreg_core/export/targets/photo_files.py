@@ -64,8 +64,9 @@ class WrittenPhoto:
         copied = _copied(one) if camera == one.camera else None
         self._report = report
         self._file = None if copied is None else copied[0]
-        self.name = f"{one.id}{'.png' if copied is None else copied[1]}"
-        """File name of the picture."""
+        mark = f".{one.mark.replace(', ', '-').replace(' ', '-')}" if one.mark else ""
+        self.name = f"{one.id}{mark}{'.png' if copied is None else copied[1]}"
+        """File name of the picture; binary files have no other place for the mark of a pose that was not verified."""
 
     @property
     def is_undistorted(self) -> bool:

@@ -29,10 +29,10 @@ from ladarreg_core.export.ros_messages import (
     image_message,
     transforms_message,
 )
+from ladarreg_core.export.targets.photo_files import on_one_line, text_writer, undistorted
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.texture import dimmed_levels, model_rows
 
 SCANNER, MAP = "scanner", "map"
@@ -41,13 +41,12 @@ _TIME_NS = 1_000_000_000  # of all messages: a registration has no clock, and ze
 _JPEG_QUALITY = 95
 _LONGEST_JPEG_PX = 65_500
 _PLUMB_BOB_TERMS, _RATIONAL_TERMS = 5, 8
-_UNDISTORTED_ROWS_AT_ONCE = 512
 
 
 def ros_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
     """Return a sentence if a camera fits no model of ROS and cannot be undistorted to one."""
     del options
-    found = [_shown(one.photo.name) for one in handed.photos if isinstance(one.camera, EquirectangularCamera)]
+    found = [on_one_line(one.photo.name) for one in handed.photos if isinstance(one.camera, EquirectangularCamera)]
     if not found:
         return None
     return (
@@ -64,19 +63,19 @@ def ros_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
     jobs: list[FileJob] = []
     for one in cameras:
         jobs += [
-            (f"{one.name}.camera_info.yaml", _text_writer(_camera_info(one))),
-            (f"{one.name}.transform.yaml", _text_writer(_transform_file(one.transform, one.words))),
+            (f"{one.name}.camera_info.yaml", text_writer(_camera_info(one))),
+            (f"{one.name}.transform.yaml", text_writer(_transform_file(one.transform, one.words))),
         ]
         if one.undistorted:
             jobs.append((f"{one.name}.png", _picture_writer(one)))
     if world is not None:
         transform, words = world
-        jobs.append((f"{SCANNER}.transform.yaml", _text_writer(_transform_file(transform, words))))
+        jobs.append((f"{SCANNER}.transform.yaml", text_writer(_transform_file(transform, words))))
     transforms = [*([world[0]] if world else []), *(one.transform for one in cameras)]
     words = [*(world[1] if world else []), *(line for one in cameras for line in one.words)]
     jobs += [
-        ("static_transforms.launch.py", _text_writer(_launch_file(transforms, words))),
-        ("cameras.urdf", _text_writer(_urdf(cameras))),
+        ("static_transforms.launch.py", text_writer(_launch_file(transforms, words))),
+        ("cameras.urdf", text_writer(_urdf(cameras))),
         ("scan.mcap", lambda path: write_chunks(path, _recording(handed, cameras, transforms, words, report))),
     ]
     return jobs
@@ -107,7 +106,7 @@ class _RosCamera:
     def words(self) -> list[str]:
         """What every file says of it."""
         lines = [
-            f"Photograph: {_shown(self.one.photo.name)}",
+            f"Photograph: {on_one_line(self.one.photo.name)}",
             f"Parent: {SCANNER} (x forward, y left, z up; metres). Child: {self.transform.child}, the camera's optical "
             "frame (x right, y down, z forward).",
             f"The transform is the pose of the camera in the frame {SCANNER}: it maps points of the child to the "
@@ -119,20 +118,13 @@ class _RosCamera:
                 f"{_RATIONAL_TERMS}: the calibration is of the undistorted picture {self.name}.png, not of the "
                 "photograph."
             )
-        return [*lines, *([f"Pose: {_shown(self.one.mark)}"] if self.one.mark else [])]
+        return [*lines, *([f"Pose: {on_one_line(self.one.mark)}"] if self.one.mark else [])]
 
     def pixels(self) -> ByteArray:
         """Return the picture that the calibration is of, (h, w, 3) RGB."""
         if self.undistorted is None:
             return self.one.photo.pixels
-        result = np.empty_like(self.one.photo.pixels)
-        for first in range(0, len(result), _UNDISTORTED_ROWS_AT_ONCE):
-            rows = np.arange(first, min(first + _UNDISTORTED_ROWS_AT_ONCE, len(result)))
-            at = np.stack(np.meshgrid(np.arange(result.shape[1]), rows), axis=-1)
-            uv = self.one.camera.project(self.undistorted.unproject(at))
-            u, v = np.moveaxis(np.where(np.isfinite(uv), uv, -10.0), -1, 0)
-            result[rows] = look_up(self.one.photo.pixels, u, v, outside=(0, 0, 0))
-        return result
+        return undistorted(self.one.photo, self.one.camera, self.undistorted)
 
 
 def _cameras(handed: RegisteredScan) -> list[_RosCamera]:
@@ -341,12 +333,3 @@ def _picture_writer(one: _RosCamera) -> Callable[[Path], None]:
         write_bytes(path, encoded.tobytes())
 
     return write
-
-
-def _text_writer(text: str) -> Callable[[Path], None]:
-    return lambda path: write_bytes(path, text.encode("utf-8"))
-
-
-def _shown(text: str) -> str:
-    """Return a text for a comment: on one line, without control characters."""
-    return "".join(letter if letter.isprintable() else " " for letter in text).strip()

@@ -196,8 +196,11 @@ def test_a_given_pose_is_marked_and_windows_are_refused(tmp_path: Path) -> None:
     export_to(tmp_path / "out", given, ["colmap"])
     for name in ("cameras.txt", "images.txt", "points3D.txt"):
         text = (tmp_path / "out" / "colmap" / "sparse" / "0" / name).read_text("utf-8")
-        assert "# a.png: Pose: given, not verified" in text
-        assert "# a.png: Photograph: Größe a .jpg" in text
+        assert "# a.given-not-verified.png: Pose: given, not verified" in text
+        assert "# a.given-not-verified.png: Photograph: Größe a .jpg" in text
+    found = pycolmap.Reconstruction(tmp_path / "out" / "colmap" / "sparse" / "0")  # binary
+    assert [image.name for image in found.images.values()] == ["a.given-not-verified.png"]
+    assert (tmp_path / "out" / "colmap" / "images" / "a.given-not-verified.png").is_file()
     with pytest.raises(ExportError, match="is a part of a panorama, and COLMAP's EQUIRECTANGULAR is the whole sphere"):
         export_to(tmp_path / "new", handed_over(photograph(CAMERAS["window"], "a")), ["colmap"])
     assert not (tmp_path / "new").exists()

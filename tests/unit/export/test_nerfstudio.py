@@ -201,19 +201,28 @@ def test_several_models_have_a_file_each_and_colmap_stands_beside(tmp_path: Path
         "sparse_pc.ply", "colmap", "offset.json",
     }  # fmt: skip
     meta = json.loads((folder / "transforms.json").read_text("utf-8"))
-    assert [frame["file_path"] for frame in meta["frames"]] == ["images/p0.png", "images/p2.png", "images/p4.png"]
+    assert [frame["file_path"] for frame in meta["frames"]] == [
+        "images/p0.given-not-verified.png",
+        "images/p2.png",
+        "images/p4.png",
+    ]
     assert [frame["pose_is"] for frame in meta["frames"]][:2] == ["given, not verified", "accepted (image)"]
     assert meta["ladarreg"]["marks"]
     assert meta["ladarreg"]["offset_m"] == json.loads((folder / "offset.json").read_text())["offset_m"]
 
     # The cloud is the laser's, in the frame of the poses; COLMAP's reconstruction too.
     cloud = trimesh.load(folder / meta["ply_file_path"])
-    assert b"p0.png: Pose: given, not verified" in (folder / "sparse_pc.ply").read_bytes()[:4000]
+    assert b"p0.given-not-verified.png: Pose: given, not verified" in (folder / "sparse_pc.ply").read_bytes()[:4000]
     written = world_points(handed)
     for point in np.asarray(cloud.vertices)[::997]:
         assert np.abs(written - point).sum(axis=1).min() < 1e-3
     found = pycolmap.Reconstruction(folder / "colmap" / "sparse" / "0")
-    assert {image.name for image in found.images.values()} == {"p0.png", "p1.png", "p2.png", "p4.png"}
+    assert {image.name for image in found.images.values()} == {
+        "p0.given-not-verified.png",
+        "p1.png",
+        "p2.png",
+        "p4.png",
+    }
     image = found.find_image_with_name("p2.png")
     matrix = np.array(meta["frames"][1]["transform_matrix"])
     assert np.abs(image.projection_center() - matrix[:3, 3]).max() < 1e-9
