@@ -65,6 +65,7 @@ export const mountHandOver = () => {
   let rows = [];
   let table = null;
   let failed = "";
+  let started = null; // id of the job that this page has started
   let savesZip = false; // this page has asked for the zip, and saves it as soon as it is ready
   const ticked = new Set(stored(TARGETS_KEY).split(",").filter(Boolean));
 
@@ -173,7 +174,7 @@ export const mountHandOver = () => {
     const asked = { targets, ...wanted(), ...(into ? { folder: into, force: force.checked } : {}) };
     savesZip = !into;
     try {
-      await ask(KIND, asked);
+      started = (await ask(KIND, asked)).job;
     } catch (error) {
       savesZip = false;
       complain(error.message);
@@ -234,6 +235,7 @@ export const mountHandOver = () => {
   };
 
   const sentence = () => {
+    if (store.readOnly) return "A page that may only look saves what was exported last.";
     if (failed) return failed;
     if (!table) return store.get("scan") ? "" : "Open a scan and register photographs first.";
     const [go, out] = [table.photos, table.left_out];
@@ -254,6 +256,11 @@ export const mountHandOver = () => {
     else if (!last.checked) lastRow.hidden = true;
     showRows();
     setText(goes, sentence());
+    if (job && job.id === started && !busy) {
+      started = null;
+      if (job.state !== "done") savesZip = false;
+      if (job.state === "failed") complain(job.said);
+    }
     running.hidden = !own;
     if (own) {
       const share = shareDone(job);
