@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .arguments import InputArguments, PhotoArguments
+from .messages import one_line
 from .process_resources import keep_heap_small
 from .progress_bar import ProgressBar
 
@@ -91,4 +92,4 @@ def timed(name: str, bar: ProgressBar, work: Callable[[], T]) -> T:
 def print_notes(scan: Scan, photo: Photo) -> None:
     """Print the readers' notes on the files."""
     for note in (*scan.notes, *photo.notes):
-        print(f"Note     {note}")
+        print(f"Note     {one_line(note)}")

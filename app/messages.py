@@ -7,6 +7,8 @@ import textwrap
 import unicodedata
 from typing import TYPE_CHECKING
 
+from .argument_names import as_flags
+
 if TYPE_CHECKING:
     from ladarreg_core.comparison import Comparison
     from ladarreg_core.export.comparison_table import Table
@@ -28,8 +30,8 @@ _CAUSES = {"spread", "depth", "relief"}
 
 
 def one_line(text: str) -> str:
-    """Return the text on one line, with control characters (of file names, for example) escaped."""
-    words = " ".join(text.split())
+    """Return the text on one line for the terminal: arguments as options, control characters (of names) escaped."""
+    words = " ".join(as_flags(text).split())
     return "".join(c if unicodedata.category(c)[0] != "C" else c.encode("unicode_escape").decode() for c in words)
 
 

@@ -10,53 +10,99 @@ import importlib
 import logging
 from typing import TYPE_CHECKING, Any
 
+from ladarreg_core.version import VERSION
+
 if TYPE_CHECKING:
     from ladarreg_core.camera import Camera as Camera
+    from ladarreg_core.camera import EquirectangularCamera as EquirectangularCamera
+    from ladarreg_core.camera import FisheyeCamera as FisheyeCamera
+    from ladarreg_core.camera import camera_from_json as camera_from_json
     from ladarreg_core.comparison import compare as compare
     from ladarreg_core.errors import Cancelled as Cancelled
     from ladarreg_core.errors import LadarregError as LadarregError
+    from ladarreg_core.export.folder import export_registration as export_registration
+    from ladarreg_core.export.targets.hand_over import export_to as export_to
+    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto as RegisteredPhoto
+    from ladarreg_core.export.targets.registered_scan import RegisteredScan as RegisteredScan
+    from ladarreg_core.formats import read_camera as read_camera
     from ladarreg_core.formats import read_photo as read_photo
+    from ladarreg_core.formats import read_pose as read_pose
+    from ladarreg_core.formats import read_registration as read_registration
     from ladarreg_core.formats import read_scan as read_scan
     from ladarreg_core.frames import Rigid as Rigid
     from ladarreg_core.frames import ThesisParameters as ThesisParameters
     from ladarreg_core.given import given_pose as given_pose
+    from ladarreg_core.given import verify_pose as verify_pose
     from ladarreg_core.matches import Matches as Matches
     from ladarreg_core.matches import Pick as Pick
+    from ladarreg_core.matches import picks_of_arrays as picks_of_arrays
+    from ladarreg_core.matching.auto import AutoOptions as AutoOptions
+    from ladarreg_core.matching.image_check import ImageCheck as ImageCheck
     from ladarreg_core.photo import Photo as Photo
+    from ladarreg_core.pose.estimate import PoseOptions as PoseOptions
     from ladarreg_core.pose.estimate import estimate_pose as estimate_pose
     from ladarreg_core.progress import Progress as Progress
     from ladarreg_core.progress import Step as Step
+    from ladarreg_core.registration import RegisterOptions as RegisterOptions
     from ladarreg_core.registration import register as register
     from ladarreg_core.results import PoseResult as PoseResult
     from ladarreg_core.results import Registration as Registration
     from ladarreg_core.scan import Scan as Scan
+    from ladarreg_core.simulate import simulate_case as simulate_case
     from ladarreg_core.surface.perspective import View as View
     from ladarreg_core.surface.perspective import perspective_view as perspective_view
+    from ladarreg_core.surface.photo_points import PhotoPoints as PhotoPoints
+    from ladarreg_core.surface.photo_points import xyz_of_photo as xyz_of_photo
+    from ladarreg_core.surface.texture import Label as Label
+    from ladarreg_core.surface.texture import RegisteredTexture as RegisteredTexture
+    from ladarreg_core.surface.texture import texture_scan as texture_scan
 
-__version__ = "0.1.0"
+__version__ = VERSION
 
 _HOMES = {
+    "AutoOptions": "matching.auto",
     "Camera": "camera",
     "Cancelled": "errors",
+    "EquirectangularCamera": "camera",
+    "FisheyeCamera": "camera",
+    "ImageCheck": "matching.image_check",
+    "Label": "surface.texture",
     "LadarregError": "errors",
-    "Rigid": "frames",
-    "ThesisParameters": "frames",
     "Matches": "matches",
-    "Pick": "matches",
     "Photo": "photo",
-    "Progress": "progress",
-    "Step": "progress",
+    "PhotoPoints": "surface.photo_points",
+    "Pick": "matches",
+    "PoseOptions": "pose.estimate",
     "PoseResult": "results",
+    "Progress": "progress",
+    "RegisterOptions": "registration",
+    "RegisteredPhoto": "export.targets.registered_scan",
+    "RegisteredScan": "export.targets.registered_scan",
+    "RegisteredTexture": "surface.texture",
     "Registration": "results",
+    "Rigid": "frames",
     "Scan": "scan",
+    "Step": "progress",
+    "ThesisParameters": "frames",
     "View": "surface.perspective",
-    "perspective_view": "surface.perspective",
-    "read_photo": "formats",
-    "read_scan": "formats",
+    "camera_from_json": "camera",
     "compare": "comparison",
-    "register": "registration",
-    "given_pose": "given",
     "estimate_pose": "pose.estimate",
+    "export_registration": "export.folder",
+    "export_to": "export.targets.hand_over",
+    "given_pose": "given",
+    "perspective_view": "surface.perspective",
+    "picks_of_arrays": "matches",
+    "read_camera": "formats",
+    "read_photo": "formats",
+    "read_pose": "formats",
+    "read_registration": "formats",
+    "read_scan": "formats",
+    "register": "registration",
+    "simulate_case": "simulate",
+    "texture_scan": "surface.texture",
+    "verify_pose": "given",
+    "xyz_of_photo": "surface.photo_points",
 }
 __all__ = sorted(_HOMES)
 

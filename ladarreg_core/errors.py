@@ -1,4 +1,8 @@
-"""Exceptions that a caller can act on; each text says what was found, what is needed and what to do."""
+"""Exceptions that a caller can act on; each text says what was found, what is needed and what to do.
+
+Where a text names an argument it stands in backquotes, as `origin` or `force=True`: programs may replace it by what
+their users know it as.
+"""
 
 
 class LadarregError(Exception):

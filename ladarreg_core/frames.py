@@ -11,6 +11,7 @@ A transform is named by both ends: `p_camera = camera_from_scanner @ p_scanner`.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray, read_only
-from ladarreg_core.errors import DegenerateGeometryError
+from ladarreg_core.errors import DegenerateGeometryError, ShapeError
 
 CAMERA_AXES_FROM_SCANNER = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Rotation of a camera that looks along the scanner's X: x_camera = -Y, y_camera = -Z, z_camera = X."""
@@ -29,7 +30,7 @@ _ORTHONORMAL_TOLERANCE = 1e-3
 _LEAST_FROM_VERTICAL_DEG = 0.005
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Rigid:
     """A rotation followed by a translation: `transform @ point = rotation @ point + translation`.
 
@@ -61,6 +62,13 @@ class Rigid:
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "translation", translation)
 
+    def __repr__(self) -> str:
+        turn = rotvec_from_rotation(self.rotation)
+        angle = float(np.linalg.norm(turn))
+        axis = "" if angle < 1e-12 else " about ({:.3f}, {:.3f}, {:.3f})".format(*(turn / angle))
+        moved = ", ".join(f"{value:.4f}" for value in self.translation)
+        return f"Rigid(rotation {np.degrees(angle):.4f} deg{axis}, translation ({moved}) m)"
+
     @staticmethod
     def identity() -> Rigid:
         """Return the identity transform."""
@@ -89,6 +97,75 @@ class Rigid:
         """Return the transform into a frame whose origin is at `centre` (3,) in the source frame."""
         R = np.asarray(rotation, dtype=np.float64)
         return Rigid(R, -R @ np.asarray(centre, dtype=np.float64))
+
+    @staticmethod
+    def from_quaternion_wxyz(quaternion: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Rigid:
+        """Return the transform of a quaternion (w, x, y, z), of any length, and a translation (3,), m.
+
+        Raises:
+            DegenerateGeometryError: if the quaternion is zero or not finite.
+        """
+        q = read_only(quaternion, np.float64, (4,), "the quaternion")
+        length = float(np.linalg.norm(q))
+        if not (np.isfinite(length) and length > 1e-12):
+            raise DegenerateGeometryError("the quaternion is zero or not finite; it needs four numbers, w x y z")
+        w, x, y, z = (q / length).tolist()
+        R = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        return Rigid(R, np.asarray(translation, dtype=np.float64))
+
+    @staticmethod
+    def from_quaternion_xyzw(quaternion: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Rigid:
+        """Return the transform of a quaternion (x, y, z, w), as `from_quaternion_wxyz`."""
+        return Rigid.from_quaternion_wxyz(
+            np.roll(read_only(quaternion, np.float64, (4,), "the quaternion"), 1), translation
+        )
+
+    @staticmethod
+    def from_json(text: str) -> Rigid:
+        """Return the transform that `to_json` wrote.
+
+        Raises:
+            ShapeError: if the text is not such JSON.
+            DegenerateGeometryError: if its rotation is invalid.
+        """
+        try:
+            matrix = json.loads(text)["matrix"]
+        except (ValueError, KeyError, TypeError):
+            raise ShapeError('the text is not a transform; it must be {"matrix": 4 rows of 4 numbers}') from None
+        return Rigid.from_matrix(matrix)
+
+    def to_json(self) -> str:
+        """Return the transform as JSON, `{"matrix": 4 rows of 4 numbers}`."""
+        return json.dumps({"matrix": self.matrix.tolist()})
+
+    @property
+    def quaternion_wxyz(self) -> NDArray[np.float64]:
+        """The rotation as a unit quaternion (4,), w x y z, with w >= 0; COLMAP, Eigen's constructor and OpenGL use
+        this order."""
+        R = self.rotation
+        # The largest of 4 w^2, 4 x^2, 4 y^2, 4 z^2 is at least 1, so that dividing by its root is safe.
+        squares = 1 + np.array([np.trace(R), *(2 * R[k, k] - np.trace(R) for k in range(3))])
+        k = int(np.argmax(squares))
+        rows = (
+            (squares[0], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]),
+            (R[2, 1] - R[1, 2], squares[1], R[1, 0] + R[0, 1], R[0, 2] + R[2, 0]),
+            (R[0, 2] - R[2, 0], R[1, 0] + R[0, 1], squares[2], R[2, 1] + R[1, 2]),
+            (R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[2, 1] + R[1, 2], squares[3]),
+        )
+        q = np.array(rows[k])
+        q /= np.linalg.norm(q)
+        return -q if q[0] < 0 else q
+
+    @property
+    def quaternion_xyzw(self) -> NDArray[np.float64]:
+        """The same quaternion (4,) as x y z w, the order of ROS and SciPy."""
+        return np.roll(self.quaternion_wxyz, -1)
 
     @property
     def matrix(self) -> NDArray[np.float64]:

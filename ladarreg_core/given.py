@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.matching.image_check import check_against_images
+from ladarreg_core.matching.image_check import ImageCheck, check_against_images
 from ladarreg_core.photo import Photo
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.result import describe_pose
@@ -21,6 +21,7 @@ from ladarreg_core.surface.texture import Label, texture_scan
 from ladarreg_core.validation import LARGEST_INT, require_int, require_type
 
 _SAMPLES = 400_000
+_NOTHING_IN_PHOTO = "No return of the scan lies in the photograph at this pose, so there is nothing to colour."
 _FIELDS = 48  # of the photograph's longer side, for the share of it that the scan covers
 
 
@@ -71,32 +72,20 @@ def given_pose(
     Raises:
         OptionError: if an argument is of a wrong type.
     """
-    require_type(scan, Scan, "'scan'")
-    require_type(photo, Photo, "'photo'")
-    require_type(pose, Rigid, "'pose'")
-    require_int(seed, "the seed", least=0, most=LARGEST_INT)
+    _check_arguments(scan, photo, pose, seed)
     steps = StepLog(report)
     with threadpool_limits(limits=1, user_api="blas"):
         with steps.step("coverage") as note:
             found = coverage(scan, photo, pose)
             note.update(seen=round(found.seen, 4), of_photo=round(found.of_photo, 4))
             steps.pose = pose
-        result = replace(
-            describe_pose(
-                pose, Matches.none(), np.zeros(0, np.bool_), photo.camera,
-                sigma_px=STATED_SIGMA_PX, sigma_range_m=STATED_SIGMA_RANGE_M, covariance=np.full((6, 6), np.nan),
-            ),
-            world_from_scanner=scan.world_from_scanner,
-            evidence="given",
-        )  # fmt: skip
+        result = _given(scan, photo, pose)
         diagnostics: dict[str, Any] = {**result.diagnostics, "coverage": asdict(found)}
         reasons = [
             "This pose was given, not solved, so the verdict stays 'given, not verified' whatever the images say."
         ]
         if found.in_photo == 0:
-            reasons.insert(
-                0, "No return of the scan lies in the photograph at this pose, so there is nothing to colour."
-            )
+            reasons.insert(0, _NOTHING_IN_PHOTO)
         elif check_images:
             check = check_against_images(scan, photo, result, steps, seed=seed)
             diagnostics["verification"] = check.as_dict()
@@ -106,6 +95,51 @@ def given_pose(
     fields |= {"reasons": tuple(reasons), "diagnostics": diagnostics}
     options = {"check_images": check_images}
     return Registration(**fields, method="given", steps=steps.steps, options=options, seed=seed)
+
+
+def verify_pose(
+    scan: Scan, photo: Photo, pose: Rigid, *, seed: int = 0, report: StepReport | None = None
+) -> ImageCheck:
+    """Return what the images say of a pose: verified, contradicted, or undecidable, with the figures.
+
+    The laser's intensity, as the photograph's camera would see it, is compared with the photograph. A pose that they
+    do not confirm is contradicted only if they confirm another one near it that differs significantly.
+
+    Args:
+        scan: the scan.
+        photo: the photograph with its camera.
+        pose: `camera_from_scanner`.
+        seed: random seed.
+        report: receives every finished `Step`; may raise `Cancelled`.
+
+    Returns:
+        `outcome`, `sentence`, and as `verification` (or `as_dict()`) the figures that were compared with thresholds.
+
+    Raises:
+        OptionError: if an argument is of a wrong type.
+    """
+    _check_arguments(scan, photo, pose, seed)
+    if coverage(scan, photo, pose).in_photo == 0:
+        return ImageCheck("undecidable", _NOTHING_IN_PHOTO, None)
+    return check_against_images(scan, photo, _given(scan, photo, pose), StepLog(report), seed=seed)
+
+
+def _check_arguments(scan: object, photo: object, pose: object, seed: object) -> None:
+    require_type(scan, Scan, "'scan'")
+    require_type(photo, Photo, "'photo'")
+    require_type(pose, Rigid, "'pose'")
+    require_int(seed, "the seed", least=0, most=LARGEST_INT)
+
+
+def _given(scan: Scan, photo: Photo, pose: Rigid) -> PoseResult:
+    return replace(
+        describe_pose(
+            pose, Matches.none(), np.zeros(0, np.bool_), photo.camera,
+            sigma_px=STATED_SIGMA_PX, sigma_range_m=STATED_SIGMA_RANGE_M, covariance=np.full((6, 6), np.nan),
+        ),
+        world_from_scanner=scan.world_from_scanner,
+        evidence="given",
+    )  # fmt: skip
 
 
 def coverage(scan: Scan, photo: Photo, pose: Rigid) -> Coverage:

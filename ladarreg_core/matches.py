@@ -60,7 +60,45 @@ class Pick:
         object.__setattr__(self, "photo", photo)
 
 
-@dataclass(frozen=True, slots=True, eq=False, init=False)
+def picks_of_arrays(
+    uv: ArrayLike,
+    *,
+    rays: ArrayLike | None = None,
+    points: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    origin: str = "array",
+) -> list[Pick]:
+    """Return point picks of arrays, e.g. the matches of a matcher of one's own; their ids are '1', '2', ...
+
+    Args:
+        uv: (M, 2) photo pixels; (0, 0) is the centre of the top-left one.
+        rays: (M, 3) directions in the scanner frame, of any length: the ranges are the scan's own.
+        points: instead, (M, 3) measured points in the scanner frame, m: their lengths are used and compared with the
+            scan's ranges.
+        weights: (M,) relative weights, > 0; None: 1.
+        origin: source of the matches.
+
+    Raises:
+        ShapeError: unless exactly one of rays and points is given, the arrays match and all numbers are finite.
+    """
+    directions = points if rays is None else rays
+    if directions is None or (rays is not None and points is not None):
+        raise ShapeError("the scan side of the matches needs either rays or points; give one of them")
+    side = read_only(directions, np.float64, (None, 3), "the scan side of the matches")
+    pixels = read_only(uv, np.float64, (len(side), 2), "the photo side of the matches")
+    weight = _column(weights, 1.0, len(side), "the weights of the matches")
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.linalg.norm(side, axis=1)
+    return [
+        Pick(
+            str(k + 1), "point", side[k][None], pixels[k][None], weight=float(weight[k]), origin=origin,
+            lengths_m=None if points is None else lengths[k : k + 1],
+        )
+        for k in range(len(side))
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class Matches:
     """M correspondences between the scan and the photo; read-only."""
 
@@ -136,6 +174,12 @@ class Matches:
         }  # fmt: skip
         for name, value in columns.items():
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "Matches(none)"
+        lines = f", {int(self.across.sum())} known only across a line" if self.across.any() else ""
+        return f"Matches({len(self)}: {self.ranges.min():.2f} to {self.ranges.max():.2f} m from the scanner{lines})"
 
     @staticmethod
     def none() -> Matches:

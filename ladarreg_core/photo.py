@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ladarreg_core.arrays import ByteArray, FloatArray, read_only
-from ladarreg_core.camera import Camera, CameraModel, require_camera, require_pinhole
-from ladarreg_core.errors import ShapeError
+from ladarreg_core.camera import Camera, CameraModel, describe_in_short, require_camera, require_pinhole
+from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.validation import require_number, require_positive
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Photo:
     """An image with its intrinsics; read-only.
 
@@ -46,6 +48,64 @@ class Photo:
         """
         return require_pinhole(self.camera, "This work")
 
+    def __repr__(self) -> str:
+        kind = "calibrated" if self.calibrated else "focal length only" if self.assumed else "given camera"
+        thermal = ", thermal" if self.temperature_k is not None else ""
+        width, height = self.camera.size
+        return f"Photo({self.name!r}: {width} x {height} px, {describe_in_short(self.camera)}, {kind}{thermal})"
+
+    @staticmethod
+    def from_array(
+        pixels: ArrayLike,
+        *,
+        camera: CameraModel | None = None,
+        focal_px: float | None = None,
+        focal_mm: float | None = None,
+        sensor_mm: float | None = None,
+        white: float | None = None,
+        black: float = 0.0,
+        name: str = "photo",
+    ) -> Photo:
+        """Return the photograph of an array of pixels with its camera.
+
+        Args:
+            pixels: (H, W), (H, W, 1) or (H, W, 3) RGB; uint8, uint16 or floating point. OpenCV reads BGR: reverse it.
+            camera: a calibrated camera of this image size.
+            focal_px: instead, a focal length in pixels of this image; the principal point is then the image's middle.
+            focal_mm: instead, a focal length in millimetres, with `sensor_mm`.
+            sensor_mm: the sensor's longer side, along the image's longer side.
+            white: the value that becomes 255; None: 255 of uint8, 65535 of uint16, 1 of floating point. Values between
+                `black` and it are scaled linearly, those beyond are cut off.
+            black: the value that becomes 0.
+            name: display name.
+
+        Raises:
+            OptionError: unless exactly one of camera, `focal_px` and `focal_mm` is given, or if `white` is needed: most
+                of a floating-point image lies beyond 1.
+            ShapeError: if the array is not an image, or the camera is of another size.
+            CameraError: if the focal length is impossible.
+        """
+        eight_bit, note = _eight_bit(pixels, white, black)
+        height, width = eight_bit.shape[:2]
+        given = [key for key, value in (("camera", camera), ("focal_px", focal_px), ("focal_mm", focal_mm))
+                 if value is not None]  # fmt: skip
+        if len(given) != 1:
+            raise OptionError(f"{' and '.join(given) or 'no camera'} given; give one of camera, focal_px and focal_mm")
+        notes = () if note is None else (note,)
+        if camera is not None:
+            return Photo(eight_bit, camera, name=name, notes=notes, calibrated=True)
+        if focal_mm is not None:
+            require_positive(focal_mm, "focal_mm", unit="mm")
+            if sensor_mm is None:
+                raise OptionError("focal_mm is given without sensor_mm; give both (the sensor's longer side in mm)")
+            require_positive(sensor_mm, "sensor_mm", unit="mm")
+            focal_px = focal_mm / sensor_mm * max(width, height)
+        assert focal_px is not None
+        return Photo(
+            eight_bit, Camera.from_focal(width, height, focal_px), name=name,
+            notes=(*notes, f"focal length {focal_px:.1f} px, as given; no lens distortion is assumed"), assumed=True,
+        )  # fmt: skip
+
     def __post_init__(self) -> None:
         require_camera(self.camera, "the photo's camera")
         pixels = read_only(self.pixels, np.uint8, (None, None, 3), "the photo")
@@ -60,3 +120,35 @@ class Photo:
             object.__setattr__(self, "temperature_k", kelvin)
         object.__setattr__(self, "pixels", pixels)
         object.__setattr__(self, "notes", tuple(self.notes))
+
+
+_USUAL_WHITE = {"u1": 255.0, "u2": 65535.0, "f": 1.0}
+_MOST_BEYOND = 0.5
+
+
+def _eight_bit(pixels: ArrayLike, white: float | None, black: float) -> tuple[ByteArray, str | None]:
+    """Return (H, W, 3) uint8, and a note on the scaling, if there was one."""
+    values = np.asarray(pixels)
+    if values.ndim == 2:
+        values = values[..., None]
+    if values.ndim != 3 or values.shape[2] not in (1, 3):
+        raise ShapeError(f"the pixels have the shape {values.shape}; they must be (H, W), (H, W, 1) or (H, W, 3)")
+    kind = "f" if values.dtype.kind == "f" else values.dtype.str[1:]
+    if kind not in _USUAL_WHITE:
+        raise ShapeError(f"the pixels are {values.dtype}; they must be uint8, uint16 or floating point")
+    require_number(black, "black")
+    if white is None:
+        white = _USUAL_WHITE[kind]
+        if kind == "f" and np.mean(values > white) > _MOST_BEYOND:
+            raise OptionError(
+                f"the pixels are floating point and reach {np.nanmax(values):g}, and it is not said which value is "
+                "white; give it as `white`, e.g. 255"
+            )
+    require_number(white, "white")
+    if not white > black:
+        raise OptionError(f"white is {white:g} and black {black:g}; white must be the larger one")
+    three = np.repeat(values, 3, axis=2) if values.shape[2] == 1 else values
+    if kind == "u1" and (black, white) == (0, 255):
+        return three, None
+    scaled = np.clip((np.nan_to_num(three.astype(np.float32), nan=black) - black) * (255 / (white - black)), 0, 255)
+    return np.rint(scaled).astype(np.uint8), f"pixel values from {black:g} to {white:g} were scaled to 8 bits"

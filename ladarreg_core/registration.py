@@ -7,11 +7,13 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from ladarreg_core.errors import DegenerateGeometryError, OptionError
+from ladarreg_core.arrays import read_only
+from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, look_along
-from ladarreg_core.matches import Matches, Pick
+from ladarreg_core.matches import Matches, Pick, picks_of_arrays
 from ladarreg_core.matching.auto import AutoOptions, AutoResult
 from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.thesis.chain import ThesisOptions, ThesisResult, thesis_stages
@@ -36,10 +38,14 @@ RegistrationMethod = Literal["auto", "thesis", "manual"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegisterOptions:
-    """Options of a registration; saved with its result."""
+    """Options of a registration; saved with its result.
+
+    Those that are changed most: `seed`; `auto=AutoOptions(reach="near_start")`, to search only near `initial`;
+    `pose=PoseOptions(sigma_px=..., sigma_range_m=...)`, the noise of given matches where it is known; `lines`.
+    """
 
     seed: int = 0
-    """Random seed; equal seeds give equal results."""
+    """Random seed; equal seeds give equal results, whatever the number of threads."""
     auto: AutoOptions = field(default_factory=AutoOptions)
     """Options of the method `auto`."""
     pose: PoseOptions = field(default_factory=PoseOptions)
@@ -73,6 +79,10 @@ def register(
     *,
     method: str = "auto",
     picks: Sequence[Pick] | None = None,
+    uv: ArrayLike | None = None,
+    rays: ArrayLike | None = None,
+    points: ArrayLike | None = None,
+    cells: ArrayLike | None = None,
     initial: Rigid | None = None,
     options: RegisterOptions | None = None,
     report: StepReport | None = None,
@@ -86,6 +96,11 @@ def register(
             picks, `auto` becomes `manual`, and `thesis` solves them by its own estimators: picks take precedence over
             automatic matching.
         picks: corresponding points and lines.
+        uv: instead of picks, the photo pixels (M, 2) of point matches from elsewhere, with one of the next three. They
+            may contain wrong ones.
+        rays: (M, 3) their directions in the scanner frame.
+        points: (M, 3) their points in the scanner frame, m; their lengths are compared with the scan's ranges.
+        cells: (M, 2) their fractional (row, column) in the scan's grid, e.g. in its intensity image.
         initial: a starting pose, `camera_from_scanner`, tried before all others.
         options: seed, methods and thresholds.
         report: receives every finished `Step`; may raise `Cancelled`.
@@ -96,9 +111,12 @@ def register(
 
     Raises:
         OptionError: if the method is unknown, `manual` has no picks, or an argument is of a wrong type.
+        ShapeError: if the arrays of matches do not match, or lie outside the scan.
         DegenerateGeometryError: if the picks do not determine a pose.
     """
     o = RegisterOptions() if options is None else options
+    if uv is not None or not rays is points is cells is None:
+        picks = _picks_of(scan, picks, uv, rays, points, cells)
     _check_types(scan, photo, picks, initial, o)
     require_choice(method, get_args(RegistrationMethod), "the method")
     if method == "manual" and not picks:
@@ -107,6 +125,28 @@ def register(
     # With several threads BLAS sums in another order, and the last digits of a pose would depend on the machine.
     with threadpool_limits(limits=1, user_api="blas"):
         return _register(scan, photo, steps, method, picks, initial, o)
+
+
+def _picks_of(
+    scan: Scan,
+    picks: Sequence[Pick] | None,
+    uv: ArrayLike | None,
+    rays: ArrayLike | None,
+    points: ArrayLike | None,
+    cells: ArrayLike | None,
+) -> list[Pick]:
+    """Return the matches given as arrays as picks."""
+    sides = [name for name, side in (("rays", rays), ("points", points), ("cells", cells)) if side is not None]
+    if picks is not None or uv is None or len(sides) != 1:
+        raise OptionError(
+            "matches are given incompletely or twice; give either picks, or uv with one of rays, points and cells"
+        )
+    if cells is not None:
+        rays = require_type(scan, Scan, "'scan'").geometry.ray_at(read_only(cells, np.float64, (None, 2), "the cells"))
+        outside = ~np.isfinite(rays).all(axis=1)
+        if outside.any():
+            raise ShapeError(f"{int(outside.sum())} of the cells lie outside the scan's grid of {scan.shape}")
+    return picks_of_arrays(uv, rays=rays, points=points)
 
 
 def _check_types(scan: object, photo: object, picks: object, initial: object, options: object) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -9,8 +10,9 @@ from typing import Any, Literal
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import CameraModel
+from ladarreg_core.camera import CameraModel, camera_from_model_fields
 from ladarreg_core.camera.uncertainty import CameraUncertainty
+from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
@@ -80,7 +82,7 @@ def is_determined(sigma_angle_rad: float, sigma_position_m: float, ranges_m: Flo
     return sigma_angle_rad <= _MOST_ANGLE_RAD and sigma_position_m <= _MOST_POSITION_OF_RANGE * reach
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PoseResult:
     """A pose with its evidence, residuals and uncertainty."""
 
@@ -126,6 +128,24 @@ class PoseResult:
     """Reasons of the verdict, as sentences."""
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     """Planarity, baseline, spread, why the solver stopped, and more; JSON-ready."""
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        if self.accepted:
+            verdict = f"accepted by {'the images' if self.evidence == 'image' else self.evidence}"
+        else:
+            verdict = self.mark or "not accepted"
+        if not self.has_pose:
+            return f"{name}({verdict}, no pose)"
+        words = [verdict if self.is_shown else f"{verdict}, best guess", self.thesis_parameters.describe_position()]
+        if np.isfinite(self.covariance).all():
+            position_mm, angle_deg = 1000 * self.sigma_position_m, np.degrees(self.sigma_angle_rad)
+            words.append(f"sigma {position_mm:.3g} mm and {angle_deg:.2g} deg")
+        if len(self.matches):
+            off = np.hypot(*self.residuals_px[self.inliers].T)
+            rms = f", residual {np.sqrt(np.nanmean(off**2)):.2f} px rms" if np.isfinite(off).any() else ""
+            words.append(f"{int(self.inliers.sum())} of {len(self.matches)} matches are inliers{rms}")
+        return f"{name}({'; '.join(words)})"
 
     @property
     def has_pose(self) -> bool:
@@ -205,7 +225,7 @@ class PoseResult:
         return is_determined(self.sigma_angle_rad, self.sigma_position_m, self.matches.ranges)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Registration(PoseResult):
     """A pose with the steps that led to it."""
 
@@ -217,6 +237,91 @@ class Registration(PoseResult):
     """The options used, JSON-ready."""
     seed: int = 0
     """The seed used."""
+
+    def to_json(self) -> str:
+        """Return the result as JSON; the names and meanings are those of `registration.json`.
+
+        Steps and diagnostics are left out. `export_registration` writes the complete document, which also states the
+        inputs, the options and an assessment.
+        """
+        pose = self.camera_from_scanner.matrix.tolist() if self.has_pose else None
+        world = self.world_from_scanner
+        m = self.matches
+        fields = {
+            "camera_from_scanner": pose if self.is_shown else None,
+            "rejected_guess": None if self.is_shown else pose,
+            "world_from_scanner": None if world is None else world.matrix.tolist(),
+            "camera": self.camera.as_fields(),
+            "camera_sigmas": dict(self.camera_sigmas),
+            "camera_uncertainty": None if self.camera_uncertainty is None else self.camera_uncertainty.as_fields(),
+            "covariance": self.covariance.tolist() if np.isfinite(self.covariance).all() else None,
+            "sigma": {"pixel_px": self.sigma_px, "range_m": self.sigma_range_m, "chi2_per_dof": self.chi2_per_dof},
+            "accepted": bool(self.accepted),
+            "evidence": self.evidence,
+            "reasons": list(self.reasons),
+            "matches": [
+                {
+                    "pick_id": pick_id,
+                    "inlier": bool(self.inliers[k]),
+                    **{name: column[k].tolist() for name, column in self._match_columns(m).items()},
+                }
+                for k, pick_id in enumerate(m.pick_ids)
+            ],
+            "method": self.method,
+            "seed": self.seed,
+        }
+        return json.dumps(_without_nan(fields), allow_nan=False)
+
+    def _match_columns(self, matches: Matches) -> dict[str, FloatArray]:
+        columns = (matches.rays, matches.ranges, matches.uv, matches.weights, matches.range_weights)
+        own = (self.residuals_px, self.residuals_m, self.stereo_depth_error_m)
+        return dict(zip(_MATCH_FIELDS, (*columns, *own), strict=True))
+
+    @staticmethod
+    def from_json(text: str) -> Registration:
+        """Return the result that `to_json` wrote; `read_registration` reads files.
+
+        Raises:
+            ShapeError: if the text is not such JSON, or a number in it is invalid.
+            LadarregError: if its pose or camera is impossible.
+        """
+        try:
+            fields = json.loads(text)
+            pose = fields["camera_from_scanner"] or fields["rejected_guess"]
+            world, joint = fields["world_from_scanner"], fields["camera_uncertainty"]
+            found = fields["matches"]
+            columns = {
+                name: np.array([_with_nan(one[name]) for one in found], np.float64).reshape(-1, *tail)
+                for name, tail in _MATCH_FIELDS.items()
+            }
+            covariance = fields["covariance"]
+            return Registration(
+                camera_from_scanner=Rigid.identity() if pose is None else Rigid.from_matrix(pose),
+                camera=camera_from_model_fields(fields["camera"]),
+                matches=Matches(
+                    columns["ray"], columns["range_m"], columns["uv"], [one["pick_id"] for one in found],
+                    weights=columns["weight"], range_weights=columns["range_weight"],
+                ),
+                inliers=np.array([one["inlier"] for one in found], np.bool_),
+                residuals_px=columns["residual_px"],
+                residuals_m=columns["residual_m"],
+                stereo_depth_error_m=columns["stereo_depth_error_m"],
+                covariance=np.full((6, 6), np.nan) if covariance is None else np.array(covariance, np.float64),
+                world_from_scanner=None if world is None else Rigid.from_matrix(world),
+                chi2_per_dof=_with_nan(fields["sigma"]["chi2_per_dof"]),
+                sigma_px=fields["sigma"]["pixel_px"],
+                sigma_range_m=fields["sigma"]["range_m"],
+                camera_sigmas=fields["camera_sigmas"],
+                camera_uncertainty=None if joint is None else CameraUncertainty.from_fields(joint),
+                accepted=fields["accepted"] is True,
+                evidence=fields["evidence"],
+                reasons=tuple(fields["reasons"]),
+                diagnostics={} if pose is not None else {"no_candidate": True},
+                method=fields["method"],
+                seed=fields["seed"],
+            )  # fmt: skip
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+            raise ShapeError("the text is not a registration; give what `to_json` of a Registration returned") from None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -249,6 +354,28 @@ class Offset:
     def __post_init__(self) -> None:
         for name in ("sigma_angle_rad", "sigma_position_m"):
             require_number(getattr(self, name), f"the offset's {name}", least=0)
+
+
+_MATCH_FIELDS: dict[str, tuple[int, ...]] = {
+    "ray": (3,), "range_m": (), "uv": (2,), "weight": (), "range_weight": (),
+    "residual_px": (2,), "residual_m": (), "stereo_depth_error_m": (),
+}  # fmt: skip
+
+
+def _without_nan(value: Any) -> Any:
+    """Return JSON values with null for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _with_nan(value: Any) -> Any:
+    """Return a number or a list of numbers with NaN for null."""
+    if isinstance(value, list):
+        return [_with_nan(item) for item in value]
+    return float("nan") if value is None else float(value)
 
 
 def _perturbed(pose: Rigid, change: FloatArray) -> Rigid:

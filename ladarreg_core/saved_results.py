@@ -73,7 +73,7 @@ class SavedResult:
         return str(self.inputs[1].get("name"))
 
     def find(
-        self, folders: Sequence[Path], *, scan_file: Path | None = None, option: str = "--inputs"
+        self, folders: Sequence[Path], *, scan_file: Path | None = None, option: str = "`inputs`"
     ) -> tuple[Path, Path]:
         """Return the files of scan and photograph, see `find_inputs`; `scan_file` must be that of the scan.
 
@@ -202,7 +202,7 @@ def registered_scan(
     scan_options: Mapping[str, Any] | None = None,
     temperature_unit: str | None = None,
     frame: FrameName = "scanner",
-    option: str = "--inputs",
+    option: str = "`inputs`",
     report: Report | None = None,
 ) -> RegisteredScan:
     """Return results on the same scan as one hand-over, their inputs read again.

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
 from ladarreg_core.errors import ShapeError
@@ -20,9 +20,12 @@ IntensityKind = Literal["raw", "range_normalised"]
 _SMALLEST_SIDE = 2
 _DIRECTION_SAMPLES = 20_000
 _ROWS_AT_ONCE = 256
+LUMA_NOTE = "the intensity is the luminance of the colours (Rec. 709), not the laser's"
+"""Note of a scan whose intensity is the luminance of its colours."""
+_REC_709 = (0.2126, 0.7152, 0.0722)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scan:
     """Range and intensity on a grid with a ray for every cell; read-only.
 
@@ -65,6 +68,114 @@ class Scan:
         if self.color is not None:
             object.__setattr__(self, "color", read_only(self.color, np.uint8, (*shape, 3), "the scan's colour"))
         object.__setattr__(self, "notes", tuple(self.notes))
+
+    def __repr__(self) -> str:
+        height, width = self.shape
+        low, high = (float(reduce(self.ranges)) for reduce in (np.nanmin, np.nanmax))
+        step = " x ".join(f"{np.degrees(angle):.3g}" for angle in self.geometry.step_rad)
+        return (
+            f"Scan({self.name!r}: {height} x {width} cells of {step} deg, {self.valid.mean():.0%} with returns, "
+            f"{low:.2f} to {high:.2f} m{', colour' if self.color is not None else ''}"
+            f"{'' if self.world_from_scanner is None else ', placed in the world'})"
+        )
+
+    @staticmethod
+    def from_points(
+        points: ArrayLike,
+        intensity: ArrayLike | None = None,
+        colors: ArrayLike | None = None,
+        *,
+        origin: ArrayLike | None = (0.0, 0.0, 0.0),
+        world_from_scanner: Rigid | None = None,
+        ring: ArrayLike | None = None,
+        intensity_is: IntensityKind = "raw",
+        name: str = "scan",
+    ) -> Scan:
+        """Return the scan of points without a grid: they are gridded by direction around the scanner.
+
+        Args:
+            points: (N, 3) m, with the scanner's Z up; those that are not finite are left out.
+            intensity: (N,) in the unit of the sensor; None: the luminance of the colours, or zero without any, with
+                which only matches that are given can be registered.
+            colors: (N, 3) uint8 RGB.
+            origin: where the scanner stood in the coordinates of the points, (3,) m; None: estimated from the pattern
+                of the points.
+            world_from_scanner: pose of the coordinates of the points in the world.
+            ring: (N,) whole numbers, the beam of each point, if known.
+            intensity_is: `raw` or `range_normalised`.
+            name: display name.
+
+        Returns:
+            The scan, whose frame has the axes of the points and its zero at `origin`; `world_from_scanner` contains the
+            origin if it is not zero, and `notes` say how the points were arranged.
+
+        Raises:
+            ShapeError: if the arrays do not match, there are fewer than 12 returns, or all are in one row or column.
+            UnderspecifiedError: if `origin` is None and the points do not show where the scanner stood.
+        """
+        from ladarreg_core.scanner.cloud import locate_cloud
+
+        p = read_only(points, np.float64, (None, 3), "the points")
+        paint = None if colors is None else read_only(colors, np.uint8, (len(p), 3), "the colours of the points")
+        light, notes = _light_of(intensity, paint, (len(p),))
+        beams = None if ring is None else read_only(ring, np.int64, (len(p),), "the rings of the points")
+        located = locate_cloud(
+            p, light, paint, coordinates="any", origin=origin, ring=beams, world_from_scanner=world_from_scanner,
+            what="the cloud",
+        )  # fmt: skip
+        cloud = located.cloud
+        return Scan(
+            cloud.geometry, cloud.ranges, cloud.intensity, color=cloud.color, intensity_is=intensity_is,
+            world_from_scanner=located.world_from_scanner, name=name, notes=(*notes, *located.notes),
+        )  # fmt: skip
+
+    @staticmethod
+    def from_grid(
+        xyz: ArrayLike | None = None,
+        *,
+        ranges: ArrayLike | None = None,
+        rays: ArrayLike | None = None,
+        azimuth_rad: ArrayLike | None = None,
+        elevation_rad: ArrayLike | None = None,
+        intensity: ArrayLike | None = None,
+        colors: ArrayLike | None = None,
+        world_from_scanner: Rigid | None = None,
+        intensity_is: IntensityKind = "raw",
+        name: str = "scan",
+    ) -> Scan:
+        """Return the scan of a grid: of points, or of ranges with rays or angles.
+
+        Rows and columns may be in any order: they are transposed and flipped so that row 0 is the top and column 0 the
+        left, as the readers do, and `notes` say so.
+
+        Args:
+            xyz: (H, W, 3) points, m, X forward, Y left, Z up; NaN or zero for no return. Rays of cells without a
+                return are fitted unless `rays` are given.
+            ranges: (H, W) m along the rays, instead of `xyz`; NaN or zero for no return.
+            rays: (H, W, 3) directions of any length; NaN for those that are not known.
+            azimuth_rad: instead of rays, (W,) or (H, W), counter-clockwise from X: positive to the left.
+            elevation_rad: with it, (H,) or (H, W), up from the horizontal.
+            intensity: (H, W) in the unit of the sensor; None: as in `from_points`.
+            colors: (H, W, 3) uint8 RGB.
+            world_from_scanner: the scanner's pose in the world.
+            intensity_is: `raw` or `range_normalised`.
+            name: display name.
+
+        Raises:
+            OptionError: unless `xyz`, or `ranges` with rays or both angles, are given.
+            ShapeError: if the arrays do not match, there is no return, or too few rays are known.
+        """
+        from ladarreg_core.scanner.given_grid import upright_grid
+
+        grid = upright_grid(xyz, ranges, rays, azimuth_rad, elevation_rad)
+        shape = grid.given_shape
+        paint = None if colors is None else read_only(colors, np.uint8, (*shape, 3), "the colours of the grid")
+        light, notes = _light_of(intensity, paint, shape)
+        return Scan(
+            grid.geometry, grid.ranges, grid.order.apply(light),
+            color=None if paint is None else grid.order.apply(paint), intensity_is=intensity_is,
+            world_from_scanner=world_from_scanner, name=name, notes=(*notes, *grid.notes),
+        )  # fmt: skip
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -139,6 +250,23 @@ class Scan:
         mean = self.sampled_directions.mean(axis=0)
         length = float(np.linalg.norm(mean))
         return mean / length if length > 1e-3 else np.array([1.0, 0.0, 0.0])
+
+
+def _light_of(
+    intensity: ArrayLike | None, colors: ByteArray | None, shape: tuple[int, ...]
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return the intensity given, or what stands for it, with a note that says so."""
+    if intensity is not None:
+        return read_only(intensity, np.float32, shape, "the intensity"), ()
+    if colors is not None:
+        return luma(colors), (LUMA_NOTE,)
+    return np.zeros(shape, np.float32), ("no intensity is given: the scan can only be registered by given matches",)
+
+
+def luma(color: ByteArray) -> NDArray[np.float32]:
+    """Return the luminance (...,), 0 to 255, of RGB colours (..., 3), weighted as by Rec. 709."""
+    weights = np.array(_REC_709, np.float32)
+    return np.asarray(color @ weights, dtype=np.float32)
 
 
 def _without_faults(ranges: FloatArray, intensity: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -24,6 +24,7 @@ from starlette.types import Receive, Scope, Send
 
 from ladarreg_core.errors import LadarregError, OptionError
 
+from ..argument_names import as_fields
 from .document_socket import ClientRegistry
 from .protocol import Workbench
 
@@ -108,7 +109,9 @@ class Uploads:
             if not isinstance(error, LadarregError):
                 raise
             # Readers name a file by its path, which must not be disclosed.
-            raise UploadError(str(error).replace(str(path), name).replace(path.name, name), status=400) from None
+            raise UploadError(
+                as_fields(str(error)).replace(str(path), name).replace(path.name, name), status=400
+            ) from None
         return JSONResponse({"ok": True, "id": opened})
 
     @contextmanager

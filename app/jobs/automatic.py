@@ -17,6 +17,7 @@ from ladarreg_core.project.edits import with_pose
 from ladarreg_core.project.history import NOBODY
 from ladarreg_core.project.results import pose_entry
 
+from ..argument_names import as_fields
 from .inputs import Inputs, Workspace
 from .runner import JobRunner
 from .solve import SolveJobs
@@ -132,7 +133,7 @@ class AutomaticSolver:
                     self._wanted.setdefault(photo, time.monotonic())
         except LadarregError as error:
             if self._is_current(inputs):
-                self._failed[photo] = str(error)
+                self._failed[photo] = as_fields(str(error))
         finally:
             self._busy = ""
             self._on_change()

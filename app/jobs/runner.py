@@ -14,6 +14,8 @@ from ladarreg_core.errors import Cancelled, LadarregError, OptionError
 from ladarreg_core.progress import Progress, Step
 from ladarreg_core.project.history import Author
 
+from ..argument_names import as_fields
+
 log = logging.getLogger(__name__)
 State = Literal["running", "paused", "done", "failed", "stopped"]
 Control = Literal["pause", "stop", "speed", "step"]
@@ -237,4 +239,5 @@ class JobRunner:
 
 
 def _sentence(text: str) -> str:
+    text = as_fields(text)
     return f"{text[:1].upper()}{text[1:]}" + ("" if text.endswith((".", "!", "?")) else ".")

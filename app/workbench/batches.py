@@ -15,6 +15,7 @@ from typing import Any
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError, UnderspecifiedError
 
+from ..argument_names import as_fields
 from ..session.isolated_readers import READERS
 from ..session.loader import Loader
 from ..session.session import Session
@@ -217,7 +218,7 @@ class Batches:
                     made[file.id] = found
                     opened.append({"file": file.id, "kind": kind, "photo": found})
             except LadarregError as error:
-                said = str(error).replace(str(path), file.name).replace(path.name, file.name)
+                said = as_fields(str(error)).replace(str(path), file.name).replace(path.name, file.name)
                 refused.append({"file": file.id, "name": file.name, "error": said})
                 if isinstance(error, UnderspecifiedError) and not step.companions:
                     self._reasons[file.id] = Reason(said, needs_choice=True, is_underspecified=True)

@@ -15,6 +15,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry
 
+from ..argument_names import as_fields
 from ..gateway.protocol import READ_ONLY
 from ..jobs.registry import JobRegistry
 from ..jobs.runner import JobRunner
@@ -559,7 +560,7 @@ def _finite_rows(rows: list[list[float]]) -> list[list[float] | None]:
 
 
 def _sentence(text: str) -> str:
-    words = " ".join(text.split())
+    words = " ".join(as_fields(text).split())
     if len(words) > _MAX_SENTENCE:
         words = f"{words[:_MAX_SENTENCE]}..."
     return f"{words[:1].upper()}{words[1:]}" + ("" if words.endswith((".", "!", "?")) else ".")

@@ -19,6 +19,7 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.project.duplicate import duplicate_project
 from ladarreg_core.project.folder import ProjectFolder, is_project
 
+from ..argument_names import as_fields
 from ..gateway.protocol import READ_ONLY, Picture, Visitor
 from ..gateway.uploads import remove_partial_uploads
 from ..session.session import Change, now
@@ -336,7 +337,7 @@ class Desk:
         try:
             _close(old)
         except LadarregError as error:  # says where it was saved instead
-            new.publish_notice(str(error), level="bad")
+            new.publish_notice(as_fields(str(error)), level="bad")
         except Exception:
             log.exception("closing a project")
         finally:

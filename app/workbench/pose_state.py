@@ -15,6 +15,7 @@ from ladarreg_core.project.results import pose_of
 from ladarreg_core.project.staleness import changed_since
 from ladarreg_core.results import STAGE_LABELS
 
+from ..argument_names import as_fields
 from ..messages import verdict
 
 if TYPE_CHECKING:
@@ -126,7 +127,12 @@ def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
     try:
         registration = loader.registration(pose)
     except LadarregError as error:
-        return {"stage": pose.stage, "label": STAGE_LABELS[pose.stage], "accepted": False, "verdict": str(error)}
+        return {
+            "stage": pose.stage,
+            "label": STAGE_LABELS[pose.stage],
+            "accepted": False,
+            "verdict": as_fields(str(error)),
+        }
     verification = pose.diagnostics.get("verification", {})
     checked = "outcome" in verification
     return {
@@ -136,7 +142,7 @@ def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
         "accepted": pose.accepted,
         "evidence": pose.evidence,
         "verdict": verdict(registration),
-        "reasons": list(pose.reasons),
+        "reasons": [as_fields(reason) for reason in pose.reasons],
         "note": " ".join(filter(None, [pose.note, statistics_note(registration)])),
         **({"image": {name: verification[name] for name in ("outcome", "sentence")}} if checked else {}),
         "parameters": [asdict(parameter) for parameter in parameters(registration)],

@@ -15,6 +15,7 @@ from ladarreg_core.frames import describe_world
 from ladarreg_core.matching.step_labels import step_label
 from ladarreg_core.project.own_steps import plain_label
 
+from ..argument_names import as_fields
 from ..session.loader import Loader
 from ..session.session import Session
 from .recent import project_id
@@ -71,7 +72,7 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
     try:
         scan, views = loader.scan(document), loader.views(document)
     except LadarregError as error:
-        return _missing_scan(source.name, str(error))
+        return _missing_scan(source.name, as_fields(str(error)))
     except Exception as error:  # a faulty scan must not keep clients from joining
         log.exception("the scan cannot be loaded")
         return _missing_scan(source.name, f"it cannot be read ({type(error).__name__}); open another scan")
@@ -84,7 +85,7 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
         "rows": rows,
         "columns": columns,
         "returns": int(scan.valid.sum()),
-        "notes": [*scan.notes, *([note] if note else [])],
+        "notes": [as_fields(text) for text in (*scan.notes, *([note] if note else []))],
         "world": None if scan.world_from_scanner is None else describe_world(scan.world_from_scanner),
         "has_color": scan.color is not None,
         "has_intensity": True,
@@ -134,10 +135,10 @@ def photo_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
                 "short": "panorama" if camera.model == "equirectangular" else f"f {camera.focal_px:.0f}",
             }
         except CameraError as error:
-            found["camera_error"] = str(error)
+            found["camera_error"] = as_fields(str(error))
             photo = loader.viewable_photo(entry)
     except LadarregError as error:
-        return {**found, "width": 0, "height": 0, "thermal": False, "error": str(error)}
+        return {**found, "width": 0, "height": 0, "thermal": False, "error": as_fields(str(error))}
     except Exception as error:  # a faulty photograph must not keep clients from joining
         log.exception("the photograph %s cannot be loaded", entry.id)
         problem = f"it cannot be read ({type(error).__name__}); remove it, or open it again"
@@ -145,7 +146,12 @@ def photo_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
     if entry.stated_pose is not None:
         found["stated_pose"] = [list(row) for row in entry.stated_pose]
     height, width = photo.pixels.shape[:2]
-    found.update(width=width, height=height, thermal=photo.temperature_k is not None, notes=list(photo.notes))
+    found.update(
+        width=width,
+        height=height,
+        thermal=photo.temperature_k is not None,
+        notes=[as_fields(text) for text in photo.notes],
+    )
     pose = entry.pose
     if pose is not None:
         found["stale"] = loader.stale(entry, pose)

@@ -5,6 +5,7 @@ from ladarreg_core.camera.faces import Face, axial_pinhole, cube_faces
 from ladarreg_core.camera.fisheye import FisheyeCamera
 from ladarreg_core.camera.model import (
     CameraModel,
+    camera_from_json,
     camera_from_model_fields,
     describe_in_short,
     require_camera,
@@ -19,6 +20,7 @@ __all__ = [
     "Face",
     "FisheyeCamera",
     "axial_pinhole",
+    "camera_from_json",
     "camera_from_model_fields",
     "cube_faces",
     "describe_in_short",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +18,7 @@ FULL_WINDOW = (-180.0, 90.0, 180.0, -90.0)
 _TOLERANCE_DEG = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class EquirectangularCamera:
     """A panorama, or a window of one; the interface is that of `CameraModel`.
 
@@ -53,6 +54,10 @@ class EquirectangularCamera:
             )
         object.__setattr__(self, "window", None if window == FULL_WINDOW else window)
 
+    def __repr__(self) -> str:
+        window = "whole sphere" if self.window is None else "window {:g}, {:g} to {:g}, {:g} deg".format(*self.window)
+        return f"EquirectangularCamera({self.width} x {self.height} px, {window})"
+
     @property
     def model(self) -> str:
         """`equirectangular`."""
@@ -78,6 +83,10 @@ class EquirectangularCamera:
         """Return the fields of the camera JSON."""
         fields: dict[str, Any] = {"model": self.model, "width": self.width, "height": self.height}
         return fields if self.window is None else {**fields, "window": list(self.window)}
+
+    def to_json(self) -> str:
+        """Return the camera JSON as text; `camera_from_json` reads it."""
+        return json.dumps(self.as_fields())
 
     def scaled(self, factor: float) -> EquirectangularCamera:
         """Return the camera of the image resized by `factor`, outer borders fixed; sizes are rounded."""

@@ -20,7 +20,7 @@ _NEWTON_STEPS = 20
 _TABLE = 4000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FisheyeCamera(FocalCamera):
     """Fisheye intrinsics with 0 or 4 terms k1 to k4; the interface is that of `CameraModel`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -12,7 +13,7 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera.fields import checked_centre, checked_focal, checked_size, checked_terms
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FocalCamera:
     """Intrinsics of a camera with a focal length; pixels are (u, v), with (0, 0) at the centre of the top-left pixel.
 
@@ -49,6 +50,13 @@ class FocalCamera:
             object.__setattr__(self, name, checked_centre(getattr(self, name), name))
         object.__setattr__(self, "distortion", checked_terms(self.distortion, self._term_counts))
 
+    def __repr__(self) -> str:
+        terms = f", {len(self.distortion)} distortion terms" if self.distortion else ""
+        return (
+            f"{type(self).__name__}({self.width} x {self.height} px, f {self.fx:.2f} x {self.fy:.2f} px, "
+            f"centre ({self.cx:.2f}, {self.cy:.2f}){terms})"
+        )
+
     @property
     def size(self) -> tuple[int, int]:
         """(width, height), pixels."""
@@ -63,6 +71,10 @@ class FocalCamera:
         """Return the fields of the camera JSON."""
         names = ("model", "width", "height", "fx", "fy", "cx", "cy")
         return {**{name: getattr(self, name) for name in names}, "distortion": list(self.distortion)}
+
+    def to_json(self) -> str:
+        """Return the camera JSON as text; `camera_from_json` reads it."""
+        return json.dumps(self.as_fields())
 
     def scaled(self, factor: float) -> Self:
         """Return the camera of the image resized by `factor`, outer borders fixed; sizes are rounded."""

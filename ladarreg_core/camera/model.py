@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -68,6 +69,9 @@ class CameraModel(Protocol):
     def as_fields(self) -> dict[str, Any]:
         """Return the fields of the camera JSON."""
 
+    def to_json(self) -> str:
+        """Return the camera JSON as text."""
+
 
 def camera_from_model_fields(fields: Mapping[str, Any]) -> CameraModel:
     """Return the camera of the fields of a camera JSON of version 2.
@@ -100,6 +104,23 @@ def camera_from_model_fields(fields: Mapping[str, Any]) -> CameraModel:
         return EquirectangularCamera(**given, window=fields.get("window"))
     kind = Camera if model == "pinhole" else FisheyeCamera
     return kind(**given, distortion=fields.get("distortion", ()))
+
+
+def camera_from_json(text: str) -> CameraModel:
+    """Return the camera of any model of a camera JSON, as `to_json` writes it.
+
+    Raises:
+        CameraError: if the text is not JSON of a camera, or a value is impossible.
+    """
+    from ladarreg_core.errors import CameraError
+
+    try:
+        fields = json.loads(text)
+    except (ValueError, TypeError):
+        fields = None
+    if not isinstance(fields, dict):
+        raise CameraError("the text is not the JSON of a camera; it must be an object with width, height, fx, ...")
+    return camera_from_model_fields(fields)
 
 
 def require_pinhole(camera: CameraModel, what: str) -> Camera:

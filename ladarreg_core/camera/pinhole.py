@@ -15,7 +15,7 @@ from ladarreg_core.camera.focal import FocalCamera
 _NEWTON_STEPS = 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Camera(FocalCamera):
     """Pinhole intrinsics with 0, 4, 5, 8 or 12 terms of OpenCV's: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4]]]."""
 

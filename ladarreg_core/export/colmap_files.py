@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
@@ -201,7 +200,7 @@ def _tracks(model: ColmapModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 def _pose(camera_from_world: Rigid) -> tuple[float, ...]:
     """Return the quaternion w x y z and the translation."""
-    x, y, z, w = Rotation.from_matrix(camera_from_world.rotation).as_quat(canonical=True).tolist()
+    w, x, y, z = camera_from_world.quaternion_wxyz.tolist()
     return (w, x, y, z, *camera_from_world.translation.tolist())
 
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import ladarreg_core
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import write_bytes
@@ -21,6 +20,7 @@ from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.picks.lengths import lengths_by_end
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.surface.texture import Label
+from ladarreg_core.version import VERSION
 
 if TYPE_CHECKING:
     from ladarreg_core.quality.assessment import Assessment
@@ -229,7 +229,7 @@ def software_document() -> dict[str, str]:
     """Return the versions of the software that writes a file."""
     return {
         "name": "ladarreg",
-        "version": ladarreg_core.__version__,
+        "version": VERSION,
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
@@ -275,7 +275,7 @@ def input_document(path: Path) -> dict[str, Any]:
 
 
 def find_inputs(
-    recorded: Sequence[Mapping[str, Any]], folders: Sequence[Path], *, option: str = "--inputs"
+    recorded: Sequence[Mapping[str, Any]], folders: Sequence[Path], *, option: str = "`inputs`"
 ) -> list[Path]:
     """Return the files of input documents, found in folders by their names and recognised by their SHA-256.
 

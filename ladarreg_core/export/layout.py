@@ -229,7 +229,5 @@ def _font(size: int) -> FreeTypeFont:
     except ImportError:
         font = None
     if not hasattr(font, "getlength"):
-        raise DependencyError(
-            "Pillow was built without FreeType; install its wheel: pip install --force-reinstall pillow"
-        )
+        raise DependencyError("Pillow was built without FreeType; reinstall it with pip, as a wheel")
     return font  # type: ignore[return-value]

@@ -118,10 +118,7 @@ def require_replaceable(
     if force or (content.refused and {*content.names} <= {*REFUSED_FILES}):
         return
     state = f"contains earlier results ({_listed(content.names)})" if content.names else "exists and is empty"
-    raise ExportError(
-        f"the folder {called} {state}; give another folder, or allow it to be replaced (--force; in the page, "
-        "'replace earlier results')"
-    )
+    raise ExportError(f"the folder {called} {state}; give another folder, or allow it to be replaced by `force=True`")
 
 
 def require_apart(target: Path, *, inputs: Sequence[str | Path] = (), projects: Sequence[str | Path] = ()) -> None:

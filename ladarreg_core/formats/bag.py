@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.cloud import Coordinates, most_cells_of
+from ladarreg_core.formats.cloud import most_cells_of
 from ladarreg_core.formats.field_cloud import scan_of_fields
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import PathLike, inside_folder, one_line, reading, require_cells
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.cloud import Coordinates
 
 _ROS1_MAGIC, _MCAP_MAGIC, _SQLITE_MAGIC = b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -109,7 +110,7 @@ def read_bag(
                     break
                 read.add(when, recording.decoded(raw))
         if read.first is None:
-            raise FormatError(f"no cloud of the topic {_shown(chosen)} has points; choose another with --topic")
+            raise FormatError(f"no cloud of the topic {_shown(chosen)} has points; choose another by `topic`")
         _report(report, 1)
         notes = [f"the topic is {_shown(chosen)}, its points are in the frame {_shown(read.frame)}"]
         if read.messages > 1:
@@ -166,7 +167,7 @@ class _Accumulated:
             if set(scalars) != set(self.columns) or frame != self.frame:
                 raise FormatError(
                     "the fields or the frame of its clouds change within the duration; read a single message (leave "
-                    "out --seconds), or record each scanner on its own topic"
+                    "out `seconds`), or record each scanner on its own topic"
                 )
             self.shape = (1, points)
         for name in self.columns:
@@ -370,7 +371,7 @@ def _chosen(topics: tuple[BagTopic, ...], asked: str | None) -> str:
             raise OptionError(f"there is no topic {_shown(asked)} with clouds; there is {listed}")
         return found
     if len(topics) > 1:
-        raise UnderspecifiedError(f"clouds are recorded on several topics ({listed}); choose one with --topic")
+        raise UnderspecifiedError(f"clouds are recorded on several topics ({listed}); choose one by `topic`")
     return topics[0].name
 
 

@@ -195,7 +195,7 @@ def _of_picture(cameras: tuple[FileCamera, ...], picture: str, picture_file: Pat
             return found[0], why
         cameras = tuple(found) or cameras
     raise UnderspecifiedError(
-        f"it has {len(cameras)} cameras that could be meant, {_listed(cameras)}; choose one by its name (--camera-name)"
+        f"it has {len(cameras)} cameras that could be meant, {_listed(cameras)}; choose one by its name (`camera_name`)"
     )
 
 

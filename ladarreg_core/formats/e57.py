@@ -16,11 +16,11 @@ from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.e57_header import E57Info, E57ScanInfo, read_e57_info
 from ladarreg_core.formats.grid_assembly import GridAssembly
-from ladarreg_core.formats.intensity import LUMA_NOTE, luma, require_intensity
+from ladarreg_core.formats.intensity import require_intensity
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import LARGEST_GRID_CELLS, PathLike, one_line, reading, unit_notes
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.scan import Scan
+from ladarreg_core.scan import LUMA_NOTE, Scan, luma
 from ladarreg_core.scanner.gridding import LARGEST_GRID
 from ladarreg_core.scanner.ray_table import MOST_FITTED_CELLS
 

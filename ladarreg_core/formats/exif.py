@@ -119,7 +119,7 @@ def edited_since(tags: Mapping[int, Any], raw_width: int, raw_height: int) -> st
         return None
     return (
         f"EXIF states {width:g} x {height:g} pixels, the image has {raw_width} x {raw_height}: it was cropped, so the "
-        "focal length may be wrong; give the original, or --focal-px"
+        "focal length may be wrong; give the original, or `focal_px`"
     )
 
 

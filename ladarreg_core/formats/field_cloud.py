@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray
 from ladarreg_core.errors import FormatError, ShapeError
-from ladarreg_core.formats.cloud import Coordinates, scan_of_cloud
-from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
+from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.intensity import chosen_intensity, intensity_name, require_intensity
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import as_float32, one_line, unit_notes
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.cloud import Coordinates
+from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.scanner.grids import TabulatedGrid
 
 RING_NAMES = ("ring", "channel", "laser_id", "laserid", "beam", "line")

@@ -237,7 +237,7 @@ def _block_line(number: int, block: PtxBlock, *, flag: str | None = None) -> str
     x, y, z = block.position
     cells = block.rows * block.columns
     truncated = "" if block.lines == cells else f", truncated after {block.lines:,}"
-    shown = f" (--scan {number})" if flag is None else flag
+    shown = f" (`scan_index={number}`)" if flag is None else flag
     return (
         f"scan {number}{shown}: {cells:,} points, grid {block.rows} x {block.columns}, "
         f"{' and '.join(has) or 'neither intensity nor colour'}, stands at {x:.3f}, {y:.3f}, {z:.3f} m{truncated}"
@@ -252,7 +252,7 @@ def _scan_line(number: int | None, scan: E57ScanInfo) -> str:
     if scan.world_from_scanner is not None:
         x, y, z = scan.world_from_scanner.translation
         words.append(f"stands at {x:.3f}, {y:.3f}, {z:.3f} m")
-    return f"{scan.name}{'' if number is None else f' (--scan {number})'}: {', '.join(words)}"
+    return f"{scan.name}{'' if number is None else f' (`scan_index={number}`)'}: {', '.join(words)}"
 
 
 def _image_line(image: E57ImageInfo, info: E57Info) -> str:
@@ -281,7 +281,7 @@ def describe_photo(path: Path) -> FileInfo:
             notes.append(
                 "no focal length in EXIF: give a camera file or a focal length with it"
                 if stated is None
-                else f"EXIF states {stated:g} mm but not the sensor's size: give --sensor-mm or a camera file with it"
+                else f"EXIF states {stated:g} mm but not the sensor's size: give `sensor_mm` or a camera file with it"
             )
         if panorama is None and (edited := edited_since(image.exif, raw_width, raw_height)):
             notes.append(edited)
@@ -326,7 +326,7 @@ def _thermal_notes(file: Path, image: ImageData) -> list[str]:
     if may_be_celsius(image.values):
         low, high = float(image.values.min()), float(image.values.max())
         return [
-            f"its pixels, {low:.1f} to {high:.1f}, may be temperatures: give --temperature-unit C, K or none with it"
+            f"its pixels, {low:.1f} to {high:.1f}, may be temperatures: give `temperature_unit` C, K or none with it"
         ]
     return []
 

@@ -29,7 +29,7 @@ _SIZES = {
     "left": "CroppedAreaLeftPixels",
     "top": "CroppedAreaTopPixels",
 }
-WHICH_CAMERA = "the picture looks like an equirectangular panorama: if it is one, give --camera-model equirectangular"
+WHICH_CAMERA = "the picture looks like an equirectangular panorama: if it is one, give `camera_model='equirectangular'`"
 """Advice on a picture that looks like a panorama."""
 _SEAM_OF_STEP = 3.0
 _LEAST_SEAM = 1.0
@@ -56,7 +56,7 @@ def panorama_of_xmp(xmp: bytes, width: int, height: int) -> EquirectangularCamer
     if projection.lower() != "equirectangular":
         raise CameraError(
             f"its XMP says that it is a panorama of the projection {one_line(projection, 40)!r}; equirectangular ones "
-            "are read: export it as equirectangular, or give a camera by --camera"
+            "are read: export it as equirectangular, or give one by `camera`"
         )
     stated = {name: _pixels(fields.get(field)) for name, field in _SIZES.items()}
     if stated["full_width"] is None or stated["full_height"] is None:

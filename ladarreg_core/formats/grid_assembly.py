@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray, IntArray
-from ladarreg_core.formats.grid_order import order_of
+from ladarreg_core.scanner.grid_order import order_of
 from ladarreg_core.scanner.grids import TabulatedGrid
 
 _LARGEST = float(np.finfo(np.float32).max)

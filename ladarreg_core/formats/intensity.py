@@ -12,6 +12,7 @@ from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.errors import FormatError, UnderspecifiedError
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import as_float32, one_line
+from ladarreg_core.scan import LUMA_NOTE, luma
 
 INTENSITY_NAMES = (
     "intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "amplitude", "signal", "refl", "inten",
@@ -24,9 +25,6 @@ COLOR_NAMES = (
     ("blue", "b", "diffuse_blue", "bf", "blue_255"),
 )
 """Names of the three colour channels."""
-LUMA_NOTE = "the intensity is the luminance of the colours (Rec. 709), not the laser's"
-"""Note of a scan whose intensity is the luminance of its colours."""
-_REC_709 = (0.2126, 0.7152, 0.0722)
 
 
 def plain_name(name: str) -> str:
@@ -76,7 +74,7 @@ def require_intensity(
     if source == "luma" and not has_color:
         raise FormatError(
             f"{what} have no colours{found}, so that there is no luminance to take as the intensity; leave out "
-            "--intensity luma"
+            "`intensity='luma'`"
             if has_intensity
             else f"{what} have neither intensity nor colours{found}, of which one is needed for matching: export them "
             "with intensity"
@@ -84,7 +82,7 @@ def require_intensity(
     if source == "auto" and not has_intensity and has_color:
         raise UnderspecifiedError(
             f"{what} have colours but no intensity, which is needed for matching: export with intensity, or take the "
-            "luminance of the colours (--intensity luma)"
+            "luminance of the colours (`intensity='luma'`)"
         )
     if source == "auto" and not has_intensity:
         raise FormatError(f"{what} have no intensity{found}, which is needed for matching: export with intensity")
@@ -108,16 +106,10 @@ def chosen_intensity(
     known = strength[np.isfinite(strength)]
     if color is not None and known.size and known.min() == known.max():
         return strength, (
-            f"the intensity is {known.flat[0]:g} everywhere, which nothing can be matched by; --intensity luma takes "
+            f"the intensity is {known.flat[0]:g} everywhere, which nothing can be matched by; `intensity='luma'` takes "
             "the luminance of the colours",
         )
     return strength, ()
-
-
-def luma(color: ByteArray) -> NDArray[np.float32]:
-    """Return the luminance (...,), 0 to 255, of RGB colours (..., 3), weighted as by Rec. 709."""
-    weights = np.array(_REC_709, np.float32)
-    return np.asarray(color @ weights, dtype=np.float32)
 
 
 def colors_as_bytes(channels: Sequence[NDArray[Any]]) -> ByteArray:

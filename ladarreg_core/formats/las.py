@@ -13,13 +13,12 @@ from ladarreg_core.arrays import ByteArray
 from ladarreg_core.errors import DependencyError, FormatError, ShapeError, UnderspecifiedError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.cloud import scan_of_cloud
-from ladarreg_core.formats.intensity import LUMA_NOTE, luma
 from ladarreg_core.formats.las_header import LasHeader, read_las_header
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading
 from ladarreg_core.frames import describe_position
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.scan import Scan
+from ladarreg_core.scan import LUMA_NOTE, Scan, luma
 
 INTENSITY_NAMES = ("reflectance", "amplitude", "intensity", "reflectivity", "signal")
 """Extra bytes that are intensities, in the order of preference."""
@@ -171,7 +170,7 @@ def _intensity(
     """Return the intensity (N,) and a note where it is not the field of that name."""
     if source == "luma":
         if color is None:
-            raise FormatError("it has no colours to take the luminance of; leave --intensity luma out")
+            raise FormatError("it has no colours to take the luminance of; leave `intensity='luma'` out")
         return luma(color), [LUMA_NOTE]
     if _varies(columns["intensity"]):
         return as_float32(columns["intensity"]), []
@@ -182,7 +181,7 @@ def _intensity(
     if color is not None:
         raise UnderspecifiedError(
             "all its points have the same intensity; an intensity is needed for matching: export it again with "
-            "intensity, or take the luminance of its colours with --intensity luma"
+            "intensity, or take the luminance of its colours by `intensity='luma'`"
         )
     raise FormatError(
         "all its points have the same intensity, and it has no colours; an intensity is needed for matching: export it "

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import ExportError, FormatError, OptionError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.formats.untrusted import (
     PathLike,
     as_float32,
@@ -31,6 +30,7 @@ from ladarreg_core.formats.world_pose import world_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import IntensityKind, Scan
+from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.scanner.grids import AzimuthElevation, ScanGeometry, TabulatedGrid, range_from_counts
 
 SCALARS = ("r0_m", "dr_m", "d_azimuth_rad", "d_elevation_rad")

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.errors import FormatError, OptionError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.grid_order import order_of
 from ladarreg_core.formats.ouster_sensor import OusterSensor, find_sensor_file, read_sensor
 from ladarreg_core.formats.packet_capture import Datagram, datagrams
 from ladarreg_core.formats.untrusted import PathLike, as_float32, reading
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.grid_order import order_of
 from ladarreg_core.scanner.grids import TabulatedGrid
 
 _PACKET_HEADER, _PACKET_FOOTER, _COLUMN_HEADER = 32, 32, 12

@@ -79,7 +79,7 @@ def read_photo(
     _check_options(camera, focal_px, focal_mm, sensor_mm)
     _check_model(camera_model, camera, focal_px or focal_mm or sensor_mm)
     if camera_name is not None and not isinstance(camera, str | os.PathLike):
-        raise OptionError("a camera's name is given without a camera file; give --camera FILE with --camera-name")
+        raise OptionError("a camera's name is given without a camera file; give `camera` with `camera_name`")
     given: CameraModel | None = None
     if isinstance(camera, str | os.PathLike):
         name = Path(path).name if isinstance(path, str | os.PathLike) else ""
@@ -139,7 +139,7 @@ def _temperatures(file: Path, image: ImageData, unit: TemperatureUnit | None) ->
         low, high = float(image.values.min()), float(image.values.max())
         raise UnderspecifiedError(
             f"its pixels, {low:.1f} to {high:.1f}, may be temperatures, and the file does not state their unit; give "
-            "--temperature-unit C or K, or none if it is an ordinary picture"
+            "`temperature_unit` C or K, or none if it is an ordinary picture"
         )
     return kelvin
 
@@ -172,12 +172,12 @@ def _check_model(model: str | None, camera: object, focal: float | None) -> None
     if model is not None and model not in get_args(PhotoModel):
         raise OptionError(
             f"the camera model is {one_line(model, 40)!r}; it must be {' or '.join(get_args(PhotoModel))}; other "
-            "models need a camera file (--camera)"
+            "models need a camera file (`camera`)"
         )
     if model is not None and camera is not None:
         raise OptionError("a camera model is given with a camera, which has its own; give one of them")
     if model == "equirectangular" and focal is not None:
-        raise OptionError("a panorama has no focal length; omit it, or give --camera-model pinhole")
+        raise OptionError("a panorama has no focal length; omit it, or give `camera_model='pinhole'`")
 
 
 def _check_possible(focal_px: float, width: int, height: int) -> None:
@@ -239,11 +239,11 @@ def _focal(
     stated = focal_mm_of(tags)
     if stated is not None:
         raise CameraError(
-            f"EXIF states a focal length of {stated:g} mm but not the sensor's size; give its width by --sensor-mm "
-            "(36 full frame, 23.5 APS-C, 17.3 Micro Four Thirds), or --camera FILE or --focal-px"
+            f"EXIF states a focal length of {stated:g} mm but not the sensor's size; give its width by `sensor_mm` "
+            "(36 full frame, 23.5 APS-C, 17.3 Micro Four Thirds), or `camera` or `focal_px`"
         )
     raise CameraError(
-        "the image has no focal length in EXIF; give --camera FILE, --focal-px, or --focal-mm with --sensor-mm"
+        "the image has no focal length in EXIF; give `camera`, `focal_px`, or `focal_mm` with `sensor_mm`"
     )
 
 

@@ -18,7 +18,6 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import FormatError, OptionError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.cloud import scan_of_cloud
-from ladarreg_core.formats.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.formats.intensity import chosen_intensity, colors_as_bytes, require_intensity
 from ladarreg_core.formats.number_rows import numbers_of, row_parts
 from ladarreg_core.formats.scan_request import IntensitySource
@@ -27,6 +26,7 @@ from ladarreg_core.formats.world_pose import world_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.scanner.grids import TabulatedGrid
 
 _HEADER_LINES = 10

@@ -58,5 +58,5 @@ def radiometric_kelvin(path: Path, maker: str) -> NDArray[np.float32]:
 def _refuse(maker: str, what_to_do: str) -> NoReturn:
     raise FormatError(
         f"it is a radiometric JPEG of {maker}, whose visible picture is in false colours; {what_to_do}; or read the "
-        "picture itself by --temperature-unit none"
+        "picture itself by `temperature_unit='none'`"
     )

@@ -11,14 +11,7 @@ from ladarreg_core.progress import Report
 from ladarreg_core.validation import is_number, require_choice
 
 IntensitySource = Literal["auto", "luma"]
-_FLAGS = {
-    "scan_index": "--scan",
-    "origin": "--origin",
-    "intensity": "--intensity",
-    "columns": "--columns",
-    "topic": "--topic",
-    "seconds": "--seconds",
-}
+_OF_FILES = ("scan_index", "origin", "intensity", "columns", "topic", "seconds")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +62,7 @@ class ScanRequest:
         return {
             field.name: getattr(self, field.name)
             for field in fields(self)
-            if field.name in _FLAGS and getattr(self, field.name) != field.default
+            if field.name in _OF_FILES and getattr(self, field.name) != field.default
         }
 
     def require_only(self, taken: tuple[str, ...], format_name: str) -> None:
@@ -84,8 +77,8 @@ class ScanRequest:
         """
         for name, value in self.given().items():
             if name not in taken:
-                usable = f"; it takes {', '.join(_FLAGS[each] for each in taken)}" if taken else ""
+                usable = f"; it takes {', '.join(f'`{each}`' for each in taken)}" if taken else ""
                 alone = ": the file contains one scan" if name == "scan_index" else ""
                 raise OptionError(
-                    f"{name} is {value!r:.80}, which a {format_name} file has no use for{alone}; leave it out{usable}"
+                    f"`{name}` is {value!r:.80}, which a {format_name} file has no use for{alone}; leave it out{usable}"
                 )

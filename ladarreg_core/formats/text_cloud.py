@@ -249,19 +249,19 @@ def _names(layout: TextLayout, asked: tuple[str, ...]) -> tuple[str, ...]:
     if asked:
         if len(asked) != layout.width:
             raise OptionError(
-                f"--columns names {len(asked)} columns, and the first row has {layout.width} "
+                f"`columns` names {len(asked)} columns, and the first row has {layout.width} "
                 f"({one_line(layout.first_row, 60)!r}); name each, with - for one that is skipped"
             )
         plain = [plain_name(name) for name in asked if name not in _SKIPPED]
         known = {*INTENSITY_NAMES, *(name for group in (*_AXES.values(), *COLOR_NAMES) for name in group)}
         if unknown := [name for name in plain if name not in known]:
             raise OptionError(
-                f"--columns has the name {one_line(unknown[0], 30)!r}; x, y, z, intensity, r, g, b and - (skipped) are "
+                f"`columns` has the name {one_line(unknown[0], 30)!r}; x, y, z, intensity, r, g, b and - (skipped) are "
                 "known"
             )
         if len(set(plain)) < len(plain) or _position(asked) is None:
             raise OptionError(
-                f"--columns is {one_line(','.join(asked), 60)!r}; it must name x, y and z, and each of its columns once"
+                f"`columns` is {one_line(','.join(asked), 60)!r}; it must name x, y and z, and each of its columns once"
             )
         return asked
     if layout.names:
@@ -272,7 +272,7 @@ def _names(layout: TextLayout, asked: tuple[str, ...]) -> tuple[str, ...]:
     padded = ",".join((*example, *("-",) * (layout.width - len(example))))
     raise UnderspecifiedError(
         f"its columns have no names, and which is the intensity cannot be known; its first row is "
-        f"{one_line(layout.first_row, 60)!r}: name them, e.g. --columns {one_line(padded, 60)} (- skips one)"
+        f"{one_line(layout.first_row, 60)!r}: name them, e.g. `columns={one_line(padded, 60)}` (- skips one)"
     )
 
 
@@ -281,11 +281,11 @@ def _places(names: Sequence[str], source: IntensitySource) -> dict[str, int]:
     position, strength, paint = _position(names), intensity_name(names), color_names(names)
     listed = ", ".join(names)
     if position is None:
-        raise FormatError(f"its columns are {one_line(listed, 80)}; a scan needs x, y and z: name them with --columns")
+        raise FormatError(f"its columns are {one_line(listed, 80)}; a scan needs x, y and z: name them by `columns`")
     if strength is None and paint is None:
         raise UnderspecifiedError(
             f"its columns are {one_line(listed, 60)}, none of them an intensity, which is needed for matching: "
-            "export it with intensity, or name the column with --columns"
+            "export it with intensity, or name the column by `columns`"
         )
     require_intensity(
         source, has_intensity=strength is not None, has_color=paint is not None, what="its points", fields=listed

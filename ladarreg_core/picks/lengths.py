@@ -126,7 +126,7 @@ class LengthCheck:
             found.append(
                 f"{len(self.beyond)} of {len(self.compared)} lengths {verb} from the scan's own range by more than "
                 f"{limit if given else least}: {worst}{more}. Correct or remove these matches, or allow more "
-                "(--match-tolerance-m; in the page, the setting 'Lengths of targets')."
+                "by `match_tolerance_m`."
             )
         if found and self.fits_world:
             found.insert(0, "The points agree with the scan as coordinates of the world: state the frame 'world'.")

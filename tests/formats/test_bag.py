@@ -178,7 +178,7 @@ def test_the_topic_is_chosen(tmp_path: Path, wall: Scan) -> None:
     near = columns | {axis: columns[axis] / 2 for axis in "xyz"}
     topics = {"/far/points": [(0, organised(wall))], "/near/points": [(1, {"columns": near, "shape": wall.shape})] * 2}
     file = record(tmp_path / "a", "mcap", topics)
-    with pytest.raises(UnderspecifiedError, match=r"/far/points, /near/points.*--topic"):
+    with pytest.raises(UnderspecifiedError, match=r"/far/points, /near/points.*`topic`"):
         read_scan(file)
     with pytest.raises(OptionError, match="no topic /other"):
         read_scan(file, topic="/other")

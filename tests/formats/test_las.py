@@ -109,7 +109,7 @@ def test_intensity_from_extra_bytes_or_from_colour(tmp_path: Path) -> None:
 
     rgb = dict(zip(("red", "green", "blue"), COLOR.T, strict=True))
     colored = las(tmp_path / "c.las", 7, intensity=flat, **rgb)
-    with pytest.raises(UnderspecifiedError, match="--intensity luma"):
+    with pytest.raises(UnderspecifiedError, match="`intensity='luma'`"):
         read_scan(colored, origin=ORIGIN)
     luma = read_scan(colored, origin=ORIGIN, intensity="luma")
     assert luma.color is not None
@@ -138,7 +138,7 @@ def test_waveforms_and_other_refusals_say_how_to_convert(tmp_path: Path) -> None
     file.write_bytes(data[:25] + bytes([5]) + data[26:])
     with pytest.raises(FormatError, match=r"LAS 1\.5; 1\.0 to 1\.4 are read"):
         read_scan(file)
-    with pytest.raises(OptionError, match="--origin"):
+    with pytest.raises(OptionError, match="`origin`"):
         read_scan(tmp_path / "a.las", scan_index=1)
 
 
@@ -165,7 +165,7 @@ def test_info_of_a_cloud_that_needs_an_origin_comes_from_its_header(tmp_path: Pa
     info = describe(las(tmp_path / "tile.laz", points=tile, intensity=INTENSITY[:5000]))
     assert info.format == "LAZ 1.4, point format 6"
     assert info.scans[0].startswith("5,000 points, 99.9 x 100.0 x 0.1 m from X 691234.016, Y 5334321.010")
-    assert "--origin" in info.notes[0]
+    assert "`origin`" in info.notes[0]
 
 
 def test_progress_counts_points_and_can_be_cancelled(tmp_path: Path) -> None:

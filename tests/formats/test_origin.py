@@ -54,7 +54,7 @@ def test_the_scanner_is_found_wherever_the_cloud_was_moved(kind: str, moved: np.
 def test_a_cloud_from_two_places_has_no_origin_and_asks_for_one() -> None:
     two = np.concatenate([in_room(dome(1.2)), in_room(dome(1.2), (-3.2, 3.4, 1.4))]) + UTM
     assert estimate_origin(two).position is None
-    with pytest.raises(UnderspecifiedError, match="--origin x,y,z"):
+    with pytest.raises(UnderspecifiedError, match="`origin` as x, y, z"):
         scan_of_cloud(two, brightness(two - UTM), name="two", coordinates="any")
     given = scan_of_cloud(two, brightness(two - UTM), name="two", coordinates="any", origin=UTM + IN_ROOM)
     assert any("as given" in note for note in given.notes)
@@ -89,13 +89,13 @@ def test_a_moved_cloud_is_noticed_and_keeps_its_points(tmp_path: Path) -> None:
     file = _pcd(tmp_path / "moved.pcd", points + np.array([14, 5, 1]))
     scan = read_scan(file)
     assert _share(scan, points) > 0.95
-    assert any("was estimated" in note and "--origin" in note for note in scan.notes)
+    assert any("was estimated" in note and "`origin`" in note for note in scan.notes)
     assert scan.world_from_scanner is not None
     np.testing.assert_allclose(scan.world_from_scanner.translation, [14, 5, 1], atol=0.03)
 
     wrong = read_scan(file, origin=(0, 0, 0))  # the control: as it was read before
     assert _share(wrong, points) < 0.7
-    assert any("lie behind others and were dropped" in note and "--origin" in note for note in wrong.notes)
+    assert any("lie behind others and were dropped" in note and "`origin`" in note for note in wrong.notes)
 
 
 def test_coordinates_of_millions_of_metres_keep_their_millimetres(tmp_path: Path) -> None:

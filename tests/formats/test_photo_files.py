@@ -74,7 +74,7 @@ def test_where_the_focal_length_comes_from(tmp_path: Path) -> None:
     assert read_photo(plain, focal_px=77).camera == Camera.from_focal(WIDTH, HEIGHT, 77)
     assert read_photo(plain, focal_mm=50, sensor_mm=30).camera.fx == pytest.approx(100)
     assert read_photo(plain, focal_px=77).camera.cx == (WIDTH - 1) / 2
-    with pytest.raises(CameraError, match=r"--camera.*--focal-px.*--focal-mm.*--sensor-mm"):
+    with pytest.raises(CameraError, match=r"`camera`.*`focal_px`.*`focal_mm`.*`sensor_mm`"):
         read_photo(plain)
     film = save(tmp_path / "b.jpg", picture(), film=50)
     assert read_photo(film).camera.fx == pytest.approx(50 / 36 * WIDTH)  # 3:2

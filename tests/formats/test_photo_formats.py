@@ -112,7 +112,7 @@ def test_avif_and_cmyk_jpeg(tmp_path: Path) -> None:
 def test_the_unit_of_temperatures_is_read_given_or_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "warm.tif"
     tifffile.imwrite(path, WARM)
-    with pytest.raises(UnderspecifiedError, match=r"18.0 to 36.0.*--temperature-unit C or K, or none"):
+    with pytest.raises(UnderspecifiedError, match=r"18.0 to 36.0.*`temperature_unit` C or K, or none"):
         read_photo(path, focal_px=60)
     given = read_photo(path, focal_px=60, temperature_unit="C")
     assert given.temperature_k is not None
@@ -146,7 +146,7 @@ def test_a_radiometric_jpeg_is_not_taken_for_a_photograph(tmp_path: Path) -> Non
 def test_focal_lengths_of_cameras_with_lenses(tmp_path: Path) -> None:
     pixels = (COLOURS * 255).astype(np.uint8)
     path = save(tmp_path / "a.jpg", pixels, focal=24.0)
-    with pytest.raises(CameraError, match=r"24 mm .*--sensor-mm"):
+    with pytest.raises(CameraError, match=r"24 mm .*`sensor_mm`"):
         read_photo(path)
     assert read_photo(path, sensor_mm=36).camera.fx == pytest.approx(24 / 36 * 64)
     upright = save(tmp_path / "b.jpg", np.swapaxes(pixels, 0, 1), focal=24.0)  # turned by a program
@@ -157,7 +157,7 @@ def test_focal_lengths_of_cameras_with_lenses(tmp_path: Path) -> None:
     resized = save(tmp_path / "c.jpg", pixels, focal=24.0, resolution=6000 / 3.6, unit=3, width=6000)
     assert read_photo(resized).camera.fx == pytest.approx(24 / 36 * 64, rel=1e-3)
     mad = save(tmp_path / "d.jpg", pixels, focal=24.0, resolution=1083.7, unit=2)  # a sensor of 1.5 mm
-    with pytest.raises(CameraError, match="--sensor-mm"):
+    with pytest.raises(CameraError, match="`sensor_mm`"):
         read_photo(mad)
     image = Image.fromarray(pixels)
     exif = image.getexif()

@@ -102,7 +102,7 @@ def test_trimesh_writes_what_is_read(tmp_path: Path, wall: Scan) -> None:
     rgb = np.stack([columns[name] for name in ("red", "green", "blue")], axis=-1)
     path = tmp_path / "a.ply"
     trimesh.PointCloud(points, colors=rgb).export(path)
-    with pytest.raises(FormatError, match="--intensity luma"):
+    with pytest.raises(FormatError, match="`intensity='luma'`"):
         read_scan(path)
     scan = read_scan(path, intensity="luma")
     assert scan.valid.sum() == wall.valid.sum()

@@ -96,8 +96,8 @@ def test_columns_without_names_are_asked_for(tmp_path: Path, wall: Scan) -> None
     with pytest.raises(FormatError, match="columns have no names") as caught:
         read_scan(path)
     assert first[:20] in str(caught.value)
-    assert "--columns x,y,z,intensity,r,g,b" in str(caught.value)
-    with pytest.raises(FormatError, match="--columns"):
+    assert "`columns=x,y,z,intensity,r,g,b`" in str(caught.value)
+    with pytest.raises(FormatError, match="`columns"):
         describe(path)
     same_points(read_scan(path, columns=("x", "y", "z", "intensity", "r", "g", "b")), wall)
     skipped = read_scan(path, columns=("x", "y", "z", "intensity", "-", "-", "-"))
@@ -128,7 +128,7 @@ def test_large_coordinates_keep_their_digits(tmp_path: Path, wall: Scan) -> None
 def test_colours_alone_need_to_be_asked_for(tmp_path: Path, wall: Scan) -> None:
     text = "\n".join(" ".join([*r.split()[:3], *r.split()[4:]]) for r in rows(wall).splitlines())
     path = write(tmp_path / "a.pts", f"{int(wall.valid.sum())}\n{text}")
-    with pytest.raises(FormatError, match="--intensity luma"):
+    with pytest.raises(FormatError, match="`intensity='luma'`"):
         read_scan(path)
     scan = read_scan(path, intensity="luma")
     assert any("Rec. 709" in note for note in scan.notes)

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import ladarreg_core
 from ladarreg_core.errors import DependencyError, ExportError
 from ladarreg_core.export.atomic_write import cannot_write
 from ladarreg_core.formats.las_records import point_dtype
+from ladarreg_core.version import VERSION
 
 _HEADER_BYTES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 _LEGACY_FORMATS = 6  # below it, counts of 32 bits and returns of 3
@@ -197,7 +197,7 @@ def _base(head: bytes, minor: int, *, has_wkt: bool) -> bytes:
     flags = struct.unpack_from("<H", made, 6)[0]
     struct.pack_into("<H", made, 6, flags | _WKT_BIT if has_wkt else flags)
     made[24:26] = 1, minor
-    struct.pack_into("<32s", made, 58, f"ladarreg {ladarreg_core.__version__}".encode()[:32])
+    struct.pack_into("<32s", made, 58, f"ladarreg {VERSION}".encode()[:32])
     if not head:
         today = datetime.date.today()
         struct.pack_into("<32s", made, 26, b"OTHER")

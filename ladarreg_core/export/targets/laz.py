@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import ladarreg_core
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.folder import FileJob
@@ -37,6 +36,7 @@ from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.best_photo import NO_PHOTO
 from ladarreg_core.surface.texture import Label, intensity_levels, intensity_rows
+from ladarreg_core.version import VERSION
 
 EXTRA_BYTES = {
     "photo_id": ("<u2", "photograph, see legend; 0: none"),
@@ -119,7 +119,7 @@ def _legend(handed: RegisteredScan, coordinates: str, intensity: str, unseen: st
         "colour": f"16 bits, of the photograph; where none shows the point, {unseen}",
         "intensity": intensity,
         "notes": list(notes),
-        "software": f"ladarreg {ladarreg_core.__version__}",
+        "software": f"ladarreg {VERSION}",
     }
 
 

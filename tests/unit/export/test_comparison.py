@@ -174,7 +174,7 @@ def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, comparison, scan, p
     out = tmp_path / "out"
     export_comparison(out, comparison, scan, photo)
     (out / "table.md").write_text("old", encoding="utf-8")
-    with pytest.raises(ExportError, match="--force"):
+    with pytest.raises(ExportError, match="`force=True`"):
         export_comparison(out, comparison, scan, photo)
     written = names(out)
 
