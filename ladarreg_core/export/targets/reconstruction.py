@@ -42,6 +42,7 @@ class Reconstruction:
         The error of a point is the standard deviation of its pixel in the photograph that colours it, where the pose's
         covariance is known, otherwise 0: its pixels are projections of the laser's point and have no residuals.
         """
+        self._handed.compute_colours(self._report)
         seen = [self._seen(index) for index in range(len(self._photos))]
         share = MOST_POINTS // max(1, len(self._photos))
         kept = np.unique(np.concatenate([_thinned(cells, uv, share) for cells, uv in seen]))
@@ -83,7 +84,7 @@ class Reconstruction:
 
     def _labels(self, one: RegisteredPhoto) -> NDArray[np.uint8]:
         index = next(k for k, other in enumerate(self._handed.photos) if other is one)
-        return np.asarray(self._handed.textures[index].labels).reshape(-1)
+        return np.asarray(self._handed.photo_labels[index]).reshape(-1)
 
     def _points(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the points (N, 3), scanner frame, of flat cells in ascending order."""
