@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ladarreg_core.export.targets.registered_scan import RegisteredPhoto as RegisteredPhoto
     from ladarreg_core.export.targets.registered_scan import RegisteredScan as RegisteredScan
     from ladarreg_core.formats import read_camera as read_camera
+    from ladarreg_core.formats import read_matches as read_matches
     from ladarreg_core.formats import read_photo as read_photo
     from ladarreg_core.formats import read_pose as read_pose
     from ladarreg_core.formats import read_registration as read_registration
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matches import picks_of_arrays as picks_of_arrays
     from ladarreg_core.matching.auto import AutoOptions as AutoOptions
     from ladarreg_core.matching.image_check import ImageCheck as ImageCheck
+    from ladarreg_core.matching.image_check import with_image_check as with_image_check
     from ladarreg_core.photo import Photo as Photo
     from ladarreg_core.pose.estimate import PoseOptions as PoseOptions
     from ladarreg_core.pose.estimate import estimate_pose as estimate_pose
@@ -55,6 +57,7 @@ if TYPE_CHECKING:
     from ladarreg_core.surface.photo_points import xyz_of_photo as xyz_of_photo
     from ladarreg_core.surface.texture import Label as Label
     from ladarreg_core.surface.texture import RegisteredTexture as RegisteredTexture
+    from ladarreg_core.surface.texture import intensity_picture as intensity_picture
     from ladarreg_core.surface.texture import texture_scan as texture_scan
 
 __version__ = VERSION
@@ -91,9 +94,11 @@ _HOMES = {
     "export_registration": "export.folder",
     "export_to": "export.targets.hand_over",
     "given_pose": "given",
+    "intensity_picture": "surface.texture",
     "perspective_view": "surface.perspective",
     "picks_of_arrays": "matches",
     "read_camera": "formats",
+    "read_matches": "formats",
     "read_photo": "formats",
     "read_pose": "formats",
     "read_registration": "formats",
@@ -102,6 +107,7 @@ _HOMES = {
     "simulate_case": "simulate",
     "texture_scan": "surface.texture",
     "verify_pose": "given",
+    "with_image_check": "matching.image_check",
     "xyz_of_photo": "surface.photo_points",
 }
 __all__ = sorted(_HOMES)

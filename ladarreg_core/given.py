@@ -98,7 +98,7 @@ def given_pose(
 
 
 def verify_pose(
-    scan: Scan, photo: Photo, pose: Rigid, *, seed: int = 0, report: StepReport | None = None
+    scan: Scan, photo: Photo, pose: Rigid | PoseResult, *, seed: int = 0, report: StepReport | None = None
 ) -> ImageCheck:
     """Return what the images say of a pose: verified, contradicted, or undecidable, with the figures.
 
@@ -108,7 +108,8 @@ def verify_pose(
     Args:
         scan: the scan.
         photo: the photograph with its camera.
-        pose: `camera_from_scanner`.
+        pose: `camera_from_scanner`, or a result, whose camera and covariance are then used, too; `with_image_check`
+            gives that result the verdict that follows.
         seed: random seed.
         report: receives every finished `Step`; may raise `Cancelled`.
 
@@ -118,10 +119,14 @@ def verify_pose(
     Raises:
         OptionError: if an argument is of a wrong type.
     """
-    _check_arguments(scan, photo, pose, seed)
-    if coverage(scan, photo, pose).in_photo == 0:
+    solved = pose if isinstance(pose, PoseResult) else None
+    where = pose if solved is None else solved.camera_from_scanner
+    _check_arguments(scan, photo, where, seed)
+    assert isinstance(where, Rigid)
+    if coverage(scan, photo, where).in_photo == 0:
         return ImageCheck("undecidable", _NOTHING_IN_PHOTO, None)
-    return check_against_images(scan, photo, _given(scan, photo, pose), StepLog(report), seed=seed)
+    result = _given(scan, photo, where) if solved is None else solved
+    return check_against_images(scan, photo, result, StepLog(report), seed=seed)
 
 
 def _check_arguments(scan: object, photo: object, pose: object, seed: object) -> None:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from ladarreg_core.formats.camera_file import read_camera as read_camera
     from ladarreg_core.formats.e57_images import extract_images as extract_images
     from ladarreg_core.formats.file_info import FileInfo as FileInfo
+    from ladarreg_core.formats.matches_file import read_matches as read_matches
     from ladarreg_core.formats.photo_file import read_photo as read_photo
     from ladarreg_core.formats.pose_file import read_pose as read_pose
     from ladarreg_core.formats.registration_file import read_registration as read_registration
@@ -29,6 +30,7 @@ _MODULE_OF = {
     "extract_images": "e57_images",
     "listed_kind": "registry",
     "read_camera": "camera_file",
+    "read_matches": "matches_file",
     "read_photo": "photo_file",
     "read_pose": "pose_file",
     "read_registration": "registration_file",
