@@ -12,10 +12,8 @@ programs show only one representation of an image.
 from __future__ import annotations
 
 import io
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,24 +21,18 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import ByteArray
 from ladarreg_core.camera import (
     Camera,
-    CameraModel,
     EquirectangularCamera,
     FisheyeCamera,
     axial_pinhole,
     cube_faces,
 )
+from ladarreg_core.export.targets.photo_files import has_pixels, resampled
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER
-from ladarreg_core.surface.remap import look_up
 
-_ROWS_AT_ONCE = 256
 _QUALITY = 95
 _LONGEST_JPEG_SIDE = 65_500
-_LARGEST_FILE_BYTES = 1 << 30
-_ORIENTATION = 274  # EXIF
-_SEAM_PX = 64
 _SYMMETRIC_DEG = 1e-6
-_NOWHERE = np.float32(-10)
 _FACE_NAMES = ("front", "right", "left", "back", "down", "up")
 # Columns: the axes of an image in the axes of its camera (x right, y down, z forward).
 CAMERA_FROM_PINHOLE = np.diag([1.0, -1.0, -1.0])
@@ -86,51 +78,27 @@ def pictures(one: RegisteredPhoto, report: Callable[[], None]) -> Iterator[Pictu
         if centred.size == camera.size:
             yield Picture(name, centred, centred.size, axes, _original(one))
             return
-        data = _encoded(_resampled(one.photo.pixels, camera, centred, turn, report))
+        data = _encoded(resampled(one.photo.pixels, camera, centred, turn, report))
         yield Picture(name, centred, centred.size, axes, data)
     elif isinstance(camera, FisheyeCamera):
         for face in cube_faces(camera, margin_px=0):
             turn = face.face_from_camera.T
-            data = _encoded(_resampled(one.photo.pixels, camera, face.camera, turn, report))
+            data = _encoded(resampled(one.photo.pixels, camera, face.camera, turn, report))
             yield Picture(
                 f"{name}, {_face_name(face.face_from_camera)}", face.camera, face.camera.size, turn @ pinhole, data
             )
     else:
         ideal = axial_pinhole(camera)
-        data = _encoded(_resampled(one.photo.pixels, camera, ideal, np.eye(3), report))
+        data = _encoded(resampled(one.photo.pixels, camera, ideal, np.eye(3), report))
         yield Picture(f"{name}, undistorted", ideal, ideal.size, pinhole, data)
     yield Picture(f"{name}, original", None, camera.size, pinhole, _original(one))
 
 
 def _original(one: RegisteredPhoto) -> bytes:
     """Return the photograph's file where it is a JPEG or PNG of exactly these pixels; else a new one."""
-    kept = None if one.file is None else _file_of(one.file, one.photo.pixels)
-    return kept or _encoded(one.photo.pixels)
-
-
-def _file_of(path: Path, pixels: ByteArray) -> bytes | None:
-    from PIL import Image
-
-    try:
-        if path.stat().st_size > _LARGEST_FILE_BYTES:
-            return None
-        data = path.read_bytes()
-        with warnings.catch_warnings(), Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as image:
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # it has been read before
-            # Programs show the pixels as they are stored: a turned, converted or deeper picture is written anew.
-            if image.size != (pixels.shape[1], pixels.shape[0]) or image.mode not in ("RGB", "L"):
-                return None
-            if image.getexif().get(_ORIENTATION, 1) != 1:
-                return None
-            image.load()
-            height = image.size[1]
-            for first in range(0, height, _ROWS_AT_ONCE):
-                part = image.crop((0, first, image.size[0], min(first + _ROWS_AT_ONCE, height))).convert("RGB")
-                if not np.array_equal(np.asarray(part), pixels[first : first + _ROWS_AT_ONCE]):
-                    return None
-    except (OSError, ValueError, Image.DecompressionBombError):
-        return None
-    return data
+    if one.file is not None and has_pixels(one.file, one.photo.pixels, modes=("RGB", "L")):
+        return one.file.read_bytes()
+    return _encoded(one.photo.pixels)
 
 
 def _encoded(pixels: ByteArray) -> bytes:
@@ -143,32 +111,6 @@ def _encoded(pixels: ByteArray) -> bytes:
     else:
         image.save(stream, "PNG")
     return stream.getvalue()
-
-
-def _resampled(
-    pixels: ByteArray,
-    camera: CameraModel,
-    target: Camera | EquirectangularCamera,
-    photo_from_target: NDArray[np.float64],
-    report: Callable[[], None],
-) -> NDArray[np.uint8]:
-    """Return a photograph as another camera at the same place would have taken it; black beyond its borders."""
-    wide = isinstance(camera, EquirectangularCamera) and camera.is_full_turn
-    seam = min(_SEAM_PX, camera.width) if wide else 0
-    if seam:
-        pixels = np.concatenate([pixels[:, -seam:], pixels, pixels[:, :seam]], axis=1)
-    made = np.empty((target.height, target.width, 3), np.uint8)
-    for first in range(0, target.height, _ROWS_AT_ONCE):
-        report()
-        rows = np.arange(first, min(first + _ROWS_AT_ONCE, target.height))
-        uv = np.stack(np.meshgrid(np.arange(target.width), rows), axis=-1)
-        at = camera.project(target.unproject(uv) @ photo_from_target.T)
-        seen = camera.contains(at, border=-0.5)
-        u, v = (np.where(seen, at[..., k] + (seam if k == 0 else 0), _NOWHERE).astype(np.float32) for k in (0, 1))
-        drawn = look_up(pixels, u, v)  # within half a pixel of the border, its pixels go on
-        drawn[~seen] = 0
-        made[rows] = drawn
-    return made
 
 
 def _centred(camera: EquirectangularCamera) -> tuple[EquirectangularCamera, NDArray[np.float64]]:

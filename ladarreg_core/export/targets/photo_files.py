@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray
-from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import write_bytes, write_chunks
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
@@ -18,7 +19,10 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.surface.remap import look_up
 
-_PIXELS_AT_ONCE = 1_000_000
+_ROWS_AT_ONCE = 256
+_LARGEST_FILE_BYTES = 1 << 30
+_SEAM_PX = 64
+_NOWHERE = np.float32(-10)
 _KEPT_AS_THEY_ARE = {b"\xff\xd8\xff": ".jpg", b"\x89PNG\r\n\x1a\n": ".png"}
 _EXIF_ORIENTATION = 0x0112
 
@@ -111,24 +115,43 @@ def write_png_picture(path: Path, pixels: ByteArray) -> None:
 
 def _copied(one: RegisteredPhoto) -> tuple[Path, str] | None:
     """Return the file that has a photograph's pixels for every reader, and its extension; None if there is none."""
+    file = one.file
+    if file is None or not has_pixels(file, one.photo.pixels):
+        return None
+    with open(file, "rb") as stream:
+        head = stream.read(8)
+    extension = next((found for magic, found in _KEPT_AS_THEY_ARE.items() if head.startswith(magic)), None)
+    return None if extension is None else (file, extension)
+
+
+def has_pixels(path: Path, pixels: ByteArray, *, modes: Collection[str] = ("RGB",)) -> bool:
+    """Return whether a file is a JPEG or PNG that shows pixels (H, W, 3) as it stands: not turned, not converted.
+
+    Args:
+        path: the file; it need not exist.
+        pixels: what it must show.
+        modes: modes of Pillow that it may have.
+    """
     from PIL import Image
 
-    file = one.file
-    if file is None or not file.is_file():
-        return None
     try:
-        with open(file, "rb") as stream:
-            head = stream.read(8)
-        extension = next((found for magic, found in _KEPT_AS_THEY_ARE.items() if head.startswith(magic)), None)
-        if extension is None:
-            return None
-        with Image.open(file) as image:
-            plain = image.mode == "RGB" and image.getexif().get(_EXIF_ORIENTATION, 1) == 1
-            if not plain or image.size != one.camera.size or not np.array_equal(np.asarray(image), one.photo.pixels):
-                return None
+        if path.stat().st_size > _LARGEST_FILE_BYTES:
+            return False
+        with warnings.catch_warnings(), Image.open(path, formats=("JPEG", "PNG")) as image:
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # it has been read before
+            width, height = image.size
+            if (height, width) != pixels.shape[:2] or image.mode not in modes:
+                return False
+            if image.getexif().get(_EXIF_ORIENTATION, 1) != 1:
+                return False
+            image.load()
+            for first in range(0, height, _ROWS_AT_ONCE):
+                part = image.crop((0, first, width, min(first + _ROWS_AT_ONCE, height))).convert("RGB")
+                if not np.array_equal(np.asarray(part), pixels[first : first + _ROWS_AT_ONCE]):
+                    return False
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return None
-    return file, extension
+        return False
+    return True
 
 
 def undistorted(photo: Photo, camera: CameraModel, ideal: Camera, *, report: Report | None = None) -> NDArray[np.uint8]:
@@ -143,13 +166,46 @@ def undistorted(photo: Photo, camera: CameraModel, ideal: Camera, *, report: Rep
     Returns:
         (height, width, 3) RGB.
     """
-    result = np.empty((ideal.height, ideal.width, 3), np.uint8)
-    at_once = max(1, _PIXELS_AT_ONCE // ideal.width)
-    for first in range(0, ideal.height, at_once):
+    done = 0
+
+    def progress() -> None:
+        nonlocal done
         if report is not None:
-            report(Progress(first, ideal.height, f"undistorting {on_one_line(photo.name)}"))
-        rows = np.arange(first, min(first + at_once, ideal.height))
-        uv = camera.project(ideal.unproject(np.stack(np.meshgrid(np.arange(ideal.width), rows), axis=-1)))
-        u, v = np.moveaxis(np.where(np.isfinite(uv), uv, -10.0), -1, 0)
-        result[rows] = look_up(photo.pixels, u, v, outside=(0, 0, 0))
-    return result
+            report(Progress(min(done, ideal.height), ideal.height, f"undistorting {on_one_line(photo.name)}"))
+        done += _ROWS_AT_ONCE
+
+    return resampled(photo.pixels, camera, ideal, np.eye(3), progress)
+
+
+def resampled(
+    pixels: ByteArray,
+    camera: CameraModel,
+    target: Camera | EquirectangularCamera,
+    photo_from_target: NDArray[np.float64],
+    report: Callable[[], None],
+) -> NDArray[np.uint8]:
+    """Return a photograph as another camera at the same place would have taken it; black beyond its borders.
+
+    Args:
+        pixels: (h, w, 3) uint8.
+        camera: the camera that took them.
+        target: the other camera.
+        photo_from_target: (3, 3) rotation from its axes.
+        report: called for every few rows; may raise `Cancelled`.
+    """
+    wide = isinstance(camera, EquirectangularCamera) and camera.is_full_turn
+    seam = min(_SEAM_PX, camera.width) if wide else 0
+    if seam:
+        pixels = np.concatenate([pixels[:, -seam:], pixels, pixels[:, :seam]], axis=1)
+    made = np.empty((target.height, target.width, 3), np.uint8)
+    for first in range(0, target.height, _ROWS_AT_ONCE):
+        report()
+        rows = np.arange(first, min(first + _ROWS_AT_ONCE, target.height))
+        uv = np.stack(np.meshgrid(np.arange(target.width), rows), axis=-1)
+        at = camera.project(target.unproject(uv) @ photo_from_target.T)
+        seen = camera.contains(at, border=-0.5)
+        u, v = (np.where(seen, at[..., k] + (seam if k == 0 else 0), _NOWHERE).astype(np.float32) for k in (0, 1))
+        drawn = look_up(pixels, u, v)  # within half a pixel of the border, its pixels go on
+        drawn[~seen] = 0
+        made[rows] = drawn
+    return made

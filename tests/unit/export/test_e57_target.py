@@ -357,6 +357,7 @@ def test_a_cancelled_export_leaves_nothing(tmp_path: Path) -> None:
     index = e57_samples.write_scaled(source, scan_of())
     for scan_file in (source, None):
         handed = replace(handed_over(source, index, registered(photo_of(PINHOLE))), scan_file=scan_file)
+        assert handed.colours  # they are kept, and reported once only
         calls: list[Progress] = []
         ((_, write),) = [job for job in export_files(handed, ["e57"], report=calls.append) if job[0] != "export.json"]
         write(tmp_path / "whole.e57")
