@@ -25,6 +25,7 @@ from ..gateway.uploads import remove_partial_uploads
 from ..session.session import Change, now
 from .clients import Client
 from .commands import Reply, reply_to
+from .given_files import Reading
 from .project_commands import LOOKING_AT_PROJECTS, PROJECT_COMMANDS
 from .recent import RecentProjects, project_id
 from .sample import SAMPLE_NAME, register_sample, sample_files
@@ -50,7 +51,7 @@ class OpenWorkbench(Protocol):
         *,
         project: Path | None = None,
         name: str = "",
-        camera: Path | None = None,
+        reading: Reading | None = None,
         clients: Clients | None = None,
     ) -> Workbench:
         """Open it."""
@@ -228,7 +229,9 @@ class Desk:
         scan, photo, camera = sample_files()
 
         def opened() -> Workbench:
-            return self._open((scan, photo), camera=camera, name=SAMPLE_NAME, clients=self._workbench.clients)
+            return self._open(
+                (scan, photo), reading=Reading(camera=camera), name=SAMPLE_NAME, clients=self._workbench.clients
+            )
 
         reply = self._switch(opened, client, sure=sure)
         if "asks" not in reply:

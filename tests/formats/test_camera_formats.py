@@ -244,7 +244,7 @@ def test_what_cannot_be_read_is_refused_by_name(
 def test_the_photograph_decides_on_the_camera_or_its_name_is_asked_for(tmp_path: Path) -> None:
     path = GOLDEN / "kalibr.yaml"
     assert read_camera(path, name="CAM1").size == (640, 480)
-    with pytest.raises(UnderspecifiedError, match=r"cam0 \(1280 x 960\), cam1 .*cam2 .*--camera-name"):
+    with pytest.raises(UnderspecifiedError, match=r"cam0 \(1280 x 960\), cam1 .*cam2 .*`camera_name`"):
         read_camera(path, picture="photo.jpg")
     with pytest.raises(OptionError, match=r"'cam7'.*cam0"):
         read_camera(path, name="cam7")

@@ -180,9 +180,9 @@ def test_the_scans_of_a_file_are_listed_from_its_header(tmp_path: Path) -> None:
     found = describe(path)
     assert found.returns is None, "no point is read"
     first, second = found.scans
-    assert first.startswith("station 0 (--scan 0): ")
+    assert first.startswith("station 0 (`scan_index=0`): ")
     assert "grid 20 x 30, intensity, stands at 100.000, 200.000, 3.000 m" in first
-    assert second.startswith("station 1 (--scan 1): ")
+    assert second.startswith("station 1 (`scan_index=1`): ")
     assert "of scan station 1" in found.images[0]
     assert "of scan" not in found.images[1]
     assert describe(path, scan_index=1).size == "21 rows x 30 columns"
@@ -195,7 +195,7 @@ def test_the_scans_of_a_file_are_listed_from_its_header(tmp_path: Path) -> None:
 
 def test_colours_alone_are_refused_or_taken_by_their_luminance(tmp_path: Path) -> None:
     path = write_e57(tmp_path / "a.e57", [], color_only=True)
-    with pytest.raises(FormatError, match=r"colours but no intensity.*--intensity luma"):
+    with pytest.raises(FormatError, match=r"colours but no intensity.*`intensity='luma'`"):
         read_scan(path)
     scan = read_scan(path, intensity="luma")
     assert scan.color is not None

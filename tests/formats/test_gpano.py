@@ -176,7 +176,7 @@ def test_a_panorama_is_read_from_the_photograph_alone(tmp_path: Path) -> None:
 
 def test_a_picture_that_looks_like_a_panorama_is_only_proposed_as_one(tmp_path: Path) -> None:
     file = _saved(tmp_path / "a.jpg", _sphere(128))
-    with pytest.raises(CameraError, match="give --camera-model equirectangular"):
+    with pytest.raises(CameraError, match="give `camera_model='equirectangular'`"):
         read_photo(file)
     assert any("looks like" in note for note in describe(file).notes)
     assert read_photo(file, camera_model="equirectangular").camera == EquirectangularCamera(256, 128)

@@ -101,8 +101,11 @@ def test_several_scans_are_listed_from_their_headers_and_chosen_by_number(tmp_pa
     other = make_scan(9, 17, seed=5)
     path = write(tmp_path / "a.ptx", block(wall) + "\n" + block(other, np.eye(4), color=False))
     first, second = describe(path).scans
-    assert "scan 0 (--scan 0): 864 points, grid 24 x 36, intensity and colour, stands at 500000.250, 5400000.5" in first
-    assert "scan 1 (--scan 1): 153 points, grid 9 x 17, intensity, stands at 0.000, 0.000, 0.000 m" in second
+    assert (
+        "scan 0 (`scan_index=0`): 864 points, grid 24 x 36, intensity and colour, stands at 500000.250, 5400000.5"
+        in first
+    )
+    assert "scan 1 (`scan_index=1`): 153 points, grid 9 x 17, intensity, stands at 0.000, 0.000, 0.000 m" in second
     same_scan(read_scan(path, scan_index=0), wall)
     scan = read_scan(path, scan_index=1)
     same_scan(scan, other)
@@ -132,7 +135,7 @@ def test_colours_alone_are_refused_or_taken_by_their_luminance(tmp_path: Path, w
     cells = [row.split() for row in rows]
     rgb = [" ".join(c[:3] + (c[4:] or ["0", "0", "0"])) for c in cells]
     path = write(tmp_path / "a.ptx", "\n".join([*head, *rgb]))
-    with pytest.raises(FormatError, match=r"colours but no intensity.*--intensity luma"):
+    with pytest.raises(FormatError, match=r"colours but no intensity.*`intensity='luma'`"):
         read_scan(path)
     scan = read_scan(path, intensity="luma")
     row, column = np.argwhere(scan.valid)[7]
