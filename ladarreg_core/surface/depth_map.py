@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -23,12 +22,8 @@ _ROWS_AT_ONCE = 256
 _RAYS_AT_ONCE = 400_000
 _SAME_SURFACE = 0.02  # relative change of the depth within one pixel; beyond it, nothing is interpolated
 _FINER = 1.5  # pixels of the ideal picture per pixel of a distorted one
-_SQUARE_PX = 8
-_ROUNDING_PX = 0.01  # lens distortion bends the sides of triangles by less
-_BESIDE = 1e-6
 _TOLERANCE_SIGMAS = 4.0
 _FACES_AT_ONCE = 1_000_000
-_PAIRS_AT_ONCE = 4_000_000
 
 
 def depth_map(
@@ -74,90 +69,6 @@ def depth_map(
             along = np.linalg.norm(of_face, axis=-1) / np.where(here, of_face[..., 2], np.float32(1))
             result[rows][here] = (depth * along)[here]
     return result
-
-
-def depth_at(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid, uv: FloatArray) -> NDArray[np.float64]:
-    """Return the depth of the scan's surface at some positions in a photograph, as `depth_map` does for its pixels.
-
-    Args:
-        scan: the scan.
-        camera: the camera.
-        camera_from_scanner: its pose.
-        uv: (N, 2) px; (0, 0) is the centre of the first pixel.
-
-    Returns:
-        (N,) float64, m; NaN where the scan has no surface.
-
-    Raises:
-        ShapeError: if `uv` is not (N, 2).
-    """
-    uv = np.asarray(uv, dtype=np.float64)
-    if uv.ndim != 2 or uv.shape[1] != 2:
-        raise ShapeError(f"the positions have the shape {uv.shape}; it must be (N, 2)")
-    rays = camera.unproject(uv)
-    usable = np.isfinite(rays).all(axis=1) & camera.contains(uv)
-    distance = np.full(len(uv), np.inf)
-    wanted = _Wanted.of(camera, uv[usable])
-    for points, faces in _meshes(scan, camera, camera_from_scanner):
-        corners_uv = camera.project(points)[faces]
-        with np.errstate(invalid="ignore"):
-            low, high = corners_uv.min(axis=1) - _ROUNDING_PX, corners_uv.max(axis=1) + _ROUNDING_PX
-        near = wanted.near(low, high)
-        corners, low, high = points[faces[near]], low[near], high[near]
-        at_once = max(1, _PAIRS_AT_ONCE // max(1, len(corners)))
-        for part in np.array_split(np.flatnonzero(usable), max(1, -(-int(usable.sum()) // at_once))):
-            within = (low[None] <= uv[part, None]) & (uv[part, None] <= high[None])
-            which, triangle = np.nonzero(within.all(axis=-1))
-            hit = _hit_distance(rays[part[which]], corners[triangle])
-            np.minimum.at(distance, part[which], hit)
-    distance[~np.isfinite(distance)] = np.nan
-    return distance * (rays[:, 2] if isinstance(camera, Camera) else 1.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Wanted:
-    """Where positions lie in a picture, by squares of a few pixels: their summed-area table."""
-
-    table: NDArray[np.int64]
-
-    @staticmethod
-    def of(camera: CameraModel, uv: FloatArray) -> _Wanted:
-        columns, rows = (-(-n // _SQUARE_PX) for n in camera.size)
-        at = np.clip(np.rint(uv) // _SQUARE_PX, 0, [columns - 1, rows - 1]).astype(np.int64)
-        counts = np.zeros((rows, columns), np.int64)
-        np.add.at(counts, (at[:, 1], at[:, 0]), 1)
-        return _Wanted(np.pad(counts.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0))))
-
-    def near(self, low: FloatArray, high: FloatArray) -> NDArray[np.intp]:
-        """Return the indices of the rectangles (F, 2) whose squares hold a position."""
-        rows, columns = (n - 1 for n in self.table.shape)
-        drawn: NDArray[np.bool_] = np.asarray((np.isfinite(low) & np.isfinite(high)).all(axis=1))
-        first, last = (
-            np.clip(np.where(drawn[:, None], corner, 0) // _SQUARE_PX + more, 0, [columns, rows]).astype(np.int64)
-            for corner, more in ((low, -1), (high, 2))
-        )
-        (left, top), (right, bottom) = first.T, last.T
-        table = self.table
-        count = table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left]
-        return np.flatnonzero(drawn & (count > 0))
-
-
-def _hit_distance(rays: FloatArray, corners: FloatArray) -> NDArray[np.float64]:
-    """Return the distance (K,) of triangles (K, 3, 3) along unit rays (K, 3); infinity where they miss.
-
-    Source: T. Moeller and B. Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997.
-    """
-    a = corners[:, 0]
-    ab, ac = corners[:, 1] - a, corners[:, 2] - a
-    p = np.cross(rays, ac)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        scale = 1 / np.einsum("ij,ij->i", ab, p)
-        u = -np.einsum("ij,ij->i", a, p) * scale
-        q = np.cross(-a, ab)
-        v = np.einsum("ij,ij->i", q, rays) * scale
-        t = np.einsum("ij,ij->i", ac, q) * scale
-        hit = (u >= -_BESIDE) & (v >= -_BESIDE) & (u + v <= 1 + _BESIDE) & (t > 0)
-    return np.where(hit, t, np.inf)
 
 
 def _meshes(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> Iterator[tuple[FloatArray, IntArray]]:

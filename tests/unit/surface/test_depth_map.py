@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
-from ladarreg_core.errors import ShapeError
-from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, look_along
+from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface import depth_map as module
-from ladarreg_core.surface.depth_map import depth_at, depth_map
+from ladarreg_core.surface.depth_map import depth_map
 
 WALL_M, BOX_M = 4.0, 2.5
 POSE = Rigid.from_rotvec((0.05, -0.1, 0.2)) @ Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0.2, 0.3, -0.1))
@@ -56,21 +55,6 @@ def test_pixels_have_the_depth_of_the_plane_behind_them(name: str) -> None:
     assert (shifted[seen & (wall < 1e-4)] > 1e-4).mean() > 0.5, "half a pixel would be noticed"
 
 
-@pytest.mark.parametrize("name", CAMERAS)
-def test_positions_agree_with_the_plane_between_pixels_too(name: str) -> None:
-    camera = CAMERAS[name]
-    rng = np.random.default_rng(2)
-    uv = rng.uniform(0, np.array(camera.size) - 1, (300, 2))
-    found = depth_at(room(), camera, POSE, uv)
-    whole = depth_map(room(), camera, POSE)
-    near = whole[np.rint(uv[:, 1]).astype(int), np.rint(uv[:, 0]).astype(int)]
-    assert (np.isfinite(found) == np.isfinite(near)).mean() > 0.95
-    seen = np.isfinite(found)
-    off = np.fmin(*(np.abs(found / expected(camera, uv, plane) - 1) for plane in (WALL_M, BOX_M)))
-    assert seen.sum() > 10
-    assert off[seen].max() < 1e-6
-
-
 def test_a_picture_in_bands_and_a_scan_in_parts_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = CAMERAS["pinhole"]
     whole = depth_map(room(), camera, POSE)
@@ -80,29 +64,3 @@ def test_a_picture_in_bands_and_a_scan_in_parts_give_the_same(monkeypatch: pytes
     assert (np.isfinite(whole) == np.isfinite(banded)).mean() > 0.999
     both = np.isfinite(whole) & np.isfinite(banded)
     assert np.abs(whole - banded)[both].max() < 2e-4
-
-
-def test_positions_outside_have_no_depth() -> None:
-    camera = CAMERAS["pinhole"]
-    assert np.isnan(depth_at(room(), camera, POSE, np.array([[-20.0, 10], [np.nan, 3]]))).all()
-    assert len(depth_at(room(), camera, POSE, np.zeros((0, 2)))) == 0
-    with pytest.raises(ShapeError, match=r"\(N, 2\)"):
-        depth_at(room(), camera, POSE, np.zeros(2))
-
-
-@pytest.mark.parametrize("name", CAMERAS)
-def test_what_the_photograph_cannot_show_is_left_out_on_request(name: str) -> None:
-    camera = CAMERAS[name]
-    whole, seen = (depth_map(room(), camera, POSE, only_seen=only) for only in (False, True))
-    kept = np.isfinite(seen)
-    assert np.array_equal(seen[kept], whole[kept])
-    assert 0.97 < kept.sum() / np.isfinite(whole).sum() < 1, "but for the margin of the box"
-    behind = Rigid.from_centre(look_along([-1.0, 0.0, 0.02]), (3.5, 0.0, 0.0))  # between box and wall: the box's back
-    assert np.isfinite(depth_map(room(), camera, behind)).sum() > 500
-    backs = depth_map(room(), camera, behind, only_seen=True)
-    if not isinstance(camera, Camera):  # the wall is seen, too, beside and behind the camera
-        v, u = np.nonzero(np.isfinite(backs))
-        x = (camera.unproject(np.stack([u, v], axis=-1)) * backs[v, u, None]) @ behind.rotation[:, 0] + 3.5
-        assert np.abs(x - WALL_M).max() < 0.05
-    else:
-        assert not np.isfinite(backs).any()
