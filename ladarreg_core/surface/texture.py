@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import cv2
@@ -35,6 +35,7 @@ _ROWS_AT_ONCE = 256
 _NET_NODES = 65
 _UNSEEN_BRIGHTNESS = 0.45
 _SEAM_PX = 64
+_LARGEST_ISOLATED, _AROUND, _MOSTLY = 12, (5, 5), 0.5  # cells; share of visible cells around
 _OUTSIDE = np.float32(-10)
 _DARKEST, _BRIGHTEST = 18.0, 245.0
 _PERCENTILES = (1.0, 99.0)
@@ -55,7 +56,8 @@ class Label(IntEnum):
     GRAZING = 4
     """Seen by the camera at an incidence beyond 80 degrees: the colour is smeared."""
     UNCERTAIN = 5
-    """Within one cell of a depth edge, as seen by scanner or camera, or with a pose uncertainty of over 2 px."""
+    """Within one cell of a depth edge, as seen by scanner or camera, with a pose uncertainty of over 2 px, or among a
+    few cells that only the noise of their ranges may hide from the camera."""
 
 
 COLOURED = (Label.SEEN, Label.GRAZING, Label.UNCERTAIN)
@@ -180,9 +182,10 @@ def textured_parts(
         projection = project_scan(scan, camera, camera_from_scanner)
         tiles = iter([ScanTile(*whole, scan, projection, whole)])
     for tile in tiles:
-        labels = _labels(tile.scan, tile.projection, camera, camera_from_scanner, covariance)
-        image = _sampled(photo.pixels, tile.projection, tile.scan, camera, background)
-        inner = tile.projection.of_cells(*tile.inner)
+        projection = _without_isolated_shadows(tile.projection)
+        labels = _labels(tile.scan, projection, camera, camera_from_scanner, covariance)
+        image = _sampled(photo.pixels, projection, tile.scan, camera, background)
+        inner = projection.of_cells(*tile.inner)
         yield TexturedPart(tile.rows, tile.columns, image[tile.inner], labels[tile.inner], inner)
 
 
@@ -284,6 +287,22 @@ def blended_picture(scan: Scan, texture: RegisteredTexture, *, share: float) -> 
         return colour
     mixed = (1 - share) * intensity_picture(scan).astype(np.float32) + share * colour.astype(np.float32)
     return np.rint(mixed).astype(np.uint8)
+
+
+def _without_isolated_shadows(projection: ScanProjection) -> ScanProjection:
+    """Return a projection in which a few occluded cells among visible ones count as untested.
+
+    The noise of the ranges hides single cells of plain walls from the camera, which a real shadow of that size does not
+    differ from: they keep the photograph's colour, which would else be peppered, and are labelled as uncertain.
+    """
+    count, component, stats, _ = cv2.connectedComponentsWithStats(projection.occluded.view(np.uint8), connectivity=4)
+    small = stats[:count, cv2.CC_STAT_AREA] <= _LARGEST_ISOLATED
+    small[0] = False  # the visible cells
+    around = cv2.blur(projection.visible.astype(np.float32), _AROUND, borderType=cv2.BORDER_REPLICATE)
+    isolated = small[component] & (around >= _MOSTLY)
+    return replace(
+        projection, occluded=projection.occluded & ~isolated, untested=np.asarray(projection.untested | isolated)
+    )
 
 
 def _labels(

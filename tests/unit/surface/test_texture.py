@@ -14,6 +14,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.render import render_scan_colors
 from ladarreg_core.surface.texture import Label, model_picture, pixel_sigma, texture_scan
+from ladarreg_core.surface.visibility import project_scan
 
 LENSES = [(), (0.12, -0.04, 0.002, -0.001), (-0.25, 0.08, 0.001, 0.0005, -0.01)]
 
@@ -228,3 +229,23 @@ def test_nothing_shines_through_the_machines_of_a_real_scan(real_data):
         assert np.count_nonzero(texture.labels == Label.OCCLUDED) > 0.02 * np.count_nonzero(scan.valid)
         assert np.quantile(error, 0.5) <= 2
         assert np.mean(error > 40) < 0.005
+
+
+def test_cells_that_only_noise_hides_keep_the_colour_and_are_uncertain() -> None:
+    geometry = AzimuthElevation(120, 160, 0.004, 0.004)
+    ranges = 4.0 / geometry.rays[..., 0]
+    ranges[80:116:6, 10:150:7] *= 1.03  # single ranges that are too long
+    ranges[30:70, 60:90] = 3.0 / geometry.rays[30:70, 60:90, 0]  # a box with a real shadow
+    scan = Scan(geometry, ranges, np.ones(geometry.shape))
+    camera = Camera(300, 300, 400.0, 400.0, 149.5, 149.5)
+    pose = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0, 1.0, 0))
+    photo = Photo(np.full((300, 300, 3), (200, 100, 50), np.uint8), camera)
+    hidden = project_scan(scan, camera, pose).occluded
+    found = texture_scan(scan, photo, pose)
+    shadow = np.zeros(scan.shape, bool)
+    shadow[34:66, 92:106] = True
+    lone = hidden & (found.labels == Label.UNCERTAIN)
+    assert hidden[shadow].mean() > 0.5, "there is a shadow"
+    assert (found.labels[shadow & hidden] == Label.OCCLUDED).mean() > 0.95, "which stays"
+    assert lone.sum() > 50
+    assert (found.image[lone] == (200, 100, 50)).all()
