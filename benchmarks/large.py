@@ -67,12 +67,12 @@ def chain(folder: Path) -> dict[str, Any]:
     from ladarreg.process_resources import keep_heap_small
 
     import ladarreg_core as lr
-    from ladarreg_core.export.glb import write_glb
+    from ladarreg_core.export.glb import write_model_glb
     from ladarreg_core.export.images import write_registered_png
     from ladarreg_core.export.ply import write_ply
     from ladarreg_core.formats.pose_file import read_pose
-    from ladarreg_core.surface.reduced_mesh import reduced_mesh
-    from ladarreg_core.surface.texture import model_picture, texture_scan
+    from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
+    from ladarreg_core.surface.texture import texture_scan
 
     import_module("pye57")  # as loading it is no part of reading, on either side
     idle = resident_bytes()
@@ -96,11 +96,9 @@ def chain(folder: Path) -> dict[str, Any]:
         stages.run("cloud.ply", lambda: write_ply(Path(out, "cloud.ply"), scan, texture))
 
         def model() -> tuple[int, float]:
-            mesh = reduced_mesh(scan)
-            picture = model_picture(scan, texture)
-            picture.flags.writeable = False  # handed over, not copied
-            write_glb(Path(out, "model.glb"), mesh.mesh, picture, tolerance_m=mesh.tolerance_m)
-            return len(mesh.mesh.faces), mesh.tolerance_m
+            made = photo_model(scan, [ModelPhoto(photo.pixels, found.camera, pose, texture.labels)])
+            write_model_glb(Path(out, "model.glb"), made)
+            return made.faces, made.tolerance_m
 
         faces, tolerance_m = stages.run("model.glb", model)
     usage = resource.getrusage(resource.RUSAGE_SELF)

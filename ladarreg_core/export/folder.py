@@ -11,7 +11,7 @@ from typing import Any
 
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.atomic_write import cannot_write, sync_folder
-from ladarreg_core.export.glb import write_glb
+from ladarreg_core.export.glb import write_model_glb
 from ladarreg_core.export.images import (
     write_labels_png,
     write_registered_png,
@@ -39,11 +39,9 @@ from ladarreg_core.quality.assessment import Assessment, assess
 from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.mesh import scan_mesh
-from ladarreg_core.surface.reduced_mesh import MOST_FACES, ReducedMesh, reduced_mesh
-from ladarreg_core.surface.texture import RegisteredTexture, model_picture, texture_scan
+from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
+from ladarreg_core.surface.texture import RegisteredTexture, texture_scan
 
-_LARGEST_WHOLE_MODEL = MOST_FACES // 2  # cells; each has at most two triangles
 FILE_NAMES = REGISTRATION_FILES
 """Files of a results folder; all but the first two are only written for accepted registrations."""
 FileJob = tuple[str, Callable[[Path], None]]
@@ -304,8 +302,9 @@ def registration_files(
     if (uncertainty := found.uncertainty) is not None:
         jobs.append(("uncertainty.png", lambda path: write_uncertainty_png(path, uncertainty.sigma_px)))
     if smoothed is None or smoothed.scan is scan:
-        return jobs + _models(scan, texture, placed, mark)
-    return jobs + _models(smoothed.scan, _textured(registration, smoothed.scan, photo), placed, mark)
+        return jobs + _models(registration, scan, photo, texture, placed)
+    smooth = smoothed.scan
+    return jobs + _models(registration, smooth, photo, _textured(registration, smooth, photo), placed)
 
 
 def _textured(registration: Registration, scan: Scan, photo: Photo) -> RegisteredTexture:
@@ -318,21 +317,20 @@ def _textured(registration: Registration, scan: Scan, photo: Photo) -> Registere
     )
 
 
-def _models(scan: Scan, texture: RegisteredTexture, frame: OutputFrame, mark: str) -> list[FileJob]:
+def _models(
+    registration: Registration, scan: Scan, photo: Photo, texture: RegisteredTexture, frame: OutputFrame
+) -> list[FileJob]:
+    mark = registration.mark
+
+    def write_model(path: Path) -> None:
+        seen = ModelPhoto(photo.pixels, registration.camera, registration.camera_from_scanner, texture.labels)
+        write_model_glb(path, photo_model(scan, [seen]), frame=frame, names=[photo.name], mark=mark)
+
     jobs: list[FileJob] = [
-        ("model.glb", lambda path: _write_model(path, scan, texture, frame, mark)),
+        ("model.glb", write_model),
         ("cloud.ply", lambda path: write_ply(path, scan, texture, frame=frame, mark=mark)),
     ]
     return jobs if frame.name == "scanner" else [*jobs, (OFFSET_FILE, frame.write)]
-
-
-def _write_model(path: Path, scan: Scan, texture: RegisteredTexture, frame: OutputFrame, mark: str) -> None:
-    """Write the whole mesh of a scan, or that of a large one reduced by error."""
-    is_small = scan.ranges.size <= _LARGEST_WHOLE_MODEL
-    found = ReducedMesh(scan_mesh(scan), 0.0) if is_small else reduced_mesh(scan)
-    picture = model_picture(scan, texture)
-    picture.flags.writeable = False  # handed over, not copied
-    write_glb(path, found.mesh, picture, frame=frame, tolerance_m=found.tolerance_m, mark=mark)
 
 
 def _missing_parents(target: Path) -> list[Path]:

@@ -1,15 +1,22 @@
-"""The textured model of a hand-over, at the resolution of the photographs: one for all targets that write it."""
+"""The targets `glb` and `obj`: the textured model at the resolution of the photographs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from weakref import WeakKeyDictionary
 
 from ladarreg_core.errors import ExportError
+from ladarreg_core.export.folder import FileJob
+from ladarreg_core.export.glb import write_model_glb
+from ladarreg_core.export.obj import texture_names, write_materials, write_obj, write_texture
+from ladarreg_core.export.replacement import OFFSET_FILE
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Report
 from ladarreg_core.surface.photo_model import ModelPhoto, PhotoModel, photo_model
 
+_MATERIALS = "model.mtl"
 _latest: WeakKeyDictionary[RegisteredScan, tuple[ExportOptions, PhotoModel]] = WeakKeyDictionary()
 
 
@@ -36,3 +43,43 @@ def model_of(handed: RegisteredScan, options: ExportOptions, report: Report | No
         )
     _latest[handed] = (options, model)
     return model
+
+
+def glb_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
+    """Return `model.glb`, in the world also `offset.json`."""
+
+    def write(path: Path) -> None:
+        model = model_of(handed, options, report)
+        names = [one.photo.name for one in handed.photos]
+        write_model_glb(path, model, frame=handed.frame, names=names, mark=_mark(handed), report=report)
+
+    return [("model.glb", write), *_offset(handed)]
+
+
+def obj_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
+    """Return `model.obj`, `model.mtl` and the textures, in the world also `offset.json`."""
+    model = model_of(handed, options, report)
+    textures = texture_names(model, [one.id for one in handed.photos])
+    mark = _mark(handed)
+
+    def write(path: Path) -> None:
+        write_obj(path, model, textures, frame=handed.frame, material_file=_MATERIALS, mark=mark, report=report)
+
+    jobs: list[FileJob] = [
+        ("model.obj", write),
+        (_MATERIALS, lambda path: write_materials(path, textures, mark=mark)),
+    ]
+    for name, part in zip(textures, model.parts, strict=True):
+        jobs.append((name, lambda path, part=part: write_texture(path, part)))  # type: ignore[misc]
+    return [*jobs, *_offset(handed)]
+
+
+def _mark(handed: RegisteredScan) -> str:
+    """Return what the files must say of poses that were not verified."""
+    if len(handed.photos) == 1:
+        return handed.photos[0].mark
+    return "; ".join(f"{one.id}: {one.mark}" for one in handed.photos if one.mark)
+
+
+def _offset(handed: RegisteredScan) -> list[FileJob]:
+    return [] if handed.frame.name == "scanner" else [(OFFSET_FILE, handed.frame.write)]

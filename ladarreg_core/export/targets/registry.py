@@ -9,6 +9,7 @@ from ladarreg_core.export.targets.colmap import colmap_files, colmap_refusal
 from ladarreg_core.export.targets.e57 import e57_files, e57_refusal
 from ladarreg_core.export.targets.kalibr import kalibr_files, kalibr_refusal
 from ladarreg_core.export.targets.laz import laz_files, laz_refusal
+from ladarreg_core.export.targets.model import glb_files, obj_files
 from ladarreg_core.export.targets.nerfstudio import nerfstudio_files
 from ladarreg_core.export.targets.opencv import opencv_files, opencv_refusal
 from ladarreg_core.export.targets.ply import ply_files
@@ -75,6 +76,19 @@ TARGETS: tuple[Target, ...] = (
         purpose="Camchains with intrinsics and the relative poses of several cameras, for Kalibr and odometry.",
         files=kalibr_files,
         refusal=kalibr_refusal,
+    ),
+    Target(
+        name="glb",
+        title="Textured model, glTF",
+        purpose="One file with the mesh and the photographs at their own resolution, for Blender, three.js, Unity and "
+        "most viewers.",
+        files=glb_files,
+    ),
+    Target(
+        name="obj",
+        title="Textured model, OBJ",
+        purpose="The same model as OBJ with materials and pictures, for MeshLab, CloudCompare, Rhino and CAD programs.",
+        files=obj_files,
     ),
     Target(
         name="tiles",
