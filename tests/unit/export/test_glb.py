@@ -1,96 +1,92 @@
-import json
-import struct
-
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import ExportError, ShapeError
-from ladarreg_core.export.glb import glb_bytes, write_glb
+from ladarreg_core.export.glb import glb_bytes, write_model_glb
 from ladarreg_core.export.viser_colors import VISER_BASE_COLOUR, shown_colours, texture_for_viewer
+from ladarreg_core.photo import Photo
 from ladarreg_core.surface.mesh import Mesh, scan_mesh
-
-
-def parts(data):
-    magic, version, total, json_size, json_kind = struct.unpack_from("<4sIII4s", data)
-    assert (magic, version, total, json_kind) == (b"glTF", 2, len(data), b"JSON")
-    document = json.loads(data[20 : 20 + json_size], parse_constant=lambda word: pytest.fail(word))
-    size, kind = struct.unpack_from("<I4s", data, 20 + json_size)
-    assert (kind, 28 + json_size + size) == (b"BIN\0", total)
-    assert json_size % 4 == 0
-    assert size % 4 == 0
-    return document, data[28 + json_size :]
+from ladarreg_core.surface.photo_model import ModelPhoto, PhotoModel, photo_model
+from ladarreg_core.surface.texture import texture_scan
+from tests.gltf_checks import Glb
+from tests.unit.export.samples import POSE
 
 
 @settings(max_examples=20)
 @given(step=st.integers(1, 6), for_viser=st.booleans())
-def test_the_file_keeps_the_rules_of_gltf(scan, step, for_viser):
+def test_a_mesh_with_a_picture_keeps_the_rules_of_gltf(scan, step, for_viser):
     mesh = scan_mesh(scan, step=step)
-    document, body = parts(glb_bytes(mesh, np.zeros((3, 5, 3), np.uint8), for_viser=for_viser))
-    assert document["buffers"] == [{"byteLength": len(body)}]
-    end = 0
-    for view in document["bufferViews"]:
-        assert view["byteOffset"] % 4 == 0
-        assert view["byteOffset"] >= end
-        end = view["byteOffset"] + view["byteLength"]
-    assert end <= len(body)
-    position, uv, index = document["accessors"]
-    sizes = {"VEC3": 12, "VEC2": 8, "SCALAR": 4}
-    for accessor in document["accessors"]:
-        view = document["bufferViews"][accessor["bufferView"]]
-        assert view["byteLength"] == accessor["count"] * sizes[accessor["type"]]
-    assert position["count"] == uv["count"] == len(mesh.vertices)
-    offset = document["bufferViews"][0]["byteOffset"]
-    vertices = np.frombuffer(body, "<f4", position["count"] * 3, offset).reshape(-1, 3)
-    np.testing.assert_array_equal(vertices, mesh.vertices)
-    np.testing.assert_array_equal(np.float32(position["min"]), vertices.min(axis=0))
-    np.testing.assert_array_equal(np.float32(position["max"]), vertices.max(axis=0))
-    faces = np.frombuffer(body, "<u4", index["count"], document["bufferViews"][2]["byteOffset"])
-    np.testing.assert_array_equal(faces.reshape(-1, 3), mesh.faces)
-    material = document["materials"][0]
+    glb = Glb(glb_bytes(mesh, np.zeros((3, 5, 3), np.uint8), for_viser=for_viser))
+    np.testing.assert_array_equal(glb.accessor(0), mesh.vertices)
+    np.testing.assert_array_equal(glb.accessor(1), mesh.uv)
+    np.testing.assert_array_equal(glb.accessor(2).reshape(-1, 3), mesh.faces)
+    material = glb.document["materials"][0]
     assert "KHR_materials_unlit" in material["extensions"]
-    assert document["extensionsUsed"] == ["KHR_materials_unlit"]
+    assert glb.document["extensionsUsed"] == ["KHR_materials_unlit"]
     factor = material["pbrMetallicRoughness"]["baseColorFactor"]
     assert factor == ([VISER_BASE_COLOUR] * 3 + [1.0] if for_viser else [1.0] * 4)
+    # In viser's scene the root is the scanner's frame.
+    assert ("rotation" in glb.document["nodes"][0]) != for_viser
 
 
-def test_another_reader_finds_vertices_uv_and_texture(tmp_path, scan, texture):
-    trimesh = pytest.importorskip("trimesh")
-    mesh = scan_mesh(scan)
-    write_glb(tmp_path / "model.glb", mesh, texture.image)
+def model_of(scan, photo, texture):
+    return photo_model(scan, [ModelPhoto(photo.pixels, photo.camera, POSE, texture.labels)])
+
+
+def test_another_reader_finds_vertices_normals_uv_and_textures(tmp_path, scan, photo, texture):
+    model = model_of(scan, photo, texture)
+    write_model_glb(tmp_path / "model.glb", model, names=["fa\u00e7ade 1.jpg"])
+    glb = Glb((tmp_path / "model.glb").read_bytes())
+    assert [one["name"] for one in glb.document["materials"]] == ["fa\u00e7ade 1.jpg", "laser intensity"]
+    assert glb.document["nodes"][0]["extras"] == {"frame": "scanner", "offset_m": [0.0, 0.0, 0.0]}
     scene = trimesh.load(tmp_path / "model.glb")
-    (read,) = scene.geometry.values()
-    np.testing.assert_array_equal(read.vertices.astype(np.float32), mesh.vertices)
-    np.testing.assert_array_equal(read.faces, mesh.faces)
-    uv = mesh.uv
-    np.testing.assert_allclose(read.visual.uv, np.stack([uv[:, 0], 1 - uv[:, 1]], axis=-1), atol=1e-6)
-    picture = np.asarray(read.visual.material.baseColorTexture.convert("RGB"))
-    np.testing.assert_array_equal(picture, texture.image)
+    for part, read in zip(model.parts, scene.geometry.values(), strict=True):
+        np.testing.assert_array_equal(read.vertices.astype(np.float32), part.vertices)
+        np.testing.assert_array_equal(read.faces, part.faces)
+        np.testing.assert_allclose(read.vertex_normals, part.normals, atol=1e-6)
+        uv = part.uv
+        np.testing.assert_allclose(read.visual.uv, np.stack([uv[:, 0], 1 - uv[:, 1]], axis=-1), atol=1e-6)
+        picture = np.asarray(read.visual.material.baseColorTexture.convert("RGB"))
+        np.testing.assert_array_equal(picture, part.tile.pixels())
     # One root node rotates the scanner frame: its forward axis is the viewers' direction, its up is their up.
-    (node,) = scene.graph.nodes_geometry
-    turn = scene.graph[node][0][:3, :3]
-    np.testing.assert_allclose(turn @ np.eye(3), np.array([[0, -1, 0], [0, 0, 1], [-1, 0, 0]]), atol=1e-6)
+    for node in scene.graph.nodes_geometry:
+        turn = scene.graph[node][0][:3, :3]
+        np.testing.assert_allclose(turn @ np.eye(3), np.array([[0, -1, 0], [0, 0, 1], [-1, 0, 0]]), atol=1e-6)
 
 
-def test_for_viser_the_root_is_the_scanner_frame(scan, texture):
-    document, _ = parts(glb_bytes(scan_mesh(scan), texture.image, for_viser=True))
-    assert not {"rotation", "matrix", "scale", "translation"} & document["nodes"][0].keys()
+def test_large_textures_are_jpeg_and_the_file_is_always_the_same(tmp_path, scan, photo):
+    camera = photo.camera.resized(1200, 900)
+    large = Photo(np.repeat(np.repeat(photo.pixels, 10, axis=0), 10, axis=1), camera)
+    model = model_of(scan, large, texture_scan(scan, large, POSE))
+    for name in ("one.glb", "two.glb"):
+        write_model_glb(tmp_path / name, model)
+    glb = Glb((tmp_path / "one.glb").read_bytes())
+    assert [image["mimeType"] for image in glb.document["images"]] == ["image/jpeg", "image/png"]
+    tile = model.parts[0].tile
+    difference = glb.image(0).astype(int) - large.pixels[tile.top :, tile.left :][: tile.height, : tile.width]
+    assert np.sqrt(np.mean(np.square(difference))) < 2.5
+    assert (tmp_path / "one.glb").read_bytes() == (tmp_path / "two.glb").read_bytes()
 
 
-def test_a_texture_too_large_is_reduced(scan):
-    trimesh = pytest.importorskip("trimesh")
-    import io
+def test_a_given_pose_is_marked_and_the_progress_is_told(tmp_path, scan, photo, texture):
+    said = []
+    write_model_glb(tmp_path / "a.glb", model_of(scan, photo, texture), mark="given, not verified", report=said.append)
+    document = Glb((tmp_path / "a.glb").read_bytes()).document
+    assert document["asset"]["extras"] == {"pose": "given, not verified"}
+    assert document["nodes"][0]["extras"]["pose"] == "given, not verified"
+    assert [one.done for one in said] == sorted(one.done for one in said)
+    assert max(one.done for one in said) <= said[0].total
 
-    data = glb_bytes(scan_mesh(scan, step=4), np.full((6, 20_000, 3), 90, np.uint8))
-    (read,) = trimesh.load(io.BytesIO(data), file_type="glb").geometry.values()
-    assert read.visual.material.baseColorTexture.size == (8192, 2)
 
-
-def test_an_empty_model_is_refused_with_a_reason():
+def test_an_empty_model_is_refused_with_a_reason(tmp_path):
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), (4, 4))
     with pytest.raises(ExportError, match="no surface"):
         glb_bytes(empty, np.zeros((4, 4, 3), np.uint8))
+    with pytest.raises(ExportError, match="no surface"):
+        write_model_glb(tmp_path / "a.glb", PhotoModel((), 0.0, 0.3))
     one = Mesh(np.eye(3), np.array([[0, 1, 2]]), np.array([[0, 0], [0, 1], [1, 0]]), (2, 2))
     with pytest.raises(ShapeError, match="texture"):
         glb_bytes(one, np.zeros((4, 4), np.uint8))

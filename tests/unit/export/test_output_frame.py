@@ -16,8 +16,9 @@ from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.mesh import scan_mesh
-from tests.unit.export.samples import sample_registration
+from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
+from ladarreg_core.surface.texture import texture_scan
+from tests.unit.export.samples import POSE, sample_registration
 
 trimesh = pytest.importorskip("trimesh")
 UTM = Rigid.from_rotvec([0.3, -0.2, 2.1], (500_123.4567, 5_412_345.6789, 102.3456))
@@ -38,7 +39,7 @@ def written(tmp_path_factory: pytest.TempPathFactory, scan: Scan, photo: Photo) 
     return folder
 
 
-def test_no_millimetre_of_utm_coordinates_is_lost(written: Path, scan: Scan) -> None:
+def test_no_millimetre_of_utm_coordinates_is_lost(written: Path, scan: Scan, photo: Photo) -> None:
     stated = json.loads((written / "offset.json").read_text(encoding="utf-8"))
     offset = np.array(stated["offset_m"])
     assert offset.tolist() == [500_100, 5_412_300, 100]
@@ -54,12 +55,14 @@ def test_no_millimetre_of_utm_coordinates_is_lost(written: Path, scan: Scan) -> 
     assert "comment offset_m 500100 5412300 100\n" in header
 
     scene = trimesh.load(written / "model.glb")
-    (name,) = scene.geometry
     transform, _ = scene.graph[scene.graph.nodes_geometry[0]]
     np.testing.assert_allclose(transform[:3, :3], Y_UP_FROM_Z_UP, atol=1e-7)  # trimesh applies it where it draws
-    vertices = np.asarray(scene.geometry[name].vertices, float)
-    there = exact(scan_mesh(scan).vertices).astype(float)
-    np.testing.assert_allclose(vertices + offset, there, rtol=0, atol=1e-4)
+    texture = texture_scan(scan, photo, POSE)
+    model = photo_model(scan, [ModelPhoto(photo.pixels, photo.camera, POSE, texture.labels)])
+    for part, read in zip(model.parts, scene.geometry.values(), strict=True):
+        there = exact(part.vertices).astype(float)
+        np.testing.assert_allclose(np.asarray(read.vertices, float) + offset, there, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(read.vertex_normals, part.normals @ UTM.rotation.T, atol=1e-6)
     (node,) = glb_document(written / "model.glb")["nodes"]
     assert node["extras"] == {"frame": "world", "offset_m": offset.tolist()}
 
