@@ -83,7 +83,7 @@ def test_every_picture_is_of_the_camera_that_was_estimated(tmp_path, registratio
 def test_results_are_refused_or_replaced(tmp_path, registration, scan, photo):
     out = tmp_path / "out"
     old = earlier(out)
-    with pytest.raises(ExportError, match=r"earlier results .*--force"):
+    with pytest.raises(ExportError, match=r"earlier results .*force=True"):
         export_registration(out, registration, scan, photo)
     assert held(out) == old
     export_registration(out, registration, scan, photo, force=True)
