@@ -111,7 +111,7 @@ def test_the_next_try_needs_no_force_but_what_is_somebodys_work_does(
     document = refused / "registration.json"
     kept = document.read_text()
     document.write_text(json.dumps({**json.loads(kept), "evidence": "given"}))
-    with pytest.raises(ExportError, match="--force"):  # a given pose is not accepted, and yet a result to keep
+    with pytest.raises(ExportError, match="earlier results"):  # a given pose is not accepted, and yet a result to keep
         check_folder(refused)
     document.write_text(kept)
     check_folder(refused)
