@@ -37,10 +37,12 @@ def kalibr_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None
             refused.append(f"the lens of {name} has {len(terms)} terms, of which more than the first four are not zero")
     if not refused:
         return None
+    panoramas = any(one.camera.model == "equirectangular" for one in handed.photos)
+    others = "colmap or nerfstudio" if panoramas else "opencv or ros"  # these two refuse panoramas, too
     more = f"; so are {len(refused) - 3} more photographs" if len(refused) > 3 else ""
     return (
         f"{'; '.join(refused[:3])}{more}; Kalibr has pinholes with k1 k2 p1 p2 and fisheyes with k1 to k4: calibrate "
-        "with one of these, leave the photograph out, or export to opencv or ros"
+        f"with one of these, leave the photograph out, or export to {others}"
     )
 
 

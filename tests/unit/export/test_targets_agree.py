@@ -36,7 +36,7 @@ POSES = {
     "left": Rigid.from_centre(rotation_from_rotvec((0.05, -0.1, 0.2)) @ CAMERA_AXES_FROM_SCANNER, (0.1, 0.3, 0.05)),
     "right": Rigid.from_centre(CAMERA_AXES_FROM_SCANNER @ rotation_from_rotvec((0, 0, -0.2)), (0.0, -0.4, -0.1)),
 }
-TARGETS = ("colmap", "nerfstudio", "e57", "ros", "laz", "ply", "opencv", "kalibr", "tiles")
+TARGETS = ("colmap", "nerfstudio", "e57", "ros", "laz", "ply", "opencv", "kalibr", "glb", "obj", "tiles")
 OPENGL = np.diag([1.0, -1.0, -1.0])
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 SINGLE_M, LASER_M, TURN = 2e-5, 1e-4, 1e-9
@@ -215,6 +215,24 @@ def read_kalibr(folder: Path) -> Read:
     return Read(views=views)
 
 
+def read_glb(folder: Path) -> Read:
+    """Return the corners as trimesh places them in glTF's axes (y up), turned to z up."""
+    scene = trimesh.load(folder / "model.glb")
+    offset = np.array(Glb((folder / "model.glb").read_bytes()).document["nodes"][0]["extras"]["offset_m"])
+    corners = [
+        _homogeneous(scene.graph[name][0], scene.geometry[scene.graph[name][1]].vertices)
+        for name in scene.graph.nodes_geometry
+    ]
+    return Read(np.concatenate(corners) @ Z_UP_FROM_Y_UP.T + offset)
+
+
+def read_obj(folder: Path) -> Read:
+    lines = (folder / "model.obj").read_text(encoding="utf-8").splitlines()
+    stated = next(line.split()[2:] for line in lines if line.startswith("# offset_m"))
+    corners = [line.split()[1:4] for line in lines if line.startswith("v ")]
+    return Read(np.array(corners, float) + np.array(stated, float))
+
+
 def read_tiles(folder: Path) -> Read:
     root = json.loads((folder / "tileset.json").read_text())["root"]
     transform, points = np.array(root["transform"]).reshape(4, 4).T, []
@@ -282,7 +300,11 @@ def test_points(name: str, found: dict[str, Read], truth: np.ndarray) -> None:
     assert points is not None
     limit = LASER_M if name == "laz" else SINGLE_M
     far = distances(points, truth)
-    if name == "tiles":  # its triangles are cut where a photograph ends: such corners lie between returns
+    if name in (
+        "glb",
+        "obj",
+        "tiles",
+    ):  # triangles are cut where a photograph ends, between returns
         far = np.where(far < limit, far, distance_to_walls(points))
         assert (distances(points, truth) < limit).mean() > 0.8
     assert far.max() < limit
@@ -293,7 +315,7 @@ def test_points(name: str, found: dict[str, Read], truth: np.ndarray) -> None:
     assert distances(control, truth).max() > 0.5, "the transposed rotation of the world"
 
 
-@pytest.mark.parametrize("name", [name for name in TARGETS if name not in ("laz", "ply", "tiles")])
+@pytest.mark.parametrize("name", [name for name in TARGETS if name not in ("laz", "ply", "glb", "obj", "tiles")])
 def test_poses_and_pixels(name: str, found: dict[str, Read], truth: np.ndarray) -> None:
     views = found[name].views
     assert views is not None
