@@ -38,7 +38,8 @@ def read_registration(path: PathLike) -> Registration:
     """
     with reading(path) as file, parsed_once():
         fields = read_json_object(file, "a registration")
-        refused = fields.get("accepted") is False and fields.get(POSE_FIELD) is None and GUESS_FIELD in fields
+        refused = fields.get("accepted") is False and fields.get("evidence") != "given"  # a given pose is shown
+        refused = refused and fields.get(POSE_FIELD) is None and GUESS_FIELD in fields
         has_pose = not refused or fields[GUESS_FIELD] is not None
         pose = read_pose(path, field=GUESS_FIELD if refused else POSE_FIELD) if has_pose else Rigid.identity()
         if not isinstance(fields.get("camera"), dict) or not isinstance(fields.get("accepted"), bool):

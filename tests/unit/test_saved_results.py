@@ -161,6 +161,18 @@ def test_damaged_records_are_refused(inputs: Path, tmp_path: Path, broken: dict[
         read_saved_result(tmp_path / "out")
 
 
+def test_a_given_pose_that_is_missing_is_not_taken_for_a_refused_one(inputs: Path, tmp_path: Path) -> None:
+    """Otherwise the identity would be exported as the pose."""
+    given = {**results(tmp_path / "out", inputs).document, "accepted": False, "evidence": "given"}
+    file = tmp_path / "out" / "registration.json"
+    file.write_text(json.dumps(given))
+    assert registered_scan([read_saved_result(tmp_path / "out")], folders=[inputs]).marks
+    for guess in (None, given["camera_from_scanner"]):
+        file.write_text(json.dumps({**given, "camera_from_scanner": None, "rejected_guess": guess}))
+        with pytest.raises(FormatError, match="camera_from_scanner"):
+            read_saved_result(tmp_path / "out")
+
+
 def test_the_options_are_those_of_the_same_files_only(inputs: Path, tmp_path: Path) -> None:
     results(tmp_path / "out", inputs)
     file, scan, photo = tmp_path / "out" / "registration.json", inputs / "two.ptx", inputs / "Größe 1.png"
