@@ -7,13 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.scanner.pan_tilt import (
     azimuth_elevation_from_spherical,
     pan_tilt_pose,
     rays_from_spherical,
+    rays_of_line,
     spherical_from_azimuth_elevation,
     spherical_from_points,
+    turned_by_unit,
 )
 
 ANGLES = st.floats(-1.4, 1.4)
@@ -62,8 +65,31 @@ def test_tilt_adds_to_the_elevation(azimuth: float, elevation: float, tilt: floa
 
 
 def test_the_mount_turns_with_the_unit() -> None:
-    pose = pan_tilt_pose(np.pi / 2, 0.0, mount=(0.2, 0.0, 0.1))
+    pose = pan_tilt_pose(np.pi / 2, 0.0, unit_from_scanner=Rigid(np.eye(3), np.array([0.2, 0.0, 0.1])))
     np.testing.assert_allclose(pose @ np.zeros(3), [0.0, 0.2, 0.1], atol=1e-15)
+
+
+@given(st.floats(-3, 3), st.floats(-0.8, 0.6), st.tuples(*[st.floats(-3, 3)] * 3), st.tuples(*[st.floats(-1, 1)] * 3))
+def test_many_positions_at_once_are_those_one_by_one(
+    pan: float, tilt: float, turn: tuple[float, float, float], lever: tuple[float, float, float]
+) -> None:
+    mount = Rigid.from_rotvec(turn, lever)
+    points = np.array([[2.0, 1.0, -0.5], [0.0, 0.0, 0.0], [-3.0, 0.2, 4.0]])
+    pans, tilts = pan + np.array([0.0, 0.5, -1.0]), tilt + np.array([0.0, -0.1, 0.2])
+    wanted = [pan_tilt_pose(a, b, unit_from_scanner=mount) @ p for a, b, p in zip(pans, tilts, points, strict=True)]
+    np.testing.assert_allclose(turned_by_unit(mount @ points, pans, tilts), wanted, atol=1e-12)
+    np.testing.assert_allclose(
+        turned_by_unit(mount @ points, pan, tilt),
+        pan_tilt_pose(pan, tilt, unit_from_scanner=mount) @ points,
+        atol=1e-12,
+    )
+
+
+def test_an_upright_line_scans_from_the_zenith_over_ahead_to_the_nadir() -> None:
+    # Rx(90 deg): what was left in the scanner's plane is up in the unit's frame.
+    upright = Rigid.from_rotvec([np.pi / 2, 0, 0])
+    rays = turned_by_unit(upright @ rays_of_line([np.pi / 2, 0.0, -np.pi / 2, np.pi]), np.pi / 2, 0.0)
+    np.testing.assert_allclose(rays, [[0, 0, 1], [0, 1, 0], [0, 0, -1], [0, -1, 0]], atol=1e-15)
 
 
 def test_the_thesis_form_of_the_columns_is_half_a_step_off() -> None:
