@@ -97,12 +97,13 @@ class Page:
 
 
 @contextmanager
-def served(project: Path, *, port: int = 0) -> Iterator[tuple[Served, float]]:
-    """Start a server on the sample; also yield the time until its first picture, s."""
+def served(project: Path, *, port: int = 0, photo: Path | None = None) -> Iterator[tuple[Served, float]]:
+    """Start a server on the sample or its scan and another photo; also yield the time until its first picture, s."""
     folder = sample_folder()
+    photo = photo or next(folder.glob("photo.*"))
     begun = time.perf_counter()
     process = subprocess.Popen(
-        [sys.executable, "-m", "ladarreg", "serve", str(folder / "scan.npz"), str(next(folder.glob("photo.*"))),
+        [sys.executable, "-m", "ladarreg", "serve", str(folder / "scan.npz"), str(photo),
          "--project", str(project), "--port", str(port), "--no-browser"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
     )  # fmt: skip

@@ -30,12 +30,14 @@ from ..session.loader import Loader
 from ..session.session import Session
 
 if TYPE_CHECKING:
+    from ladarreg_core.arrays import ByteArray
     from ladarreg_core.inspection.model_textures import Legend
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry
     from ladarreg_core.results import PoseResult
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.mesh import Mesh
+    from ladarreg_core.surface.texture import RegisteredTexture
 
 NO_PHOTO = "none"
 """Stands for the id of a photograph where there is none."""
@@ -44,6 +46,8 @@ _OF_CODES = ("label",)
 """Textures whose colours are codes, which a lossy format would blur."""
 _NEED_VISIBILITY = ("resolution", "label")
 _LOSSY_QUALITY = 84
+_PHOTO_QUALITY = 90
+_FACES_PER_VERTEX = 4  # of a photo layer; a surface has two before it is divided
 
 
 class Detail(NamedTuple):
@@ -53,9 +57,13 @@ class Detail(NamedTuple):
     """Largest number of vertices of the mesh."""
     texture_px: int
     """Longer side of the texture."""
+    photo_px: int
+    """Longer side of the photograph that is drawn over the texture; 0: none is drawn."""
 
 
-LEVELS = dict(zip(DETAILS, (Detail(12_000, 768), Detail(60_000, 2048), Detail(250_000, 8192)), strict=True))
+LEVELS = dict(
+    zip(DETAILS, (Detail(12_000, 768, 0), Detail(60_000, 2048, 4096), Detail(250_000, 8192, 8192)), strict=True)
+)
 
 
 class ModelParts:
@@ -68,8 +76,8 @@ class ModelParts:
         """Return a part.
 
         Args:
-            name: `mesh` or `texture`.
-            query: `detail`, and of a texture `photo`, `kind` and `z_buffer`; see docs/workbench.md.
+            name: `mesh`, `texture`, `layer` or `photo`.
+            query: `detail`, of all but a mesh `photo`, and of a texture `kind` and `z_buffer`; see docs/workbench.md.
 
         Raises:
             LadarregError: if there is no such part, or it needs an accepted pose.
@@ -85,6 +93,8 @@ class ModelParts:
             return self._loader.cached("model", ("mesh", detail), lambda: _mesh_part(scan, LEVELS[detail].vertices))
         if name == "texture":
             return self._texture_part(document, scan, query, LEVELS[detail].texture_px)
+        if name in ("layer", "photo"):
+            return self._photo_part(document, scan, name, query, LEVELS[detail])
         raise OptionError(f"the model has no part {name[:20]!r}")
 
     def slice(self, document: Document, entry: PhotoEntry | None) -> dict[str, Any]:
@@ -127,16 +137,38 @@ class ModelParts:
             "model", key, lambda: ((pose, photo), _picture_of(make(), longest_px, lossless=kind in _OF_CODES))
         )[1]
 
+    def _photo_part(
+        self, document: Document, scan: Scan, name: str, query: Mapping[str, str], level: Detail
+    ) -> Picture:
+        entry = document.photo(query.get("photo", NO_PHOTO))
+        result = _accepted_only(self._result(entry))
+        if entry is None or result is None or not result.accepted:
+            raise OptionError("the photograph is drawn on the model only with an accepted pose")
+        if not level.photo_px:
+            raise OptionError("the photograph is not drawn on the coarse model")
+        pose, photo = entry.pose, self._loader.photo(entry)
+        if name == "photo":
+            return self._loader.cached(
+                "model", ("photo", level.photo_px, id(photo)), lambda: (photo, _photo_picture(photo, level.photo_px))
+            )[1]
+        registered = self._registered(scan, photo, result)
+        return self._loader.cached(
+            "model",
+            ("layer", level.vertices, id(pose), id(photo)),
+            lambda: ((pose, photo), _layer_part(scan, photo, result, registered.labels, level)),
+        )[1]
+
     def _make_texture(
         self, scan: Scan, kind: str, photo: Photo | None, result: PoseResult | None, *, z_buffer: bool
     ) -> ModelTexture:
         registered = None
         if photo is not None and result is not None and (kind in _NEED_VISIBILITY or (kind == "colour" and z_buffer)):
-            key = ("registered", id(result), id(photo))
-            registered = self._loader.cached(
-                "model", key, lambda: ((result, photo), registered_texture(scan, photo, result))
-            )[1]
+            registered = self._registered(scan, photo, result)
         return model_texture(scan, kind, photo=photo, result=result, z_buffer=z_buffer, registered=registered)
+
+    def _registered(self, scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
+        key = ("registered", id(result), id(photo))
+        return self._loader.cached("model", key, lambda: ((result, photo), registered_texture(scan, photo, result)))[1]
 
 
 def _accepted_only(result: PoseResult | None) -> PoseResult | None:
@@ -156,8 +188,36 @@ def legend_entries(legend: Legend) -> dict[str, Any]:
 def _mesh_part(scan: Scan, most_vertices: int) -> Picture:
     from ladarreg_core.export.packed_mesh import packed_mesh
 
-    data = packed_mesh(surface_or_facets(scan, most_vertices))
+    return _packed(packed_mesh(surface_or_facets(scan, most_vertices)))
+
+
+def _layer_part(scan: Scan, photo: Photo, result: PoseResult, labels: ByteArray, level: Detail) -> Picture:
+    """Return the mesh that the photograph is drawn on; without data if it would show no more than the texture does."""
+    from ladarreg_core.export.packed_mesh import packed_mesh
+    from ladarreg_core.surface.photo_layer import photo_layer, shows_more_detail
+    from ladarreg_core.surface.photo_model import ModelPhoto
+
+    if not shows_more_detail(scan, result.camera, photo_px=level.photo_px, texture_px=level.texture_px):
+        return _packed(b"")
+    mesh = surface_or_facets(scan, level.vertices)
+    seen_by = ModelPhoto(photo.pixels, result.camera, result.camera_from_scanner, labels)
+    most_faces = _FACES_PER_VERTEX * level.vertices
+    layer = photo_layer(scan, mesh, seen_by, shown_px=level.photo_px, most_faces=most_faces)
+    return _packed(packed_mesh(layer) if len(layer.faces) else b"")
+
+
+def _packed(data: bytes) -> Picture:
     return Picture(data, "application/octet-stream", hashlib.sha256(data).hexdigest()[:16])
+
+
+def _photo_picture(photo: Photo, longest_px: int) -> Picture:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    pixels = small_picture(photo.pixels, longest_px)
+    Image.fromarray(pixels).save(buffer, "WEBP", quality=_PHOTO_QUALITY, method=2)
+    data = buffer.getvalue()
+    return Picture(data, "image/webp", hashlib.sha256(data).hexdigest()[:16])
 
 
 def surface_or_facets(scan: Scan, most_vertices: int) -> Mesh:

@@ -7,8 +7,10 @@ import json
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -28,7 +30,7 @@ TEXTURE = "Texture of the model"
 MESHES = """() => {
   let count = 0;
   window.__viserMutable.scene.traverse((o) => {
-    const big = o.isMesh && (o.geometry.attributes.position?.count ?? 0) > 1000;
+    const big = o.isMesh && o.name !== 'photo layer' && (o.geometry.attributes.position?.count ?? 0) > 1000;
     if (big) { let seen = true; for (let p = o; p; p = p.parent) seen &&= p.visible; count += seen; }
   });
   return count;
@@ -44,19 +46,39 @@ PROJECTED = """() => {
     return [(at.x + 1) / 2 * innerWidth, (1 - at.y) / 2 * innerHeight];
   });
 }"""
+LAYER = """() => {
+  const { camera, scene } = window.__viserMutable;
+  const layer = scene.getObjectByName("photo layer");
+  if (!layer) return null;
+  layer.updateWorldMatrix(true, false);
+  const { position, uv } = layer.geometry.attributes;
+  const { width, height } = layer.material.map.source.data;
+  const every = Array.from({ length: Math.floor(position.count / 7) }, (_, k) => 7 * k);
+  const project = (k) => {
+    const at = camera.position.clone().fromArray(position.array, 3 * k);
+    const { x, y } = at.applyMatrix4(layer.matrixWorld).project(camera);
+    return [(x + 1) / 2 * innerWidth, (1 - y) / 2 * innerHeight];
+  };
+  return [every.map(project), every.map((k) => [uv.array[2 * k], uv.array[2 * k + 1]]), [width, height]];
+}"""
 
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """A workbench with the registered sample."""
     with served(tmp_path_factory.mktemp("model") / "project") as (found, _):
-        socket = Socket(found)
-        camera = json.loads((sample_folder() / "camera.json").read_text())
-        assert socket.ask("set_camera", photo="p1", focal_px=camera["fx"])["ok"]
-        assert socket.ask("run", photo="p1", job="auto")["ok"]
-        socket.until(lambda slices: slices["photos"][0]["state"] == "accepted", 240)
-        socket.socket.close()
+        register(found)
         yield found
+
+
+def register(server: Served, *, finer: int = 1) -> None:
+    """Register the sample's photograph, or one of it that has `finer` times the pixels in both directions."""
+    socket = Socket(server)
+    camera = json.loads((sample_folder() / "camera.json").read_text())
+    assert socket.ask("set_camera", photo="p1", focal_px=finer * camera["fx"])["ok"]
+    assert socket.ask("run", photo="p1", job="auto")["ok"]
+    socket.until(lambda slices: slices["photos"][0]["state"] == "accepted", 240)
+    socket.socket.close()
 
 
 class Visit:
@@ -208,3 +230,51 @@ def test_the_view_serves_as_a_rough_pose(visit: Visit, server: Served) -> None:
     socket.until(lambda slices: (slices["job"]["kind"], slices["job"]["state"]) == ("refine", "done"), 240)
     socket.until(lambda slices: slices["photos"][0]["state"] == "accepted", 60)
     socket.socket.close()
+
+
+def test_a_finer_photograph_is_drawn_with_its_own_pixels(browser: Browser, tmp_path: Path) -> None:
+    """All of its pixels are where the camera saw them, and are what is seen: a test card in its place appears."""
+    finer = 3
+    pixels = np.asarray(Image.open(next(sample_folder().glob("photo.*"))).convert("RGB"))
+    large = cv2.resize(pixels, None, fx=finer, fy=finer, interpolation=cv2.INTER_CUBIC)
+    Image.fromarray(large).save(tmp_path / "finer.png")
+    height, width = large.shape[:2]
+    row, column = np.mgrid[:height, :width] // 128
+    colors = np.array([(200, 40, 40), (40, 160, 60), (50, 70, 200), (220, 190, 60)], np.uint8)
+    card = colors[(row + 2 * column) % 4]
+    encoded = io.BytesIO()
+    Image.fromarray(card).save(encoded, "PNG")
+    with served(tmp_path / "project", photo=tmp_path / "finer.png") as (server, _):
+        register(server, finer=finer)
+        visit = Visit(browser, server)
+        visit.page.route(
+            "**/picture/model/photo*", lambda route: route.fulfill(body=encoded.getvalue(), content_type="image/png")
+        )
+        page, frame = visit.page, visit.drawn()
+        page.get_by_role("button", name="Display", exact=True).click()
+        page.get_by_role("checkbox", name="Legend").uncheck()
+        page.keyboard.press("Escape")
+        page.keyboard.press("m")
+        page.get_by_role("button", name="Camera", exact=True).click()
+        frame.wait_for_function(LAYER)
+
+        def card_is_seen(_: np.ndarray) -> bool:
+            shot = np.asarray(Image.open(io.BytesIO(page.locator(".model-frame").screenshot())).convert("RGB"))
+            on_screen, uv, size = (np.array(part) for part in frame.evaluate(LAYER))
+            assert size.tolist() == [width, height]
+            warp, near = cv2.findHomography(uv * size - 0.5, on_screen, cv2.RANSAC, 1.0)
+            if near.mean() < 0.98:  # the view still flies to the camera, from which the photograph is undistorted
+                return False
+            inside = on_screen[
+                (on_screen > 40).all(axis=1) & (on_screen < np.array(shot.shape[1::-1]) - 40).all(axis=1)
+            ]
+            places = cv2.perspectiveTransform(inside[None], np.linalg.inv(warp))[0].round().astype(int)
+            clear = ((places % 128 > 24) & (places % 128 < 104)).all(axis=1)
+            u, v = inside[clear].round().astype(int).T
+            off = np.abs(shot[v, u].astype(int) - card[places[clear, 1], places[clear, 0]].astype(int)).max(axis=1)
+            return bool(
+                clear.sum() > 300 and (off < 12).mean() > 0.8
+            )  # vertices at edges of the surface show what is beside it
+
+        visit.until(card_is_seen, "the test card where the photograph's pixels belong")
+        visit.context.close()

@@ -3,7 +3,7 @@
 import { store } from "../net/store.js";
 import { isRunning } from "../state/pipeline.js";
 import { whenFirstPicturesArrived } from "../ui/first_pictures.js";
-import { meshAddress, ModelParts, textureAddress } from "./model_parts.js";
+import { layerAddress, meshAddress, ModelParts, textureAddress } from "./model_parts.js";
 import { ModelSurface } from "./model_surface.js";
 
 const LOOK_MS = 250;
@@ -98,7 +98,12 @@ export class ModelLoader {
       texture: textureAddress(store.shown(), kind, model, textureDetail),
     });
     const fine = at(moves ? "coarse" : model.detail, model.detail);
-    return this.#drawn || model.detail === "coarse" ? [fine] : [at("coarse", "coarse"), fine];
+    const stages = this.#drawn || model.detail === "coarse" ? [fine] : [at("coarse", "coarse"), fine];
+    const photo = store.shown();
+    if (kind !== "colour" || !photo || !model.accepted || !model.z_buffer || moves || model.detail === "coarse") {
+      return stages;
+    }
+    return [...stages, { ...fine, layer: layerAddress(photo, model, model.detail) }];
   }
 
   async #load(stages, goal) {
@@ -108,7 +113,7 @@ export class ModelLoader {
     const still = () => this.#running === run;
     try {
       await whenFirstPicturesArrived();
-      for (const { mesh, texture } of stages) {
+      for (const { mesh, texture, layer } of stages) {
         const options = (name) => ({
           signal: abort.signal,
           progress: (got, total) => still() && this.count(name, got, total),
@@ -118,6 +123,15 @@ export class ModelLoader {
           this.#parts.texture(texture, options("texture")),
         ]);
         await this.#untilReady(still);
+        if (layer) {
+          const progress = (name) => options(name).progress;
+          const found = await this.#parts.layer(layer, { signal: abort.signal, progress });
+          if (!still() || !(await this.#surface.drawLayer(found, still))) return;
+          this.#drawn = { mesh, texture, layer };
+          this.#meter.clear();
+          this.#tell({});
+          continue;
+        }
         if (!still() || !(await this.#surface.draw(arrays, blob, still))) return;
         this.#drawn = { mesh, texture };
         this.#meter.clear();
@@ -138,4 +152,4 @@ export class ModelLoader {
   }
 }
 
-const same = (a, b) => a !== null && b !== null && a.mesh === b.mesh && a.texture === b.texture;
+const same = (a, b) => a !== null && b !== null && a.mesh === b.mesh && a.texture === b.texture && a.layer?.mesh === b.layer?.mesh;

@@ -14,6 +14,12 @@ export const meshAddress = (scan, detail) => addressOf("mesh", { detail, rev: sc
 export const textureAddress = (photo, kind, { z_buffer, rev }, detail) =>
   addressOf("texture", { photo: photo ?? "none", kind, z_buffer: z_buffer ? 1 : 0, detail, rev });
 
+/** @returns {{mesh: string, picture: string}} the triangles that the camera sees, and the photograph to draw on them */
+export const layerAddress = (photo, { rev }, detail) => ({
+  mesh: addressOf("layer", { photo, detail, rev }),
+  picture: addressOf("photo", { photo, detail, rev }),
+});
+
 /**
  * Download a part.
  * @param {string} address
@@ -93,6 +99,7 @@ const legendOf = (headers) => {
 export class ModelParts {
   #meshes = new Map();
   #textures = new Map();
+  #layer = null; // the latest: the largest that the page keeps
 
   /** @returns {Promise<MeshArrays>} */
   async mesh(address, options) {
@@ -112,8 +119,26 @@ export class ModelParts {
     return found;
   }
 
+  /**
+   * @param {{mesh: string, picture: string}} address
+   * @returns {Promise<{arrays: MeshArrays, blob: Blob} | null>} null where the camera sees no triangle
+   */
+  async layer(address, { signal, progress }) {
+    if (this.#layer?.address.mesh === address.mesh) return this.#layer.found;
+    this.#layer = null;
+    const { blob: packed } = await download(address.mesh, { signal, progress: progress("layer") });
+    let found = null;
+    if (packed.size) {
+      const { blob } = await download(address.picture, { signal, progress: progress("photo") });
+      found = { arrays: decodeMesh(await decompressed(packed)), blob };
+    }
+    this.#layer = { address, found };
+    return found;
+  }
+
   /** Drop the meshes of another scan. */
   clear() {
+    this.#layer = null;
     this.#meshes.clear();
     this.#textures.clear();
   }

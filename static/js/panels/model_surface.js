@@ -4,7 +4,11 @@
  * viser's page exposes for tests; the version of viser is fixed, and tests/e2e/test_model.py notices if they change.
  */
 
+import { largestTexture } from "./software_drawing.js";
+
 const NODE = "/model";
+const LAYER = "photo layer";
+const [REPEAT, TRILINEAR] = [1000, 1008]; // of three.js: RepeatWrapping, LinearMipmapLinearFilter
 const MARKS = ["/matches/points", "/highlight/halo", "/highlight/point"];
 
 /** Marks keep between these sizes on the screen, and fade where they would cover the surface or crowd it. */
@@ -20,11 +24,37 @@ const meshIn = (node) => {
   return found;
 };
 
+/** Arrays of another window are not recognised by the library inside the frame: they are copied into its own. */
+const geometryOf = (like, arrays, inner) => {
+  const Attribute = like.attributes.position.constructor;
+  const geometry = new like.constructor();
+  geometry.setAttribute("position", new Attribute(new inner.Float32Array(arrays.positions), 3));
+  geometry.setAttribute("uv", new Attribute(new inner.Float32Array(arrays.uv), 2));
+  geometry.setIndex(new Attribute(new inner.Uint32Array(arrays.faces), 1));
+  geometry.computeBoundingSphere();
+  return geometry;
+};
+
+/** @returns {Promise<ImageBitmap>} the picture, reduced to what the graphics card takes */
+const decoded = async (inner, blob) => {
+  const options = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
+  const whole = await inner.createImageBitmap(blob, options);
+  const longest = Math.max(whole.width, whole.height);
+  const most = largestTexture();
+  if (longest <= most) return whole;
+  const [width, height] = [whole.width, whole.height].map((n) => Math.max(1, Math.floor((n * most) / longest)));
+  const sizes = { resizeWidth: width, resizeHeight: height, resizeQuality: "high" };
+  const small = await inner.createImageBitmap(whole, { ...options, ...sizes });
+  whole.close();
+  return small;
+};
+
 /** The window of viser's page, with what it exposes. */
 export class ModelSurface {
   #frame;
   #mesh = null;
   #own = null;
+  #layer = null;
 
   /** @param {HTMLIFrameElement} frame */
   constructor(frame) {
@@ -53,6 +83,7 @@ export class ModelSurface {
     const bitmap = await inner.createImageBitmap(picture, { premultiplyAlpha: "none", colorSpaceConversion: "none" });
     const mesh = this.#find();
     if (!mesh || !still()) return false;
+    this.#dropLayer();
     this.#setTexture(mesh, bitmap);
     if (this.#own?.arrays !== arrays || this.#mesh !== mesh) this.#setGeometry(mesh, arrays, inner);
     this.#mesh = mesh;
@@ -61,8 +92,42 @@ export class ModelSurface {
     return true;
   }
 
+  /**
+   * Draw the photograph over the surface, where the camera sees it.
+   * @param {{arrays: import("./model_parts.js").MeshArrays, blob: Blob} | null} found null: the camera sees nothing
+   * @param {() => boolean} still whether it is still wanted once the picture is decoded
+   * @returns {Promise<boolean>} whether it was drawn
+   */
+  async drawLayer(found, still) {
+    const inner = this.#frame.contentWindow;
+    const bitmap = found && (await decoded(inner, found.blob));
+    const mesh = this.#find();
+    if (!mesh || mesh !== this.#mesh || !still()) return false;
+    this.#dropLayer();
+    if (!found) return true;
+    const material = mesh.material.clone();
+    material.map = mesh.material.map.clone();
+    material.map.source = new mesh.material.map.source.constructor(bitmap);
+    material.map.wrapS = REPEAT; // triangles across the seam of a panorama
+    material.map.minFilter = TRILINEAR;
+    material.map.generateMipmaps = true;
+    material.map.needsUpdate = true;
+    material.polygonOffset = true; // in front of the surface that it lies on
+    material.polygonOffsetFactor = -1;
+    material.polygonOffsetUnits = -4;
+    const layer = new mesh.constructor(geometryOf(mesh.geometry, found.arrays, inner), material);
+    layer.name = LAYER;
+    layer.raycast = () => {}; // clicks are the surface's
+    mesh.add(layer);
+    this.#layer = layer;
+    this.#viewer.requestRender();
+    await this.#nextFrames(2);
+    return true;
+  }
+
   /** Show nothing. */
   clear() {
+    this.#dropLayer();
     const mesh = this.#find();
     if (mesh && this.#own) mesh.visible = false;
     this.#mesh = null;
@@ -117,19 +182,23 @@ export class ModelSurface {
     before.dispose();
   }
 
-  /** Arrays of another window are not recognised by the library inside the frame: they are copied into its own. */
   #setGeometry(mesh, arrays, inner) {
     const before = mesh.geometry;
-    const Attribute = before.attributes.position.constructor;
-    const geometry = new before.constructor();
-    geometry.setAttribute("position", new Attribute(new inner.Float32Array(arrays.positions), 3));
-    geometry.setAttribute("uv", new Attribute(new inner.Float32Array(arrays.uv), 2));
-    geometry.setIndex(new Attribute(new inner.Uint32Array(arrays.faces), 1));
-    geometry.computeBoundingSphere();
+    const geometry = geometryOf(before, arrays, inner);
     mesh.geometry = geometry;
     mesh.visible = true;
     this.#own = { arrays };
     before.dispose();
+  }
+
+  #dropLayer() {
+    if (!this.#layer) return;
+    this.#layer.removeFromParent();
+    this.#layer.geometry.dispose();
+    this.#layer.material.map.dispose();
+    this.#layer.material.map.source.data.close();
+    this.#layer.material.dispose();
+    this.#layer = null;
   }
 
   #nextFrames(count) {

@@ -8,11 +8,14 @@ import { element } from "../ui/dom.js";
 const KEY = "ladarreg-software-drawing";
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
+let most = 2048; // texture size, px: what any WebGL takes
+
 /** @returns {string | null} name of the WebGL renderer, empty if the browser hides it; null without WebGL */
 const findRenderer = () => {
   const context = document.createElement("canvas").getContext("webgl");
   if (!context) return null;
   const info = context.getExtension("WEBGL_debug_renderer_info");
+  most = context.getParameter(context.MAX_TEXTURE_SIZE);
   const name = context.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : context.RENDERER);
   context.getExtension("WEBGL_lose_context")?.loseContext(); // browsers limit their number
   return String(name);
@@ -26,6 +29,12 @@ export const hasWebGL = () => rendererName() !== null;
 
 /** @returns {boolean} whether the browser renders without a graphics card */
 export const drawsInSoftware = () => SOFTWARE.test(rendererName() ?? "");
+
+/** @returns {number} longer side of the largest texture, px */
+export const largestTexture = () => {
+  rendererName();
+  return most;
+};
 
 const dismissed = () => {
   try {
