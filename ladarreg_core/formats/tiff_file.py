@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,7 +109,12 @@ def _opened(path: Path) -> Any:
 
     try:
         tif = tifffile.TiffFile(path)
-    except (tifffile.TiffFileError, ValueError, KeyError, IndexError, OverflowError, MemoryError) as error:
+        if not len(tif.pages):
+            tif.close()
+            raise IndexError
+    except (struct.error, IndexError) as error:
+        raise FormatError("the TIFF is truncated: it ends before its first image; export it again") from error
+    except (tifffile.TiffFileError, ValueError, KeyError, OverflowError, MemoryError) as error:
         raise FormatError(f"the TIFF is damaged ({one_line(error, 80)}); export it again") from error
     return tif
 

@@ -213,7 +213,7 @@ def dimmed_levels(scan: Scan) -> tuple[float, float]:
 
 def model_rows(scan: Scan, texture: RegisteredTexture, rows: slice, levels: tuple[float, float]) -> NDArray[np.uint8]:
     """Return some rows of `model_picture`, given `dimmed_levels` of the scan."""
-    gray = _dimmed_rows(scan, rows, levels)
+    gray = dimmed_gray(scan.intensity[rows], levels)
     return np.where(texture.coloured_rows(rows)[..., None], texture.image[rows], gray[..., None])
 
 
@@ -223,14 +223,15 @@ def dimmed_picture(scan: Scan) -> NDArray[np.uint8]:
     picture = np.empty(scan.shape, np.uint8)
     for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)
-        picture[rows] = _dimmed_rows(scan, rows, levels)
+        picture[rows] = dimmed_gray(scan.intensity[rows], levels)
     return picture
 
 
-def _dimmed_rows(scan: Scan, rows: slice, levels: tuple[float, float]) -> NDArray[np.uint8]:
+def dimmed_gray(intensity: FloatArray, levels: tuple[float, float]) -> NDArray[np.uint8]:
+    """Return intensities (...,) as gray levels of what no camera sees, given `dimmed_levels` of their scan."""
     low, high = levels
     span = max(high - low, 1e-12)
-    bright = np.clip((scan.intensity[rows] - np.float32(low)) / np.float32(span), 0, 1) * 0.85 + 0.15
+    bright = np.clip((intensity - np.float32(low)) / np.float32(span), 0, 1) * 0.85 + 0.15
     return np.asarray(np.rint(bright * (255 * _UNSEEN_BRIGHTNESS)).astype(np.uint8))
 
 

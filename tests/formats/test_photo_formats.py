@@ -82,6 +82,14 @@ def test_what_no_decoder_reads_is_refused_with_a_way_out(tmp_path: Path) -> None
         read_photo(tmp_path / "a.heic", focal_px=60)
 
 
+@pytest.mark.parametrize("first", [b"II*\0", b"II*\0\x08\0\0\0", b"MM\0*\0\0\0\x08"])
+def test_a_tiff_that_ends_before_its_image_is_said_to_be_truncated(tmp_path: Path, first: bytes) -> None:
+    path = tmp_path / "raw.cr2"
+    path.write_bytes(first)
+    with pytest.raises(FormatError, match="truncated"):
+        describe(path)
+
+
 def test_a_strip_that_holds_more_than_it_may_is_refused(tmp_path: Path) -> None:
     import zlib
 

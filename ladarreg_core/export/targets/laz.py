@@ -35,7 +35,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.best_photo import NO_PHOTO
-from ladarreg_core.surface.texture import Label, intensity_levels, intensity_rows
+from ladarreg_core.surface.texture import Label, dimmed_gray, dimmed_levels
 from ladarreg_core.version import VERSION
 
 EXTRA_BYTES = {
@@ -173,7 +173,7 @@ class _Copy:
             handed,
             "the coordinates of the source file, unchanged",
             "the source file's, unchanged",
-            "that of the source file" if self._has_colour else "gray laser intensity",
+            "that of the source file" if self._has_colour else "the dimmed laser intensity",
             self._notes(stays),
         )
 
@@ -208,7 +208,7 @@ class _Copy:
         colourer, scan, header = self._handed.point_colourer(), self._handed.scan, self._stored.header
         pose, scale = scan.world_from_scanner or Rigid.identity(), np.array(header.scale)
         moved = np.array(header.offset) - pose.translation  # small, and exact
-        levels = intensity_levels(scan)
+        levels = dimmed_levels(scan)
         factor = 0  # of the file's colours; 0 as long as all are black
         for stored in self._stored.chunks(_CHUNK):
             old = stored.reshape(-1).view(self._as_read)
@@ -219,7 +219,7 @@ class _Copy:
             found = colourer.colours_of(points)
             shown = found.photo != NO_PHOTO
             if not self._has_colour:
-                gray = intensity_rows(old["intensity"].astype(np.float32), levels) * _SIXTEEN_BITS
+                gray = dimmed_gray(old["intensity"].astype(np.float32), levels) * _SIXTEEN_BITS
             elif not factor:
                 brightest = max(int(old[name].max()) for name in _COLOURS)
                 # Many writers store 8 bits in the 16 of the standard: in one file they would be black beside ours.
@@ -292,7 +292,7 @@ class _Returns:
             if in_world
             else "scanner frame, X forward, Y left, Z up; metres",
             self._intensity.words,
-            "gray laser intensity" if scan.color is None else "that of the source file",
+            "the dimmed laser intensity" if scan.color is None else "that of the source file",
             [],
         )
         self._dtype = point_dtype(7, [(name, dtype) for name, (dtype, _) in EXTRA_BYTES.items()])
@@ -318,7 +318,7 @@ class _Returns:
     def chunks(self) -> Iterator[NDArray[Any]]:
         """Yield the points with their colours."""
         scan, colours = self._handed.scan, self._handed.colours
-        levels = intensity_levels(scan)
+        levels = dimmed_levels(scan)
         rows_at_once = max(1, _CHUNK // scan.shape[1])
         for first in range(0, scan.shape[0], rows_at_once):
             rows = slice(first, first + rows_at_once)
@@ -334,7 +334,7 @@ class _Returns:
             photo, rgb = colours.photo[rows][valid], colours.image[rows][valid]
             shown = photo != NO_PHOTO
             if scan.color is None:
-                before = np.broadcast_to(intensity_rows(intensity, levels)[:, None], rgb.shape)
+                before = np.broadcast_to(dimmed_gray(intensity, levels)[:, None], rgb.shape)
             else:
                 before = scan.color[rows][valid]
             for k, name in enumerate(_COLOURS):
