@@ -199,7 +199,8 @@ def newcomer(hands: Hands, shots: Path | None) -> dict[str, float]:
         hands.draw("scan", in_view, view_size)
         hands.draw("photo", in_photo, photo_size)
         hands.wait(f"picks:{name}", lambda picks, n=number: picks is not None and len(picks) == n, 20)
-    shot("3-drawn")
+        if number == 3:
+            shot("3-drawn")
 
     def accepted(photos: Any) -> bool:
         return bool(photos[0]["state"] == "accepted")
