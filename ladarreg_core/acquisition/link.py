@@ -1,0 +1,189 @@
+"""The link to a device: one exchange at a time, each with a deadline, all of them remembered for messages."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ladarreg_core.acquisition.devices import Check
+from ladarreg_core.acquisition.serial_port import Port, PortLostError
+from ladarreg_core.errors import DeviceError
+
+Complete = Callable[[bytes], bool | int]
+"""Given the bytes so far: False while the reply is incomplete, else its length, or True if it is all of them."""
+_SLICE_S = 0.02
+_REMEMBERED = 64
+_QUOTED = 3
+_QUOTED_BYTES = 60
+_RECONNECT_S = 2.0
+_RETRY_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """What was sent and received."""
+
+    at_s: float
+    """Host time of sending, s (`time.monotonic`)."""
+    request: bytes
+    """What was sent; empty for what came unasked."""
+    reply: bytes
+    """What came back before the exchange ended."""
+    seconds: float
+    """How long it took."""
+
+    def __str__(self) -> str:
+        sent = f"sent {_quoted(self.request)}" if self.request else "unasked"
+        got = f"received {_quoted(self.reply)}" if self.reply else "received nothing"
+        return f"{sent}, {got} in {self.seconds:.2f} s"
+
+
+class Link:
+    """Exchanges requests and replies with a device.
+
+    Args:
+        port: the open port.
+        device: the device, for messages, as in `the pan/tilt unit`.
+        connected: called after the port was lost and opened again, to set the device up as before.
+    """
+
+    def __init__(self, port: Port, *, device: str, connected: Callable[[], None] | None = None) -> None:
+        self.device = device
+        self._port, self._connected = port, connected
+        self._one = threading.RLock()
+        self._buffer = bytearray()
+        self._exchanges: deque[Exchange] = deque(maxlen=_REMEMBERED)
+        self._reconnecting = False
+
+    @property
+    def address(self) -> str:
+        """Where the port leads."""
+        return self._port.address
+
+    @property
+    def exchanges(self) -> tuple[Exchange, ...]:
+        """The latest exchanges, oldest first."""
+        return tuple(self._exchanges)
+
+    def exchange(
+        self, request: bytes, *, complete: Complete, deadline_s: float, check: Check | None = None, fresh: bool = True
+    ) -> bytes:
+        """Send a request and return the reply to it; after a reconnection the request is sent once more.
+
+        Args:
+            request: the request; empty to go on receiving.
+            complete: finds the end of the reply.
+            deadline_s: from now, s.
+            check: called at least every 50 ms; may raise `Cancelled`.
+            fresh: drop what has come before; False keeps it as the beginning of the reply.
+
+        Raises:
+            DeviceError: if no complete reply comes in time, or the port is lost and cannot be opened again.
+        """
+        with self._one:
+            try:
+                return self._exchange(request, complete, deadline_s, check, fresh=fresh)
+            except PortLostError as error:
+                if self._reconnecting:
+                    raise
+                self._reconnect(error)
+                return self._exchange(request, complete, deadline_s, check, fresh=True)
+
+    def receive(self, *, complete: Complete, deadline_s: float, check: Check | None = None) -> bytes:
+        """Return the next reply of a device that goes on sending; without reconnection, since it would be in doubt.
+
+        Raises:
+            DeviceError: if no complete reply comes in time, or the port is lost.
+        """
+        with self._one:
+            return self._exchange(b"", complete, deadline_s, check, fresh=False)
+
+    def urgent(self, data: bytes) -> None:
+        """Send bytes at once, whatever exchange is going on; its reply is left to that exchange.
+
+        Raises:
+            DeviceError: if the port is lost.
+        """
+        self._port.write(data)
+        self._exchanges.append(Exchange(time.monotonic(), data, b"", 0.0))
+
+    def drain(self) -> bytes:
+        """Return and forget what has come unasked."""
+        with self._one:
+            stale = bytes(self._buffer)
+            self._buffer.clear()
+            while data := self._port.read(0):
+                stale += data
+            if stale:
+                self._exchanges.append(Exchange(time.monotonic(), b"", stale, 0.0))
+            return stale
+
+    def recent(self) -> str:
+        """Return the latest exchanges in words, for messages."""
+        return "; ".join(str(each) for each in list(self._exchanges)[-_QUOTED:])
+
+    def close(self) -> None:
+        """Close the port, which stops the device."""
+        self._port.close()
+
+    def _exchange(
+        self, request: bytes, complete: Complete, deadline_s: float, check: Check | None, *, fresh: bool
+    ) -> bytes:
+        if fresh:
+            self.drain()
+        begun = time.monotonic()
+        if request:
+            self._port.write(request)
+        try:
+            while not (end := complete(bytes(self._buffer)) if self._buffer else False):
+                left = begun + deadline_s - time.monotonic()
+                if left <= 0:
+                    break
+                self._buffer += self._port.read(min(left, _SLICE_S))
+                if check is not None:
+                    check()
+        except BaseException:
+            self._remember(begun, request, bytes(self._buffer))
+            raise
+        if not end:
+            self._remember(begun, request, bytes(self._buffer))
+            self._buffer.clear()
+            raise DeviceError(
+                f"{self.device} on {self.address} gave no complete answer within {deadline_s:g} s ({self.recent()}); "
+                "check its power, its cable and the baud rate"
+            )
+        length = len(self._buffer) if end is True else int(end)
+        reply = bytes(self._buffer[:length])
+        del self._buffer[:length]
+        self._remember(begun, request, reply)
+        return reply
+
+    def _remember(self, begun: float, request: bytes, reply: bytes) -> None:
+        self._exchanges.append(Exchange(begun, request, reply, time.monotonic() - begun))
+
+    def _reconnect(self, error: PortLostError) -> None:
+        """Open the port again, trying for a while; raise the first error if it stays away."""
+        self._buffer.clear()
+        until = time.monotonic() + _RECONNECT_S
+        while True:
+            try:
+                self._port.reopen()
+                break
+            except DeviceError:
+                if time.monotonic() > until:
+                    raise error from None
+                time.sleep(_RETRY_S)
+        if self._connected is not None:
+            self._reconnecting = True
+            try:
+                self._connected()
+            finally:
+                self._reconnecting = False
+
+
+def _quoted(data: bytes) -> str:
+    text = data[:_QUOTED_BYTES].decode("ascii", "backslashreplace").encode("unicode_escape").decode()
+    return f'"{text}"' + (" ..." if len(data) > _QUOTED_BYTES else "")

@@ -1,0 +1,136 @@
+"""A serial port of this machine, or a pyserial URL, opened directly; its failures in one sentence each."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import threading
+import time
+from typing import Any, Protocol
+
+from ladarreg_core.errors import DeviceError
+
+_POLL_S = 0.02
+_WRITE_S = 0.5
+_LOCK_S = 0.2
+_NO_PORTS = "no serial port is connected"
+
+
+class PortLostError(DeviceError):
+    """A port that was open and has disappeared: unplugged, or its process has ended."""
+
+
+class Port(Protocol):
+    """A stream of bytes to and from a device."""
+
+    address: str
+    """Where it leads, as stated."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has come, or b'' if nothing comes in time; raises `PortLostError`."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes, whole and before those of a later call; raises `PortLostError`."""
+
+    def reopen(self) -> None:
+        """Close the port and open it again; raises `DeviceError` if it is not there."""
+
+    def close(self) -> None:
+        """Close the port; never raises."""
+
+
+class SerialPort:
+    """A `Port` that this process holds.
+
+    Args:
+        address: name of a serial port, or a pyserial URL such as `socket://host:port`.
+        baud: bits a second.
+
+    Raises:
+        DeviceError: if it is absent, busy or not permitted, with the ports that there are.
+    """
+
+    def __init__(self, address: str, baud: int) -> None:
+        self.address, self._baud = address, baud
+        self._writing = threading.Lock()
+        self._serial: Any = _opened(address, baud)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has come, or b'' if nothing comes in time."""
+        until = time.monotonic() + timeout_s
+        try:
+            while True:
+                found = bytes(self._serial.read(max(1, self._serial.in_waiting)))
+                if found or time.monotonic() >= until:
+                    return found
+        except (OSError, TypeError, AttributeError) as error:  # pyserial raises the last two after a close elsewhere
+            raise PortLostError(_lost(self.address)) from error
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+        # The lock keeps commands whole; a halt does not wait longer for a write that hangs.
+        held = self._writing.acquire(timeout=_LOCK_S)
+        try:
+            self._serial.write(data)
+        except (OSError, TypeError, AttributeError) as error:
+            raise PortLostError(_lost(self.address)) from error
+        finally:
+            if held:
+                self._writing.release()
+
+    def reopen(self) -> None:
+        """Close the port and open it again."""
+        self.close()
+        self._serial = _opened(self.address, self._baud)
+
+    def close(self) -> None:
+        """Close the port."""
+        with contextlib.suppress(OSError, TypeError, AttributeError):
+            self._serial.close()
+
+
+def port_names() -> list[str]:
+    """Return the names of the serial ports of this machine."""
+    from serial.tools.list_ports import comports
+
+    return sorted(port.device for port in comports())
+
+
+def _opened(address: str, baud: int) -> Any:
+    import serial
+
+    options: dict[str, Any] = {"baudrate": baud, "timeout": _POLL_S, "write_timeout": _WRITE_S}
+    if "://" not in address:
+        options["exclusive"] = True
+    try:
+        return serial.serial_for_url(address, **options)
+    except (OSError, ValueError) as error:
+        raise DeviceError(_refusal(address, error)) from error
+
+
+def _refusal(address: str, error: Exception) -> str:
+    """Return why a port cannot be opened, and what to do."""
+    text, number = str(error).lower(), getattr(error, "errno", None)
+    there = port_names()
+    listed = f"this machine has {', '.join(there)}" if there else _NO_PORTS
+    if "://" in address:
+        return f"{address} cannot be opened ({_reason(error)}); check the address, and that something listens there"
+    if "exclusive" in text or number == errno.EBUSY or "resource busy" in text or "access is denied" in text:
+        return f"the port {address} is in use by another program; close that program, or choose another port"
+    if number == errno.EACCES or "permission" in text:
+        return (
+            f"the port {address} may not be opened by this user; on Linux add the user to the group dialout "
+            "(sudo usermod -aG dialout $USER) and log in again"
+        )
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "no such" in text or "cannot find" in text:
+        return f"there is no port {address}; {listed}: check the cable and the name"
+    return f"the port {address} cannot be opened ({_reason(error)}); {listed}"
+
+
+def _reason(error: Exception) -> str:
+    reason = str(getattr(error, "strerror", None) or error)
+    return " ".join(reason.split())[:120]
+
+
+def _lost(address: str) -> str:
+    return f"the port {address} has disappeared while it was in use; check the cable and the power of the device"

@@ -1,0 +1,82 @@
+"""Addresses of simulated devices: `twin:NAME?seed=N&scene=...`.
+
+A process of its own (`python -m ladarreg_core.twins`) simulates all devices of equal arguments in one room. It prints a
+JSON object that maps their names to addresses, and ends when its standard input does: with this program.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from urllib.parse import parse_qsl
+
+from ladarreg_core.errors import DeviceError
+
+PREFIX = "twin:"
+_ARGUMENTS = {"seed": "a whole number", "scene": "the name of a scene"}
+
+_running: dict[tuple[tuple[str, str], ...], tuple[subprocess.Popen[str], dict[str, str]]] = {}
+_starting = threading.Lock()
+
+
+def is_twin(address: str) -> bool:
+    """Return whether an address is that of a simulated device."""
+    return address.startswith(PREFIX)
+
+
+def check_twin(address: str) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Return name and sorted arguments of the address of a simulated device.
+
+    Raises:
+        DeviceError: if it has no name, or an unknown argument.
+    """
+    name, _, query = address.removeprefix(PREFIX).partition("?")
+    arguments = dict(parse_qsl(query, keep_blank_values=True))
+    for key, value in arguments.items():
+        if key not in _ARGUMENTS:
+            raise DeviceError(f"the address {address!r} has an argument {key!r}; use {' or '.join(_ARGUMENTS)}")
+        if key == "seed" and not value.isdigit():
+            raise DeviceError(f"the address {address!r} has the seed {value!r}; it must be {_ARGUMENTS[key]}")
+    if not name:
+        raise DeviceError(f"the address {address!r} names no device; write for example {PREFIX}flir-ptu?seed=1")
+    return name, tuple(sorted(arguments.items()))
+
+
+def resolved_twin(address: str) -> str:
+    """Return the address at which a simulated device is served, starting its process if it is not running.
+
+    Raises:
+        DeviceError: if there is no such device, or the simulation does not start.
+    """
+    name, arguments = check_twin(address)
+    with _starting:
+        process, served = _running.get(arguments, (None, {}))
+        if process is None or process.poll() is not None:
+            process, served = _running[arguments] = _started(arguments)
+    if name not in served:
+        raise DeviceError(f"there is no simulated device {name!r}; use one of {', '.join(sorted(served))}")
+    return served[name]
+
+
+def _started(arguments: tuple[tuple[str, str], ...]) -> tuple[subprocess.Popen[str], dict[str, str]]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ladarreg_core.twins", *(f"--{key}={value}" for key, value in arguments)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=_environment(),
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert process.stderr is not None
+    line = process.stdout.readline()
+    try:
+        return process, {str(name): str(where) for name, where in json.loads(line)["devices"].items()}
+    except (ValueError, KeyError, TypeError):
+        process.kill()
+        said = " ".join(process.stderr.read().split())[-200:]
+        raise DeviceError(f"the simulated devices could not be started ({said or 'no reason was given'})") from None
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment of a process that imports the package from where this one does."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
