@@ -18,6 +18,7 @@ _SLICE_S = 0.02
 _REMEMBERED = 64
 _QUOTED = 3
 _QUOTED_BYTES = 60
+_KEPT_BYTES = 4096
 _RECONNECT_S = 2.0
 _RETRY_S = 0.2
 
@@ -47,16 +48,21 @@ class Link:
     Args:
         port: the open port.
         device: the device, for messages, as in `the pan/tilt unit`.
-        connected: called after the port was lost and opened again, to set the device up as before.
     """
 
-    def __init__(self, port: Port, *, device: str, connected: Callable[[], None] | None = None) -> None:
+    def __init__(self, port: Port, *, device: str) -> None:
         self.device = device
-        self._port, self._connected = port, connected
+        self._port = port
+        self._connected: Callable[[], None] | None = None
         self._one = threading.RLock()
         self._buffer = bytearray()
         self._exchanges: deque[Exchange] = deque(maxlen=_REMEMBERED)
         self._reconnecting = False
+        self._unasked = b""
+
+    def when_connected(self, set_up: Callable[[], None]) -> None:
+        """Call `set_up` after the port was lost and opened again, to set the device up as before."""
+        self._connected = set_up
 
     @property
     def address(self) -> str:
@@ -110,16 +116,11 @@ class Link:
         self._port.write(data)
         self._exchanges.append(Exchange(time.monotonic(), data, b"", 0.0))
 
-    def drain(self) -> bytes:
-        """Return and forget what has come unasked."""
+    def take_unasked(self) -> bytes:
+        """Return what came unasked since the last call, as far as an exchange has dropped it."""
         with self._one:
-            stale = bytes(self._buffer)
-            self._buffer.clear()
-            while data := self._port.read(0):
-                stale += data
-            if stale:
-                self._exchanges.append(Exchange(time.monotonic(), b"", stale, 0.0))
-            return stale
+            unasked, self._unasked = self._unasked, b""
+            return unasked
 
     def recent(self) -> str:
         """Return the latest exchanges in words, for messages."""
@@ -133,7 +134,7 @@ class Link:
         self, request: bytes, complete: Complete, deadline_s: float, check: Check | None, *, fresh: bool
     ) -> bytes:
         if fresh:
-            self.drain()
+            self._drain()
         begun = time.monotonic()
         if request:
             self._port.write(request)
@@ -160,6 +161,15 @@ class Link:
         del self._buffer[:length]
         self._remember(begun, request, reply)
         return reply
+
+    def _drain(self) -> None:
+        stale = bytes(self._buffer)
+        self._buffer.clear()
+        while data := self._port.read(0):
+            stale += data
+        if stale:
+            self._exchanges.append(Exchange(time.monotonic(), b"", stale, 0.0))
+            self._unasked = (self._unasked + stale)[-_KEPT_BYTES:]
 
     def _remember(self, begun: float, request: bytes, reply: bytes) -> None:
         self._exchanges.append(Exchange(begun, request, reply, time.monotonic() - begun))

@@ -1,0 +1,256 @@
+"""A FLIR / Directed Perception pan/tilt unit."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from dataclasses import replace
+
+from ladarreg_core.acquisition.devices import Check, PanTilt, UnitIdentity
+from ladarreg_core.acquisition.flir_protocol import (
+    STOP,
+    FlirError,
+    FlirReply,
+    command,
+    limits_hit,
+    parse_reply,
+    reply_length,
+)
+from ladarreg_core.acquisition.link import Link
+from ladarreg_core.acquisition.plan import UnitPlan
+from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.errors import Cancelled, DeviceError, OptionError
+
+_ANSWER_S = 1.0
+_CONNECT_S = 2.0
+_POLL_S = 0.03
+_STUCK_S = 1.5
+_SPARE_S = 10.0
+_ARC_SECONDS = math.radians(1 / 3600)
+_REACHED_COUNTS = 1
+_STILL_READINGS = 2
+_AXES = (("P", "pan"), ("T", "tilt"))
+
+
+class FlirUnit:
+    """A unit that is connected and halted; use `connect`.
+
+    Angles are positive to the left and upward; the plan's signs turn an axis that is mounted the other way round.
+    """
+
+    def __init__(self, link: Link, signs: tuple[int, int]) -> None:
+        self._link, self._signs = link, signs
+        self._halts = 0
+        self._halting = threading.Lock()
+        self._limits_hit: tuple[str, ...] = ()
+        self._set_up()
+        self._counts_at_limits: list[tuple[int, int]] = []
+        self._step_rad: list[float] = []
+        self.identity = self._identify()
+
+    @staticmethod
+    def connect(ports: Ports, plan: UnitPlan) -> FlirUnit:
+        """Connect to a unit, halt it and ask what it is.
+
+        Raises:
+            DeviceError: if the port cannot be opened, or what answers is no such unit.
+        """
+        link = Link(ports.open(plan.port, plan.baud, stop=STOP, name="pan/tilt unit"), device="the pan/tilt unit")
+        try:
+            unit = FlirUnit(link, plan.signs)
+        except BaseException:
+            link.close()
+            raise
+        link.when_connected(unit._set_up)
+        return unit
+
+    @property
+    def link(self) -> Link:
+        """The link, with its latest exchanges."""
+        return self._link
+
+    def position(self) -> PanTilt:
+        """Return where it is.
+
+        Raises:
+            DeviceError: if it does not answer as specified.
+        """
+        return self._angles(self._positions())
+
+    def start_move(self, target: PanTilt) -> None:
+        """Start to move.
+
+        Raises:
+            OptionError: if the target is beyond the limits; nothing has been sent then.
+            DeviceError: if the unit does not answer as specified.
+        """
+        for (letter, _), counts in zip(_AXES, self._target_counts(target), strict=True):
+            self._ask(command(f"{letter}P", counts))
+
+    def move_to(self, target: PanTilt, *, check: Check) -> PanTilt:
+        """Move, await the end of the movement, and return the position read back.
+
+        Raises:
+            OptionError: if the target is beyond the limits; nothing has been sent then.
+            Cancelled: if `check` raises it, or `halt` is called; the unit is halted then.
+            DeviceError: if it stands still elsewhere, hits a limit, or does not answer; the unit is halted then.
+        """
+        wanted = self._target_counts(target)
+        halts = self._halts
+        try:
+            self.start_move(target)
+            return self._angles(self._await(wanted, halts, check))
+        except OptionError:
+            raise
+        except BaseException:
+            self.halt()
+            raise
+
+    def set_speed(self, speed: PanTilt) -> None:
+        """Set the speed of both axes, rad/s.
+
+        Raises:
+            OptionError: if the unit refuses it.
+        """
+        for (letter, axis), value, step in zip(_AXES, (speed.pan_rad, speed.tilt_rad), self._step_rad, strict=True):
+            try:
+                self._ask(command(f"{letter}S", max(1, round(abs(value) / step))))
+            except FlirError as error:
+                raise OptionError(
+                    f"the pan/tilt unit does not {axis} at {math.degrees(value):.3g} deg/s; choose another ({error})"
+                ) from error
+        self.identity = replace(self.identity, speed_rad_s=speed)
+
+    def halt(self) -> None:
+        """Stop at once, whatever else waits for the unit; may be called from any thread, and never raises."""
+        with self._halting:
+            self._halts += 1
+        with contextlib.suppress(DeviceError):  # the port is lost, which every later use says
+            self._link.urgent(STOP)
+
+    def close(self) -> None:
+        """Halt and disconnect."""
+        self.halt()
+        self._link.close()
+
+    def _set_up(self) -> None:
+        """Halt, and have answers terse and without echo, and moves begin at once."""
+        self._link.urgent(STOP)
+        time.sleep(_POLL_S)
+        for name in ("FT", "ED", "CI"):
+            self._ask(command(name), deadline_s=_CONNECT_S)
+
+    def _identify(self) -> UnitIdentity:
+        model = self._ask(command("V")).text
+        self._step_rad = [self._ask(q := command(f"{letter}R")).number(q) * _ARC_SECONDS for letter, _ in _AXES]
+        if not all(1e-7 < step < 0.1 for step in self._step_rad):
+            raise FlirError(
+                f"the pan/tilt unit states steps of {', '.join(f'{math.degrees(s):.3g}' for s in self._step_rad)} deg, "
+                "which no unit has; check the baud rate"
+            )
+        self._counts_at_limits = []
+        for letter, axis in _AXES:
+            low, high = (self._ask(q := command(f"{letter}{end}")).counts(q) for end in "NX")
+            if low >= high:
+                raise FlirError(f"the pan/tilt unit states {axis} limits of {low} to {high} counts; reset the unit")
+            self._counts_at_limits.append((low, high))
+        speeds = [
+            self._ask(q := command(f"{letter}S")).counts(q) * step
+            for (letter, _), step in zip(_AXES, self._step_rad, strict=True)
+        ]
+        ends = [self._angles([axis[k] for axis in self._counts_at_limits]) for k in (0, 1)]
+        return UnitIdentity(
+            " ".join(model.split())[:120],
+            PanTilt(*self._step_rad),
+            PanTilt(min(e.pan_rad for e in ends), min(e.tilt_rad for e in ends)),
+            PanTilt(max(e.pan_rad for e in ends), max(e.tilt_rad for e in ends)),
+            PanTilt(*speeds),
+        )
+
+    def _target_counts(self, target: PanTilt) -> list[int]:
+        """Return the counts of a position.
+
+        Raises:
+            OptionError: if it is not finite or beyond the limits.
+        """
+        found = []
+        for k, (_, axis) in enumerate(_AXES):
+            angle = (target.pan_rad, target.tilt_rad)[k]
+            low, high = self._counts_at_limits[k]
+            counts = self._signs[k] * angle / self._step_rad[k] if math.isfinite(angle) else math.inf
+            # A limit that is stated in degrees may be a fraction of a count beyond that in counts.
+            if not low - 0.51 <= counts <= high + 0.51:
+                least, most = (
+                    math.degrees(getattr(end, f"{axis}_rad")) for end in (self.identity.lowest, self.identity.highest)
+                )
+                raise OptionError(
+                    f"a {axis} of {math.degrees(angle):.2f} deg is beyond the unit's limits, {least:.2f} to {most:.2f} "
+                    "deg; choose a position within them"
+                )
+            found.append(min(max(round(counts), low), high))
+        return found
+
+    def _await(self, wanted: list[int], halts: int, check: Check) -> list[int]:
+        """Return the counts once the unit stands at the target."""
+        begun = moved = time.monotonic()
+        last = self._positions()
+        travel_s = max(
+            abs(a - b) * step / max(speed, 1e-4)
+            for a, b, step, speed in zip(last, wanted, self._step_rad, _pair(self.identity.speed_rad_s), strict=True)
+        )
+        still = 0
+        while True:
+            check()
+            if self._halts != halts:
+                raise Cancelled
+            now = self._positions()
+            if now != last:
+                last, moved, still = now, time.monotonic(), 0
+            elif all(abs(a - b) <= _REACHED_COUNTS for a, b in zip(now, wanted, strict=True)):
+                still += 1
+                if still >= _STILL_READINGS:
+                    return now
+            self._refuse_limits()
+            now_s = time.monotonic()
+            if now_s - moved > _STUCK_S:
+                raise DeviceError(
+                    f"the pan/tilt unit stands still at {self._said(now)} on its way to {self._said(wanted)}; it is "
+                    "halted: remove what blocks it, check its power, and resume"
+                )
+            if now_s - begun > 3 * travel_s + _SPARE_S:
+                raise DeviceError(
+                    f"the pan/tilt unit has not reached {self._said(wanted)} after {now_s - begun:.0f} s, it "
+                    f"is at {self._said(now)} and halted; check its load and speed, and resume"
+                )
+            time.sleep(_POLL_S)
+
+    def _refuse_limits(self) -> None:
+        if hit := self._limits_hit:
+            self._limits_hit = ()
+            raise DeviceError(
+                f"the pan/tilt unit reports that it hit its {' and '.join(dict.fromkeys(hit))} limit though the target "
+                "lies within; it is halted: reset the unit, so that it finds its zero again, and resume"
+            )
+
+    def _positions(self) -> list[int]:
+        return [self._ask(q := command(f"{letter}P")).counts(q) for letter, _ in _AXES]
+
+    def _angles(self, counts: list[int]) -> PanTilt:
+        pan, tilt = (sign * n * step for sign, n, step in zip(self._signs, counts, self._step_rad, strict=True))
+        return PanTilt(pan, tilt)
+
+    def _said(self, counts: list[int]) -> str:
+        at = self._angles(counts)
+        return f"pan {math.degrees(at.pan_rad):.2f}, tilt {math.degrees(at.tilt_rad):.2f} deg"
+
+    def _ask(self, sent: bytes, *, deadline_s: float = _ANSWER_S) -> FlirReply:
+        received = self._link.exchange(sent, complete=lambda data: reply_length(data, sent), deadline_s=deadline_s)
+        reply = parse_reply(received, sent)
+        self._limits_hit += limits_hit(self._link.take_unasked()) + reply.limits_hit
+        return reply
+
+
+def _pair(at: PanTilt) -> tuple[float, float]:
+    return at.pan_rad, at.tilt_rad

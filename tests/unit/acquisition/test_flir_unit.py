@@ -1,0 +1,127 @@
+"""The driver of the pan/tilt unit against the simulated unit behind a real port."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.acquisition.flir_unit import FlirUnit
+from ladarreg_core.acquisition.plan import UnitPlan
+from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.errors import Cancelled, DeviceError, OptionError
+from ladarreg_core.twins.flir_twin import COUNTS_PER_RAD, FlirTwin
+from ladarreg_core.twins.server import TwinServer
+
+
+class Bench:
+    def __init__(self, server: TwinServer, twin: FlirTwin, ports: Ports) -> None:
+        self.server, self.twin, self.ports = server, twin, ports
+
+    def connect(self, **plan: object) -> FlirUnit:
+        address = self.server.addresses[self.twin.name]
+        return FlirUnit.connect(self.ports, UnitPlan(address, baud=self.twin.baud, **plan))  # type: ignore[arg-type]
+
+    def await_halt(self) -> bool:
+        until = time.monotonic() + 1
+        while self.twin.moving(self.server.now_s()) and time.monotonic() < until:
+            time.sleep(0.005)
+        return not self.twin.moving(self.server.now_s())
+
+
+@pytest.fixture
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    twin = FlirTwin(baud=115_200)
+    with TwinServer([twin], sockets=getattr(request, "param", False)) as server, Ports(guarded=False) as ports:
+        yield Bench(server, twin, ports)
+
+
+def goes_on() -> None:
+    pass
+
+
+def at(pan_deg: float, tilt_deg: float) -> PanTilt:
+    return PanTilt(math.radians(pan_deg), math.radians(tilt_deg))
+
+
+@pytest.mark.parametrize("bench", [False, True], indirect=True, ids=["terminal", "socket"])
+def test_it_says_what_it_is_and_moves(bench: Bench) -> None:
+    unit = bench.connect()
+    assert "FLIR" in unit.identity.model
+    assert math.degrees(unit.identity.highest.tilt_rad) == pytest.approx(30.99, abs=0.05)
+    reached = unit.move_to(at(4, -3), check=goes_on)
+    assert reached.pan_rad == pytest.approx(math.radians(4), abs=1 / COUNTS_PER_RAD)
+    truth = bench.twin.angles_at([bench.server.now_s()])[0]
+    assert (reached.pan_rad, reached.tilt_rad) == pytest.approx(tuple(truth), abs=1.01 / COUNTS_PER_RAD)
+    halted = bench.twin.halted_at_s
+    with pytest.raises(OptionError, match=r"a tilt of 35.00 deg is beyond the unit's limits, -46.54 to 30.99 deg"):
+        unit.move_to(at(0, 35), check=goes_on)
+    assert bench.twin.halted_at_s == halted, "nothing was sent"
+
+
+def test_axes_that_turn_the_other_way(bench: Bench) -> None:
+    unit = bench.connect(signs=(-1, -1))
+    assert math.degrees(unit.identity.highest.tilt_rad) == pytest.approx(46.54, abs=0.05)
+    reached = unit.move_to(at(3, 2), check=goes_on)
+    assert math.degrees(reached.pan_rad) == pytest.approx(3, abs=0.02)
+    assert (bench.twin.angles_at([bench.server.now_s()]) < 0).all()
+
+
+def test_a_halt_from_another_thread_ends_the_movement(bench: Bench) -> None:
+    unit = bench.connect()
+    threading.Timer(0.3, unit.halt).start()
+    with pytest.raises(Cancelled):
+        unit.move_to(at(90, 0), check=goes_on)
+    assert bench.await_halt()
+    assert math.degrees(unit.position().pan_rad) < 45
+    assert math.degrees(unit.move_to(at(1, 0), check=goes_on).pan_rad) == pytest.approx(1, abs=0.02)
+
+
+def test_a_cancelled_movement_is_halted(bench: Bench) -> None:
+    unit, begun = bench.connect(), time.monotonic()
+
+    def stop() -> None:
+        if time.monotonic() - begun > 0.2:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        unit.move_to(at(90, 0), check=stop)
+    assert bench.await_halt()
+
+
+def test_a_unit_that_gets_stuck_or_hits_a_limit_is_halted(bench: Bench) -> None:
+    unit = bench.connect()
+    bench.twin.stuck = True
+    with pytest.raises(
+        DeviceError, match=r"stands still at pan 5.\d\d, .* on its way to pan 10.00.*remove what blocks it"
+    ):
+        unit.move_to(at(10, 0), check=goes_on)
+    bench.twin.stuck = False
+    threading.Timer(0.3, lambda: bench.twin.hit_limit("T", bench.server.now_s())).start()
+    with pytest.raises(DeviceError, match=r"hit its tilt limit though"):
+        unit.move_to(at(60, 0), check=goes_on)
+    assert bench.await_halt()
+
+
+@pytest.mark.parametrize("failure", ["silent", "rubbish"])
+def test_a_unit_that_answers_nothing_or_rubbish_is_an_error(bench: Bench, failure: str) -> None:
+    unit = bench.connect()
+    setattr(bench.twin, failure, True)
+    with pytest.raises(DeviceError, match="the pan/tilt unit"):
+        unit.move_to(at(3, 0), check=goes_on)
+    bench.twin.silent = bench.twin.rubbish = False
+    assert unit.move_to(at(2, 0), check=goes_on)
+
+
+def test_a_cable_that_is_pulled_and_put_back_is_noticed_and_survived(bench: Bench) -> None:
+    unit = bench.connect()
+    bench.server.unplug(bench.twin.name)
+    threading.Timer(0.5, lambda: bench.server.plug(bench.twin.name)).start()
+    assert math.degrees(unit.move_to(at(2, 0), check=goes_on).pan_rad) == pytest.approx(2, abs=0.02)
+    bench.server.unplug(bench.twin.name)
+    with pytest.raises(DeviceError, match="disappeared"):
+        unit.position()
