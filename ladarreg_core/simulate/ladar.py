@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.ray_cast import RayCaster, SampleGrid, in_strips
-from ladarreg_core.simulate.world import Viewpoint, World
+from ladarreg_core.simulate.world import Surface, Viewpoint, World
 
 GEOMETRY = AzimuthElevation(rows=700, columns=1000, d_azimuth_rad=np.radians(0.055), d_elevation_rad=np.radians(0.055))
 R0_M = 1.0
@@ -105,7 +105,11 @@ def echoes(
     viewpoint: Viewpoint, faces: NDArray[np.int32], directions: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return amplitude and range (N,) of individual rays."""
-    hit = viewpoint.meet(faces, directions)
+    return echoes_of(viewpoint.meet(faces, directions))
+
+
+def echoes_of(hit: Surface) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return amplitude and range (N,) of rays by the surface points that they hit."""
     metal, gloss, _ = hit.finish
     c = hit.cosine
     albedo = hit.texel[:, 3].astype(np.float32) / np.float32(255)

@@ -46,7 +46,7 @@ class RayCaster:
         self._mesh: Any = TriangleMesh(self._scene, np.ascontiguousarray(triangles, dtype=np.float32))
 
     def first_hit(self, origin: ArrayLike, directions: FloatArray) -> NDArray[np.int32]:
-        """Return the triangle (N,) that each ray from `origin` (3,) along `directions` (N, 3) hits first."""
+        """Return the triangle (N,) that each ray (N, 3) from `origin`, (3,) or (N, 3), hits first."""
         rays = np.ascontiguousarray(directions, dtype=np.float32)
         if not len(rays):
             return np.zeros(0, np.int32)

@@ -3,20 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.scanner.grids import SphericalGrid
-from ladarreg_core.simulate.ladar import echoes
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.frames import Rigid
+from ladarreg_core.scanner.grids import ScanGeometry, SphericalGrid
+from ladarreg_core.simulate.ladar import echoes, echoes_of
 from ladarreg_core.simulate.ray_cast import RayCaster, in_strips
-from ladarreg_core.simulate.world import Viewpoint, World
+from ladarreg_core.simulate.world import Viewpoint, World, meet_from
 
 _LOWEST_RAD = float(np.radians(-60.0))  # the tripod hides what is below
-_SIGMA_M = 0.002  # at an amplitude of .3
-_RESOLUTION_M = 0.0005
-_LEAST_AMPLITUDE = 0.006
 _FULL_TURN_RAD = 2 * np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class RangeNoise:
+    """What a range finder adds to the truth."""
+
+    sigma_m: float = 0.002
+    """Standard deviation of a range, at an amplitude of .3; it grows as the amplitude's square root falls."""
+    most_m: float = 0.05
+    """Largest standard deviation."""
+    resolution_m: float = 0.0005
+    """Step of the range."""
+    least_amplitude: float = 0.006
+    """Weaker echoes are lost."""
+    speckle: float = 0.06
+    """Relative standard deviation of the amplitude."""
+
+    def measured(
+        self, amplitude: NDArray[np.float32], ranges: NDArray[np.float32], rng: np.random.Generator
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return ranges, NaN without a return, and raw intensities as measured, of true amplitudes and ranges (...)."""
+        looks = 1 / self.speckle**2
+        measured = amplitude * (rng.standard_gamma(looks, amplitude.shape, dtype=np.float32) / np.float32(looks))
+        with np.errstate(divide="ignore"):
+            sigma_m = np.minimum(
+                np.float32(self.sigma_m) / np.sqrt(amplitude / np.float32(0.3)), np.float32(self.most_m)
+            )
+        noisy = ranges + rng.standard_normal(amplitude.shape, dtype=np.float32) * sigma_m
+        noisy = np.rint(noisy / np.float32(self.resolution_m)) * np.float32(self.resolution_m)
+        noisy[(amplitude < self.least_amplitude) | (noisy <= 0)] = np.nan
+        return noisy, measured
+
+
+RANGE_NOISE = RangeNoise()
+"""That of a terrestrial scanner."""
 
 
 def dome_grid(step_rad: float, *, width_rad: float = _FULL_TURN_RAD) -> SphericalGrid:
@@ -36,44 +71,63 @@ def dome_grid(step_rad: float, *, width_rad: float = _FULL_TURN_RAD) -> Spherica
 def scan_around(
     world: World,
     caster: RayCaster,
-    grid: SphericalGrid,
+    grid: ScanGeometry,
     *,
     rng: np.random.Generator,
-    speckle: float = 0.06,
+    noise: RangeNoise = RANGE_NOISE,
+    world_from_scanner: Rigid | None = None,
     report: Callable[[float], None] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Scan a world from the scanner's own origin.
+    """Scan a world, one ray a cell.
 
     Args:
         world: the scanned world.
         caster: its ray caster.
         grid: the directions.
         rng: random generator of the noise.
-        speckle: relative standard deviation of the amplitude.
+        noise: the noise.
+        world_from_scanner: where the scanner stands; None: at the world's origin, its axes along the world's.
         report: receives the share done, 0..1.
 
     Returns:
         Ranges, m, NaN without a return, and raw intensity, both (H, W) float32.
     """
-    viewpoint = Viewpoint(world, np.zeros(3))
+    origin = np.zeros(3) if world_from_scanner is None else world_from_scanner.translation
+    viewpoint = Viewpoint(world, origin)
+    rows, count = grid.shape
     amplitude, ranges = np.zeros(grid.shape, np.float32), np.zeros(grid.shape, np.float32)
-    columns = np.arange(grid.columns)
+    columns = np.arange(count)
 
     def strip(part: slice) -> None:
         row, column = np.meshgrid(np.arange(part.start, part.stop), columns, indexing="ij")
-        rays = grid.ray_at(np.stack([row, column], axis=-1)).reshape(-1, 3).astype(np.float32)
-        triangle = caster.first_hit(np.zeros(3), rays)
+        rays: FloatArray = grid.ray_at(np.stack([row, column], axis=-1)).reshape(-1, 3)
+        if world_from_scanner is not None:
+            rays = _turned(rays, world_from_scanner.rotation)
+        directions = rays.astype(np.float32)
+        triangle = caster.first_hit(origin, directions)
         faces = np.where(triangle < 0, 0, np.take(world.face_of_triangle, triangle)).astype(np.int32)
-        a, r = echoes(viewpoint, faces, rays)
+        a, r = echoes(viewpoint, faces, directions)
         amplitude[part], ranges[part] = a.reshape(row.shape), r.reshape(row.shape)
 
-    in_strips(grid.rows, strip, report)
-    looks = 1 / speckle**2
+    in_strips(rows, strip, report)
     # Noise is drawn for the whole grid: it must not depend on the strips.
-    measured = amplitude * (rng.standard_gamma(looks, grid.shape, dtype=np.float32) / np.float32(looks))
-    with np.errstate(divide="ignore"):
-        sigma_m = np.minimum(_SIGMA_M / np.sqrt(amplitude / np.float32(0.3)), np.float32(0.05))
-    ranges += rng.standard_normal(grid.shape, dtype=np.float32) * sigma_m
-    ranges = np.rint(ranges / np.float32(_RESOLUTION_M)) * np.float32(_RESOLUTION_M)
-    ranges[(amplitude < _LEAST_AMPLITUDE) | (ranges <= 0)] = np.nan
-    return ranges, measured
+    return noise.measured(amplitude, ranges, rng)
+
+
+def echoes_along(
+    world: World, caster: RayCaster, origins: FloatArray, rays: FloatArray
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return amplitude and range (N,), without noise, of rays (N, 3) that each have an origin (N, 3) of their own, m.
+
+    Ranges are 0 where a ray hits nothing.
+    """
+    directions = np.asarray(rays, dtype=np.float32)
+    triangle = caster.first_hit(origins, directions)
+    faces = np.where(triangle < 0, 0, np.take(world.face_of_triangle, triangle)).astype(np.int32)
+    return echoes_of(meet_from(world, origins, faces, directions))
+
+
+def _turned(rays: FloatArray, R: FloatArray) -> FloatArray:
+    # Written out, since the last bit of a matrix product may depend on the number of threads.
+    x, y, z = rays.T
+    return np.stack([R[i, 0] * x + R[i, 1] * y + R[i, 2] * z for i in range(3)], axis=-1)

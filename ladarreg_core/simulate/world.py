@@ -340,7 +340,6 @@ class Viewpoint:
         self._gradient = np.ascontiguousarray(texel[:, :3], dtype=np.float32)
         start = texel[:, 0] * o[0] + texel[:, 1] * o[1] + texel[:, 2] * o[2] + texel[:, 3]
         self._start = start.astype(np.float32)
-        self._limit = world.texture_size.astype(np.float32) - np.float32(1)
 
     def meet(self, faces: IntArray, directions: FloatArray) -> Surface:
         """Intersect rays with the planes of the faces that they hit first.
@@ -349,40 +348,11 @@ class Viewpoint:
             faces: (N,) face of each ray.
             directions: (N, 3) unit rays, float32.
         """
-        world = self._world
-        dx, dy, dz = (np.ascontiguousarray(directions[:, i]) for i in range(3))
-        nx, ny, nz = (np.take(self._normals[i], faces) for i in range(3))
-        along = nx * dx + ny * dy + nz * dz
-        along = np.where(np.abs(along) < 1e-6, np.float32(-1e-6), along)
-        t = np.asarray(np.take(self._distance, faces) / along, dtype=np.float32)
-        texel = [
-            t * sum(np.take(self._gradient[axis, i], faces) * d for i, d in enumerate((dx, dy, dz)))
-            + np.take(self._start[axis], faces)
-            for axis in (0, 1)
-        ]
-        s, row = (np.clip(texel[i], 0, np.take(self._limit[i], faces)).astype(np.int64) for i in (0, 1))
-        index = np.take(world.texel_start, faces) + row * np.take(world.texture_size[0], faces) + s
-        ink = np.take(world.texels, index).view(np.uint8).reshape(-1, 4)
-        o = self._origin
-        px, py, pz = o[0] + t * dx, o[1] + t * dy, o[2] + t * dz
-        flip = np.where(along > 0, np.float32(-1), np.float32(1))
-        nx, ny, nz = nx * flip, ny * flip, nz * flip
-        cosine = np.abs(along)
-        curve = np.take(world.curve_of_face, faces)
-        bent = np.flatnonzero(curve >= 0)
-        if len(bent):
-            C = world.curves[curve[bent]]
-            p = [a[bent] for a in (px, py, pz)]
-            smooth = [C[:, i, 0] * p[0] + C[:, i, 1] * p[1] + C[:, i, 2] * p[2] + C[:, i, 3] for i in range(3)]
-            length = np.sqrt(smooth[0] ** 2 + smooth[1] ** 2 + smooth[2] ** 2) + np.float32(1e-12)
-            smooth = [a / length for a in smooth]
-            towards = -(smooth[0] * dx[bent] + smooth[1] * dy[bent] + smooth[2] * dz[bent])
-            cosine[bent] = np.maximum(towards, np.float32(0.02))
-            for a, b in zip((nx, ny, nz), smooth, strict=True):
-                a[bent] = b
-        t[faces == 0] = 0
-        metal, gloss, glow = (np.take(world.finish[i], faces) for i in range(3))
-        return Surface(t, (px, py, pz), (nx, ny, nz), cosine, ink, (metal, gloss, glow))
+        normals = [np.take(self._normals[i], faces) for i in range(3)]
+        gradient = [[np.take(self._gradient[axis, i], faces) for i in range(3)] for axis in (0, 1)]
+        first = [np.take(self._start[axis], faces) for axis in (0, 1)]
+        distance = np.take(self._distance, faces)
+        return _surface(self._world, faces, directions, self._origin, normals, distance, gradient, first)
 
     def towards_lamp(
         self, faces: IntArray, directions: FloatArray, lamp: ArrayLike
@@ -406,3 +376,67 @@ class Viewpoint:
         to_lamp = np.asarray(lamp, dtype=np.float32) - starts
         height = (n[:, 0] * to_lamp[:, 0] + n[:, 1] * to_lamp[:, 1] + n[:, 2] * to_lamp[:, 2]) * clear
         return starts, (height > 0) & (faces > 0)
+
+
+def meet_from(world: World, origins: FloatArray, faces: IntArray, directions: FloatArray) -> Surface:
+    """Intersect rays, each from an origin of its own, with the planes of the faces that they hit first.
+
+    Args:
+        world: the world.
+        origins: (N, 3), m.
+        faces: (N,) face of each ray.
+        directions: (N, 3) unit rays, float32.
+    """
+    o = np.asarray(origins, dtype=np.float64).T
+    n, texel = world.normals[:, faces], world.texel_from_point[:, :, faces]
+    distance = (world.offsets_m[faces] - (n[0] * o[0] + n[1] * o[1] + n[2] * o[2])).astype(np.float32)
+    first = texel[:, 0] * o[0] + texel[:, 1] * o[1] + texel[:, 2] * o[2] + texel[:, 3]
+    normals, gradient = list(n.astype(np.float32)), [list(axis) for axis in texel[:, :3].astype(np.float32)]
+    starts = o.astype(np.float32)
+    return _surface(world, faces, directions, starts, normals, distance, gradient, list(first.astype(np.float32)))
+
+
+def _surface(
+    world: World,
+    faces: IntArray,
+    directions: FloatArray,
+    origin: NDArray[np.float32],
+    normals: Sequence[NDArray[np.float32]],
+    distance: NDArray[np.float32],
+    gradient: Sequence[Sequence[NDArray[np.float32]]],
+    first: Sequence[NDArray[np.float32]],
+) -> Surface:
+    """Return where rays meet planes: of each ray the face's normal, its distance from the origin along it, the texel's
+    gradient and the texel at the origin, which is (3,) or (3, N)."""
+    dx, dy, dz = (np.ascontiguousarray(directions[:, i]) for i in range(3))
+    nx, ny, nz = normals
+    along = nx * dx + ny * dy + nz * dz
+    along = np.where(np.abs(along) < 1e-6, np.float32(-1e-6), along)
+    t = np.asarray(distance / along, dtype=np.float32)
+    texel = [t * sum(gradient[axis][i] * d for i, d in enumerate((dx, dy, dz))) + first[axis] for axis in (0, 1)]
+    size = world.texture_size
+    s, row = (
+        np.clip(texel[i], 0, np.take(size[i], faces).astype(np.float32) - np.float32(1)).astype(np.int64)
+        for i in (0, 1)
+    )
+    index = np.take(world.texel_start, faces) + row * np.take(size[0], faces) + s
+    ink = np.take(world.texels, index).view(np.uint8).reshape(-1, 4)
+    px, py, pz = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
+    flip = np.where(along > 0, np.float32(-1), np.float32(1))
+    nx, ny, nz = nx * flip, ny * flip, nz * flip
+    cosine = np.abs(along)
+    curve = np.take(world.curve_of_face, faces)
+    bent = np.flatnonzero(curve >= 0)
+    if len(bent):
+        C = world.curves[curve[bent]]
+        p = [a[bent] for a in (px, py, pz)]
+        smooth = [C[:, i, 0] * p[0] + C[:, i, 1] * p[1] + C[:, i, 2] * p[2] + C[:, i, 3] for i in range(3)]
+        length = np.sqrt(smooth[0] ** 2 + smooth[1] ** 2 + smooth[2] ** 2) + np.float32(1e-12)
+        smooth = [a / length for a in smooth]
+        towards = -(smooth[0] * dx[bent] + smooth[1] * dy[bent] + smooth[2] * dz[bent])
+        cosine[bent] = np.maximum(towards, np.float32(0.02))
+        for a, b in zip((nx, ny, nz), smooth, strict=True):
+            a[bent] = b
+    t[faces == 0] = 0
+    metal, gloss, glow = (np.take(world.finish[i], faces) for i in range(3))
+    return Surface(t, (px, py, pz), (nx, ny, nz), cosine, ink, (metal, gloss, glow))
