@@ -1,0 +1,220 @@
+"""A line scanner that speaks SCIP 2, such as Hokuyo's."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ladarreg_core.acquisition.devices import Check, LineScannerIdentity, ScanLine
+from ladarreg_core.acquisition.link import Link
+from ladarreg_core.acquisition.plan import ScannerPlan
+from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.acquisition.scip_protocol import (
+    CLOCK_MS,
+    MOST_LINES,
+    STOP,
+    LineRequest,
+    RawLine,
+    ScipError,
+    is_acknowledgement,
+    parse_clock,
+    parse_fields,
+    parse_line,
+    parse_status,
+    reply_length,
+)
+from ladarreg_core.errors import DeviceError
+
+_ANSWER_S = 1.5
+_FIRST_LINE_S = 3.0
+_QUIET_S = 0.15
+_CLOCK_READINGS = 8
+_EARLY, _LATE_S = 0.5, 0.5
+_FIELDS = ("DMIN", "DMAX", "ARES", "AMIN", "AMAX", "AFRT", "SCAN")
+_MM = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReading:
+    """How the scanner's clock relates to the host's."""
+
+    host_minus_scanner_s: float
+    """`time.monotonic` less the scanner's unwrapped clock, s."""
+    uncertainty_s: float
+    """Half of the round trip, and of the clock's step."""
+
+
+class ScipScanner:
+    """A line scanner that is connected, with its laser off; use `connect`."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._clock_s: float | None = None
+        self._clock_host_s = 0.0
+        self._set_up()
+        self._steps, self.identity = self._identify()
+
+    @staticmethod
+    def connect(ports: Ports, plan: ScannerPlan) -> ScipScanner:
+        """Connect to a scanner, switch its laser off and ask what it is.
+
+        Raises:
+            DeviceError: if the port cannot be opened, or what answers is no such scanner.
+        """
+        link = Link(ports.open(plan.port, plan.baud, stop=STOP, name="line scanner"), device="the line scanner")
+        try:
+            scanner = ScipScanner(link)
+        except BaseException:
+            link.close()
+            raise
+        link.when_connected(scanner._set_up)
+        return scanner
+
+    @property
+    def link(self) -> Link:
+        """The link, with its latest exchanges."""
+        return self._link
+
+    def lines(self, count: int, *, check: Check) -> Iterator[ScanLine]:
+        """Switch the laser on, measure a bounded number of lines, and switch it off, whatever happens.
+
+        Raises:
+            DeviceError: if a line is missing, late or damaged; the laser is off then.
+            Cancelled: if `check` raises it; the laser is off then.
+        """
+        try:
+            while count > 0:
+                part = min(count, MOST_LINES)
+                yield from self._part(part, check)
+                count -= part
+        finally:
+            self.laser_off()
+            self._settle()
+
+    def clock(self) -> ClockReading:
+        """Return how the scanner's clock relates to the host's, from the quickest of several exchanges.
+
+        Raises:
+            DeviceError: if the scanner does not answer as specified.
+        """
+        parse_status(self._ask(b"TM0\n"), b"TM0\n", allowed=("00", "02"))
+        found = []
+        try:
+            for _ in range(_CLOCK_READINGS):
+                begun = time.monotonic()
+                clock_ms = parse_clock(self._ask(b"TM1\n"), b"TM1\n")
+                ended = time.monotonic()
+                half = (ended - begun) / 2
+                found.append(ClockReading((begun + ended) / 2 - self._unwrapped(clock_ms), half + 0.0005))
+        finally:
+            parse_status(self._ask(b"TM2\n"), b"TM2\n", allowed=("00", "03"))
+        return min(found, key=lambda reading: reading.uncertainty_s)
+
+    def laser_off(self) -> None:
+        """Switch the laser off at once; may be called from any thread, and never raises."""
+        with contextlib.suppress(DeviceError):  # the port is lost, which every later use says
+            self._link.urgent(STOP)
+
+    def close(self) -> None:
+        """Switch the laser off and disconnect."""
+        self.laser_off()
+        self._link.close()
+
+    def _part(self, count: int, check: Check) -> Iterator[ScanLine]:
+        """Yield lines of one request."""
+        request = LineRequest(*self._steps, count=count, with_intensity=self.identity.has_intensity, single=False)
+        parse_status(self._ask(b"BM\n"), b"BM\n", allowed=("00", "02"))
+        received = self._link.exchange(request.sent, complete=reply_length, deadline_s=_ANSWER_S, check=check)
+        if is_acknowledgement(received, request):
+            parse_status(received, request.sent)
+        else:
+            raise ScipError("the line scanner did not acknowledge the request for lines; check the cable")
+        before: ScanLine | None = None
+        for left in reversed(range(count)):
+            deadline = _FIRST_LINE_S if before is None else _ANSWER_S
+            raw = parse_line(self._link.receive(complete=reply_length, deadline_s=deadline, check=check), request)
+            if raw.left != left:
+                raise ScipError(
+                    f"{left - raw.left} lines are missing: the scanner announced {raw.left} more where {left} are due; "
+                    "lower the load of this computer or of the connection"
+                )
+            line = self._line(raw)
+            if before is not None:
+                self._require_order(before, line)
+            yield line
+            before = line
+
+    def _line(self, raw: RawLine) -> ScanLine:
+        mm = raw.distance_mm
+        least, most = self.identity.least_range_m, self.identity.most_range_m
+        ranges = (mm * _MM).astype(np.float32)
+        ranges[(mm * _MM < least) | (mm * _MM > most)] = np.nan  # error codes, and no echo
+        intensity = None if raw.intensity is None else raw.intensity.astype(np.float32)
+        return ScanLine(ranges, intensity, self._unwrapped(raw.time_ms))
+
+    def _require_order(self, before: ScanLine, line: ScanLine) -> None:
+        step, period = line.time_s - before.time_s, self.identity.line_period_s
+        if not _EARLY * period < step < period + _LATE_S:
+            raise ScipError(
+                f"the line scanner's time stamps are {1000 * step:.0f} ms apart where {1000 * period:.0f} ms are due; "
+                "check the cable"
+            )
+
+    def _unwrapped(self, clock_ms: int) -> float:
+        """Return the scanner's clock without the jumps at which it wraps, s."""
+        host_s, wrap_s = time.monotonic(), CLOCK_MS * _MM
+        here = clock_ms * _MM
+        if self._clock_s is not None:
+            expected = self._clock_s + host_s - self._clock_host_s
+            here += round((expected - here) / wrap_s) * wrap_s
+        self._clock_s, self._clock_host_s = here, host_s
+        return here
+
+    def _set_up(self) -> None:
+        """Switch the laser off, wait until all that was under way has come, and see that it answers."""
+        self.laser_off()
+        self._settle()
+        parse_status(self._ask(b"QT\n"), b"QT\n")
+
+    def _settle(self) -> None:
+        """Let pass what the scanner still sends after it was told to stop."""
+        with contextlib.suppress(DeviceError):
+            self._link.exchange(b"", complete=lambda data: False, deadline_s=_QUIET_S)
+
+    def _identify(self) -> tuple[tuple[int, int], LineScannerIdentity]:
+        version, limits = self._fields(b"VV\n"), self._fields(b"PP\n")
+        missing = [name for name in _FIELDS if not limits.get(name, "").isdigit()]
+        if missing:
+            raise ScipError(f"the line scanner does not state {', '.join(missing)}; it is not supported")
+        least, most, turn, first, last, front, rpm = (int(limits[name]) for name in _FIELDS)
+        if not (0 <= first <= front <= last < turn and 0 < least < most and rpm > 0):
+            raise ScipError(
+                f"the line scanner states steps {first} to {last} with {front} ahead of {turn} a turn, {least} to "
+                f"{most} mm and {rpm} turns a minute, which no scanner has; check the cable"
+            )
+        # Without the laser the command is refused by 10 where it is known, and by another status where it is not.
+        probe = LineRequest(front, front, with_intensity=True)
+        answer = self._ask(probe.sent)
+        has_intensity = parse_status(answer, probe.sent, allowed=("00", "10", "0E", "01", "98"))[0] in ("00", "10")
+        model = ", ".join(version[name] for name in ("VEND", "PROD", "FIRM", "SERI") if version.get(name))
+        steps = np.arange(first, last + 1)
+        period = 60.0 / rpm
+        return (first, last), LineScannerIdentity(
+            model or "line scanner",
+            np.asarray((steps - front) * (2 * np.pi / turn), np.float64),
+            least * _MM,
+            most * _MM,
+            period,
+            (last - first) / turn * period,
+            has_intensity,
+        )
+
+    def _fields(self, sent: bytes) -> dict[str, str]:
+        return dict(parse_fields(self._ask(sent), sent))
+
+    def _ask(self, sent: bytes) -> bytes:
+        return self._link.exchange(sent, complete=reply_length, deadline_s=_ANSWER_S)
