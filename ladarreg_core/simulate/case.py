@@ -25,7 +25,7 @@ from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import range_from_counts
 from ladarreg_core.simulate.gamma import GAMMA_CAMERA, take_gamma_image
-from ladarreg_core.simulate.ladar import DR_M, GEOMETRY, R0_M, scan_world
+from ladarreg_core.simulate.ladar import LADAR, Ladar, scan_world
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.scenes import SCENES, build_scene
@@ -97,6 +97,8 @@ class SimulatedCase:
     """(H, W) intensity as stored by the instrument."""
     hot_spots_m: NDArray[np.float64] | None = None
     """(K, 3) positions of the sources, scanner frame; only in the set `gamma`."""
+    ladar: Ladar = LADAR
+    """The scanner."""
 
 
 def simulate_case(
@@ -107,6 +109,7 @@ def simulate_case(
     k1: float = 0.0,
     k1_error: float = 0.0,
     focal_error: float = 0.0,
+    ladar: Ladar | None = None,
     report: Report | None = None,
 ) -> SimulatedCase:
     """Simulate a scan and a photograph of a synthetic room; equal arguments give equal bytes.
@@ -118,6 +121,7 @@ def simulate_case(
         k1: radial distortion of the true lens.
         k1_error: excess of the stated k1 over the true one.
         focal_error: relative excess of the stated focal length over the true one.
+        ladar: the scanner; None: the thesis's, with the speckle of the set.
         report: receives the progress.
 
     Raises:
@@ -142,11 +146,12 @@ def simulate_case(
     caster = RayCaster(world.triangles)
     camera_from_scanner = _pose(case_set, seed, world.focus_m, pose_rng)
     true_camera = replace(_CAMERAS[case_set.instrument], distortion=(k1, 0, 0, 0))
-    images = scan_world(world, caster, rng=scan_rng, speckle=case_set.speckle, report=stage(15, 45, "scanning"))
+    scanner = ladar or Ladar(speckle=case_set.speckle)
+    images = scan_world(world, caster, rng=scan_rng, ladar=scanner, report=stage(15, 45, "scanning"))
     name = f"{scene}-{set_name}-{seed}"
     scan = Scan(
-        geometry=GEOMETRY,
-        ranges=range_from_counts(images.counts, R0_M, DR_M).astype(np.float32),
+        geometry=scanner.geometry,
+        ranges=range_from_counts(images.counts, scanner.r0_m, scanner.dr_m).astype(np.float32),
         intensity=images.intensity.astype(np.float32),
         name=name,
     )
@@ -175,6 +180,7 @@ def simulate_case(
         counts=images.counts,
         intensity=images.intensity,
         hot_spots_m=hot_spots_m,
+        ladar=scanner,
     )
 
 
@@ -225,7 +231,15 @@ def case_files(case: SimulatedCase) -> list[tuple[str, Callable[[Path], None]]]:
         truth["hot_spots_m"] = case.hot_spots_m.tolist()
 
     def scan(path: Path) -> None:
-        write_npz_counts(path, counts=case.counts, intensity=case.intensity, geometry=GEOMETRY, r0_m=R0_M, dr_m=DR_M)
+        scanner = case.ladar
+        write_npz_counts(
+            path,
+            counts=case.counts,
+            intensity=case.intensity,
+            geometry=scanner.geometry,
+            r0_m=scanner.r0_m,
+            dr_m=scanner.dr_m,
+        )
 
     def photo(path: Path) -> None:
         path.write_bytes(png_of(case.photo))

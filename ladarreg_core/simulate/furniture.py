@@ -102,6 +102,22 @@ def carton(shop: Workshop, at: Placement, size: tuple[float, float, float]) -> N
     shop.builder.box(at, size, side, front=p.carton(w, h), top=p.carton(w, d))
 
 
+def stack(shop: Workshop, at: Placement, width_m: float, height_m: float) -> None:
+    """Stack cartons to about a height, sometimes with an ornament on top."""
+    rng = shop.rng
+
+    def u(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    z = 0.0
+    while z < height_m - 0.1:
+        size = (width_m * u(0.6, 0.95), width_m * u(0.75, 1.0), min(u(0.18, 0.5), height_m - z))
+        carton(shop, at.on(u(-0.04, 0.04), 0, z, u(-0.3, 0.3)), size)
+        z += size[2] + 0.0005
+    if rng.random() < 0.5:
+        ornament(shop, at.on(0, 0, z), width_m * 0.6, 0.3)
+
+
 def books(shop: Workshop, at: Placement, length_m: float, *, tallest_m: float, depth_m: float = 0.22) -> None:
     """Add a row of standing books along the placement's y, some leaning out or missing."""
     rng, p = shop.rng, shop.printer

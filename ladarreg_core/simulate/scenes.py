@@ -1,4 +1,4 @@
-"""Four kinds of rooms, different for every seed."""
+"""Four kinds of rooms, different for every seed: furnished ahead of the scanner, or all around it."""
 
 from __future__ import annotations
 
@@ -10,24 +10,31 @@ import numpy as np
 from ladarreg_core.simulate import furniture as make
 from ladarreg_core.simulate.furniture import Workshop
 from ladarreg_core.simulate.materials import InkMixer
+from ladarreg_core.simulate.surroundings import SURROUNDINGS
 from ladarreg_core.simulate.textures import Printer
 from ladarreg_core.simulate.world import Placement, World, WorldBuilder
 
 
 def build_scene(
-    scene: str, *, layout: np.random.Generator, independent_inks: bool = False, heated: bool = False
+    scene: str,
+    *,
+    layout: np.random.Generator,
+    independent_inks: bool = False,
+    heated: bool = False,
+    all_around: bool = False,
 ) -> World:
     """Return the world of a scene.
 
     Args:
-        scene: a name in `SCENES`.
+        scene: a name in `SCENES`, or in `SURROUNDINGS` if it is furnished all around.
         layout: random generator of the whole scene.
         independent_inks: laser albedo and visible colour are unrelated.
         heated: whether heating pipes run along the far wall.
+        all_around: furnished and printed on all sides, for scanners that turn; otherwise ahead only.
     """
     inks = InkMixer(layout, independent=independent_inks)
     shop = Workshop(WorldBuilder(), Printer(layout, inks), heated=heated)
-    return SCENES[scene](shop)
+    return SURROUNDINGS[scene](shop) if all_around else SCENES[scene](shop)
 
 
 def _boxes(shop: Workshop) -> World:
@@ -38,28 +45,16 @@ def _boxes(shop: Workshop) -> World:
     y = -1.9
     while y < 1.9:
         width = _u(rng, 0.35, 0.75)
-        _stack(shop, Placement(_u(rng, 2.7, depth - 0.7), y + width / 2, floor), width, _u(rng, 0.7, 2.0))
+        make.stack(shop, Placement(_u(rng, 2.7, depth - 0.7), y + width / 2, floor), width, _u(rng, 0.7, 2.0))
         y += width + _u(rng, 0.0, 0.14)
     for _ in range(4):
         here = Placement(_u(rng, 2.2, 2.7), _u(rng, -1.1, 1.1), floor)
         top = _u(rng, 0.4, 0.75)
         if rng.random() < 0.6:
-            _stack(shop, here, _u(rng, 0.3, 0.5), top)
+            make.stack(shop, here, _u(rng, 0.3, 0.5), top)
         else:
             make.bin_or_drum(shop, here, _u(rng, 0.15, 0.24), top)
     return _finish(shop, depth, floor, focus_m=3.4)
-
-
-def _stack(shop: Workshop, at: Placement, width_m: float, height_m: float) -> None:
-    """Stack cartons to about a height, sometimes with an ornament on top."""
-    rng = shop.rng
-    z = 0.0
-    while z < height_m - 0.1:
-        size = (width_m * _u(rng, 0.6, 0.95), width_m * _u(rng, 0.75, 1.0), min(_u(rng, 0.18, 0.5), height_m - z))
-        make.carton(shop, at.on(_u(rng, -0.04, 0.04), 0, z, _u(rng, -0.3, 0.3)), size)
-        z += size[2] + 0.0005
-    if rng.random() < 0.5:
-        make.ornament(shop, at.on(0, 0, z), width_m * 0.6, 0.3)
 
 
 def _desk(shop: Workshop) -> World:
@@ -126,7 +121,7 @@ def _office(shop: Workshop) -> World:
         if choice == 0:
             make.plant(shop, here, _u(rng, 0.8, 1.3))
         elif choice == 1:
-            _stack(shop, here, _u(rng, 0.35, 0.5), _u(rng, 0.5, 1.1))
+            make.stack(shop, here, _u(rng, 0.35, 0.5), _u(rng, 0.5, 1.1))
         else:
             make.bin_or_drum(shop, here, 0.17, _u(rng, 0.4, 0.6))
     return _finish(shop, depth, floor, focus_m=3.6)
@@ -152,7 +147,7 @@ def _people(shop: Workshop) -> World:
         turn = -float(np.arctan2(-y, 3)) * 0.5 + _u(rng, -0.7, 0.7)
         make.person(shop, Placement(_u(rng, 2.7, 3.6), y, floor, turn), height_m=_u(rng, 1.55, 1.9))
     make.chair(shop, Placement(_u(rng, 3.4, 3.9), _u(rng, -0.9, 0.9), floor, _u(rng, 0, 6)))
-    _stack(shop, Placement(_u(rng, 2.6, 3.2), float(rng.choice([-1.9, 1.9])), floor), 0.45, _u(rng, 0.6, 1.1))
+    make.stack(shop, Placement(_u(rng, 2.6, 3.2), float(rng.choice([-1.9, 1.9])), floor), 0.45, _u(rng, 0.6, 1.1))
     return _finish(shop, depth, floor, focus_m=3.4)
 
 

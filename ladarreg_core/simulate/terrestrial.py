@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grids import ScanGeometry, SphericalGrid
-from ladarreg_core.simulate.ladar import echoes, echoes_of
+from ladarreg_core.simulate.ladar import echoes, echoes_of, turned
 from ladarreg_core.simulate.ray_cast import RayCaster, in_strips
 from ladarreg_core.simulate.world import Viewpoint, World, meet_from
 
@@ -102,7 +102,7 @@ def scan_around(
         row, column = np.meshgrid(np.arange(part.start, part.stop), columns, indexing="ij")
         rays: FloatArray = grid.ray_at(np.stack([row, column], axis=-1)).reshape(-1, 3)
         if world_from_scanner is not None:
-            rays = _turned(rays, world_from_scanner.rotation)
+            rays = turned(rays, world_from_scanner.rotation)
         directions = rays.astype(np.float32)
         triangle = caster.first_hit(origin, directions)
         faces = np.where(triangle < 0, 0, np.take(world.face_of_triangle, triangle)).astype(np.int32)
@@ -125,9 +125,3 @@ def echoes_along(
     triangle = caster.first_hit(origins, directions)
     faces = np.where(triangle < 0, 0, np.take(world.face_of_triangle, triangle)).astype(np.int32)
     return echoes_of(meet_from(world, origins, faces, directions))
-
-
-def _turned(rays: FloatArray, R: FloatArray) -> FloatArray:
-    # Written out, since the last bit of a matrix product may depend on the number of threads.
-    x, y, z = rays.T
-    return np.stack([R[i, 0] * x + R[i, 1] * y + R[i, 2] * z for i in range(3)], axis=-1)

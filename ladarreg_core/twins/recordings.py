@@ -105,7 +105,7 @@ def simulate_sweep(
     moves is read to the nearest.
 
     Args:
-        scene: a name in `SCENES`.
+        scene: a name in `SURROUNDINGS`.
         seed: not negative.
         pans_rad: one line at each, positive to the left; of a unit that moves only the first and the last count.
             None: 360 lines over 180 deg.
@@ -206,7 +206,7 @@ def simulate_mosaic(
     and the noise of ranges and intensities.
 
     Args:
-        scene: a name in `SCENES`.
+        scene: a name in `SURROUNDINGS`.
         seed: not negative.
         columns: pieces side by side, centred ahead.
         rows: pieces one above the other, centred on the horizon.

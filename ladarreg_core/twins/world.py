@@ -24,9 +24,11 @@ from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import ScanGeometry
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose, rays_of_line, turned_by_unit
+from ladarreg_core.simulate.ladar import turned
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.scenes import SCENES, build_scene
+from ladarreg_core.simulate.scenes import build_scene
+from ladarreg_core.simulate.surroundings import SURROUNDINGS
 from ladarreg_core.simulate.terrestrial import RANGE_NOISE, RangeNoise, echoes_along, scan_around
 from ladarreg_core.simulate.world import World
 from ladarreg_core.validation import require_choice, require_int
@@ -76,7 +78,7 @@ class _Published:
 @lru_cache(maxsize=2)
 def _room(scene: str, seed: int) -> tuple[World, RayCaster]:
     layout = np.random.default_rng([zlib.crc32(f"{scene}/bench".encode()), seed])
-    world = build_scene(scene, layout=layout)
+    world = build_scene(scene, layout=layout, all_around=True)
     return world, RayCaster(world.triangles)
 
 
@@ -87,7 +89,7 @@ class Bench:
     interrupted and resumed measures the same. Safe to use from several threads.
 
     Args:
-        scene: a name in `SCENES`.
+        scene: a name in `SURROUNDINGS`.
         seed: of room, mounts and noise.
         mount: true `unit_from_scanner` of the line scanner; None: `LINE_MOUNT` with an error by the seed.
         frame_mount: true `unit_from_scanner` of the scanner with a field of view; None: `FRAME_MOUNT` with an error.
@@ -113,7 +115,7 @@ class Bench:
         noise: RangeNoise = RANGE_NOISE,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        require_choice(scene, tuple(SCENES), "the scene")
+        require_choice(scene, tuple(SURROUNDINGS), "the scene")
         require_int(seed, "the seed", least=0)
         self.scene, self.seed, self.noise = scene, seed, noise
         self.mount = mounted(seed) if mount is None else mount
@@ -269,15 +271,15 @@ class Bench:
         self, at: PanTilt | Angles, angles_rad: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         pan, tilt = (at.pan_rad, at.tilt_rad) if isinstance(at, PanTilt) else at
-        rays = _turned(self.mount.rotation, rays_of_line(angles_rad))
+        rays = turned(rays_of_line(angles_rad), self.mount.rotation)
         in_world = turned_by_unit(rays, pan, tilt)
         origins = turned_by_unit(np.broadcast_to(self.mount.translation, rays.shape), pan, tilt)
         room = self.room_from_world
         return echoes_along(
             self.room,
             self._caster,
-            _turned(room.rotation, origins) + room.translation,
-            _turned(room.rotation, in_world),
+            turned(origins, room.rotation) + room.translation,
+            turned(in_world, room.rotation),
         )
 
     def _rng(self, kind: str, key: NoiseKey) -> np.random.Generator:
@@ -286,9 +288,3 @@ class Bench:
 
 def _at_zero(times: FloatArray) -> Angles:
     return np.zeros(len(times)), np.zeros(len(times))
-
-
-def _turned(R: FloatArray, vectors: FloatArray) -> FloatArray:
-    # Written out, since the last bit of a matrix product may depend on the number of threads.
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.stack([R[i, 0] * x + R[i, 1] * y + R[i, 2] * z for i in range(3)], axis=-1)

@@ -83,7 +83,7 @@ def test_a_point_is_photographed_where_the_camera_projects_it(k1: float) -> None
 
 def test_a_point_is_scanned_in_the_cell_of_its_direction() -> None:
     world, caster, points = dotted_wall()
-    images = ladar.scan_world(world, caster, rng=np.random.default_rng(0), speckle=0.01)
+    images = ladar.scan_world(world, caster, rng=np.random.default_rng(0), ladar=ladar.Ladar(speckle=0.01))
     cells = ladar.GEOMETRY.cell_of(points)
     normal = np.cross([-0.1, 0.0, -2.0], [0.4, -3.0, 0.1])
     cosine = -(ladar.GEOMETRY.rays @ normal) / np.linalg.norm(normal)
