@@ -56,7 +56,7 @@ def test_a_pan_only_sweep_keeps_what_it_cannot_show() -> None:
     np.testing.assert_allclose(off[[2, 5]], given[[2, 5]], atol=2e-4)  # but for the order of large rotations
     seen = np.flatnonzero(found.determined)
     assert off[seen] @ np.linalg.solve(found.covariance[np.ix_(seen, seen)], off[seen]) < 18.5
-    assert np.abs(off[:2]).max() < 2e-3
+    assert np.abs(off[:2]).max() < 5e-3
 
 
 class MountCalibrationOf:
