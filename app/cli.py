@@ -18,6 +18,7 @@ COMMANDS = {
     "register": "Register a scan with a photo: pose, registered image, model.",
     "apply": "Colour and export with a pose that is known: given, not verified.",
     "compare": "Compare the thesis's stages with the default method.",
+    "panorama": "Compose the pieces of a pan/tilt run as one scan.",
     "export": "Hand results over to other programs: COLMAP, E57, LAZ, ROS ...",
     "report": "Write the report of a result or project: one HTML file.",
     "info": "Describe a scan, photo, camera, pose, matches or results file.",

@@ -20,7 +20,7 @@ EXAMPLES = (
     "# the images that a scanner took, with their cameras and poses:",
     "ladarreg info room.e57 --scan 1 --extract images",
 )
-_DOCUMENTS = ("registration.json", "comparison.json", "export.json")
+_DOCUMENTS = ("registration.json", "comparison.json", "export.json", "panorama.json")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class Arguments(ScanArguments):
     """Arguments of `info`."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """A scan, photo, camera, pose, matches or results file, or a folder of results."""
+    """A scan, photo, camera, pose, matches or results file, or a folder of results or of a run."""
     extract: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Extract the images of an E57 file to this folder, with their cameras, and their poses relative to the
     scan (--scan) for --initial."""
@@ -45,6 +45,10 @@ def run(arguments: Arguments) -> ExitCode:
     file = arguments.file
     if file.is_dir() and (document := next(filter(Path.is_file, (file / name for name in _DOCUMENTS)), None)):
         file = document
+    elif (file / "run.jsonl").is_file():
+        from ladarreg_core.panorama import describe_run
+
+        return _print(describe_run(file), as_json=arguments.json)
     info = describe(file, **arguments.scan_options)
     facts = list(_facts(info))
     extracted: list[str] = []
@@ -58,10 +62,22 @@ def run(arguments: Arguments) -> ExitCode:
     if arguments.json:
         print_json({**asdict(info), "extracted": extracted})
         return ExitCode.ACCEPTED
+    _print_facts(facts)
+    return ExitCode.ACCEPTED
+
+
+def _print(info: Mapping[str, Any], *, as_json: bool) -> ExitCode:
+    if as_json:
+        print_json(info)
+    else:
+        _print_facts(list(_facts(info)))
+    return ExitCode.ACCEPTED
+
+
+def _print_facts(facts: list[tuple[str, str]]) -> None:
     width = max(len(name) for name, _ in facts)
     for name, value in facts:
         print(f"{name:<{width}}  {value}")
-    return ExitCode.ACCEPTED
 
 
 def _facts(info: Any) -> Iterator[tuple[str, str]]:

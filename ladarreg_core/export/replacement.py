@@ -35,6 +35,10 @@ MATCHES_FILE = "matches.json"
 EXPORT_FILE = "export.json"
 """File that lists those of an export, which are in folders beside it; it is written first."""
 _COMPARISON_FILES = ("comparison.json", "table.md", "contact_sheet.png")
+PANORAMA_FILE = "panorama.json"
+"""File that describes a panorama."""
+PANORAMA_FILES = (PANORAMA_FILE, "scan.npz")
+"""Files of a panorama."""
 _SIMULATION_FILES = ("scan.npz", "photo.png", "camera.json", "truth.json")
 _STAGE_PICTURE = re.compile(r"(registered|not_accepted)_[a-z0-9_]+\.png")
 _FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini", ".directory"})
@@ -162,7 +166,7 @@ def is_project(folder: Path) -> bool:
 def remove_results(folder: Path, *, more_names: Collection[str] = ()) -> None:
     """Remove the files that exports write into a folder, and the folder if it is empty then."""
     registration = {*REGISTRATION_FILES, *REFUSED_FILES, OFFSET_FILE, MATCHES_FILE, EXPORT_FILE}
-    own = {*registration, *_COMPARISON_FILES, *_SIMULATION_FILES, *_FILE_MANAGER_FILES, *more_names}
+    own = {*registration, *_COMPARISON_FILES, *_SIMULATION_FILES, *PANORAMA_FILES, *_FILE_MANAGER_FILES, *more_names}
     with contextlib.suppress(OSError):
         with os.scandir(folder) as listed:
             entries = [entry for entry in listed if entry.is_file(follow_symlinks=False)]
@@ -256,6 +260,10 @@ def _files_of_export(fields: Mapping[str, Any]) -> Collection[str] | None:
     return (EXPORT_FILE, *named) if len(named) == len(files) else None
 
 
+def _files_of_panorama(fields: Mapping[str, Any]) -> Collection[str] | None:
+    return PANORAMA_FILES if fields.get("kind") == "panorama" and isinstance(fields.get("software"), dict) else None
+
+
 def is_file_name(name: str) -> bool:
     """Return whether a name, with `/` between folders, is of a file below the folder that it is relative to."""
     parts = name.split("/")
@@ -279,6 +287,7 @@ _DOCUMENTS: Mapping[str, Callable[[Mapping[str, Any]], Collection[str] | None]] 
     "comparison.json": _files_of_comparison,
     "truth.json": _files_of_simulation,
     EXPORT_FILE: _files_of_export,
+    PANORAMA_FILE: _files_of_panorama,
 }
 """Identifying document of each kind of results, and a function that returns the names of all their files; None if the
 document was not written by ladarreg."""

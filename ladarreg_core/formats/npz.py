@@ -6,7 +6,7 @@ import io
 import math
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,10 +31,19 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import IntensityKind, Scan
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
-from ladarreg_core.scanner.grids import AzimuthElevation, ScanGeometry, TabulatedGrid, range_from_counts
+from ladarreg_core.scanner.grid_window import grid_rays
+from ladarreg_core.scanner.grids import (
+    AzimuthElevation,
+    ScanGeometry,
+    SphericalGrid,
+    TabulatedGrid,
+    range_from_counts,
+)
 
 SCALARS = ("r0_m", "dr_m", "d_azimuth_rad", "d_elevation_rad")
 OFFSETS = ("azimuth_offset_rad", "elevation_offset_rad")
+SPHERE = ("d_longitude_rad", "d_latitude_rad", "centre_longitude_rad", "top_latitude_rad")
+"""Scalars of a panorama: with them the directions of its cells need no table."""
 _LONGEST_HEADER = 4096
 _PIECE = 1 << 20
 _MOST_APART_RAD = 5e-3
@@ -42,6 +51,8 @@ _MOST_APART_SHARE = 0.01
 # Measured peak memory per cell of a read, beyond the file's arrays.
 _XYZ_BYTES = 330
 _COUNTS_BYTES = 40
+_SPHERE_BYTES = 24
+_ROWS_AT_ONCE = 64
 
 
 def sniff_npz(head: bytes) -> bool:
@@ -56,7 +67,8 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         path: a file with `intensity` (H, W) and either `xyz` (H, W, 3), m, NaN or (0, 0, 0) = no return, or `counts`
             (H, W), 0 = no return, with `r0_m`, `dr_m`, `d_azimuth_rad`, `d_elevation_rad` and optional offsets.
             Optional: `color` (H, W, 3) uint8, `rays` (H, W, 3), directions also of cells without a return (those of
-            the points are their own), `world_from_scanner` (4, 4).
+            the points are their own), `world_from_scanner` (4, 4). With the four scalars `SPHERE` the points lie on a
+            spherical grid: row 0 at `top_latitude_rad`, the middle column at `centre_longitude_rad`.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress.
 
@@ -95,8 +107,10 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         world_from_scanner = _world_pose(archive, members)
         arrays = sum(member.bytes_per_cell for member in (intensity, measured, color, rays) if member is not None)
         budget = ReadBudget.of(file.stat().st_size, memory_bytes)
-        in_tables = name == "xyz" or rays is not None
-        budget.require_cells(*intensity.shape, arrays + (_XYZ_BYTES if in_tables else _COUNTS_BYTES))
+        sphere = _sphere(archive, members, intensity.shape)
+        in_tables = (name == "xyz" and sphere is None) or rays is not None
+        more = _XYZ_BYTES if in_tables else _COUNTS_BYTES if sphere is None else _SPHERE_BYTES
+        budget.require_cells(*intensity.shape, arrays + more)
         total = 2 + (color is not None)
         _report(report, 0, total)
         shown = as_float32(intensity.read(archive))
@@ -104,12 +118,20 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         values = measured.read(archive)
         _report(report, 2, total)
         directions = None if rays is None else rays.read(archive)
-        if name == "xyz":
+        geometry: ScanGeometry
+        metres: NDArray[Any]
+        notes: tuple[str, ...] = ()
+        if sphere is not None:
+            geometry, metres = sphere, _on_sphere(values, sphere)
+        elif name == "xyz":
             geometry, metres, notes = _from_xyz(values, directions)
         else:
             geometry, metres = _from_counts(values, _scalars(archive, members))
-            geometry, notes = geometry if directions is None else TabulatedGrid(_unit(directions)), ()
+            geometry = geometry if directions is None else TabulatedGrid(_unit(directions))
         ranges = as_float32(metres)
+        del values, metres
+        for array in (ranges, shown):
+            array.flags.writeable = False  # handed over without a copy
         return Scan(
             geometry,
             ranges,
@@ -176,6 +198,54 @@ def write_npz_xyz(path: PathLike, scan: Scan) -> None:
     _save(path, arrays)
 
 
+def write_npz_panorama(path: PathLike, scan: Scan, *, piece: NDArray[np.integer[Any]] | None = None) -> None:
+    """Write a scan on a spherical grid in the xyz form, with the scalars `SPHERE`, in bounded memory.
+
+    Args:
+        path: output file.
+        scan: the scan; its geometry is a `SphericalGrid`.
+        piece: (H, W) the piece of a mosaic that each return is from; negative for none, which becomes the largest
+            number of the type that is written.
+
+    Raises:
+        ShapeError: if the scan has another geometry.
+        ExportError: if the file cannot be written.
+    """
+    grid = scan.geometry
+    if not isinstance(grid, SphericalGrid):
+        raise ShapeError(f"the scan is on a {type(grid).__name__}; a panorama is on a SphericalGrid")
+    rows, columns = scan.shape
+    small: dict[str, Any] = {name: getattr(grid, name) for name in SPHERE}
+    small["intensity_is"] = scan.intensity_is
+    if scan.world_from_scanner is not None:
+        small["world_from_scanner"] = scan.world_from_scanner.matrix
+    large: dict[str, tuple[tuple[int, ...], Any, Callable[[slice], NDArray[Any]]]] = {
+        "xyz": ((rows, columns, 3), np.float32, lambda part: scan.points_at(part, slice(None))),
+        "intensity": ((rows, columns), np.float32, lambda part: scan.intensity[part]),
+    }
+    if scan.color is not None:
+        color = scan.color
+        large["color"] = ((rows, columns, 3), np.uint8, lambda part: color[part])
+    if piece is not None:
+        kind = np.uint8 if piece.max(initial=0) < 255 else np.uint16
+        none = np.iinfo(kind).max
+        large["piece"] = ((rows, columns), kind, lambda part: np.where(piece[part] < 0, none, piece[part]).astype(kind))
+    try:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, allowZip64=True, compresslevel=1) as archive:
+            for name, value in small.items():
+                with archive.open(f"{name}.npy", "w") as stream:
+                    np.lib.format.write_array(stream, np.asarray(value), allow_pickle=False)
+            for name, (shape, dtype, rows_of) in large.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+                    header = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": shape}
+                    np.lib.format.write_array_header_1_0(stream, header)
+                    for first in range(0, rows, _ROWS_AT_ONCE):
+                        part = rows_of(slice(first, first + _ROWS_AT_ONCE))
+                        stream.write(np.ascontiguousarray(part, dtype).data)
+    except OSError as error:
+        raise ExportError(f"{shown_name(path)} cannot be written: {error.strerror}; check the folder") from error
+
+
 def _save(path: PathLike, arrays: dict[str, Any]) -> None:
     try:
         with open(path, "wb") as stream:
@@ -227,7 +297,7 @@ class _Member:
 def _members(archive: zipfile.ZipFile) -> dict[str, _Member]:
     """Return the known arrays of an archive by name; other arrays are ignored, even pickled ones."""
     optional = {"color", "rays", "world_from_scanner", "intensity_is"}
-    wanted = {"intensity", "xyz", "counts", *optional, *SCALARS, *OFFSETS}
+    wanted = {"intensity", "xyz", "counts", *optional, *SCALARS, *OFFSETS, *SPHERE}
     found: dict[str, _Member] = {}
     for entry in archive.infolist():
         name = entry.filename.removesuffix(".npy")
@@ -350,6 +420,56 @@ def _from_xyz(
     wrong = is_scan_grid(rays) and order_of(rays)
     note = "row 0 is not the top or column 0 not the left: the scan is shown rotated or mirrored"
     return TabulatedGrid(points), ranges, (note,) if wrong else ()
+
+
+def _sphere(archive: zipfile.ZipFile, members: dict[str, _Member], shape: tuple[int, ...]) -> SphericalGrid | None:
+    """Return the spherical grid that a file states; None if it states none."""
+    given = [name for name in SPHERE if name in members]
+    if not given:
+        return None
+    if len(given) < len(SPHERE) or "counts" in members or "rays" in members:
+        missing = ", ".join(name for name in SPHERE if name not in members)
+        why = f"{missing} is missing" if missing else "'xyz' must be given, without 'counts' or 'rays'"
+        raise FormatError(f"the scalars of a spherical grid are incomplete: {why}")
+    values = {}
+    for name in SPHERE:
+        if members[name].shape not in ((), (1,)):
+            raise ShapeError(f"{name!r} has the shape {members[name].shape}; it must be one number")
+        values[name] = float(members[name].read(archive).reshape(()))
+        if not np.isfinite(values[name]):
+            raise FormatError(f"{name!r} is {values[name]}; it must be a finite number")
+    try:
+        return SphericalGrid(shape[0], shape[1], **values)
+    except OptionError as error:
+        raise FormatError(str(error)) from error
+
+
+def _on_sphere(xyz: NDArray[Any], grid: SphericalGrid) -> NDArray[np.float32]:
+    """Return the ranges (H, W) of points on a spherical grid; NaN = no return.
+
+    Raises:
+        FormatError: if the points are not on the grid.
+    """
+    ranges = np.empty(xyz.shape[:2], np.float32)
+    wrong = known = 0
+    for first in range(0, len(xyz), _ROWS_AT_ONCE):
+        part = slice(first, min(first + _ROWS_AT_ONCE, len(xyz)))
+        points = as_float32(xyz[part])
+        with np.errstate(over="ignore", invalid="ignore"):
+            ranges[part] = np.linalg.norm(points, axis=-1)
+            there = np.isfinite(ranges[part]) & (ranges[part] > 0)
+            rays = grid_rays(grid, part, slice(None, None, 4))
+            some = there[:, ::4]
+            ahead = np.einsum("...k,...k->...", points[:, ::4], rays) / ranges[part][:, ::4]
+        wrong += int((ahead[some] < np.cos(_MOST_APART_RAD)).sum())
+        known += int(some.sum())
+        ranges[part][~there] = np.nan
+    if wrong > _MOST_APART_SHARE * known:
+        raise FormatError(
+            f"{100 * wrong / known:.0f} % of the points of 'xyz' are not on the spherical grid that the file states; "
+            "leave the grid's scalars out, or correct them"
+        )
+    return ranges
 
 
 def _unit(directions: NDArray[Any]) -> NDArray[np.float64]:

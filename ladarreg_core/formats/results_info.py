@@ -1,4 +1,4 @@
-"""Descriptions of the documents that results consist of: registrations, comparisons, exports and their offsets."""
+"""Descriptions of the documents that results consist of: registrations, comparisons, panoramas, exports."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.camera_file import camera_from_fields, describe_camera
 from ladarreg_core.formats.file_info import FileInfo
 from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
+from ladarreg_core.formats.panorama_info import panorama_lines
 from ladarreg_core.formats.pose_file import GUESS_FIELD, POSE_FIELD, WORLD_FIELD, read_pose
 from ladarreg_core.formats.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position
@@ -24,7 +25,7 @@ Fields = Mapping[str, Any]
 
 
 def describe_results(path: Path) -> FileInfo | None:
-    """Describe a `registration.json`, `comparison.json`, `export.json` or `offset.json`; None for any other file.
+    """Describe a registration, comparison, export, panorama or offset JSON; None for any other file.
 
     Raises:
         FormatError: if it is such a file, but damaged.
@@ -53,6 +54,8 @@ def _describer(fields: Fields) -> Callable[[Path, Fields], FileInfo] | None:
         return _export
     if "camera_from_scanner_is" in fields and isinstance(fields.get("columns"), list):
         return _comparison
+    if fields.get("kind") == "panorama" and isinstance(fields.get("pieces"), list):
+        return _panorama
     if "offset_is" in fields and isinstance(fields.get("offset_m"), list):
         return _offset
     return None
@@ -115,6 +118,11 @@ def _comparison(path: Path, fields: Fields) -> FileInfo:
         for one in fields["columns"][:_MOST_LISTED]
     ]
     return FileInfo(**_about(path, fields, "comparison"), contents=tuple(lines), notes=_texts(fields.get("cautions")))
+
+
+def _panorama(path: Path, fields: Fields) -> FileInfo:
+    lines = tuple(f"{name}: {one_line(text, _LONGEST)}" for name, text in panorama_lines(fields))
+    return FileInfo(**_about(path, fields, "panorama"), contents=lines, notes=_texts(fields.get("notes")))
 
 
 def _offset(path: Path, fields: Fields) -> FileInfo:

@@ -1,0 +1,87 @@
+"""`ladarreg panorama RUN -o OUT`."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from ..exit_codes import ExitCode
+from ..messages import one_line
+from ..progress_bar import progress_bar
+
+if TYPE_CHECKING:
+    from ladarreg_core.frames import Rigid
+
+EXAMPLES = (
+    "ladarreg panorama run -o panorama",
+    "ladarreg panorama run -o panorama --calibrate-mount --refine",
+    "# scans of any format with the angles of any pan/tilt unit:",
+    "ladarreg panorama pieces.csv -o panorama --mount 0,0,0.08,0,0,0",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `panorama`."""
+
+    run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    """Folder of a run of `ladarreg acquire`, or a CSV with file,pan_deg,tilt_deg."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
+    """Output folder; an existing one is refused, but see --force."""
+    mount: Annotated[str | None, tyro.conf.arg(metavar="X,Y,Z,R,P,Y")] = None
+    """Where the scanner is on the unit: m from where the axes cross, then roll, pitch and yaw in degrees; or a JSON
+    file with xyz_m and rpy_deg, a plan or a panorama.json. Default: that of the plan."""
+    calibrate_mount: bool = False
+    """Estimate the mount from surfaces that were seen twice."""
+    refine: bool = False
+    """Refine the pieces of a mosaic against each other, where they overlap."""
+    partial: bool = False
+    """Compose what is there of a run that is not complete."""
+    force: bool = False
+    """Replace OUT if it contains an earlier panorama and nothing else; any other folder is never touched."""
+    json: bool = False
+    """Print panorama.json, and nothing else, on stdout; errors, too."""
+    quiet: bool = False
+    """Print no progress."""
+    debug: bool = False
+    """Print a log, and a traceback on failure."""
+
+
+def run(arguments: Arguments) -> ExitCode:
+    """Compose the pieces and write `scan.npz` and `panorama.json`."""
+    from ladarreg_core.export.folder import check_folder
+    from ladarreg_core.formats.panorama_info import panorama_lines
+    from ladarreg_core.panorama import compose, write_panorama
+
+    started = time.perf_counter()
+    check_folder(arguments.out, force=arguments.force, inputs=[arguments.run])
+    with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
+        made = compose(
+            arguments.run, mount=_mount(arguments.mount), calibrate_mount=arguments.calibrate_mount,
+            refine=arguments.refine, partial=arguments.partial, report=bar.progress,
+        )  # fmt: skip
+        write_panorama(arguments.out, made, inputs=[arguments.run], force=arguments.force, report=bar.progress)
+    if arguments.json:
+        from ..json_output import print_json
+
+        files = sorted(path.name for path in arguments.out.iterdir())
+        print_json({**made.fields, "output": {"folder": os.path.abspath(arguments.out), "files": files}})
+        return ExitCode.ACCEPTED
+    for name, value in panorama_lines(made.fields):
+        print(f"{name.capitalize():<10} {one_line(value)}")
+    print(f"Wrote      scan.npz, panorama.json in {arguments.out}")
+    print(f"Took       {time.perf_counter() - started:.1f} s")
+    return ExitCode.ACCEPTED
+
+
+def _mount(text: str | None) -> Rigid | None:
+    if text is None:
+        return None
+    from ladarreg_core.panorama import mount_of_text
+
+    return mount_of_text(text)
