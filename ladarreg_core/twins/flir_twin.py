@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,12 +42,14 @@ class _Move:
         ramp = min(self.speed / self.acceleration, math.sqrt(distance / self.acceleration))
         top = self.acceleration * ramp
         cruise = (distance - top * ramp) / top if top else 0.0
-        t = np.clip(time_s - self.begun_s, 0, 2 * ramp + cruise)
+        whole = 2 * ramp + cruise
+        t = np.clip(time_s - self.begun_s, 0, whole)
         rising = 0.5 * self.acceleration * np.minimum(t, ramp) ** 2
         level = top * np.clip(t - ramp, 0, cruise)
         left = np.clip(t - ramp - cruise, 0, ramp)
         falling = top * left - 0.5 * self.acceleration * left**2
-        return np.asarray(self.start + math.copysign(1.0, self.end - self.start) * (rising + level + falling))
+        way = math.copysign(1.0, self.end - self.start) * (rising + level + falling)
+        return np.where(t >= whole, self.end, self.start + way)  # exactly there, wherever it came from
 
     @property
     def ends_s(self) -> float:
@@ -93,12 +96,19 @@ class FlirTwin:
 
     Failures on request: `silent` answers nothing, `rubbish` answers noise, `late_s` delays every answer, `stuck` ends
     every movement halfway; `hit_limit` reports a limit unasked and stops.
+
+    Args:
+        baud: bits a second of its port.
+        seed: seeds its noise.
+        moved: called with the time when a movement begins, also one of no length, and whether it will arrive; again
+            when it is halted.
     """
 
     name = "flir-ptu"
 
-    def __init__(self, *, baud: int = 9600, seed: int = 0) -> None:
+    def __init__(self, *, baud: int = 9600, seed: int = 0, moved: Callable[[float, bool], None] | None = None) -> None:
         self.baud = baud
+        self._moved = moved
         self.silent = self.rubbish = self.stuck = False
         self.late_s = 0.0
         self.halted_at_s: float | None = None
@@ -118,6 +128,11 @@ class FlirTwin:
     def moving(self, now_s: float) -> bool:
         """Return whether an axis moves."""
         return any(axis.moving(now_s) for axis in self._axes.values())
+
+    @property
+    def rest_s(self) -> float:
+        """When both axes come, or came, to rest."""
+        return max((axis.moves[-1].ends_s for axis in self._axes.values() if axis.moves), default=0.0)
 
     def hit_limit(self, axis: str, now_s: float) -> None:
         """Report a limit that nobody asked for, and stop."""
@@ -225,11 +240,16 @@ class FlirTwin:
                 end = here + (axis.target - here) / 2
             if not axis.moves or axis.moves[-1].end != end:
                 axis.move(end, now_s)
+        if self._moved:
+            self._moved(now_s, not self.stuck)
 
     def _stop(self, now_s: float) -> None:
+        halted = self.moving(now_s)
         for axis in self._axes.values():
             if axis.moving(now_s):
                 here = axis.now(now_s)
                 axis.moves.append(_Move(now_s, here, here, axis.speed, axis.acceleration))
             axis.target = round(axis.now(now_s))
         self.halted_at_s = now_s
+        if self._moved and halted:
+            self._moved(now_s, False)

@@ -96,7 +96,7 @@ class Bench:
         camera_mount: true `unit_from_camera`.
         room_from_world: where the unit stands in the room; None: where the simulator's own scanner would.
         noise: of both scanners.
-        clock: seconds, rising.
+        clock: seconds, rising; None: seconds since the bench was made.
 
     Raises:
         OptionError: if the scene does not exist or the seed is out of range.
@@ -113,7 +113,7 @@ class Bench:
         camera_mount: Rigid = CAMERA_MOUNT,
         room_from_world: Rigid | None = None,
         noise: RangeNoise = RANGE_NOISE,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] | None = None,
     ) -> None:
         require_choice(scene, tuple(SURROUNDINGS), "the scene")
         require_int(seed, "the seed", least=0)
@@ -123,17 +123,19 @@ class Bench:
         self.camera_mount = camera_mount
         self.room_from_world = Rigid.identity() if room_from_world is None else room_from_world
         self.room, self._caster = _room(scene, seed)
-        self._clock, self._started = clock, clock()
+        begun = time.monotonic()
+        self._clock = clock or (lambda: time.monotonic() - begun)
         self._publishing = threading.Lock()
+        self._count, self._arrives = 0, False
         self._motions: tuple[_Published, ...] = (_Published(-np.inf, -np.inf, _at_zero),)
 
     # -- clock and motion --------------------------------------------------------------------------------------
 
     def now(self) -> float:
-        """Return the time since the bench was made, s."""
-        return self._clock() - self._started
+        """Return the time on the bench's clock, s."""
+        return self._clock()
 
-    def publish_motion(self, motion: Motion, *, from_s: float, rest_s: float) -> None:
+    def publish_motion(self, motion: Motion, *, from_s: float, rest_s: float, arrives: bool = True) -> None:
         """Tell how the unit moves from now on, until another motion is published.
 
         A unit that is halted, stuck or sent elsewhere publishes another motion. Times before `from_s` keep the motion
@@ -143,10 +145,12 @@ class Bench:
             motion: pan and tilt at times from `from_s` on; constant from `rest_s` on.
             from_s: when it begins, on the bench's clock.
             rest_s: when the unit is at rest.
+            arrives: whether it comes to rest where it was sent; False for a unit that was halted.
         """
         with self._publishing:
             kept = [m for m in self._motions if m.from_s < from_s][-_REMEMBERED_MOTIONS:]
             self._motions = (*kept, _Published(from_s, rest_s, motion))
+            self._count, self._arrives = self._count + 1, arrives
 
     def place_unit(self, at: PanTilt) -> None:
         """Put the unit somewhere at rest, now."""
@@ -156,6 +160,11 @@ class Bench:
 
         now = self.now()
         self.publish_motion(rest, from_s=now, rest_s=now)
+
+    def arrival(self) -> tuple[int, float] | None:
+        """Return the number of the latest motion and when it comes to rest where it was sent; None if it does not."""
+        with self._publishing:
+            return (self._count, self._motions[-1].rest_s) if self._arrives else None
 
     @property
     def moving(self) -> bool:
