@@ -23,6 +23,8 @@ COMMANDS = {
     "report": "Write the report of a result or project: one HTML file.",
     "info": "Describe a scan, photo, camera, pose, matches or results file.",
     "selftest": "Estimate how well a scan and a camera will register.",
+    "devices": "List serial ports, and what pan/tilt unit or scanner is there.",
+    "acquire": "Scan all around: drive a pan/tilt unit and a scanner by a plan.",
     "simulate": "Write a synthetic scan and photo with their true pose.",
     "serve": "Open the workbench in the browser, also on a project or files.",
     "demo": "Open the workbench on the embedded sample.",

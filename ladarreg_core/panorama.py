@@ -207,7 +207,7 @@ def add_to_run(run_folder: str | Path, panorama: Panorama) -> None:
     Raises:
         ExportError: if they cannot be written.
     """
-    from ladarreg_core.export.atomic_write import replaced_file
+    from ladarreg_core.atomic_write import replaced_file
     from ladarreg_core.export.json import write_document
 
     home = Path(run_folder)

@@ -68,8 +68,8 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _of_results(arguments: Arguments, bar: ProgressBar) -> Path:
     """Write the report of a folder of results, whose inputs are found by their names and hashes."""
+    from ladarreg_core.atomic_write import replaced_file
     from ladarreg_core.errors import FormatError, OptionError
-    from ladarreg_core.export.atomic_write import replaced_file
     from ladarreg_core.export.replacement import REPORT_FILE
     from ladarreg_core.export.report import write_report
     from ladarreg_core.saved_results import read_saved_result

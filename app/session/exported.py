@@ -57,7 +57,7 @@ class ExportedPose:
         Raises:
             LadarregError: if an input cannot be read again, or the file cannot be written.
         """
-        from ladarreg_core.export.atomic_write import replaced_file
+        from ladarreg_core.atomic_write import replaced_file
         from ladarreg_core.export.report import write_report
 
         document = self.document()

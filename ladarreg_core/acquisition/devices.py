@@ -95,6 +95,16 @@ class LineScannerIdentity:
     has_intensity: bool
 
 
+@dataclass(frozen=True, slots=True)
+class ClockReading:
+    """How the scanner's clock relates to the host's."""
+
+    host_minus_scanner_s: float
+    """`time.monotonic` less the scanner's clock as in `ScanLine.time_s`, s."""
+    uncertainty_s: float
+    """Half of the round trip, and of the clock's step."""
+
+
 class LineScanner(Protocol):
     """A line scanner that is connected; its frame has X ahead, Y left and Z along the axis of its mirror."""
 
@@ -104,6 +114,9 @@ class LineScanner(Protocol):
 
     def lines(self, count: int, *, check: Check) -> Iterator[ScanLine]:
         """Switch the laser on, measure a bounded number of lines, and switch it off, whatever happens."""
+
+    def clock(self) -> ClockReading:
+        """Return how the scanner's clock relates to the host's."""
 
     def laser_off(self) -> None:
         """Switch the laser off at once; may be called from any thread."""

@@ -68,6 +68,13 @@ class Ports:
         self._open.append((port, stop))
         return port
 
+    def release(self, address: str) -> None:
+        """Stop the device at an address and close its port, so that it can be opened otherwise."""
+        found = resolved_twin(address) if is_twin(address) else address
+        for port, _ in [each for each in self._open if each[0].address == found]:
+            port.close()
+        self._open = [each for each in self._open if each[0].address != found]
+
     def close(self) -> None:
         """Stop the devices and close the ports."""
         ports, self._open = self._open, []

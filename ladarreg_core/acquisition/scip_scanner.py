@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.acquisition.devices import Check, LineScannerIdentity, ScanLine
+from ladarreg_core.acquisition.devices import Check, ClockReading, LineScannerIdentity, ScanLine
 from ladarreg_core.acquisition.link import Link
 from ladarreg_core.acquisition.plan import ScannerPlan
 from ladarreg_core.acquisition.ports import Ports
@@ -36,16 +35,6 @@ _CLOCK_READINGS = 8
 _EARLY, _LATE_S = 0.5, 0.5
 _FIELDS = ("DMIN", "DMAX", "ARES", "AMIN", "AMAX", "AFRT", "SCAN")
 _MM = 0.001
-
-
-@dataclass(frozen=True, slots=True)
-class ClockReading:
-    """How the scanner's clock relates to the host's."""
-
-    host_minus_scanner_s: float
-    """`time.monotonic` less the scanner's unwrapped clock, s."""
-    uncertainty_s: float
-    """Half of the round trip, and of the clock's step."""
 
 
 class ScipScanner:
@@ -127,7 +116,7 @@ class ScipScanner:
     def _part(self, count: int, check: Check) -> Iterator[ScanLine]:
         """Yield lines of one request."""
         request = LineRequest(*self._steps, count=count, with_intensity=self.identity.has_intensity, single=False)
-        parse_status(self._ask(b"BM\n"), b"BM\n", allowed=("00", "02"))
+        # The request itself switches the laser on, and its end off.
         received = self._link.exchange(request.sent, complete=reply_length, deadline_s=_ANSWER_S, check=check)
         if is_acknowledgement(received, request):
             parse_status(received, request.sent)

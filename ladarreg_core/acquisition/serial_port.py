@@ -96,6 +96,18 @@ def port_names() -> list[str]:
     return sorted(port.device for port in comports())
 
 
+def described_ports() -> list[tuple[str, str]]:
+    """Return the serial ports of this machine, each with what the system says of it."""
+    from serial.tools.list_ports import comports
+
+    found = []
+    for port in sorted(comports(), key=lambda port: str(port.device)):
+        parts = (port.description, port.manufacturer, port.serial_number and f"serial number {port.serial_number}")
+        said = ", ".join(dict.fromkeys(str(part) for part in parts if part and part != "n/a"))
+        found.append((str(port.device), said or "no description"))
+    return found
+
+
 def _opened(address: str, baud: int) -> Any:
     import serial
 

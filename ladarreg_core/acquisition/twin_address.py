@@ -63,7 +63,7 @@ def resolved_twin(address: str) -> str:
 
 def _started(arguments: tuple[tuple[str, str], ...]) -> tuple[subprocess.Popen[str], dict[str, str]]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "ladarreg_core.twins", *(f"--{key}={value}" for key, value in arguments)],
+        [sys.executable, "-m", "ladarreg_core.twins", json.dumps(dict(arguments))],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=_environment(),
     )  # fmt: skip
     assert process.stdout is not None

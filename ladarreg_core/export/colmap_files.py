@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.atomic_write import write_chunks
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
-from ladarreg_core.export.atomic_write import write_chunks
 from ladarreg_core.frames import Rigid
 
 _NUMBERS = {"PINHOLE": 1, "OPENCV": 4, "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6, "EQUIRECTANGULAR": 17}

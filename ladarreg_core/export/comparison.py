@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.comparison import Column, Comparison
-from ladarreg_core.export.atomic_write import write_bytes
 from ladarreg_core.export.comparison_table import (
     Difference,
     cautions_of,

@@ -9,8 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from ladarreg_core.atomic_write import cannot_write, sync_folder
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.atomic_write import cannot_write, sync_folder
 from ladarreg_core.export.glb import write_model_glb
 from ladarreg_core.export.images import (
     write_labels_png,

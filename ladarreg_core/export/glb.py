@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, read_only
+from ladarreg_core.atomic_write import write_chunks
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.atomic_write import write_chunks
 from ladarreg_core.export.glb_content import GlbContent
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.texture_image import image_of, texture_image

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.atomic_write import write_bytes
 from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.picks.lengths import lengths_by_end
 from ladarreg_core.results import PoseResult, Registration

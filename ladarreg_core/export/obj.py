@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.export.atomic_write import write_bytes, write_chunks
+from ladarreg_core.atomic_write import write_bytes, write_chunks
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.texture_image import extension_of, image_of
 from ladarreg_core.progress import Progress, Report

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ladarreg_core.atomic_write import write_chunks
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.export.atomic_write import write_chunks
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.export.atomic_write import write_bytes
+from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.export.html import Content, Html, definitions, figure, joined, section, table, tag
 from ladarreg_core.export.json import CAMERA_FROM_SCANNER_IS
 from ladarreg_core.export.match_crops import WorstMatch, crop_legend, match_crops, worst_matches

@@ -19,8 +19,8 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Literal
 
+from ladarreg_core.atomic_write import sync_folder
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.atomic_write import sync_folder
 from ladarreg_core.export.replacement import display_path, folder_content, remove_results
 
 _LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?:(?P<pid>\d{1,10})-)?[0-9a-f]{8}\.(?P<state>part|old)")

@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ladarreg_core.export.atomic_write import cannot_write, sync_folder
+from ladarreg_core.atomic_write import cannot_write, sync_folder
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.staging import clear_leftovers, staging_folder
 from ladarreg_core.progress import Progress, Report

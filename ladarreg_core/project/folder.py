@@ -26,14 +26,14 @@ from typing import Any
 
 import msgspec
 
+from ladarreg_core.atomic_write import AppendedFile, cannot_write, sync_folder, write_bytes
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, NewerVersionError
-from ladarreg_core.export.atomic_write import AppendedFile, cannot_write, sync_folder, write_bytes
+from ladarreg_core.folder_lock import FolderLock
 from ladarreg_core.project.checksum import verify_checksum, with_checksum
 from ladarreg_core.project.codec import arrays_of, decode_document, encode
 from ladarreg_core.project.delta import change_between
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import Entry, History
-from ladarreg_core.project.lock import FolderLock
 from ladarreg_core.project.records import Records, read_records, record_line
 from ladarreg_core.project.replay import RECOVERED, Replayed, Snapshot, replay
 from ladarreg_core.project.stored_arrays import StoredArrays
@@ -70,7 +70,7 @@ class ProjectFolder:
                 (self.path / name).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise cannot_write(self.path, error) from None
-        self._lock = FolderLock(self.path, _LOCK)
+        self._lock = FolderLock(self.path, _LOCK, what="project")
         self._kept: dict[str, StoredArrays] = {}
         self._missing: dict[str, StoredArrays] = {}
         self._unknown: Unknown = {}

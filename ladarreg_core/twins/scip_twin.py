@@ -19,7 +19,7 @@ Measure = Callable[[NDArray[np.float64], NDArray[np.float64], int], tuple[NDArra
 (N,), m, NaN without a return, and intensities (N,)."""
 ScipFailure = Literal["silent", "rubbish", "wrong checksum", "lost line", "truncated"]
 _THINKS_S = 0.001
-_SPIN_UP_S = 0.2
+_SPIN_UP_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)

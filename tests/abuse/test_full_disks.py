@@ -20,8 +20,8 @@ from ladarreg.cli import _explain
 from ladarreg.exit_codes import ExitCode
 from ladarreg.session.session import Session
 
+from ladarreg_core.atomic_write import AppendedFile
 from ladarreg_core.errors import ExportError, UnsavedError
-from ladarreg_core.export.atomic_write import AppendedFile
 from ladarreg_core.project.document import Source
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import NOBODY

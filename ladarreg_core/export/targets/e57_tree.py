@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ladarreg_core.atomic_write import cannot_write
 from ladarreg_core.errors import DependencyError, ExportError, FormatError
-from ladarreg_core.export.atomic_write import cannot_write
 from ladarreg_core.formats.untrusted import one_line
 
 RECORDS_AT_ONCE = 131_072

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ladarreg_core.atomic_write import cannot_write
 from ladarreg_core.errors import DependencyError, ExportError
-from ladarreg_core.export.atomic_write import cannot_write
 from ladarreg_core.formats.las_records import point_dtype
 from ladarreg_core.version import VERSION
 

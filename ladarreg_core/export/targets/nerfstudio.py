@@ -20,10 +20,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ladarreg_core.atomic_write import cannot_write, write_chunks
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.camera.equirectangular import FULL_WINDOW
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.atomic_write import cannot_write, write_chunks
 from ladarreg_core.export.colmap_files import colmap_parameters
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import write_document

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray
+from ladarreg_core.atomic_write import write_bytes, write_chunks
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.atomic_write import write_bytes, write_chunks
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 
 from ladarreg_core.arrays import ByteArray, FloatArray
+from ladarreg_core.atomic_write import write_bytes, write_chunks
 from ladarreg_core.camera import Camera, EquirectangularCamera
-from ladarreg_core.export.atomic_write import write_bytes, write_chunks
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.mcap import TopicMessage, mcap_chunks
 from ladarreg_core.export.output_frame import OutputFrame

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.export.atomic_write import write_bytes
+from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.glb_content import GlbContent
 from ladarreg_core.export.json import write_document

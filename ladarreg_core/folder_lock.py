@@ -1,4 +1,4 @@
-"""Lock of a project folder: held by one program at a time, and released by a crash."""
+"""Lock of a folder: held by one program at a time, and released by a crash."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import contextlib
 import os
 from pathlib import Path
 
+from ladarreg_core.atomic_write import cannot_write
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.atomic_write import cannot_write
 
 
 class FolderLock:
@@ -17,12 +17,13 @@ class FolderLock:
     removed, and a new file of the same name would not be locked.
     """
 
-    def __init__(self, folder: Path, name: str) -> None:
+    def __init__(self, folder: Path, name: str, *, what: str) -> None:
         """Take the lock.
 
         Args:
             folder: the folder to lock.
             name: name of the lock file.
+            what: what the folder is, for messages, e.g. `project`.
 
         Raises:
             ExportError: if another program holds it, or the file cannot be created.
@@ -40,7 +41,7 @@ class FolderLock:
         except OSError:
             self.release()
             raise ExportError(
-                f"the project {folder} is open in another program; close it there, or open a copy of the folder"
+                f"the {what} {folder} is open in another program; close it there, or open a copy of the folder"
             ) from None
 
     def release(self) -> None:

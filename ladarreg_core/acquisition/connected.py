@@ -1,0 +1,125 @@
+"""The devices of a plan, connected; and what stands at a port, asked without moving or lighting anything."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from ladarreg_core.acquisition.devices import FrameSource
+from ladarreg_core.acquisition.flir_unit import FlirUnit
+from ladarreg_core.acquisition.folder_source import FolderSource
+from ladarreg_core.acquisition.plan import CameraPlan, Plan, ScannerPlan, UnitPlan
+from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.acquisition.run_folder import RunWriter
+from ladarreg_core.acquisition.runner import EventReport, Run
+from ladarreg_core.acquisition.scip_scanner import ScipScanner
+from ladarreg_core.acquisition.video_camera import VideoCamera
+from ladarreg_core.errors import DeviceError
+from ladarreg_core.formats import read_photo, read_scan
+
+_PHOTO_S = 60.0
+_UNIT_BAUDS = (9600, 115_200, 19_200, 38_400)
+_SCANNER_BAUDS = (115_200, 19_200)
+
+
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """The devices of a plan."""
+
+    unit: FlirUnit
+    line_scanner: ScipScanner | None
+    frames: FrameSource | None
+    camera: FrameSource | None
+
+    def run(self, plan: Plan, folder: RunWriter, report: EventReport) -> Run:
+        """Return a run of a plan on these devices.
+
+        Raises:
+            OptionError: if they cannot run it.
+        """
+        return Run(
+            plan, folder, unit=self.unit, line_scanner=self.line_scanner, frames=self.frames, camera=self.camera,
+            report=report,
+        )  # fmt: skip
+
+
+@contextmanager
+def connected(plan: Plan, *, guarded: bool = True) -> Iterator[Connected]:
+    """Connect to the devices of a plan, halted and dark, and disconnect at the end.
+
+    Raises:
+        DeviceError: if one cannot be reached.
+    """
+    with Ports(guarded=guarded) as ports, ExitStack() as stack:
+        unit = FlirUnit.connect(ports, plan.unit)
+        stack.callback(unit.close)
+        line_scanner = frames = None
+        if plan.scanner.kind == "scip2":
+            line_scanner = ScipScanner.connect(ports, plan.scanner)
+            stack.callback(line_scanner.close)
+        else:
+            frames = FolderSource(
+                plan.scanner.folder, is_readable=_is_scan, timeout_s=plan.scanner.timeout_s, device="the scanner"
+            )
+        camera = None if plan.camera is None else _camera(plan.camera)
+        if camera is not None:
+            stack.callback(camera.close)
+        yield Connected(unit, line_scanner, frames, camera)
+
+
+@dataclass(frozen=True, slots=True)
+class FoundDevice:
+    """What stands at a port."""
+
+    kind: str
+    """As in a plan: `flir-ptu` or `scip2`."""
+    baud: int
+    identity: object
+    """`UnitIdentity` or `LineScannerIdentity`."""
+
+
+def identified(address: str) -> FoundDevice:
+    """Return what stands at a port; the unit is halted and the laser switched off by asking, nothing else is done.
+
+    Raises:
+        DeviceError: if the port cannot be opened, or nothing known answers.
+    """
+    tried = []
+    with Ports() as ports:  # one guard for all attempts
+        for kind, bauds in (("flir-ptu", _UNIT_BAUDS), ("scip2", _SCANNER_BAUDS)):
+            for baud in bauds if "://" not in address and ":" not in address else bauds[:1]:
+                try:
+                    device: FlirUnit | ScipScanner
+                    if kind == "flir-ptu":
+                        device = FlirUnit.connect(ports, UnitPlan(address, baud=baud))
+                    else:
+                        device = ScipScanner.connect(ports, ScannerPlan("scip2", address, baud=baud))
+                except DeviceError as error:
+                    tried.append(str(error))
+                    ports.release(address)
+                    if not tried[0].startswith("the pan/tilt unit"):
+                        raise  # the port itself cannot be used
+                    continue
+                found = FoundDevice(kind, baud, device.identity)
+                device.close()
+                return found
+    raise DeviceError(
+        f"neither a pan/tilt unit nor a line scanner answers on {address}; check that it is switched on, and "
+        "that the port is its"
+    )
+
+
+def _camera(plan: CameraPlan) -> FrameSource:
+    if plan.folder:
+        return FolderSource(plan.folder, is_readable=_is_photo, timeout_s=_PHOTO_S, device="the camera")
+    return VideoCamera(plan.device or 0)
+
+
+def _is_scan(path: Path) -> None:
+    read_scan(path)
+
+
+def _is_photo(path: Path) -> None:
+    read_photo(path)

@@ -1,0 +1,329 @@
+"""The folder of a run: its plan, the pieces that are kept, and a record of each; it survives a crash at any moment.
+
+    plan.json       the plan
+    run.jsonl       a record a piece, synchronised to disk, after the piece itself
+    pieces/NNN.npz  the lines of a stop or a pass, or a scan
+    photos/NNN.*    a photograph a stop
+
+A piece counts once its record is there. A record whose piece is missing or changed does not count.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.acquisition.line_sweep import LineSweep
+from ladarreg_core.acquisition.piece_list import ListedPiece
+from ladarreg_core.acquisition.plan import Plan, plan_from_fields, write_plan
+from ladarreg_core.acquisition.sweep_pieces import read_sweeps
+from ladarreg_core.atomic_write import AppendedFile, replaced_file, sync_folder, write_bytes
+from ladarreg_core.errors import ExportError, FormatError, OptionError
+from ladarreg_core.folder_lock import FolderLock
+from ladarreg_core.formats import read_scan
+from ladarreg_core.formats.json_file import read_json_object
+from ladarreg_core.formats.untrusted import shown_name
+from ladarreg_core.scan import Scan
+
+PLAN, RECORDS, PIECES, PHOTOS = "plan.json", "run.jsonl", "pieces", "photos"
+_LOCK = ".lock"
+_LONGEST_RECORD = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """What `run.jsonl` says of a piece."""
+
+    index: int
+    """Number of the stop in the order of the plan."""
+    file: str
+    """Relative to the run's folder."""
+    sha256: str
+    asked: PanTilt
+    read: PanTilt
+    """Position read back."""
+    time: str
+    """UTC, ISO 8601."""
+    passed: int = 0
+    photo: str | None = None
+
+    def as_fields(self) -> dict[str, Any]:
+        """Return the record's JSON object."""
+        fields: dict[str, Any] = {
+            "index": self.index, "file": self.file, "sha256": self.sha256, "asked_deg": _degrees(self.asked),
+            "read_deg": _degrees(self.read), "time": self.time, "pass": self.passed,
+        }  # fmt: skip
+        return fields if self.photo is None else {**fields, "photo": self.photo}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanPiece:
+    """A piece of a mosaic."""
+
+    scan: Scan
+    at: PanTilt
+    """Position read back."""
+
+
+class RunFolder:
+    """The folder of a run, for reading; use `open`.
+
+    Attributes:
+        path: the folder.
+        plan: the plan.
+        records: of the pieces that count, by their number.
+        faults: what does not count, in sentences.
+    """
+
+    def __init__(self, path: Path, plan: Plan) -> None:
+        self.path, self.plan = path, plan
+        self.records: dict[int, Record] = {}
+        self.faults: list[str] = []
+
+    @staticmethod
+    def open(path: str | Path) -> RunFolder:
+        """Open the folder of a run, complete or not.
+
+        Raises:
+            FormatError: if it is none.
+        """
+        folder = Path(path)
+        if not (folder / PLAN).is_file():
+            raise FormatError(f"{shown_name(folder)}: there is no {PLAN}; give the folder of a run")
+        run = RunFolder(folder, _plan_of(folder / PLAN))
+        run._read_records()
+        return run
+
+    @property
+    def complete(self) -> bool:
+        """Whether every stop of the plan has a piece."""
+        from ladarreg_core.acquisition.stops import stops_of
+
+        return len(self.records) == len(stops_of(self.plan))
+
+    def piece(self, index: int) -> LineSweep | ScanPiece:
+        """Return a piece; of several lines of one stop the median of each ray.
+
+        Raises:
+            FormatError: if the file is damaged.
+        """
+        record = self.records[index]
+        if self.plan.mode == "mosaic":
+            return ScanPiece(read_scan(self.path / record.file), record.read)
+        (sweep,), _ = read_sweeps([ListedPiece(index, self.path / record.file, record.read)])
+        return sweep
+
+    def _read_records(self) -> None:
+        try:
+            lines = (self.path / RECORDS).read_bytes().splitlines()
+        except FileNotFoundError:
+            return
+        for number, line in enumerate(lines, 1):
+            try:
+                record = _record_of(json.loads(line))
+            except (ValueError, KeyError, TypeError, RecursionError):
+                # The last line is incomplete if the program was killed while it was written.
+                if number < len(lines):
+                    self.faults.append(f"line {number} of {RECORDS} is no record; its piece does not count")
+                continue
+            if not _is_whole(self.path, record):
+                self.faults.append(f"{record.file} is missing or has changed; it does not count")
+                self.records.pop(record.index, None)
+                continue
+            self.records[record.index] = record
+
+
+class RunWriter(RunFolder):
+    """The folder of a run that is under way; use `begin`, and close it."""
+
+    def __init__(self, path: Path, plan: Plan, lock: FolderLock) -> None:
+        super().__init__(path, plan)
+        self._lock = lock
+        self._log: AppendedFile | None = None
+
+    @staticmethod
+    def begin(path: str | Path, plan: Plan, *, resume: bool = False, force: bool = False) -> RunWriter:
+        """Begin a run in a folder of its own, or resume the one that is there.
+
+        Raises:
+            OptionError: if there is a run and `resume` is not set, there is none to resume, or its plan differs.
+            ExportError: if the folder cannot be written, or another program runs in it.
+        """
+        folder = Path(path)
+        there = (folder / PLAN).is_file()
+        if resume and not there:
+            raise OptionError(f"{shown_name(folder)} has no run to resume; leave out `resume`")
+        if not resume and folder.exists() and any(folder.iterdir()):
+            if not (there and force):
+                what = "has a run already: set `resume` to go on with it, or give another folder" if there else (
+                    "is not empty; give a new folder"
+                )  # fmt: skip
+                raise OptionError(f"{shown_name(folder)} {what}")
+            _remove_run(folder)
+        try:
+            (folder / PIECES).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ExportError(
+                f"{shown_name(folder)} cannot be created: {error.strerror}; give another folder"
+            ) from None
+        lock = FolderLock(folder, _LOCK, what="run")
+        try:
+            if resume:
+                _require_same(_plan_of(folder / PLAN), plan, folder)
+            else:
+                write_plan(folder / PLAN, plan)
+            run = RunWriter(folder, plan, lock)
+            run._read_records()
+            run._open_log()
+        except BaseException:
+            lock.release()
+            raise
+        return run
+
+    def keep(
+        self, index: int, write: Callable[[Path], None], *, asked: PanTilt, read: PanTilt, time: str, passed: int = 0,
+        photo: Path | None = None,
+    ) -> Record:  # fmt: skip
+        """Keep a piece: its file whole on disk first, then its record.
+
+        Args:
+            index: number of the stop.
+            write: writes the piece's file to a path.
+            asked: position asked for.
+            read: position read back.
+            time: UTC, ISO 8601.
+            passed: number of the pass.
+            photo: a photograph of the stop, in the folder `photos`.
+
+        Raises:
+            ExportError: if it cannot be written; it does not count then.
+        """
+        file = f"{PIECES}/{index:03d}.npz"
+        with replaced_file(self.path / file) as new:
+            write(new)
+            _sync(new)
+        name = None if photo is None else photo.relative_to(self.path).as_posix()
+        record = Record(index, file, _sha256(self.path / file), asked, read, time, passed, name)
+        assert self._log is not None
+        self._log.append(json.dumps(record.as_fields()).encode() + b"\n")
+        self.records[index] = record
+        return record
+
+    def close(self) -> None:
+        """Close the folder for other programs to go on."""
+        if self._log is not None:
+            self._log.close()
+        self._lock.release()
+        with contextlib.suppress(OSError):
+            (self.path / _LOCK).unlink()
+
+    def _open_log(self) -> None:
+        """Open the list of records, without the rest of one that was being written."""
+        path = self.path / RECORDS
+        data = path.read_bytes() if path.is_file() else b""
+        intact = data.rfind(b"\n") + 1
+        if not path.is_file():
+            write_bytes(path, b"")
+            sync_folder(self.path)
+        self._log = AppendedFile(path, intact_bytes=intact)
+
+
+def write_sweep(path: Path, sweep: LineSweep) -> None:
+    """Write the lines of a stop, or of the pass of a moving unit, as `sweep_pieces` reads them."""
+    arrays: dict[str, Any] = {"ranges": sweep.ranges_m, "angles_rad": sweep.angles_rad}
+    if sweep.intensity is not None:
+        arrays["intensity"] = sweep.intensity
+    if sweep.ray_time_s is not None and sweep.track is not None:
+        times = sweep.ray_time_s
+        arrays |= {
+            "time_s": times[:, 0], "sweep_s": np.median(times[:, -1] - times[:, 0]), "unit_time_s": sweep.track.time_s,
+            "unit_pan_rad": sweep.track.pan_rad, "unit_tilt_rad": sweep.track.tilt_rad,
+        }  # fmt: skip
+    else:
+        arrays |= {"pan_rad": sweep.pan_rad[0], "tilt_rad": sweep.tilt_rad[0]}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    write_bytes(path, buffer.getvalue())
+
+
+def _plan_of(path: Path) -> Plan:
+    """Return the plan of a run; its watched folders need not be there any more."""
+    return plan_from_fields(read_json_object(path, "a plan"), folders_exist=False)
+
+
+def _require_same(before: Plan, now: Plan, folder: Path) -> None:
+    """Refuse to resume a run with a plan that gives other pieces; ports and speeds may differ."""
+    old, new = before.as_fields(), now.as_fields()
+    whole = ("mode", "pan_deg", "tilt_deg", "continuous", "passes", "mount", "settle_s")
+    differing = [name for name in whole if old[name] != new[name]]
+    for part, free in (("unit", ("port", "baud", "speed_deg_s")), ("scanner", ("port", "baud", "folder", "timeout_s"))):
+        mine, theirs = ({k: v for k, v in fields[part].items() if k not in free} for fields in (old, new))
+        differing += [part] if mine != theirs else []
+    if differing:
+        raise OptionError(
+            f"the plan differs in {', '.join(differing)} from that of the run in {shown_name(folder)}; resume it "
+            "with its own plan, or begin a new run in another folder"
+        )
+
+
+def _record_of(fields: Mapping[str, Any]) -> Record:
+    file, photo = str(fields["file"]), fields.get("photo")
+    for name in (file, photo or PIECES):
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise ValueError("the record leads out of the folder")
+    index = fields["index"]
+    if type(index) is not int or index < 0:
+        raise ValueError("the record has no number")
+    return Record(
+        index, file, str(fields.get("sha256", "")), _position(fields["asked_deg"]), _position(fields["read_deg"]),
+        str(fields.get("time", "")), int(fields.get("pass", 0)), None if photo is None else str(photo),
+    )  # fmt: skip
+
+
+def _is_whole(folder: Path, record: Record) -> bool:
+    """Return whether a piece is as it was kept; records written by hand may leave out the checksum."""
+    path = folder / record.file
+    return path.is_file() and record.sha256 in ("", _sha256(path))
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _remove_run(folder: Path) -> None:
+    """Remove an earlier run, and nothing else."""
+    for name in (RECORDS, PLAN, "scan.npz", "panorama.json"):
+        (folder / name).unlink(missing_ok=True)
+    for name in (PIECES, PHOTOS):
+        shutil.rmtree(folder / name, ignore_errors=True)
+
+
+def _degrees(at: PanTilt) -> list[float]:
+    return [float(np.degrees(at.pan_rad)), float(np.degrees(at.tilt_rad))]
+
+
+def _position(value: Any) -> PanTilt:
+    pan, tilt = (float(np.radians(float(v))) for v in value)
+    if not (np.isfinite(pan) and np.isfinite(tilt)):
+        raise ValueError("the record has no position")
+    return PanTilt(pan, tilt)

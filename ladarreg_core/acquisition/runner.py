@@ -1,0 +1,237 @@
+"""A run: the devices driven through the stops of a plan, and every piece kept as it comes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.acquisition.continuous import measured_pass
+from ladarreg_core.acquisition.devices import FrameSource, LineScanner, PanTilt, PanTiltUnit
+from ladarreg_core.acquisition.line_sweep import LineSweep
+from ladarreg_core.acquisition.plan import Plan
+from ladarreg_core.acquisition.run_folder import PHOTOS, PIECES, Record, RunWriter, ScanPiece, write_sweep
+from ladarreg_core.acquisition.stops import Stop, forecast, require_possible, stops_of
+from ladarreg_core.errors import Cancelled, DeviceError, FormatError, OptionError
+from ladarreg_core.formats import read_scan
+from ladarreg_core.formats.npz import write_npz_xyz
+
+_NAP_S = 0.02
+_AVERAGED = 0.3  # weight of the latest piece in the time that a piece takes
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """The unit stands at a stop."""
+
+    stop: Stop
+    at: PanTilt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PieceKept:
+    """A piece is on disk and will be there after any crash."""
+
+    record: Record
+    piece: LineSweep | ScanPiece
+    done: int
+    """Pieces kept so far, those of an earlier run included."""
+    total: int
+    seconds_left: float
+
+
+@dataclass(frozen=True, slots=True)
+class Paused:
+    """The run waits, with the unit halted and the laser off."""
+
+    reason: str
+    fault: bool
+    """Whether a device failed; otherwise somebody asked for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Resumed:
+    """The run goes on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The run has ended, with the unit halted and the laser off."""
+
+    complete: bool
+    """Whether all pieces are there; otherwise it was stopped."""
+    done: int
+    total: int
+
+
+RunEvent = Moved | PieceKept | Paused | Resumed | Ended
+EventReport = Callable[[RunEvent], None]
+
+
+class Run:
+    """Drives the devices through a plan; `go` blocks, the others may be called from any thread.
+
+    Args:
+        plan: the plan.
+        folder: where the pieces are kept; with those of an earlier run, if it is resumed.
+        unit: the pan/tilt unit.
+        line_scanner: for a sweep.
+        frames: the scanner with software of its own, for a mosaic.
+        camera: takes a photograph at each stop.
+        report: receives the events, on the thread of `go`.
+
+    Raises:
+        OptionError: if the devices cannot run the plan; nothing has moved then.
+    """
+
+    def __init__(
+        self, plan: Plan, folder: RunWriter, *, unit: PanTiltUnit, line_scanner: LineScanner | None = None,
+        frames: FrameSource | None = None, camera: FrameSource | None = None, report: EventReport,
+    ) -> None:  # fmt: skip
+        if (plan.mode == "sweep") != (line_scanner is not None) or (plan.mode == "mosaic") != (frames is not None):
+            raise OptionError(f"a {plan.mode} needs {'a line scanner' if plan.mode == 'sweep' else 'a watched folder'}")
+        identity = None if line_scanner is None else line_scanner.identity
+        require_possible(plan, unit.identity, identity)
+        self.plan, self.folder = plan, folder
+        self._unit, self._lines, self._frames, self._camera = unit, line_scanner, frames, camera
+        self._report = report
+        self._stops = stops_of(plan)
+        self._stopped, self._paused = threading.Event(), threading.Event()
+        self._seconds_a_piece = forecast(plan, identity).seconds / max(1, len(self._stops))
+
+    @property
+    def total(self) -> int:
+        """Number of pieces."""
+        return len(self._stops)
+
+    def go(self) -> bool:
+        """Measure all pieces that are missing; return whether all are there, or the run was stopped.
+
+        A device that fails pauses the run until `resume` or `stop`.
+
+        Raises:
+            ExportError: if a piece cannot be written; the devices are at rest then, as after every other end.
+        """
+        try:
+            for stop in self._stops:
+                if stop.index not in self.folder.records:
+                    self._measure_until_kept(stop)
+        except Cancelled:
+            pass
+        finally:
+            self._rest()
+        complete = len(self.folder.records) >= self.total
+        self._report(Ended(complete, len(self.folder.records), self.total))
+        return complete
+
+    def pause(self) -> None:
+        """Have the run wait after the piece that is being measured."""
+        self._paused.set()
+
+    def resume(self) -> None:
+        """Have a run that waits go on."""
+        self._paused.clear()
+
+    def stop(self) -> None:
+        """Halt the unit and switch the laser off at once, and end the run; the pieces so far are kept."""
+        self._stopped.set()
+        self._rest()
+
+    def _measure_until_kept(self, stop: Stop) -> None:
+        while True:
+            if self._paused.is_set():
+                self._wait("paused", fault=False)
+            begun = time.monotonic()
+            try:
+                record, piece = self._measure(stop)
+            except (DeviceError, FormatError) as error:
+                if self._stopped.is_set():
+                    raise Cancelled from None
+                self._rest()
+                self._paused.set()
+                self._wait(str(error), fault=True)
+                continue
+            taken = time.monotonic() - begun
+            self._seconds_a_piece += _AVERAGED * (taken - self._seconds_a_piece)
+            done = len(self.folder.records)
+            left = (self.total - done) * self._seconds_a_piece
+            self._report(PieceKept(record, piece, done, self.total, left))
+            return
+
+    def _wait(self, reason: str, *, fault: bool) -> None:
+        self._report(Paused(reason, fault))
+        while self._paused.is_set():
+            self._check()
+            time.sleep(_NAP_S)
+        self._check()
+        self._report(Resumed())
+
+    def _measure(self, stop: Stop) -> tuple[Record, LineSweep | ScanPiece]:
+        read = self._unit.move_to(stop.at, check=self._check)
+        self._report(Moved(stop, read))
+        self._rest_for(self.plan.settle_s)
+        if self.plan.mode == "mosaic":
+            return self._measure_frame(stop, read)
+        assert self._lines is not None
+        if stop.to is not None:
+            sweep = measured_pass(self.plan, stop, self._unit, self._lines, check=self._check)
+        else:
+            sweep = self._measure_lines(read)
+        photo = self._photograph(stop)
+        return self._keep(stop, read, lambda path: write_sweep(path, sweep), photo), sweep
+
+    def _measure_lines(self, read: PanTilt) -> LineSweep:
+        assert self._lines is not None
+        lines = list(self._lines.lines(self.plan.scanner.lines, check=self._check))
+        ranges: NDArray[np.float32] = np.stack([line.ranges_m for line in lines])
+        light = [line.intensity for line in lines if line.intensity is not None]
+        return LineSweep(
+            ranges, np.stack(light) if len(light) == len(lines) else None, self._lines.identity.angles_rad,
+            np.full(len(lines), read.pan_rad), np.full(len(lines), read.tilt_rad),
+        )  # fmt: skip
+
+    def _measure_frame(self, stop: Stop, read: PanTilt) -> tuple[Record, ScanPiece]:
+        assert self._frames is not None
+        came = self._frames.next_file(self.folder.path / PIECES, f".{stop.index:03d}-as-it-came", check=self._check)
+        try:
+            scan = read_scan(came)
+            photo = self._photograph(stop)
+            record = self._keep(stop, read, lambda path: write_npz_xyz(path, scan), photo)
+        finally:
+            came.unlink(missing_ok=True)
+        return record, ScanPiece(scan, read)
+
+    def _photograph(self, stop: Stop) -> Path | None:
+        if self._camera is None:
+            return None
+        folder = self.folder.path / PHOTOS
+        folder.mkdir(exist_ok=True)
+        return self._camera.next_file(folder, f"{stop.index:03d}", check=self._check)
+
+    def _keep(self, stop: Stop, read: PanTilt, write: Callable[[Path], None], photo: Path | None) -> Record:
+        stamp = datetime.now(UTC).isoformat(timespec="milliseconds")
+        return self.folder.keep(
+            stop.index, write, asked=stop.at, read=read, time=stamp, passed=stop.passed, photo=photo
+        )
+
+    def _rest_for(self, seconds: float) -> None:
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0:
+            self._check()
+            time.sleep(min(left, _NAP_S))
+
+    def _check(self) -> None:
+        if self._stopped.is_set():
+            raise Cancelled
+
+    def _rest(self) -> None:
+        """Halt the unit and switch the laser off."""
+        self._unit.halt()
+        if self._lines is not None:
+            self._lines.laser_off()
