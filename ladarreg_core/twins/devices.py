@@ -1,10 +1,17 @@
-"""Simulated devices in one room, behind real ports: what tests, demonstrations and `twin:` addresses connect to."""
+"""Simulated devices in one room, behind real ports and in real folders.
+
+Tests, demonstrations and `twin:` addresses connect to them.
+"""
 
 from __future__ import annotations
 
 import json
 import socket
+import tempfile
 import threading
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -12,18 +19,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import OptionError
+from ladarreg_core.scanner.grids import ScanGeometry
 from ladarreg_core.twins.flir_twin import COUNTS_PER_RAD, FlirTwin
+from ladarreg_core.twins.folder_twin import FRAME, FolderTwin, ScanFormat, camera_twin, scanner_twin
 from ladarreg_core.twins.scip_twin import UTM_30LX, ScipModel, ScipTwin
 from ladarreg_core.twins.server import TwinServer
-from ladarreg_core.twins.world import Bench
+from ladarreg_core.twins.world import Angles, Bench
 
+SCANNER, CAMERA = "scanner", "camera"
+"""Names of the devices with folders."""
 _INTENSITY = 2000.0
 _AT_REST_RAD = 1e-9
 
 
 class TwinDevices:
-    """A pan/tilt unit and a line scanner on it in a simulated room; a context manager.
+    """A pan/tilt unit in a simulated room, and on it a line scanner, a scanner with a field of view and a camera; a
+    context manager.
+
+    The last two write into folders when the unit has arrived, after they were switched on.
 
     Args:
         scene: the room.
@@ -32,6 +47,10 @@ class TwinDevices:
         model: of the line scanner.
         unit_baud: bits a second of the unit's port.
         bench: the room; None: made of `scene` and `seed`.
+        geometry: rays of the scanner with a field of view.
+        scan_format: of its files.
+        folders: existing folders of scanner and camera by their names, `SCANNER` and `CAMERA`; those that are not
+            given are temporary.
 
     Attributes:
         bench: the room, with the true mounts.
@@ -42,16 +61,36 @@ class TwinDevices:
 
     def __init__(
         self, scene: str = "office", seed: int = 0, *, sockets: bool = False, model: ScipModel = UTM_30LX,
-        unit_baud: int = 115_200, bench: Bench | None = None,
+        unit_baud: int = 115_200, bench: Bench | None = None, geometry: ScanGeometry = FRAME,
+        scan_format: ScanFormat = "npz", folders: Mapping[str, Path] | None = None,
     ) -> None:  # fmt: skip
         self.bench = Bench(scene, seed) if bench is None else bench
-        self.unit = FlirTwin(baud=unit_baud, seed=seed)
+        self.unit = FlirTwin(baud=unit_baud, seed=seed, moved=self._moved)
         self.scanner = ScipTwin(self._measure, model=model, seed=seed)
         self.server = TwinServer([self.unit, self.scanner], sockets=sockets)
+        self.bench.clock = self.server.now_s
+        self._geometry, self._scan_format, self._given_folders = geometry, scan_format, dict(folders or {})
+        self._folders: dict[str, FolderTwin] = {}
+        self._inside = ExitStack()
         self._control: socket.socket | None = None
 
     def __enter__(self) -> TwinDevices:
-        self.server.__enter__()
+        with ExitStack() as entered:
+            above = Path(entered.enter_context(tempfile.TemporaryDirectory(prefix="ladarreg-twin-")))
+            where = {name: self._given_folders.get(name, above / name) for name in (SCANNER, CAMERA)}
+            for folder in where.values():
+                folder.mkdir(exist_ok=True)
+            twins = {
+                SCANNER: scanner_twin(
+                    self.bench, where[SCANNER], geometry=self._geometry, file_format=self._scan_format
+                ),
+                CAMERA: camera_twin(self.bench, where[CAMERA]),
+            }
+            for name, twin in twins.items():
+                twin.on = False  # a sweep would be slowed down by photographs that nobody asked for
+                self._folders[name] = entered.enter_context(twin)
+            entered.enter_context(self.server)
+            self._inside = entered.pop_all()
         return self
 
     def __exit__(
@@ -59,26 +98,38 @@ class TwinDevices:
     ) -> None:
         if self._control is not None:
             self._control.close()
-        self.server.__exit__(kind, error, trace)
+        self._inside.close()
 
     @property
     def addresses(self) -> dict[str, str]:
-        """Address of each device, by its name."""
-        return self.server.addresses
+        """Port or folder of each device, by its name."""
+        return {**self.server.addresses, **{name: str(twin.folder) for name, twin in self._folders.items()}}
+
+    def switch_on(self, device: str) -> None:
+        """Switch on a device that writes into a folder.
+
+        Raises:
+            OptionError: if there is no such device.
+        """
+        if device not in self._folders:
+            raise OptionError(f"there is no device {device!r} with a folder; use {' or '.join(self._folders)}")
+        self._folders[device].on = True
 
     def state(self) -> dict[str, Any]:
-        """Return whether the laser is on and the unit moves, and where it is, deg."""
+        """Return whether the laser is on and the unit moves, where it is, deg, and the files written, by device."""
         now = self.server.now_s()
         pan, tilt = np.degrees(self.unit.angles_at([now])[0])
-        return {"laser_on": self.scanner.laser_on, "moving": self.unit.moving(now), "pan_deg": pan, "tilt_deg": tilt}
+        files = {name: twin.written for name, twin in self._folders.items()}
+        return {"laser_on": self.scanner.laser_on, "moving": self.unit.moving(now), "pan_deg": pan, "tilt_deg": tilt,
+                "files": files}  # fmt: skip
 
     def fail(self, device: str, kind: str) -> None:
         """Have a device fail.
 
         Args:
             device: its name.
-            kind: of both: unplugged, plugged, silent, rubbish, none; of the unit: stuck, limit; of the scanner:
-                `wrong checksum`, `lost line`, `truncated`.
+            kind: of devices with ports: unplugged, plugged, silent, rubbish, none; of the unit: stuck, limit; of the
+                line scanner: `wrong checksum`, `lost line`, `truncated`; of the next file in a folder: `FileFailure`.
 
         Raises:
             OptionError: if there is no such device or failure.
@@ -86,7 +137,9 @@ class TwinDevices:
         now = self.server.now_s()
         if device not in self.addresses:
             raise OptionError(f"there is no device {device!r}; use {' or '.join(self.addresses)}")
-        if kind in ("unplugged", "plugged"):
+        if device in self._folders:
+            self._folders[device].fail(kind)  # type: ignore[arg-type]
+        elif kind in ("unplugged", "plugged"):
             (self.server.unplug if kind == "unplugged" else self.server.plug)(device)
         elif device == self.unit.name and kind in ("silent", "rubbish", "stuck", "limit", "none"):
             self.unit.silent, self.unit.rubbish, self.unit.stuck = (kind == k for k in ("silent", "rubbish", "stuck"))
@@ -100,7 +153,7 @@ class TwinDevices:
             raise OptionError(f"the device {device} does not fail by {kind!r}")
 
     def listen(self) -> int:
-        """Serve `state` and `fail` to other processes, as JSON lines; return the port on this machine."""
+        """Serve `state`, `fail` and `switch_on` to other processes, as JSON lines; return the port on this machine."""
         self._control = socket.create_server(("127.0.0.1", 0))
         threading.Thread(target=self._obey_all, args=(self._control,), daemon=True).start()
         return int(self._control.getsockname()[1])
@@ -118,6 +171,8 @@ class TwinDevices:
             for line in stream:
                 try:
                     message = json.loads(line)
+                    if "switch_on" in message:
+                        self.switch_on(str(message["switch_on"]))
                     if "fail" in message:
                         self.fail(str(message["fail"]), str(message["kind"]))
                     answer: dict[str, Any] = self.state()
@@ -125,6 +180,13 @@ class TwinDevices:
                     answer = {"error": str(error)}
                 stream.write(json.dumps(answer) + "\n")
                 stream.flush()
+
+    def _moved(self, now_s: float, arrives: bool) -> None:
+        def motion(times_s: FloatArray) -> Angles:
+            pan, tilt = self.unit.angles_at(times_s).T
+            return pan, tilt
+
+        self.bench.publish_motion(motion, from_s=now_s, rest_s=self.unit.rest_s, arrives=arrives)
 
     def _measure(
         self, angles: NDArray[np.float64], times: NDArray[np.float64], number: int

@@ -73,6 +73,8 @@ class FolderTwin:
         writing_s: float = 0.2,
     ) -> None:
         self.folder = folder
+        self.on = True
+        """Whether it measures; a device that is switched on in between measures from the next movement on."""
         self.written = 0
         """Files so far that were written as they should be."""
         self._bench, self._stem, self._suffix, self._make = bench, stem, suffix, make
@@ -105,7 +107,8 @@ class FolderTwin:
             arrival = self._bench.arrival()
             if arrival is not None and arrival != self._done and self._bench.now() >= arrival[1] + self._delay_s:
                 self._done = arrival
-                self._measure()
+                if self.on:
+                    self._measure()
 
     def _measure(self) -> None:
         failure = self._failures.pop(0) if self._failures else None

@@ -124,7 +124,8 @@ class Bench:
         self.room_from_world = Rigid.identity() if room_from_world is None else room_from_world
         self.room, self._caster = _room(scene, seed)
         begun = time.monotonic()
-        self._clock = clock or (lambda: time.monotonic() - begun)
+        self.clock = clock or (lambda: time.monotonic() - begun)
+        """Seconds, rising; replaced by whoever publishes motions on another clock, before the first one."""
         self._publishing = threading.Lock()
         self._count, self._arrives = 0, False
         self._motions: tuple[_Published, ...] = (_Published(-np.inf, -np.inf, _at_zero),)
@@ -133,7 +134,7 @@ class Bench:
 
     def now(self) -> float:
         """Return the time on the bench's clock, s."""
-        return self._clock()
+        return self.clock()
 
     def publish_motion(self, motion: Motion, *, from_s: float, rest_s: float, arrives: bool = True) -> None:
         """Tell how the unit moves from now on, until another motion is published.

@@ -1,0 +1,102 @@
+"""All twins in one room: drivers and folders give what is true where the unit stands."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
+
+import ladarreg_core as lr
+from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.acquisition.flir_unit import FlirUnit
+from ladarreg_core.acquisition.plan import ScannerPlan, UnitPlan
+from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.acquisition.scip_scanner import ScipScanner
+from ladarreg_core.errors import OptionError
+from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.twins.devices import CAMERA, SCANNER, TwinDevices
+
+GEOMETRY = AzimuthElevation(35, 50, np.radians(1.1), np.radians(1.1))
+
+
+def goes_on() -> None:
+    pass
+
+
+def awaited(what: Callable[[], bool], seconds: float = 5.0) -> bool:
+    until = time.monotonic() + seconds
+    while not (done := what()) and time.monotonic() < until:
+        time.sleep(0.005)
+    return done
+
+
+@pytest.fixture(scope="module")
+def devices() -> Iterator[TwinDevices]:
+    with TwinDevices("plain", 1, geometry=GEOMETRY) as served:
+        yield served
+
+
+@pytest.fixture(scope="module")
+def unit(devices: TwinDevices) -> Iterator[FlirUnit]:
+    with Ports(guarded=False) as ports:
+        yield FlirUnit.connect(ports, UnitPlan(devices.addresses["flir-ptu"], baud=devices.unit.baud))
+
+
+def test_lines_are_true_where_the_unit_stands_and_the_same_when_it_is_back(
+    devices: TwinDevices, unit: FlirUnit
+) -> None:
+    with Ports(guarded=False) as ports:
+        scanner = ScipScanner.connect(ports, ScannerPlan("scip2", port=devices.addresses["scip2"]))
+        at = unit.move_to(PanTilt(0.2, -0.1), check=goes_on)
+        assert not devices.bench.moving
+        assert devices.bench.pose_at(devices.bench.now()) == PanTilt(
+            pytest.approx(at.pan_rad, abs=1e-9), pytest.approx(at.tilt_rad, abs=1e-9)
+        )
+        first, again = scanner.lines(2, check=goes_on)
+        assert not devices.scanner.laser_on
+        error = first.ranges_m - devices.bench.true_line(at, scanner.identity.angles_rad)
+        assert np.nanmedian(np.abs(error)) < 0.003
+        assert not np.array_equal(first.ranges_m, again.ranges_m)
+        unit.move_to(PanTilt(0.25, 0.0), check=goes_on)
+        unit.move_to(PanTilt(0.2, -0.1), check=goes_on)
+        (back,) = scanner.lines(1, check=goes_on)
+        assert np.array_equal(back.ranges_m, first.ranges_m, equal_nan=True)
+
+
+def test_files_appear_when_the_unit_has_arrived_and_not_when_it_was_halted(
+    devices: TwinDevices, unit: FlirUnit
+) -> None:
+    def written(name: str) -> int:
+        return int(devices.state()["files"][name])
+
+    unit.move_to(PanTilt(0.0, 0.0), check=goes_on)
+    time.sleep(0.3)
+    assert written(SCANNER) == written(CAMERA) == 0, "they are switched off"
+    for name in (SCANNER, CAMERA):
+        devices.switch_on(name)
+    unit.start_move(PanTilt(1.0, 0.0))
+    assert awaited(lambda: devices.bench.moving)
+    unit.halt()
+    assert awaited(lambda: not devices.bench.moving, 1.0)
+    time.sleep(0.3)
+    assert written(SCANNER) == 0
+    at = unit.move_to(PanTilt(0.1, 0.05), check=goes_on)
+    assert awaited(lambda: written(SCANNER) == written(CAMERA) == 1)
+    (scan,) = [lr.read_scan(path) for path in sorted(Path(devices.addresses[SCANNER]).glob("*.npz"))[-1:]]
+    key = tuple(round(angle / 1e-5) for angle in (at.pan_rad, at.tilt_rad))
+    true = devices.bench.scan_frame(at, GEOMETRY, noise_key=key)
+    assert np.allclose(scan.points, true.points, atol=1e-5, equal_nan=True)
+    photo = cv2.imread(str(max(Path(devices.addresses[CAMERA]).glob("*.jpg"))))
+    assert photo.shape == (512, 768, 3)
+
+
+def test_folders_fail_in_their_own_ways_only(devices: TwinDevices) -> None:
+    for device, kind in ((SCANNER, "unplugged"), ("flir-ptu", "two-files"), ("hinge", "never")):
+        with pytest.raises(OptionError):
+            devices.fail(device, kind)
