@@ -128,8 +128,9 @@ class TwinDevices:
 
         Args:
             device: its name.
-            kind: of devices with ports: unplugged, plugged, silent, rubbish, none; of the unit: stuck, limit; of the
-                line scanner: `wrong checksum`, `lost line`, `truncated`; of the next file in a folder: `FileFailure`.
+            kind: `none` ends all failures; of devices with ports: unplugged, plugged, silent, rubbish; of the unit:
+                stuck, limit; of the line scanner: `wrong checksum`, `lost line`, `truncated`; of the next file in a
+                folder: `FileFailure`.
 
         Raises:
             OptionError: if there is no such device or failure.
@@ -137,7 +138,9 @@ class TwinDevices:
         now = self.server.now_s()
         if device not in self.addresses:
             raise OptionError(f"there is no device {device!r}; use {' or '.join(self.addresses)}")
-        if device in self._folders:
+        if device in self._folders and kind == "none":
+            self._folders[device].mend()
+        elif device in self._folders:
             self._folders[device].fail(kind)  # type: ignore[arg-type]
         elif kind in ("unplugged", "plugged"):
             (self.server.unplug if kind == "unplugged" else self.server.plug)(device)

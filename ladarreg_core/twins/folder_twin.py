@@ -11,6 +11,7 @@ import tempfile
 import threading
 import time
 import zlib
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -79,7 +80,7 @@ class FolderTwin:
         """Files so far that were written as they should be."""
         self._bench, self._stem, self._suffix, self._make = bench, stem, suffix, make
         self._delay_s, self._writing_s = delay_s, writing_s
-        self._failures: list[FileFailure] = []
+        self._failures: deque[FileFailure] = deque()
         self._rng = np.random.default_rng([zlib.crc32(stem.encode()), bench.seed])
         self._done = bench.arrival()
         self._running = threading.Event()
@@ -101,6 +102,10 @@ class FolderTwin:
         require_choice(kind, get_args(FileFailure), "the failure")
         self._failures.append(kind)
 
+    def mend(self) -> None:
+        """Forget the failures that were queued."""
+        self._failures.clear()
+
     def _run(self) -> None:
         while self._running.is_set():
             time.sleep(_TICK_S)
@@ -111,7 +116,7 @@ class FolderTwin:
                     self._measure()
 
     def _measure(self) -> None:
-        failure = self._failures.pop(0) if self._failures else None
+        failure = self._failures.popleft() if self._failures else None
         if failure == "never":
             return
         at = self._bench.pose_at(self._bench.now())

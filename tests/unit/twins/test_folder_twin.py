@@ -74,6 +74,8 @@ def test_files_come_in_several_ways_and_fail_on_request(tmp_path: Path) -> None:
         whole = sorted(tmp_path.iterdir())
         assert len({path.read_bytes() for path in whole}) == 1, "the same position gives the same picture"
 
+        twin.fail("two-files")
+        twin.mend()
         for kind in ("never", "truncated", "wrong-format", "two-files"):
             twin.fail(kind)  # type: ignore[arg-type]
         place()
