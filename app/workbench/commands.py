@@ -22,6 +22,8 @@ from ..jobs.runner import JobRunner
 from ..scene.person import VIEWPOINTS
 from ..session.loader import Loader
 from ..session.session import Session
+from .acquisition import Acquisition
+from .acquisition_commands import ACQUISITION_COMMANDS
 from .batches import Batches
 from .clients import Client, Clients, valid_name
 from .embedded import EmbeddedPictures
@@ -62,6 +64,7 @@ class Context(Protocol):
     embedded: EmbeddedPictures
     runner: JobRunner
     jobs: JobRegistry
+    acquisition: Acquisition
 
     def set_model(self, client: Client, wanted: Mapping[str, Any]) -> None:
         """Change the display of the model for a client."""
@@ -442,7 +445,7 @@ COMMANDS: dict[str, Command] = {
         add_pick, set_pick, remove_picks, switch_picks, reject, set_camera, set_settings, rename, remove_photo,
         use_stage, undo, redo, go_to, show_photo, set_model, call_me, hover_pick, open_served, list_served, open_files,
         add_embedded, discard_files, predict, where, snap, sample_line, probe, run, refine, job_control,
-        look, read_only_link, *EXPORT_COMMANDS, *PEOPLE_COMMANDS,
+        look, read_only_link, *EXPORT_COMMANDS, *PEOPLE_COMMANDS, *ACQUISITION_COMMANDS,
     )
 }  # fmt: skip
 LOOKING = frozenset(

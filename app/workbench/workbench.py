@@ -23,6 +23,7 @@ from ..scene.person import ANYBODY, Person
 from ..session.cache import IdentityCache, ListCache
 from ..session.loader import Loader
 from ..session.session import RETRY_S, Change, Session
+from .acquisition import Acquisition
 from .batches import ANY, Batches
 from .clients import Client, Clients
 from .commands import answer
@@ -109,6 +110,7 @@ class Workbench:
         self.jobs = JobRegistry(
             workspace, self.runner, watch, self.publish_event, self._publish if solve_automatically else None
         )
+        self.acquisition = Acquisition(session.folder.path, self._publish, self._open_panorama, self._is_present)
         self.images = Images(session, loader)
         self.model_parts = ModelParts(session, loader)
         self._pick_entries, self._history_entries = ListCache(pick_entry), ListCache(history_entry)
@@ -155,6 +157,7 @@ class Workbench:
     def leave(self, client: Client) -> None:
         """Disconnect a client."""
         self.clients.leave(client)
+        self.acquisition.left(client)
 
     def answer(self, client: Client, message: Mapping[str, Any]) -> dict[str, Any]:
         """Execute a page's command and return the reply; never raises."""
@@ -168,6 +171,8 @@ class Workbench:
             LadarregError: if there is no such image.
         """
         kind, _, name = path.strip("/").partition("/")
+        if kind == "acquisition":
+            return self.acquisition.picture()
         return self.model_parts.part(name, query) if kind == "model" else self.images.picture(path, query)
 
     def first_pictures(self) -> Mapping[str, str]:
@@ -202,6 +207,7 @@ class Workbench:
         Raises:
             UnsavedError: if some are not; it names the folder that the project was saved to instead, if any.
         """
+        self.acquisition.close()
         self._unsubscribe()
         self.jobs.close()
         self.runner.close()
@@ -273,6 +279,7 @@ class Workbench:
             "waiting": self.batches.slice(),
             "formats": formats_slice(),
             "embedded": self.embedded.slice(),
+            "acquisition": self.acquisition.slice(),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MOST_PHOTOS},
         }
         for entry in document.photos:
@@ -295,6 +302,12 @@ class Workbench:
             "model": client.model.slice()
             | self._slices.get(self._shown_parts(shown), partial(self.model_parts.slice, self.session.document, shown)),
         }
+
+    def _open_panorama(self, path: Path, client: Client) -> None:
+        self.files.open(path, f"{path.parent.name}.npz", "scan", None, client)
+
+    def _is_present(self, client_id: str) -> bool:
+        return any(client.id == client_id for client in self.clients.present)
 
     def _photo_id_of(self, client: Client) -> str | None:
         entry = self.selection.photo_of(client)

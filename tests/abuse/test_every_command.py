@@ -65,7 +65,22 @@ FEW = {
 """Limits by command and argument, for long lists and expensive commands."""
 
 LINE = {"scan": [[1, 0.05, 0.0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
+PLAN = {
+    "version": 1, "unit": {"port": "COM251"}, "scanner": {"kind": "scip2", "port": "COM252"}, "mode": "sweep",
+    "pan_deg": [-10, 10, 1], "tilt_deg": [0, 0, 0], "mount": {"xyz_m": [0, 0, 0], "rpy_deg": [90, 0, 0]},
+}  # fmt: skip
 SOUND: dict[str, list[dict[str, Any]]] = {
+    "acquire_ports": [{}],
+    "acquire_check": [{"plan": PLAN}],
+    "acquire_connect": [{"plan": PLAN}],
+    "acquire_disconnect": [{}],
+    "acquire_jog": [{"pan_deg": 1, "tilt_deg": 0}],
+    "acquire_start": [{"plan": PLAN, "resume": "run-001"}],
+    "acquire_pause": [{}],
+    "acquire_resume": [{}],
+    "acquire_stop": [{}],
+    "acquire_take_over": [{}],
+    "acquire_open": [{}],
     "add_pick": [
         {"photo": "p1", "kind": "line", **LINE},
         {"photo": "p1", "kind": "point", "scan": [[1, 0, 0]], "photo_uv": [[300.25, 200.5]]},

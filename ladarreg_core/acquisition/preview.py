@@ -1,0 +1,100 @@
+"""What a run has measured so far, as a picture all around and as points: for an operator who watches it grow."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.acquisition.line_sweep import LineSweep
+from ladarreg_core.acquisition.run_folder import ScanPiece
+from ladarreg_core.arrays import ByteArray, FloatArray
+from ladarreg_core.frames import Rigid
+from ladarreg_core.scanner.grid_window import grid_rays
+from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
+
+HEIGHT, WIDTH = 360, 720
+"""Rows and columns of the picture: half a degree each, the zenith at the top, straight ahead in the middle, left at the
+left."""
+_MOST_POINTS_A_PIECE = 20_000
+_DARKEST, _BRIGHTEST = 40, 250
+_GROWS = 1.5
+
+
+class RunPreview:
+    """Collects the pieces of a run.
+
+    Args:
+        unit_from_scanner: the mount.
+        most_points: so many points are kept, evenly over the run.
+    """
+
+    def __init__(self, unit_from_scanner: Rigid, *, most_points: int = 200_000) -> None:
+        self._mount = unit_from_scanner
+        self._light = np.zeros((HEIGHT, WIDTH), np.float32)
+        self._nearest = np.full((HEIGHT, WIDTH), np.inf, np.float32)
+        self._points: list[NDArray[np.float32]] = []
+        self._shades: list[NDArray[np.float32]] = []
+        self._most_points = most_points
+        self.pieces = 0
+
+    def add(self, piece: LineSweep | ScanPiece) -> None:
+        """Add a piece."""
+        points, light = self._points_of(piece)
+        ranges = np.linalg.norm(points, axis=-1)
+        there = np.isfinite(ranges) & (ranges > 0)
+        points, light, ranges = points[there], light[there], ranges[there]
+        self.pieces += 1
+        if not len(points):
+            return
+        # Intensity falls with the squared range; without the fall the far walls of a picture are legible.
+        shade = (light * ranges**2).astype(np.float32) if light.any() else ranges.astype(np.float32)
+        row = (0.5 - np.arcsin(np.clip(points[:, 2] / ranges, -1, 1)) / np.pi) * HEIGHT
+        column = (0.5 - np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)) * WIDTH
+        row = np.clip(row.astype(np.int32), 0, HEIGHT - 1)
+        column = column.astype(np.int32) % WIDTH
+        far_first = np.argsort(-ranges)
+        row, column = row[far_first], column[far_first]
+        nearer = ranges[far_first] <= self._nearest[row, column] * _GROWS
+        self._light[row[nearer], column[nearer]] = shade[far_first][nearer]
+        self._nearest[row[nearer], column[nearer]] = ranges[far_first][nearer]
+        step = max(1, len(points) // _MOST_POINTS_A_PIECE)
+        self._points.append(points[::step].astype(np.float32))
+        self._shades.append(shade[::step])
+        self._thin()
+
+    def picture(self) -> ByteArray:
+        """Return what has been seen, (360, 720) gray; 0 where nothing has."""
+        seen = np.isfinite(self._nearest)
+        picture = np.zeros((HEIGHT, WIDTH), np.uint8)
+        if seen.any():
+            picture[seen] = self._gray(self._light[seen])
+        return picture
+
+    def points(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Return points (N, 3), m, in the world of the unit, and their gray levels (N,)."""
+        if not self._points:
+            return np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)
+        return np.concatenate(self._points), self._gray(np.concatenate(self._shades))
+
+    def _points_of(self, piece: LineSweep | ScanPiece) -> tuple[FloatArray, FloatArray]:
+        if isinstance(piece, LineSweep):
+            points = piece.points_in_world(self._mount).reshape(-1, 3)
+            light = np.zeros(len(points)) if piece.intensity is None else piece.intensity.ravel()
+            return points, light
+        scan = piece.scan
+        step = max(1, int(np.sqrt(scan.ranges.size / _MOST_POINTS_A_PIECE)) // 2)
+        part = slice(None, None, step)
+        pose = pan_tilt_pose(piece.at.pan_rad, piece.at.tilt_rad, unit_from_scanner=self._mount)
+        local = grid_rays(scan.geometry, part, part) * scan.ranges[part, part, None]
+        return pose @ local.reshape(-1, 3), scan.intensity[part, part].ravel()
+
+    def _gray(self, shades: NDArray[np.float32]) -> NDArray[np.uint8]:
+        low, high = np.quantile(shades, (0.02, 0.98))
+        share = np.clip((shades - low) / max(float(high - low), 1e-9), 0, 1)
+        return np.asarray(_DARKEST + share * (_BRIGHTEST - _DARKEST), dtype=np.uint8)
+
+    def _thin(self) -> None:
+        """Keep every other point of all pieces once there are too many."""
+        if sum(map(len, self._points)) > self._most_points:
+            self._points = [points[::2] for points in self._points]
+            self._shades = [shades[::2] for shades in self._shades]

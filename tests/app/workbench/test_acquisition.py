@@ -1,0 +1,114 @@
+"""Driving simulated devices as a page does: connect, jog, run, pause, stop, take over, open what was scanned."""
+
+from __future__ import annotations
+
+import copy
+import io
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ladarreg.gateway.protocol import Visitor
+from PIL import Image
+
+from tests.app.workbench_driver import WorkbenchDriver, open_bench
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
+    found = open_bench(tmp_path_factory.mktemp("acquisition") / "project")
+    yield found
+    found.workbench.close()
+
+
+def state(bench: WorkbenchDriver) -> str:
+    return str(bench.slice("acquisition")["state"])
+
+
+def plan_of(bench: WorkbenchDriver, **changes: Any) -> dict[str, Any]:
+    plan = copy.deepcopy(bench.do("acquire_ports")["example"])
+    return {**plan, "pan_deg": [-6, 6, 2], "settle_s": 0, **changes}
+
+
+def test_what_an_operator_does(bench: WorkbenchDriver) -> None:
+    plan = plan_of(bench)
+    assert bench.do("acquire_check", plan=plan)["forecast"]["pieces"] == 7
+    assert "beyond its end" in bench.do("acquire_check", plan={**plan, "pan_deg": [0, 1, 5]})["fault"]
+    assert "no devices are connected" in bench.refused("acquire_jog", pan_deg=1, tilt_deg=0).lower()
+    bench.do("acquire_connect", plan=plan)
+    bench.eventually(lambda: state(bench) == "ready")
+    found = bench.slice("acquisition")
+    assert "FLIR" in found["devices"]["unit"]
+    assert found["devices"]["has_intensity"]
+    assert "limits are -46.54 to 30.99" in bench.do("acquire_check", plan={**plan, "tilt_deg": [0, 40, 20]})["fault"]
+
+    bench.do("acquire_jog", pan_deg=3, tilt_deg=-2)
+    assert "busy" in bench.refused("acquire_start", plan=plan)
+    bench.eventually(lambda: state(bench) == "ready")
+    assert bench.slice("acquisition")["at_deg"] == pytest.approx([3, -2], abs=0.02)
+    assert "too far to move at once" in bench.refused("acquire_jog", pan_deg=31, tilt_deg=0)
+    bench.do("acquire_jog", pan_deg=0, tilt_deg=25)
+    bench.eventually(lambda: state(bench) == "ready")
+    assert "beyond the unit's limits" in bench.refused("acquire_jog", pan_deg=0, tilt_deg=10)
+
+    bench.do("acquire_start", plan=plan)
+    bench.eventually(lambda: bench.slice("acquisition")["done"] >= 2)
+    bench.do("acquire_pause")
+    bench.eventually(lambda: state(bench) == "paused")
+    kept = bench.slice("acquisition")["done"]
+    time.sleep(0.3)
+    assert bench.slice("acquisition")["done"] == kept
+    bench.do("acquire_resume")
+    bench.eventually(lambda: bench.slice("acquisition")["complete"])
+    picture = bench.workbench.picture("acquisition", {})
+    pixels = np.asarray(Image.open(io.BytesIO(picture.data)))
+    assert pixels.shape == (360, 720)
+    assert np.count_nonzero(pixels) > 1000
+    bench.eventually(lambda: state(bench) == "ready")
+    bench.do("acquire_open")
+    assert bench.slice("scan")["name"] == "run-001.npz"
+    bench.do("acquire_disconnect")
+    assert state(bench) == "off"
+
+
+def test_stopping_is_for_everybody_and_a_run_goes_on_where_it_was(bench: WorkbenchDriver) -> None:
+    plan = plan_of(bench, pan_deg=[-60, 60, 20])
+    other = bench.workbench.join(Visitor("test"))
+
+    def ask(do: str, **fields: Any) -> dict[str, Any]:
+        return bench.workbench.answer(other, {"id": 1, "do": do, **fields})
+
+    bench.do("acquire_connect", plan=plan)
+    bench.eventually(lambda: state(bench) == "ready")
+    bench.do("acquire_start", plan=plan)
+    bench.eventually(lambda: bench.slice("acquisition")["done"] >= 1)
+    assert "drives the devices; take over first" in ask("acquire_pause")["error"]
+    begun = time.monotonic()
+    assert ask("acquire_stop")["ok"]
+    assert time.monotonic() - begun < 1
+    bench.eventually(lambda: state(bench) == "ready")
+    found = bench.slice("acquisition")
+    assert not found["complete"]
+    assert found["said"] == f"Stopped: {found['done']} of 7 pieces are kept."
+    assert ask("acquire_take_over")["ok"]
+    assert "take over first" in bench.refused("acquire_start", plan=plan, resume=found["run"])
+    assert ask("acquire_start", plan=plan, resume=found["run"])["ok"]
+    bench.workbench.leave(other)  # a run goes on
+    bench.eventually(lambda: bench.slice("acquisition")["complete"])
+    bench.eventually(lambda: state(bench) == "ready")
+    bench.do("acquire_disconnect")
+
+
+def test_a_port_that_the_server_does_not_have_is_refused(bench: WorkbenchDriver, tmp_path: Path) -> None:
+    plan = plan_of(bench)
+    plan["unit"]["port"] = "socket://10.0.0.1:22"
+    assert "has no port socket://10.0.0.1:22" in bench.refused("acquire_connect", plan=plan)
+    plan["unit"]["port"] = "twin:nothing?seed=1"
+    bench.do("acquire_connect", plan=plan)
+    bench.eventually(lambda: state(bench) == "off")
+    assert "no simulated device 'nothing'" in bench.slice("acquisition")["said"]
