@@ -15,9 +15,11 @@ from ladarreg_core.acquisition.ports import Ports
 from ladarreg_core.acquisition.run_folder import RunWriter
 from ladarreg_core.acquisition.runner import EventReport, Run
 from ladarreg_core.acquisition.scip_scanner import ScipScanner
+from ladarreg_core.acquisition.twin_address import watched_folder
 from ladarreg_core.acquisition.video_camera import VideoCamera
 from ladarreg_core.errors import DeviceError
-from ladarreg_core.formats import read_photo, read_scan
+from ladarreg_core.formats import read_scan
+from ladarreg_core.formats.image_file import read_image
 
 _PHOTO_S = 60.0
 _UNIT_BAUDS = (9600, 115_200, 19_200, 38_400)
@@ -61,8 +63,11 @@ def connected(plan: Plan, *, guarded: bool = True) -> Iterator[Connected]:
             stack.callback(line_scanner.close)
         else:
             frames = FolderSource(
-                plan.scanner.folder, is_readable=_is_scan, timeout_s=plan.scanner.timeout_s, device="the scanner"
-            )
+                watched_folder(plan.scanner.folder),
+                is_readable=_is_scan,
+                timeout_s=plan.scanner.timeout_s,
+                device="the scanner",
+            )  # fmt: skip
         camera = None if plan.camera is None else _camera(plan.camera)
         if camera is not None:
             stack.callback(camera.close)
@@ -113,7 +118,7 @@ def identified(address: str) -> FoundDevice:
 
 def _camera(plan: CameraPlan) -> FrameSource:
     if plan.folder:
-        return FolderSource(plan.folder, is_readable=_is_photo, timeout_s=_PHOTO_S, device="the camera")
+        return FolderSource(watched_folder(plan.folder), is_readable=_is_photo, timeout_s=_PHOTO_S, device="the camera")
     return VideoCamera(plan.device or 0)
 
 
@@ -122,4 +127,4 @@ def _is_scan(path: Path) -> None:
 
 
 def _is_photo(path: Path) -> None:
-    read_photo(path)
+    read_image(path)  # its focal length may be known later

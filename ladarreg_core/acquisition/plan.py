@@ -13,8 +13,9 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 
 from ladarreg_core.acquisition.mount_fields import mount_as_fields, mount_from_fields
+from ladarreg_core.acquisition.twin_address import check_twin, is_twin
 from ladarreg_core.atomic_write import replaced_file, write_bytes
-from ladarreg_core.errors import FormatError, LadarregError, OptionError
+from ladarreg_core.errors import DeviceError, FormatError, LadarregError, OptionError
 from ladarreg_core.formats.json_file import read_json_object
 from ladarreg_core.formats.untrusted import shown_name
 from ladarreg_core.frames import Rigid
@@ -401,7 +402,12 @@ class _Reader:
 
     def _folder(self, fields: Mapping[str, Any], where: str) -> str | None:
         folder = self._text(fields, "folder", where, "the folder that its software writes to")
-        if folder is not None and self._folders_exist and not Path(folder).expanduser().is_dir():
+        if folder is not None and is_twin(folder):
+            try:
+                check_twin(folder)
+            except DeviceError as error:
+                self.faults.append(f"'folder' of {where}: {error}")
+        elif folder is not None and self._folders_exist and not Path(folder).expanduser().is_dir():
             self.faults.append(f"'folder' of {where} is {_shown(folder)}, which does not exist; create or correct it")
         return folder
 

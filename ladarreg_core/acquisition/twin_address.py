@@ -80,3 +80,22 @@ def _started(arguments: tuple[tuple[str, str], ...]) -> tuple[subprocess.Popen[s
 def _environment() -> dict[str, str]:
     """Return the environment of a process that imports the package from where this one does."""
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+
+
+def watched_folder(folder: str) -> str:
+    """Return the folder to be watched: as given, or that of a simulated device, which is switched on then.
+
+    Raises:
+        DeviceError: if there is no such device, or the simulation does not start.
+    """
+    if not is_twin(folder):
+        return folder
+    name, arguments = check_twin(folder)
+    found = resolved_twin(folder)
+    if not os.path.isdir(found):
+        raise DeviceError(f"the simulated device {name!r} has a port and writes no files; use scanner or camera")
+    process, _ = _running[arguments]
+    assert process.stdin is not None
+    process.stdin.write(json.dumps({"switch_on": name}) + "\n")
+    process.stdin.flush()
+    return found

@@ -1,6 +1,7 @@
 """`python -m ladarreg_core.twins [JSON]`: simulated devices for `twin:` addresses, until the standard input ends.
 
-The argument is an object with `scene`, `seed` and `sockets`, all optional.
+The argument is an object with `scene`, `seed` and `sockets`, all optional. Lines on the standard input are requests as
+`TwinDevices.obey` takes them.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ def main() -> int:
         with TwinDevices(scene, seed, sockets=bool(options.get("sockets"))) as devices:
             sys.stdout.write(json.dumps({"devices": devices.addresses, "control": devices.listen()}) + "\n")
             sys.stdout.flush()
-            while sys.stdin.readline():
-                pass
+            while line := sys.stdin.readline():
+                devices.obey(line)
     except LadarregError as error:
         sys.stderr.write(f"{error}\n")
         return 2

@@ -155,8 +155,24 @@ class TwinDevices:
         else:
             raise OptionError(f"the device {device} does not fail by {kind!r}")
 
+    def obey(self, request: str) -> dict[str, Any]:
+        """Do what a JSON object asks: `{"switch_on": name}`, `{"fail": name, "kind": kind}`, or nothing.
+
+        Returns:
+            The state, or `{"error": text}`.
+        """
+        try:
+            message = json.loads(request)
+            if "switch_on" in message:
+                self.switch_on(str(message["switch_on"]))
+            if "fail" in message:
+                self.fail(str(message["fail"]), str(message["kind"]))
+        except (ValueError, KeyError, TypeError, OptionError) as error:
+            return {"error": str(error)}
+        return self.state()
+
     def listen(self) -> int:
-        """Serve `state`, `fail` and `switch_on` to other processes, as JSON lines; return the port on this machine."""
+        """Obey other processes, which send requests and get answers as lines; return the port on this machine."""
         self._control = socket.create_server(("127.0.0.1", 0))
         threading.Thread(target=self._obey_all, args=(self._control,), daemon=True).start()
         return int(self._control.getsockname()[1])
@@ -172,15 +188,7 @@ class TwinDevices:
     def _obey(self, connection: socket.socket) -> None:
         with connection, connection.makefile("rw", encoding="utf-8") as stream:
             for line in stream:
-                try:
-                    message = json.loads(line)
-                    if "switch_on" in message:
-                        self.switch_on(str(message["switch_on"]))
-                    if "fail" in message:
-                        self.fail(str(message["fail"]), str(message["kind"]))
-                    answer: dict[str, Any] = self.state()
-                except (ValueError, KeyError, TypeError, OptionError) as error:
-                    answer = {"error": str(error)}
+                answer = self.obey(line)
                 stream.write(json.dumps(answer) + "\n")
                 stream.flush()
 

@@ -17,9 +17,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, get_args
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
+from PIL.ExifTags import IFD, Base
 
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.camera import Camera, CameraModel
@@ -37,8 +38,9 @@ PhotoFormat = Literal["jpg", "png"]
 FRAME = AzimuthElevation(rows=175, columns=250, d_azimuth_rad=np.radians(0.22), d_elevation_rad=np.radians(0.22))
 """Rays of the simulated scanner, 55 x 38.5 deg."""
 CAMERA = Camera.from_focal(768, 512, 640.0)
-"""The simulated camera, 62 x 44 deg."""
+"""The simulated camera, 62 x 44 deg: 30 mm on 35 mm film, as its files state."""
 
+_FILM_MM = 36.0
 _TICK_S = 0.01
 _CHUNKS = 8
 _KEY_STEP_RAD = 1e-5
@@ -208,9 +210,12 @@ def camera_twin(
     require_choice(file_format, get_args(PhotoFormat), "the format of the photographs")
 
     def make(path: Path, at: PanTilt, key: tuple[int, int]) -> None:
-        pixels = bench.photograph(at, camera, noise_key=key)
-        _, coded = cv2.imencode(path.suffix, np.ascontiguousarray(pixels[..., ::-1]))
-        path.write_bytes(coded.tobytes())
+        picture = Image.fromarray(bench.photograph(at, camera, noise_key=key))
+        exif = Image.Exif()
+        exif[Base.Make], exif[Base.Model] = "ladarreg", "simulated camera"
+        if isinstance(camera, Camera):
+            exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = round(_FILM_MM * camera.fx / camera.width)
+        picture.save(path, exif=exif, quality=95)
 
     return FolderTwin(
         bench, folder, stem="photo", suffix=f".{file_format}", make=make, delay_s=delay_s, writing_s=writing_s

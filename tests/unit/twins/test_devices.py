@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -13,14 +14,21 @@ import pytest
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 
 import ladarreg_core as lr
+from ladarreg_core.acquisition.connected import connected
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.flir_unit import FlirUnit
-from ladarreg_core.acquisition.plan import ScannerPlan, UnitPlan
+from ladarreg_core.acquisition.plan import ScannerPlan, UnitPlan, plan_from_fields
 from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter, ScanPiece
+from ladarreg_core.acquisition.runner import Paused
 from ladarreg_core.acquisition.scip_scanner import ScipScanner
-from ladarreg_core.errors import OptionError
+from ladarreg_core.acquisition.twin_address import watched_folder
+from ladarreg_core.errors import DeviceError, OptionError
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.twins.devices import CAMERA, SCANNER, TwinDevices
+from ladarreg_core.twins.folder_twin import CAMERA as CAMERA_MODEL
+from ladarreg_core.twins.folder_twin import FRAME
+from ladarreg_core.twins.world import FRAME_MOUNT, Bench
 
 GEOMETRY = AzimuthElevation(35, 50, np.radians(1.1), np.radians(1.1))
 
@@ -100,3 +108,44 @@ def test_folders_fail_in_their_own_ways_only(devices: TwinDevices) -> None:
     for device, kind in ((SCANNER, "unplugged"), ("flir-ptu", "two-files"), ("hinge", "never")):
         with pytest.raises(OptionError):
             devices.fail(device, kind)
+
+
+def test_a_mosaic_is_recorded_by_the_addresses_of_twins(tmp_path: Path) -> None:
+    at = "?seed=3&scene=plain"
+    fields = {
+        "version": 1,
+        "unit": {"port": f"twin:flir-ptu{at}", "baud": 115200},
+        "scanner": {"kind": "folder", "folder": f"twin:scanner{at}", "timeout_s": 20},
+        "camera": {"folder": f"twin:camera{at}"},
+        "mode": "mosaic",
+        "pan_deg": [0, 40, 40],
+        "tilt_deg": [0, 0, 0],
+        "mount": {"xyz_m": FRAME_MOUNT.translation.tolist(), "rpy_deg": [0, 0, 0]},
+    }
+    plan = plan_from_fields(fields)
+    faults: list[str] = []
+
+    def note(event: object) -> None:
+        if isinstance(event, Paused):
+            faults.append(event.reason)
+            run.stop()
+
+    with closing(RunWriter.begin(tmp_path / "run", plan)) as folder, connected(plan, guarded=False) as found:
+        run = found.run(plan, folder, note)
+        assert run.go(), faults
+    bench = Bench("plain", 3)
+    recorded = RunFolder.open(tmp_path / "run")
+    pieces = [recorded.piece(k) for k in sorted(recorded.records)]
+    assert len(pieces) == 2
+    for piece in pieces:
+        assert isinstance(piece, ScanPiece)
+        key = tuple(round(angle / 1e-5) for angle in (piece.at.pan_rad, piece.at.tilt_rad))
+        true = bench.scan_frame(piece.at, FRAME, noise_key=key)
+        assert np.allclose(piece.scan.points, true.points, atol=1e-4, equal_nan=True)
+    photos = [lr.read_photo(path) for path in sorted((tmp_path / "run" / "photos").iterdir())]
+    assert [photo.camera.fx for photo in photos] == [CAMERA_MODEL.fx] * 2
+    assert np.abs(photos[0].pixels.astype(float) - photos[1].pixels).mean() > 10
+    with pytest.raises(OptionError, match="'folder' of 'camera'"):
+        plan_from_fields({**fields, "camera": {"folder": "twin:camera?colour=red"}})
+    with pytest.raises(DeviceError, match="writes no files"):
+        watched_folder(f"twin:scip2{at}")
