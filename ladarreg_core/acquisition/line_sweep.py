@@ -13,6 +13,10 @@ from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.pan_tilt import rays_of_line, turned_by_unit
 
+_RAMP_SHARE = 0.03  # of a pass, at either end, in which a unit may still change its speed
+_LEAST_SPAN_RAD = 0.05
+_LEAST_CRUISE = 10
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnitTrack:
@@ -37,6 +41,33 @@ class UnitTrack:
             )
         if not (np.diff(self.time_s) > 0).all():
             raise ShapeError("the times of the unit's track do not rise; sort the readings, and keep one for each time")
+
+    def steadied(self) -> UnitTrack:
+        """Return the track with the jitter of its stamps removed where the unit cruises at a constant speed.
+
+        Between the ramps a straight line through all readings says when the unit passed each angle, much better than
+        one stamp. Nothing is changed if the readings do not lie on a line but for jitter.
+        """
+        span = float(self.pan_rad[-1] - self.pan_rad[0])
+        gone = (np.asarray(self.pan_rad) - self.pan_rad[0]) / span if abs(span) > _LEAST_SPAN_RAD else np.zeros(0)
+        cruise = np.flatnonzero((gone > _RAMP_SHARE) & (gone < 1 - _RAMP_SHARE))
+        if len(cruise) < _LEAST_CRUISE:
+            return self
+        pan, time = np.asarray(self.pan_rad)[cruise], np.asarray(self.time_s)[cruise]
+        use = np.ones(len(cruise), np.bool_)
+        for _ in range(4):  # a few readings that were held up do not count
+            line = np.polyfit(pan[use], time[use], 1)
+            late = time - np.polyval(line, pan)
+            use = np.abs(late) <= 4 * max(1.4826 * float(np.median(np.abs(late))), 1e-9)
+        bent = np.polyfit(pan[use], late[use], 2)
+        middle, ends = np.polyval(bent, (pan[0] + pan[-1]) / 2), np.polyval(bent, pan[[0, -1]])
+        if use.mean() < 0.8 or np.abs(ends - middle).max() > 3 * late[use].std() / np.sqrt(use.sum()) * 3:
+            return self
+        times = np.asarray(self.time_s, np.float64).copy()
+        times[cruise] = np.polyval(line, pan)
+        keep = np.maximum.accumulate(times) <= times
+        keep[1:] &= np.diff(np.maximum.accumulate(times)) > 0
+        return UnitTrack(times[keep], np.asarray(self.pan_rad)[keep], np.asarray(self.tilt_rad)[keep])
 
     def position(self, time_s: FloatArray, *, latency_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Return pan and tilt (...,), rad, at times (...,), linear between readings and constant beyond both ends."""
@@ -103,10 +134,11 @@ class LineSweep:
             angles_rad: (N,) in the order in which the rays are measured.
             time_s: (L,) scanner's clock at each line's first ray.
             sweep_s: time from a line's first ray to its last.
-            track: the unit's readings on the same clock.
+            track: the unit's readings on the same clock; their jitter is removed, see `UnitTrack.steadied`.
             latency_s: for the positions of the lines' middles.
         """
         count = np.shape(ranges_m)[1]
+        track = track.steadied()
         times = np.asarray(time_s, np.float64)[:, None] + np.linspace(0.0, sweep_s, count)
         pan, tilt = track.position(times.mean(axis=1), latency_s=latency_s)
         light = None if intensity is None else np.asarray(intensity, np.float32)

@@ -19,20 +19,31 @@ from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
 from ladarreg_core.progress import Progress
-from ladarreg_core.range_alignment.voxel_planes import LEAST_ACROSS, SharedPlanes, plane_moments, shared_planes
+from ladarreg_core.range_alignment.voxel_planes import (
+    LEAST_ACROSS,
+    SMALL_VOXELS_M,
+    VOXELS_M,
+    SharedPlanes,
+    plane_moments,
+    shared_planes,
+)
 from ladarreg_core.scanner.pan_tilt import turned_by_unit
 
 Parameter = Literal["x", "y", "z", "roll", "pitch", "yaw", "latency"]
 MOUNT: tuple[Parameter, ...] = ("x", "y", "z", "roll", "pitch", "yaw")
 
-_MOST_POINTS = 400_000
-_GATES = ((0.25, 15.0), (0.25, 15.0), (0.15, 12.0), (0.1, 10.0), (0.06, 8.0), (0.06, 8.0))
+_MOST_POINTS = 1_500_000
+_GATES = ((0.25, 15.0), (0.25, 15.0), (0.15, 12.0), (0.1, 10.0), (0.06, 8.0), (0.03, 6.0), (0.015, 5.0))
 """Distance (m) and angle (deg) within which two views' patches are one plane, in turn."""
+_NOISE_GATE = 3.0  # two patches of a plane are at most so many times the noise apart
 _MOST_STEPS = 16
 _FINISHED = 0.15  # standard deviations of the result; planes that come and go move it by more than rounding does
 _HUBER = 3.0
 _UNDETERMINED = 0.005  # m, and rad at one metre: a wider uncertainty is no measurement of a mount
 _LONGEST_STEP = 0.04  # m, and rad at one metre
+_LOOSE = 2.5e-4  # m, and rad at one metre: from here on furniture is asked, too
+_MUCH_TIGHTER = 1.5
+_PRIOR_POINTS = 30
 _HELD_OUT = 4  # one block of the room in four
 _LEAST_PLANES = 12
 _MAD = 1.4826
@@ -154,8 +165,17 @@ def calibrate_mount(
     progress(2, "calibrating the mount")
     final, planes, solved = _fit(sweeps, fitted, start, scale, level, keep=None, gates=_GATES[-1:])
     assert solved is not None
+    covariance, determined = _covariance(solved[0], scale)
+    if not determined.all() or _worst(covariance, scale) > _LOOSE:
+        small = _fit(sweeps, final, start, scale, level, keep=None, gates=_GATES[-1:], voxels_m=SMALL_VOXELS_M)
+        assert small[2] is not None
+        tighter = _covariance(small[2][0], scale)
+        more = int(tighter[1].sum()) > int(determined.sum())
+        if more or _LOOSE < _worst(covariance, scale) > _MUCH_TIGHTER * _worst(tighter[0], scale):
+            final, planes, solved = small
+            covariance, determined = tighter
+    assert solved is not None
     system, points = solved
-    covariance, determined = _covariance(system, scale)
     names = MOUNT if len(scale) == 6 else (*MOUNT, "latency")
     hidden = [name for name, seen in zip(names, determined, strict=True) if not seen]
     reasons = (_undetermined(hidden),) if hidden else ()
@@ -164,6 +184,12 @@ def calibrate_mount(
         final.mount, final.latency_s, True, names, tuple(map(bool, determined)), covariance,
         tilt, system.sigma_m, before, after, planes, points, reasons,
     )  # fmt: skip
+
+
+def _worst(covariance: FloatArray, scale: FloatArray) -> float:
+    """Return the largest standard deviation of a determined parameter, m, and rad at one metre."""
+    sigma = np.sqrt(np.diag(covariance)) / scale
+    return float(sigma[np.isfinite(sigma)].max(initial=0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,15 +296,19 @@ def _fit(
     *,
     keep: Callable[[SharedPlanes], NDArray[np.bool_]] | None,
     gates: Sequence[tuple[float, float]] = _GATES,
+    voxels_m: Sequence[float] = VOXELS_M,
 ) -> tuple[_State, int, tuple[_System, int] | None]:
     """Minimise the distances of points from the planes that they share, matching the planes again after each step."""
     count = 0
     solved = None
     for number in range(_MOST_STEPS):
         apart, angle = gates[min(number, len(gates) - 1)]
+        apart = max(apart, _NOISE_GATE * solved[0].sigma_m) if solved else apart
         returns = _returns(sweeps, state)
         world, rays = _in_world(returns, state)
-        found = shared_planes(world, rays, returns.view, farthest_apart_m=apart, largest_angle_rad=np.radians(angle))
+        found = shared_planes(
+            world, rays, returns.view, farthest_apart_m=apart, largest_angle_rad=np.radians(angle), voxels_m=voxels_m
+        )
         found = found if keep is None else found.select(keep(found))
         count = found.count
         if count < _LEAST_PLANES:
@@ -307,18 +337,27 @@ def _system(
     off = world[at] - found.centres[plane]
     residual = (off * normal).sum(-1)
     pan, tilt = returns.pan[at], returns.tilt[at]
-    local = returns.local[at]
     across = (rays[at] * normal).sum(-1)
     spread = np.sqrt(across**2 + LEAST_ACROSS**2)  # noise along the ray, as it acts across the plane
     scaled = residual / spread
-    sigma = _MAD * float(np.median(np.abs(scaled)))
-    weight = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(scaled), 1e-12)) / spread**2
+    usual = _MAD * float(np.median(np.abs(scaled)))
+    # Dark, far and grazing surfaces are noisier: each plane has its own noise, and that of all where it has few points.
+    clipped = np.minimum(scaled**2, (_HUBER * usual) ** 2)
+    own_noise = np.bincount(plane, clipped, planes) + _PRIOR_POINTS * usual**2
+    spread = spread * np.sqrt(own_noise / (np.bincount(plane, minlength=planes) + _PRIOR_POINTS))[plane] / usual
+    weight = np.minimum(1.0, _HUBER * usual / np.maximum(np.abs(residual / spread), 1e-12)) / spread**2
 
+    # The rows are taken where the ray meets the plane: with the noise of the range in them they would be correlated
+    # with the residuals.
+    across = np.where(across < 0, -1, 1) * np.maximum(np.abs(across), LEAST_ACROSS)
+    onto = -(residual / across)[:, None]
+    off = off + onto * rays[at]
+    met = world[at] + onto * rays[at]
     in_unit = _from_world(normal, pan, tilt)
-    q = state.mount @ local
+    q = _from_world(met, pan, tilt)
     J = [in_unit @ level.T, np.cross(q, in_unit) @ level.T]
     if len(scale) > 6:
-        by_pan = normal[:, 1] * world[at, 0] - normal[:, 0] * world[at, 1]
+        by_pan = normal[:, 1] * met[:, 0] - normal[:, 0] * met[:, 1]
         # Tilting up moves a point by (-y) x p in the frame that pans; its normal there is that of the unit, turned up.
         by_tilt = in_unit[:, 2] * q[:, 0] - in_unit[:, 0] * q[:, 2]
         J.append((by_pan * returns.pan_rate[at] + by_tilt * returns.tilt_rate[at])[:, None])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,9 @@ from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 
 VOXELS_M = (0.5, 0.25)
 """Sides of the voxels, tried in this order; what is no plane in a large one may be several in smaller ones."""
+SMALL_VOXELS_M = (0.5, 0.25, 0.125)
+"""Sides with which furniture counts as well. Patches as small as this, beside edges and other things, have shifted the
+mount by up to .2 mm: they are for what nothing larger shows."""
 
 _LEAST_POINTS = 8
 _FLATTEST = 0.1  # thickness over the smaller extent of a patch
@@ -55,8 +59,9 @@ class SharedPlanes:
 
 
 def shared_planes(
-    points: FloatArray, rays: FloatArray, view: IntArray, *, farthest_apart_m: float, largest_angle_rad: float
-) -> SharedPlanes:
+    points: FloatArray, rays: FloatArray, view: IntArray, *, farthest_apart_m: float, largest_angle_rad: float,
+    voxels_m: Sequence[float] = VOXELS_M,
+) -> SharedPlanes:  # fmt: skip
     """Find planes that at least two views see.
 
     A patch is judged within its own view, where a wrong pose between views does not make it thicker.
@@ -67,10 +72,11 @@ def shared_planes(
         view: (N,) view of each point, from 0.
         farthest_apart_m: largest distance between two views' patches of one plane.
         largest_angle_rad: largest angle between their normals.
+        voxels_m: sides of the voxels, falling.
     """
     left = np.arange(len(points))
     found: list[SharedPlanes] = []
-    for side in VOXELS_M:
+    for side in voxels_m:
         if not len(left):
             break
         level, used = _of_voxels(points[left], rays[left], view[left], side, farthest_apart_m, largest_angle_rad)

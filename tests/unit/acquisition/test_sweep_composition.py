@@ -156,3 +156,11 @@ def test_what_does_not_fit_is_refused() -> None:
     for sweeps in ([nothing], [nothing, nothing]):
         with pytest.raises(ShapeError, match="no return"):
             compose_sweeps(sweeps, MOUNT)
+
+
+def test_the_jitter_of_readings_is_removed_where_the_unit_cruises() -> None:
+    sweep = in_motion(-1.6, 1.6, jitter_s=0.005, seed=3)
+    off = off_surface(sweep.points_in_world(MOUNT).reshape(-1, 3))
+    assert np.nanpercentile(off, 80) < 1.5e-3  # .2 rad/s times 5 ms at 2 m is 2 mm
+    track = UnitTrack(np.linspace(0, 10, 200), np.sin(np.linspace(0, 1.5, 200)), np.zeros(200))
+    assert track.steadied() is track  # it never cruises
