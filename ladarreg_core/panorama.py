@@ -130,16 +130,21 @@ def _sweep(listed: PieceList, mount: Rigid | None, *, calibrate_mount: bool, rep
     from ladarreg_core.acquisition.mount_fields import mount_as_fields
     from ladarreg_core.acquisition.sweep_composition import compose_sweeps
     from ladarreg_core.acquisition.sweep_pieces import read_sweeps
+    from ladarreg_core.range_alignment import mount_calibration
 
     if mount is None:
         raise OptionError("the run has no plan with a mount; give `mount`, which also stands a line scanner upright")
-    if calibrate_mount:
-        raise OptionError("the mount of a sweep cannot be calibrated yet; leave the option out")
     sweeps, sweep_of_piece = read_sweeps(listed.pieces, report=report)
-    made = compose_sweeps(sweeps, mount, name=listed.source.stem)
+    latency_s, calibration = 0.0, {}
+    if calibrate_mount:
+        found = mount_calibration.calibrate_mount(sweeps, mount, report=report)
+        mount, latency_s = found.unit_from_scanner, found.latency_s
+        calibration = {"calibration": found.as_fields()}
+    made = compose_sweeps(sweeps, mount, latency_s=latency_s, name=listed.source.stem)
     counts = {"folded": made.folded, "repeated": made.repeated}
     fields = {
-        "mount": mount_as_fields(mount), "counts": counts, "columns_are_lines": made.columns_are_lines,
+        "mount": {**mount_as_fields(mount), **calibration}, "counts": counts,
+        "columns_are_lines": made.columns_are_lines,
         "each": [{"sweep": sweep} for sweep in sweep_of_piece],
     }  # fmt: skip
     return Panorama(made.scan, made.sweep_of_cell, fields)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +86,27 @@ class MountCalibration:
     def sigma(self) -> NDArray[np.float64]:
         """(P,) standard deviations; infinite where a parameter is not determined."""
         return np.sqrt(np.diag(self.covariance))
+
+    def as_fields(self) -> dict[str, Any]:
+        """Return the calibration as written to `panorama.json`: null for what is not determined or was not measured."""
+
+        def number(value: float) -> float | None:
+            return float(value) if np.isfinite(value) else None
+
+        units = [1.0] * 3 + [float(np.degrees(1.0))] * 3 + [1.0]
+        unit_names = ["m"] * 3 + ["deg"] * 3 + ["s"]
+        sigma = {
+            f"{name}_{unit}": number(value * factor)
+            for name, value, factor, unit in zip(self.parameters, self.sigma, units, unit_names, strict=False)
+        }
+        return {
+            "accepted": self.accepted, "reasons": list(self.reasons),
+            "not_determined": [n for n, seen in zip(self.parameters, self.determined, strict=True) if not seen],
+            "sigma": sigma, "axes_tilt_deg": float(np.degrees(self.tilt_rad)), "parameters": list(self.parameters),
+            "covariance": [[number(value) for value in row] for row in self.covariance], "latency_s": self.latency_s,
+            "planes": self.planes, "points": self.points, "sigma_range_m": number(self.sigma_range_m),
+            "held_out_before_m": number(self.held_out_before_m), "held_out_after_m": number(self.held_out_after_m),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
