@@ -10,7 +10,7 @@ import tyro
 
 from ..exit_codes import ExitCode
 
-EXAMPLES = ("ladarreg demo", "ladarreg demo --port 0 --no-browser")
+EXAMPLES = ("ladarreg demo", "ladarreg demo --acquire", "ladarreg demo --port 0 --no-browser")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +23,8 @@ class Arguments:
     """Print the address, but open no browser."""
     project: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of the project on the sample."""
+    acquire: bool = False
+    """Scan all around with a simulated pan/tilt unit and line scanner instead, from an empty project."""
     fresh: bool = False
     """Start over; earlier work on the sample stays in the history."""
     new_token: bool = False
@@ -32,7 +34,7 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Open the workbench on the embedded sample and register it."""
+    """Open the workbench on the embedded sample and register it, or on simulated devices."""
     from ..session.isolated_readers import READERS
 
     READERS.warm()  # in parallel with the imports below
@@ -46,19 +48,23 @@ def run(arguments: Arguments) -> ExitCode:
     limit_arenas()
     stop = StopSignals()
     stop.listen()
-    scan, photo, camera = sample_files()
-    workbench = open_workbench(
-        (scan, photo),
-        reading=Reading(camera=camera),
-        project=arguments.project,
-        name=SAMPLE_NAME,
-        check=stop.check,
-    )
-    try:
-        register_sample(workbench, fresh=arguments.fresh)
-    except BaseException:
-        workbench.close()
-        raise
+    if arguments.acquire:
+        workbench = open_workbench((), project=arguments.project, check=stop.check)
+        workbench.acquisition.offered = True
+    else:
+        scan, photo, camera = sample_files()
+        workbench = open_workbench(
+            (scan, photo),
+            reading=Reading(camera=camera),
+            project=arguments.project,
+            name=SAMPLE_NAME,
+            check=stop.check,
+        )
+        try:
+            register_sample(workbench, fresh=arguments.fresh)
+        except BaseException:
+            workbench.close()
+            raise
     options = GatewayOptions(port=arguments.port)
     tokens = TokenChoice(renew=arguments.new_token)
     serve_and_close(workbench, tokens=tokens, options=options, browser=not arguments.no_browser, stop=stop)

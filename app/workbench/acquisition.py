@@ -80,6 +80,8 @@ class Acquisition:
         self._preview: RunPreview | None = None
         self._picture: Picture | None = None
         self._pictured_s = 0.0
+        self.offered = False
+        """Whether pages open the acquisition by themselves in an empty project."""
 
     # -- what clients ask for ----------------------------------------------------------------------------------
 
@@ -191,7 +193,7 @@ class Acquisition:
             except BaseException:
                 folder.close()
                 raise
-            preview = RunPreview(plan.mount)
+            preview = RunPreview(plan.mount, step_deg=plan.pan.step_deg if plan.mode == "sweep" else 0.0)
             self._run, self._plan, self._preview, self._picture = run, plan, preview, None
             self._progress = _Progress(len(folder.records), run.total, 0.0, False, name)
             self._state, self._said = "running", ""
@@ -257,6 +259,7 @@ class Acquisition:
             at, progress = self._at, self._progress
             return {
                 "state": self._state,
+                "offered": self.offered,
                 "said": self._said,
                 "driver": None if self._driver is None else {"id": self._driver[0], "name": self._driver[1]},
                 "devices": None if self._devices is None else _described(self._devices),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,11 +26,13 @@ class RunPreview:
 
     Args:
         unit_from_scanner: the mount.
+        step_deg: angle between neighbouring lines; the picture is filled between them.
         most_points: so many points are kept, evenly over the run.
     """
 
-    def __init__(self, unit_from_scanner: Rigid, *, most_points: int = 200_000) -> None:
+    def __init__(self, unit_from_scanner: Rigid, *, step_deg: float = 0.0, most_points: int = 200_000) -> None:
         self._mount = unit_from_scanner
+        self._wide = 2 * round(abs(step_deg) * WIDTH / 360 / 2 + 0.5) + 1
         self._light = np.zeros((HEIGHT, WIDTH), np.float32)
         self._nearest = np.full((HEIGHT, WIDTH), np.inf, np.float32)
         self._points: list[NDArray[np.float32]] = []
@@ -68,7 +71,9 @@ class RunPreview:
         picture = np.zeros((HEIGHT, WIDTH), np.uint8)
         if seen.any():
             picture[seen] = self._gray(self._light[seen])
-        return picture
+        wide = np.pad(picture, ((0, 0), (self._wide, self._wide)), mode="wrap")
+        filled = cv2.dilate(wide, np.ones((1, min(self._wide, WIDTH // 4 * 2 + 1)), np.uint8))
+        return np.asarray(np.where(seen, picture, filled[:, self._wide : -self._wide]), dtype=np.uint8)
 
     def points(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Return points (N, 3), m, in the world of the unit, and their gray levels (N,)."""

@@ -9,6 +9,7 @@ import { mountSwitcher } from "./layout/switcher.js";
 import { ask, connect, connectionState, fullReason, onConnection } from "./net/connection.js";
 import { rememberPhoto } from "./net/identity.js";
 import { store } from "./net/store.js";
+import { mountLiveScan } from "./panels/acquire/live_scan.js";
 import { acceptDrops } from "./panels/drop.js";
 import { offeredPictures } from "./panels/embedded_pictures.js";
 import { openFiles } from "./panels/files.js";
@@ -48,6 +49,7 @@ mountPanes({
   view,
   ask,
 });
+mountLiveScan(part("scan-pane", "pane-body"));
 listenToShortcuts();
 followAccess();
 linkHovering();
@@ -106,11 +108,12 @@ const welcome = () => {
   const nothing = !store.get("scan") && !(store.get("photos") ?? []).length;
   const told = toldOfProject();
   if (told) notice(told);
-  if (store.get("project").start && !store.readOnly) openProjects(openFiles);
+  if (nothing && store.get("acquisition")?.offered && !store.readOnly) view.set({ step: "acquire" });
+  else if (store.get("project").start && !store.readOnly) openProjects(openFiles);
   else if (nothing && !store.readOnly && !document.querySelector("dialog[open]")) openFiles();
   else noticeOnce(store.get("project").opened);
 };
-store.watch(["project", "scan", "photos"], welcome);
+store.watch(["project", "scan", "photos", "acquisition"], welcome);
 
 followProject();
 

@@ -16,8 +16,9 @@ ROOMS = {
     "state": {"ui", "net"},
     "panes": {"ui", "net", "state"},
     "panels": {"ui", "net", "state"},
-    "layout": {"ui", "net", "state", "panels"},
-    "": {"ui", "net", "state", "panes", "panels", "layout"},
+    "panels/acquire": {"ui", "net", "state"},
+    "layout": {"ui", "net", "state", "panels", "panels/acquire"},
+    "": {"ui", "net", "state", "panes", "panels", "panels/acquire", "layout"},
 }
 """What each room may import; main.js, at the top, puts everything together."""
 LONGEST = 485

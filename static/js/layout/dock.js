@@ -1,5 +1,8 @@
 /** The dock below the panes: its panels depend on the current step. */
 
+import { mountDevices } from "../panels/acquire/devices.js";
+import { mountPlanForm } from "../panels/acquire/plan_form.js";
+import { mountRun } from "../panels/acquire/run.js";
 import { mountConvergence } from "../panels/convergence.js";
 import { mountDepthPlot } from "../panels/depth_plot.js";
 import { mountExport } from "../panels/export.js";
@@ -13,6 +16,7 @@ import { element } from "../ui/dom.js";
 
 /** The panels of each step, in order; each panel is created once and then only shown or hidden. */
 const SHOWN = {
+  acquire: ["devices", "plan", "run"],
   match: ["table", "matching", "verdict"],
   solve: ["table", "pipeline", "convergence"],
   judge: ["depth", "verdict", "stages"],
@@ -23,6 +27,9 @@ const SHOWN = {
 export const mountDock = (dock) => {
   const [exporting, files] = mountExport();
   const parts = {
+    devices: mountDevices(),
+    plan: mountPlanForm(),
+    run: mountRun(),
     table: mountMatchTable(),
     matching: mountPipeline("match", "Find matches"),
     pipeline: mountPipeline("all", "Solve step by step"),

@@ -2,12 +2,16 @@
 
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
+import { stopAcquisition } from "../panels/acquire/run.js";
 import { openKeys } from "../panels/key_reference.js";
 import { toggleMarks } from "../panels/model_pane.js";
 import { view } from "../state/view.js";
 import { isTyping } from "../ui/dom.js";
 import { notice } from "../ui/notices.js";
 import { toggleMaximised } from "./maximise.js";
+
+/** Stops the devices of an acquisition. */
+const STOP = "F8";
 
 /** Dialogs keep their keys. */
 const inDialog = () => document.querySelector("dialog[open]") !== null;
@@ -54,6 +58,11 @@ const plain = (event) => {
 /** Listen to the keyboard. */
 export const listenToShortcuts = () => {
   addEventListener("keydown", (event) => {
+    if (event.key === STOP && store.get("acquisition")?.devices) {
+      event.preventDefault();
+      stopAcquisition(); // whatever has the focus
+      return;
+    }
     if (event.defaultPrevented || event.altKey) return;
     const command = event.ctrlKey || event.metaKey;
     const closesItself = event.key === "?" && document.querySelector(".keys-dialog[open]");

@@ -36,6 +36,7 @@ const KEYS = [
   { group: "General", keys: "Ctrl Shift Z, Ctrl Y", what: "Redo" },
   { group: "General", keys: "Ctrl S", what: "Show when the project was last saved (edits are saved automatically)" },
   { group: "General", keys: "H", what: "History" },
+  { group: "General", keys: "F8", what: "Stop the pan/tilt unit and switch the laser off" },
   { group: "General", keys: "?", what: "Keyboard reference" },
   { group: "General", keys: "← → ↑ ↓", what: "On a divider: move it (Shift: faster)" },
   { group: "General", keys: "↑ ↓", what: "On the depth-error plot: move the threshold" },

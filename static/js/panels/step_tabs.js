@@ -1,6 +1,7 @@
-/** The tabs Match, Solve, Judge and Export: the progress of the work, and the choice of what the dock shows. */
+/** The tabs Acquire, Match, Solve, Judge and Export: the progress of the work, and the choice of what the dock shows. */
 
 import { store } from "../net/store.js";
+import { acquireStep } from "../state/acquisition.js";
 import { workSteps } from "../state/progress.js";
 import { view } from "../state/view.js";
 import { element, newId, setChildren, setText } from "../ui/dom.js";
@@ -17,14 +18,16 @@ const poseNow = (photo) => {
 };
 
 /** @returns {import("../state/progress.js").WorkStep[]} of the shown photograph */
-export const stepsNow = () =>
-  workSteps({
+export const stepsNow = () => [
+  acquireStep(),
+  ...workSteps({
     scan: store.get("scan"),
     photo: store.photo(),
     picks: store.picksOf(),
     poses: store.posesOf(),
     exported: exported.get(store.shown()) === poseNow(store.shown()),
-  });
+  }),
+];
 
 /** @returns {HTMLElement} */
 export const mountStepTabs = () => {
@@ -62,7 +65,7 @@ export const mountStepTabs = () => {
     }
     markChosen([...tabs.values()].map(({ tab }) => tab), tabs.get(view.get().step).tab);
   };
-  store.watch(["scan", "photos", "shown", "picks:*", "poses:*"], show);
+  store.watch(["scan", "photos", "shown", "picks:*", "poses:*", "acquisition"], show);
   store.onEvent("export_ready", ({ photo }) => {
     exported.set(photo, poseNow(photo));
     show();

@@ -1,0 +1,149 @@
+/** A run: what it has seen so far all around, how far it is, and its controls. Dragging over the picture sets the plan. */
+
+import { request } from "../../net/requests.js";
+import { store } from "../../net/store.js";
+import { changePlan, isActive, onPlan, othersDrive, planNow } from "../../state/acquisition.js";
+import { button } from "../../ui/controls.js";
+import { element, setText } from "../../ui/dom.js";
+
+const [WIDTH, HEIGHT] = [720, 360];
+const LEAST_DRAG_PX = 6;
+
+/** @returns {[number, number]} longitude and latitude, degrees, of a place in the picture: left is positive */
+const anglesAt = (x, y) => [180 - (x / WIDTH) * 360, 90 - (y / HEIGHT) * 180];
+const placeOf = (longitude, latitude) => [((180 - longitude) / 360) * WIDTH, ((90 - latitude) / 180) * HEIGHT];
+
+const leftText = (seconds) =>
+  seconds < 1 ? "" : seconds < 90 ? `${seconds} s left` : `${Math.round(seconds / 60)} min left`;
+
+/** Halt the unit and switch the laser off, without a question. */
+export const stopAcquisition = () => request("acquire_stop");
+
+/** @returns {HTMLElement} the panel */
+export const mountRun = () => {
+  const picture = element("img", { class: "run-picture", alt: "", draggable: false, hidden: true });
+  const range = element("div", { class: "run-range", hidden: true });
+  const overview = element(
+    "div",
+    { class: "run-overview", title: "Drag to choose what is scanned" },
+    picture,
+    range,
+  );
+  const bar = element("progress", { max: 1, value: 0, "aria-label": "Progress of the run" });
+  const counted = element("span", { class: "figures" });
+  const said = element("p", { class: "acquire-said", role: "status" });
+  const start = button({ label: "Start", icon: "play", kind: "primary small", act: () => begin(null) });
+  const goOn = button({ label: "Go on with the run", text: "Go on", icon: "play", kind: "small", act: () => begin(now().run) });
+  const pause = button({ label: "Pause", icon: "pause", kind: "small", act: () => request("acquire_pause") });
+  const resume = button({ label: "Resume", icon: "play", kind: "primary small", act: () => request("acquire_resume") });
+  const stop = button({
+    label: "Stop the unit and switch the laser off",
+    text: "Stop  F8",
+    icon: "stop",
+    kind: "small stop-button",
+    title: "F8, anywhere on the page. It is no safety device: a hardware stop must be within reach.",
+    act: stopAcquisition,
+  });
+  const open = button({ label: "Open as the scan", kind: "primary small", act: () => request("acquire_open") });
+  const part = element(
+    "section",
+    { class: "dock-part acquire-run", "aria-label": "Run" },
+    element(
+      "div",
+      { class: "part-head" },
+      element("h2", {}, "Run"),
+      element("div", { class: "end edits" }, start, goOn, pause, resume, stop, open),
+    ),
+    element(
+      "div",
+      { class: "part-body run-body" },
+      overview,
+      element("div", { class: "run-line" }, bar, counted),
+      said,
+    ),
+  );
+
+  const now = () => store.get("acquisition") ?? { state: "off" };
+  const begin = (run) => request("acquire_start", { plan: planNow(), ...(run ? { resume: run } : {}) });
+
+  /** Show the range of the plan over the picture. */
+  const showRange = () => {
+    const { pan_deg: pan, tilt_deg: tilt } = planNow() ?? {};
+    const good = [pan, tilt].every((axis) => Array.isArray(axis) && axis.length === 3 && axis.every(Number.isFinite));
+    range.hidden = !good;
+    if (!good) return;
+    const [left, right] = [Math.max(pan[0], pan[1]), Math.min(pan[0], pan[1])];
+    // The line of a sweep covers all elevations.
+    const [top, bottom] = planNow().mode === "sweep" ? [90, -90] : [Math.max(tilt[0], tilt[1]) + 1, Math.min(tilt[0], tilt[1]) - 1];
+    const [x0, y0] = placeOf(Math.min(left, 180), top);
+    const [x1, y1] = placeOf(Math.max(right, -180), bottom);
+    const style = { left: x0 / WIDTH, top: y0 / HEIGHT, width: (x1 - x0) / WIDTH, height: (y1 - y0) / HEIGHT };
+    for (const [name, share] of Object.entries(style)) range.style.setProperty(name, `${100 * share}%`);
+  };
+
+  let from = null;
+  const place = (event) => {
+    const box = overview.getBoundingClientRect();
+    const share = (value, low, size) => Math.min(1, Math.max(0, (value - low) / size));
+    return [share(event.clientX, box.left, box.width) * WIDTH, share(event.clientY, box.top, box.height) * HEIGHT];
+  };
+  overview.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0 || isActive() || store.readOnly || !planNow()) return;
+    from = { x: event.clientX, y: event.clientY, place: place(event) };
+    overview.setPointerCapture(event.pointerId);
+  });
+  overview.addEventListener("pointermove", (event) => {
+    if (!from || Math.hypot(event.clientX - from.x, event.clientY - from.y) < LEAST_DRAG_PX) return;
+    const [a, b] = [anglesAt(...from.place), anglesAt(...place(event))];
+    const plan = planNow();
+    const low = now().devices?.lowest_deg ?? [-168, -46];
+    const high = now().devices?.highest_deg ?? [168, 30];
+    const within = (value, k) => Math.round(10 * Math.min(high[k], Math.max(low[k], value))) / 10;
+    const axis = (k, step) => {
+      const [first, last] = [within(Math.min(a[k], b[k]), k), within(Math.max(a[k], b[k]), k)];
+      return [first, last, Math.abs(step || 1)];
+    };
+    const pan_deg = axis(0, plan.pan_deg?.[2]);
+    // A line scanner that stands upright covers all elevations: only the pan is dragged for a sweep at one tilt.
+    const sweep = plan.mode === "sweep" && plan.tilt_deg?.[0] === plan.tilt_deg?.[1];
+    changePlan(sweep ? { pan_deg } : { pan_deg, tilt_deg: axis(1, plan.tilt_deg?.[2]) });
+  });
+  for (const end of ["pointerup", "pointercancel"]) overview.addEventListener(end, () => {
+    from = null;
+  });
+
+  let shown = null;
+  const showPicture = (rev) => {
+    if (rev === shown) return;
+    shown = rev;
+    picture.hidden = !rev;
+    if (rev) picture.src = `picture/acquisition?rev=${rev}`;
+  };
+
+  const show = () => {
+    const state = now();
+    const active = isActive();
+    const theirs = othersDrive();
+    const unfinished = state.state === "ready" && state.run && !state.complete;
+    start.hidden = active;
+    start.disabled = state.state !== "ready" || theirs;
+    goOn.hidden = !unfinished;
+    goOn.disabled = theirs;
+    pause.hidden = state.state !== "running";
+    resume.hidden = !["paused", "fault"].includes(state.state);
+    pause.disabled = resume.disabled = theirs;
+    stop.hidden = !state.devices;
+    open.hidden = !state.complete || active;
+    bar.value = state.total ? state.done / state.total : 0;
+    setText(counted, state.total ? [`${state.done} of ${state.total}`, leftText(active ? state.seconds_left : 0)].filter(Boolean).join(", ") : "");
+    setText(said, active || state.run ? state.said ?? "" : "Connect the devices, choose what is scanned, and start.");
+    said.classList.toggle("bad", state.state === "fault");
+    overview.classList.toggle("idle", !active && !store.readOnly);
+    showPicture(state.picture);
+    showRange();
+  };
+  store.watch(["acquisition", "people"], show);
+  onPlan(show);
+  show();
+  return part;
+};

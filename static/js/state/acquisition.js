@@ -1,0 +1,63 @@
+/** The acquisition as this page sees it: the plan that is being edited, kept over a reload, and who drives. No DOM here. */
+
+import { store } from "../net/store.js";
+
+const KEY = "ladarreg-plan";
+
+/** @typedef {{name: string, label: string, done: boolean, missing: string, status: string}} WorkStep */
+
+let plan = null;
+const listeners = new Set();
+
+const stored = () => {
+  try {
+    return JSON.parse(localStorage.getItem(KEY) ?? "null");
+  } catch {
+    return null; // storage is disabled, or was written by another version
+  }
+};
+
+/** @returns {any} the plan that is being edited, as plan.json; null before there is one */
+export const planNow = () => (plan ??= store.get("acquisition")?.plan ?? stored());
+
+/** Replace the plan; every listener is called. */
+export const setPlan = (next) => {
+  plan = next;
+  try {
+    localStorage.setItem(KEY, JSON.stringify(next));
+  } catch {
+    // storage is disabled: it has to be made again after a reload
+  }
+  for (const listen of listeners) listen(plan);
+};
+
+/** Change parts of the plan. */
+export const changePlan = (patch) => plan && setPlan({ ...plan, ...patch });
+
+export const onPlan = (listen) => listeners.add(listen);
+
+/** @returns {boolean} whether somebody else, who is still connected, drives the devices */
+export const othersDrive = () => {
+  const driver = store.get("acquisition")?.driver;
+  const people = store.get("people");
+  if (!driver || driver.id === people?.you) return false;
+  return Boolean(people?.clients?.some(({ id }) => id === driver.id));
+};
+
+/** @returns {boolean} whether something moves or measures */
+export const isActive = () => ["jogging", "running", "paused", "fault"].includes(store.get("acquisition")?.state);
+
+/** @returns {WorkStep} the tab's state */
+export const acquireStep = () => {
+  const now = store.get("acquisition");
+  const said = {
+    off: "Scan all around with a pan/tilt unit.",
+    connecting: "Connecting.",
+    ready: "Connected.",
+    jogging: "The unit moves.",
+    running: `${now?.done} of ${now?.total} pieces.`,
+    paused: "Paused.",
+    fault: now?.said,
+  }[now?.state ?? "off"];
+  return { name: "acquire", label: "Acquire", done: Boolean(now?.complete), missing: "", status: said ?? "" };
+};

@@ -1,0 +1,95 @@
+"""The step 'Acquire' in the page, with simulated devices: what a newcomer does, and a second person."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the server is ended by a signal")]
+SIZE = {"width": 1280, "height": 720}
+STATE = "import('./js/net/store.js').then(({ store }) => store.get('acquisition').%s)"
+
+
+@pytest.fixture
+def address(tmp_path: Path) -> Iterator[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ladarreg", "demo", "--acquire", "--project", str(tmp_path / "project"), "--port", "0",
+         "--no-browser"],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    yield next(word for word in process.stdout.readline().split() if "://" in word)
+    process.terminate()
+    process.wait(60)
+
+
+def opened(browser: Browser, address: str) -> tuple[Page, list[str]]:
+    page = browser.new_context(viewport=SIZE, bypass_csp=True).new_page()  # type: ignore[arg-type]
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(address)
+    return page, errors
+
+
+def awaits(page: Page, field: str, text: str) -> None:
+    page.wait_for_function(f"{STATE % field}.then((found) => String(found) === {text!r})", timeout=60_000)
+
+
+def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
+    page, errors = opened(browser, address)
+    page.get_by_role("tab", name="Acquire", selected=True).wait_for()  # it opens by itself, without the file dialog
+    page.get_by_role("button", name="Connect", exact=True).click()
+    awaits(page, "state", "ready")
+    page.get_by_role("button", name="Left", exact=True).click()
+    page.locator(".dial output").first.filter(has_text="5.0").wait_for()
+
+    overview = page.locator(".run-overview").bounding_box()
+    assert overview is not None
+    x, y = overview["x"] + overview["width"] / 2, overview["y"] + overview["height"] / 2
+    page.mouse.move(x - 12, y)
+    page.mouse.down()
+    page.mouse.move(x + 12, y, steps=4)
+    page.mouse.up()
+    low, high = (float(page.get_by_label(f"Pan, {end}").input_value()) for end in ("from", "to"))
+    assert low < 0 < high
+    assert high - low < 60
+    page.get_by_label("Pan, step").fill("99")
+    page.keyboard.press("Tab")
+    page.locator(".acquire-plan .form-wrong").filter(has_text="beyond its end").wait_for()
+    page.get_by_label("Pan, step").fill("4")
+    page.keyboard.press("Tab")
+    page.locator(".plan-ahead").filter(has_text="stops").wait_for()
+
+    page.get_by_role("button", name="Start", exact=True).click()
+    page.locator(".live-scan").wait_for()
+    page.wait_for_function(f"{STATE % 'done'}.then((done) => done >= 2)")
+    page.get_by_role("button", name="Pause").click()
+    awaits(page, "state", "paused")
+
+    other, more = opened(browser, address)
+    other.get_by_role("tab", name="Acquire", selected=True).wait_for()
+    other.get_by_text("Operator 1 drives").wait_for()
+    assert other.get_by_role("button", name="Resume").is_disabled()
+    other.keyboard.press("F8")
+    awaits(page, "state", "ready")
+    page.get_by_text("pieces are kept.").first.wait_for()
+
+    page.get_by_role("button", name="Go on with the run").click()
+    page.get_by_role("button", name="Open as the scan").click(timeout=60_000)
+    page.locator("#scan-pane canvas").first.wait_for()
+    page.wait_for_function("import('./js/net/store.js').then(({ store }) => store.get('scan')?.name === 'run-001.npz')")
+    until = time.monotonic() + 5
+    while page.locator(".live-scan").is_visible() and time.monotonic() < until:
+        time.sleep(0.1)
+    assert page.locator(".live-scan").is_hidden()
+    assert not errors
+    assert not more
