@@ -1,23 +1,26 @@
 """The guard: a process that holds the ports, and stops the devices when the program that drives them is gone.
 
 `python -m ladarreg_core.acquisition.guard` reads frames on its standard input and writes frames on its standard output:
-a byte for the channel, four bytes for the length, big-endian, and the content. Channel 0 carries JSON: from the
-program `{"open": channel, "address", "baud", "stop"}`, `{"close": channel}` and `{"beat": n}`; from the guard
-`{"opened": channel}`, `{"refused": channel, "text"}` and `{"lost": channel, "text"}`. The other channels carry the
-bytes of the ports.
+four bytes for the channel, four for the length, big-endian, and the content. Channel 0 carries JSON: from the program
+`{"open": channel, "address", "baud", "stop"}`, `{"close": channel}`, `{"beat": n}` and `{"end": true}`; from the guard
+`{"opened": channel}`, `{"refused": channel, "text"}`, `{"lost": channel, "text"}` and `{"ended": text}`. The other
+channels carry the bytes of the ports.
 
-When its input ends, or no beat has come for a while, the guard sends each port its stop bytes, closes it, and ends.
+When its input ends, or no frame has come for a while, the guard sends each port its stop bytes, closes it, and ends.
+A port that hangs, while it is opened or written to, never holds up another one, nor the watch over the program.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import queue
 import signal
 import struct
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import Any, BinaryIO
 
 from ladarreg_core.acquisition.serial_port import PortLostError, SerialPort
@@ -26,12 +29,15 @@ from ladarreg_core.errors import DeviceError
 CONTROL = 0
 """Channel of the messages."""
 LONGEST_SILENCE_S = 0.7
-"""Without a beat for so long the program is taken for dead."""
-_HEADER = struct.Struct(">BI")
+"""Without a frame for so long the program is taken for dead."""
+_HEADER = struct.Struct(">II")
 _LONGEST_FRAME = 1 << 20
 _WATCH_S = 0.05
+_LONGEST_TICK_S = 0.25  # what one tick of the watch counts at most: a pause of the whole machine is no silence
 _READ_S = 0.05
 _DRAIN_S = 0.05
+_STOP_S = 1.0
+_TELL_S = 0.1
 
 
 def write_frame(stream: BinaryIO, channel: int, content: bytes) -> None:
@@ -63,51 +69,67 @@ class Guard:
     def __init__(self, requests: BinaryIO, replies: BinaryIO) -> None:
         self._requests, self._replies = requests, replies
         self._replying = threading.Lock()
-        self._ports: dict[int, tuple[SerialPort, bytes]] = {}
-        self._beaten = time.monotonic()
-        self._ending = threading.Lock()
+        self._held: dict[int, _HeldPort] = {}
+        self._waiting: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._ended = False
+        self.frames = 0
+        """Frames received so far: the program's signs of life."""
+        self.told_to_end = False
+        """Set by signals; the watch obeys it."""
 
     def run(self) -> None:
         """Serve until the program is gone; then stop the devices."""
         threading.Thread(target=self._watch, daemon=True).start()
+        threading.Thread(target=self._obey, daemon=True).start()
         try:
             while frame := read_frame(self._requests):
-                self._beaten = time.monotonic()
+                self.frames += 1
                 channel, content = frame
                 if channel == CONTROL:
-                    self._obey(json.loads(content))
-                elif channel in self._ports:
-                    self._send(channel, content)
+                    message = json.loads(content)
+                    if "end" in message:
+                        break
+                    if "beat" not in message:
+                        self._waiting.put(message)
+                elif held := self._held.get(channel):
+                    held.send(content)
         finally:
             self.stop()
 
     def stop(self) -> None:
         """Send every port its stop bytes and close it."""
-        with self._ending:
-            ports, self._ports = list(self._ports.values()), {}
-            for port, stop in ports:
-                try:
-                    port.write(stop)
-                except DeviceError:
-                    continue
-            if ports:
-                time.sleep(_DRAIN_S)
-            for port, _ in ports:
-                port.close()
+        self._ended = True
+        stopping = [threading.Thread(target=held.stop, daemon=True) for held in list(self._held.values())]
+        for thread in stopping:
+            thread.start()
+        until = time.monotonic() + _STOP_S
+        for thread in stopping:
+            thread.join(max(0.0, until - time.monotonic()))
 
     def _watch(self) -> None:
-        while time.monotonic() - self._beaten < LONGEST_SILENCE_S:
+        """End this process when the program falls silent, or a signal says so."""
+        silence, seen, last = 0.0, -1, time.monotonic()
+        while silence < LONGEST_SILENCE_S and not self.told_to_end:
             time.sleep(_WATCH_S)
+            now, frames = time.monotonic(), self.frames
+            silence = 0.0 if frames != seen else silence + min(now - last, _LONGEST_TICK_S)
+            seen, last = frames, now
         self.stop()
-        os._exit(1)  # the main thread may hang in a read or a write
+        why = "it was told to end" if self.told_to_end else f"this program hung for more than {LONGEST_SILENCE_S:g} s"
+        telling = threading.Thread(target=self._tell, args=({"ended": why},), daemon=True)
+        telling.start()
+        telling.join(_TELL_S)  # the program may have stopped reading
+        os._exit(1)  # the main thread waits for a frame
 
-    def _obey(self, message: dict[str, Any]) -> None:
-        if "open" in message:
-            self._open(int(message["open"]), message)
-        elif "close" in message:
-            port, stop = self._ports.pop(int(message["close"]), (None, b""))
-            if port is not None:
-                _stop_and_close(port, stop)
+    def _obey(self) -> None:
+        """Open and close ports, one after another, so that a port is free before it is opened again."""
+        while True:
+            message = self._waiting.get()
+            if "open" in message:
+                self._open(int(message["open"]), message)
+            elif "close" in message and (held := self._held.get(int(message["close"]))):
+                held.stop()
+                del self._held[int(message["close"])]
 
     def _open(self, channel: int, message: dict[str, Any]) -> None:
         try:
@@ -115,32 +137,17 @@ class Guard:
         except DeviceError as error:
             self._tell({"refused": channel, "text": str(error)})
             return
-        self._ports[channel] = port, bytes.fromhex(message["stop"])
+        held = self._held[channel] = _HeldPort(
+            port,
+            bytes.fromhex(message["stop"]),
+            heard=lambda data: self._reply(channel, data),
+            lost=lambda error: self._tell({"lost": channel, "text": str(error)}),
+        )
+        if self._ended:  # while it was opened; its device may be in the middle of something
+            held.stop()
+            return
         self._tell({"opened": channel})
-        threading.Thread(target=self._listen, args=(channel, port), daemon=True).start()
-
-    def _listen(self, channel: int, port: SerialPort) -> None:
-        while self._ports.get(channel, (None,))[0] is port:
-            try:
-                data = port.read(_READ_S)
-            except PortLostError as error:
-                self._lose(channel, port, error)
-                return
-            if data:
-                self._reply(channel, data)
-
-    def _send(self, channel: int, data: bytes) -> None:
-        port, _ = self._ports[channel]
-        try:
-            port.write(data)
-        except PortLostError as error:
-            self._lose(channel, port, error)
-
-    def _lose(self, channel: int, port: SerialPort, error: DeviceError) -> None:
-        if self._ports.get(channel, (None,))[0] is port:
-            del self._ports[channel]
-            port.close()
-            self._tell({"lost": channel, "text": str(error)})
+        held.start()
 
     def _tell(self, message: dict[str, Any]) -> None:
         self._reply(CONTROL, json.dumps(message).encode())
@@ -153,13 +160,68 @@ class Guard:
             pass
 
 
-def _stop_and_close(port: SerialPort, stop: bytes) -> None:
-    try:
-        port.write(stop)
-        time.sleep(_DRAIN_S)
-    except DeviceError:
-        pass
-    port.close()
+class _HeldPort:
+    """A port, with a thread that reads from it and one that writes to it."""
+
+    def __init__(
+        self, port: SerialPort, stop: bytes, *, heard: Callable[[bytes], None], lost: Callable[[DeviceError], None]
+    ) -> None:
+        self._port, self._stop, self._heard, self._lost = port, stop, heard, lost
+        self._outgoing: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._stopping = threading.Lock()
+        self._ended = False
+
+    def start(self) -> None:
+        """Begin to read and write."""
+        for work in (self._read, self._write):
+            threading.Thread(target=work, daemon=True).start()
+
+    def send(self, data: bytes) -> None:
+        """Send bytes after those of earlier calls."""
+        self._outgoing.put(data)
+
+    def stop(self) -> None:
+        """Send the stop bytes, ahead of what still waits to be sent, and close the port; return when that is done."""
+        with self._stopping:
+            if self._ended:
+                return
+            self._ended = True
+            try:
+                self._port.write(self._stop)
+                time.sleep(_DRAIN_S)
+            except DeviceError:
+                pass
+            self._port.close()
+            self._outgoing.put(b"")
+
+    def _read(self) -> None:
+        while not self._ended:
+            try:
+                data = self._port.read(_READ_S)
+            except PortLostError as error:
+                self._lose(error)
+                return
+            if data:
+                self._heard(data)
+
+    def _write(self) -> None:
+        while not self._ended:
+            data = self._outgoing.get()
+            try:
+                if data and not self._ended:
+                    self._port.write(data)
+            except PortLostError as error:
+                self._lose(error)
+                return
+
+    def _lose(self, error: PortLostError) -> None:
+        with self._stopping:
+            if self._ended:
+                return
+            self._ended = True
+            self._port.close()
+            self._outgoing.put(b"")
+        self._lost(error)
 
 
 def main() -> None:
@@ -167,8 +229,7 @@ def main() -> None:
     guard = Guard(sys.stdin.buffer, sys.stdout.buffer)
 
     def end(number: int, frame: object) -> None:
-        guard.stop()
-        os._exit(0)
+        guard.told_to_end = True
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal reaches the program, which stops the devices
     for name in ("SIGTERM", "SIGHUP", "SIGBREAK"):

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ladarreg_core.acquisition.devices import Check
+from ladarreg_core.acquisition.ports import GuardEndedError
 from ladarreg_core.acquisition.serial_port import Port, PortLostError
 from ladarreg_core.errors import DeviceError
 
@@ -21,6 +22,9 @@ _QUOTED_BYTES = 60
 _KEPT_BYTES = 4096
 _RECONNECT_S = 2.0
 _RETRY_S = 0.2
+_NAP_S = 0.02
+_LONGEST_DRAIN_S = 0.2
+_LONGEST_REPLY = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +62,8 @@ class Link:
         self._buffer = bytearray()
         self._exchanges: deque[Exchange] = deque(maxlen=_REMEMBERED)
         self._reconnecting = False
+        self._told_of_guard = False
+        self._closed = False
         self._unasked = b""
 
     def when_connected(self, set_up: Callable[[], None]) -> None:
@@ -93,9 +99,9 @@ class Link:
             try:
                 return self._exchange(request, complete, deadline_s, check, fresh=fresh)
             except PortLostError as error:
-                if self._reconnecting:
+                if self._reconnecting or self._closed or self._is_news_of_guard(error):
                     raise
-                self._reconnect(error)
+                self._reconnect(error, check)
                 return self._exchange(request, complete, deadline_s, check, fresh=True)
 
     def receive(self, *, complete: Complete, deadline_s: float, check: Check | None = None) -> bytes:
@@ -127,7 +133,8 @@ class Link:
         return "; ".join(str(each) for each in list(self._exchanges)[-_QUOTED:])
 
     def close(self) -> None:
-        """Close the port, which stops the device."""
+        """Close the port, which stops the device; an exchange that is going on fails, and nothing reconnects."""
+        self._closed = True
         self._port.close()
 
     def _exchange(
@@ -144,6 +151,8 @@ class Link:
                 if left <= 0:
                     break
                 self._buffer += self._port.read(min(left, _SLICE_S))
+                if len(self._buffer) > _LONGEST_REPLY:
+                    break
                 if check is not None:
                     check()
         except BaseException:
@@ -151,7 +160,13 @@ class Link:
             raise
         if not end:
             self._remember(begun, request, bytes(self._buffer))
+            length = len(self._buffer)
             self._buffer.clear()
+            if length > _LONGEST_REPLY:
+                raise DeviceError(
+                    f"{self.device} on {self.address} sends without end ({length} bytes); check the baud rate, and "
+                    "that this is its port"
+                )
             raise DeviceError(
                 f"{self.device} on {self.address} gave no complete answer within {deadline_s:g} s ({self.recent()}); "
                 "check its power, its cable and the baud rate"
@@ -165,8 +180,9 @@ class Link:
     def _drain(self) -> None:
         stale = bytes(self._buffer)
         self._buffer.clear()
-        while data := self._port.read(0):
-            stale += data
+        until = time.monotonic() + _LONGEST_DRAIN_S  # a device may go on sending
+        while (data := self._port.read(0)) and time.monotonic() < until:
+            stale = (stale + data)[-_KEPT_BYTES:]
         if stale:
             self._exchanges.append(Exchange(time.monotonic(), b"", stale, 0.0))
             self._unasked = (self._unasked + stale)[-_KEPT_BYTES:]
@@ -174,7 +190,13 @@ class Link:
     def _remember(self, begun: float, request: bytes, reply: bytes) -> None:
         self._exchanges.append(Exchange(begun, request, reply, time.monotonic() - begun))
 
-    def _reconnect(self, error: PortLostError) -> None:
+    def _is_news_of_guard(self, error: PortLostError) -> bool:
+        """Return whether the guard has ended since the last exchange: the devices were stopped, which is no glitch."""
+        news = isinstance(error, GuardEndedError) and not self._told_of_guard
+        self._told_of_guard = news
+        return news
+
+    def _reconnect(self, error: PortLostError, check: Check | None) -> None:
         """Open the port again, trying for a while; raise the first error if it stays away."""
         self._buffer.clear()
         until = time.monotonic() + _RECONNECT_S
@@ -183,9 +205,17 @@ class Link:
                 self._port.reopen()
                 break
             except DeviceError:
-                if time.monotonic() > until:
+                if time.monotonic() > until or self._closed:
                     raise error from None
-                time.sleep(_RETRY_S)
+                retry = time.monotonic() + _RETRY_S
+                while time.monotonic() < retry:
+                    if check is not None:
+                        check()
+                    time.sleep(_NAP_S)
+        self._told_of_guard = False
+        if self._closed:
+            self._port.close()
+            raise error
         if self._connected is not None:
             self._reconnecting = True
             try:

@@ -20,7 +20,11 @@ from ladarreg_core.errors import DeviceError
 _BEAT_S = 0.1
 _OPEN_S = 10.0
 _END_S = 2.0
-_MOST_CHANNELS = 255
+_KEPT_BYTES = 1 << 22
+
+
+class GuardEndedError(PortLostError):
+    """The guard has ended, and has stopped the devices: nothing may move on without being told to."""
 
 
 class Ports:
@@ -33,8 +37,9 @@ class Ports:
 
     def __init__(self, *, guarded: bool = True) -> None:
         self._guarded = guarded
-        self._guard: _GuardProcess | None = None
+        self._guard: GuardProcess | None = None
         self._open: list[tuple[Port, bytes]] = []
+        self._opening = threading.RLock()
 
     def __enter__(self) -> Ports:
         return self
@@ -57,16 +62,22 @@ class Ports:
             DeviceError: if the port is absent, busy or not permitted.
         """
         found = resolved_twin(address) if is_twin(address) else address
-        if any(port.address == found for port, _ in self._open):
-            raise DeviceError(f"the port {address} of the {name} is already used by another device of this run")
-        if self._guarded:
-            if self._guard is None:
-                self._guard = _GuardProcess()
-            port: Port = GuardedPort(self._guard, found, baud, stop)
-        else:
-            port = SerialPort(found, baud)
-        self._open.append((port, stop))
+        with self._opening:
+            if any(_is_same(port.address, found) for port, _ in self._open):
+                raise DeviceError(f"the port {address} of the {name} is already used by another device of this run")
+            port: Port = GuardedPort(self, found, baud, stop) if self._guarded else SerialPort(found, baud)
+            self._open.append((port, stop))
         return port
+
+    def guard(self) -> GuardProcess:
+        """Return the guard, a new one if there is none that lives."""
+        with self._opening:
+            if self._guard is not None and self._guard.gone is not None:
+                self._guard.close()
+                self._guard = None
+            if self._guard is None:
+                self._guard = GuardProcess()
+            return self._guard
 
     def release(self, address: str) -> None:
         """Stop the device at an address and close its port, so that it can be opened otherwise."""
@@ -91,15 +102,16 @@ class Ports:
 
 
 class GuardedPort:
-    """A `Port` that the guard process holds."""
+    """A `Port` that a guard process holds."""
 
-    def __init__(self, guard: _GuardProcess, address: str, baud: int, stop: bytes) -> None:
+    def __init__(self, ports: Ports, address: str, baud: int, stop: bytes) -> None:
         self.address = address
-        self._guard, self._baud, self._stop = guard, baud, stop
-        self._channel = guard.open(address, baud, stop)
+        self._ports, self._baud, self._stop = ports, baud, stop
+        self._guard = ports.guard()
+        self._channel = self._guard.open(address, baud, stop)
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has come, or b'' if nothing comes in time."""
+        """Return what has come, or b'' if nothing comes in time; raises `GuardEndedError`, too."""
         return self._guard.receive(self._channel, timeout_s)
 
     def write(self, data: bytes) -> None:
@@ -107,8 +119,9 @@ class GuardedPort:
         self._guard.send(self._channel, data)
 
     def reopen(self) -> None:
-        """Close the port and open it again."""
+        """Close the port and open it again, by another guard if this one has ended."""
         self.close()
+        self._guard = self._ports.guard()
         self._channel = self._guard.open(self.address, self._baud, self._stop)
 
     def close(self) -> None:
@@ -116,19 +129,25 @@ class GuardedPort:
         self._guard.close_channel(self._channel)
 
 
-class _GuardProcess:
-    """This program's end of the guard."""
+class GuardProcess:
+    """This program's end of a guard."""
 
     def __init__(self) -> None:
-        own_group: dict[str, Any] = (
-            {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}  # type: ignore[attr-defined,unused-ignore]
+        # Out of reach of what a terminal sends to all processes of this program at once: the guard outlives them.
+        apart: dict[str, Any] = (
+            {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}  # type: ignore[attr-defined,unused-ignore]
             if sys.platform == "win32"
             else {"start_new_session": True}
         )
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "ladarreg_core.acquisition.guard"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_environment(), **own_group,
-        )  # fmt: skip
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "ladarreg_core.acquisition.guard"],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_environment(), **apart,
+            )  # fmt: skip
+        except OSError as error:
+            raise DeviceError(f"the process that is to hold the ports could not be started ({error})") from error
+        self.gone: str | None = None
+        """Why it has ended; None while it lives."""
         self._changed = threading.Condition()
         self._received: dict[int, bytearray] = {}
         self._opened: dict[int, str | None] = {}
@@ -139,51 +158,53 @@ class _GuardProcess:
         threading.Thread(target=self._listen, daemon=True, name="guard replies").start()
         threading.Thread(target=self._beat, daemon=True, name="guard beats").start()
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def open(self, address: str, baud: int, stop: bytes) -> int:
         """Open a port and return its channel."""
         with self._changed:
             channel, self._next = self._next, self._next + 1
-            if channel > _MOST_CHANNELS:
-                raise DeviceError(f"ports were opened {channel - 1} times in one run; end it and resume with a new one")
             self._received[channel] = bytearray()
         self._tell({"open": channel, "address": address, "baud": baud, "stop": stop.hex()})
         until = time.monotonic() + _OPEN_S
         with self._changed:
-            while channel not in self._opened and channel not in self._lost:
-                if not self._changed.wait(until - time.monotonic()) and time.monotonic() >= until:
-                    raise DeviceError(
-                        f"the port {address} could not be opened within {_OPEN_S:.0f} s; check the device"
-                    )
-            if channel in self._lost:
-                raise PortLostError(self._lost[channel])
-            refusal = self._opened[channel]
+            self._changed.wait_for(lambda: channel in self._opened or self.gone is not None, until - time.monotonic())
+            self._require_life()
+            opened, refusal = channel in self._opened, self._opened.get(channel)
+        if not opened:
+            self.close_channel(channel)
+            raise DeviceError(f"the port {address} could not be opened within {_OPEN_S:.0f} s; check the device")
         if refusal is not None:
             raise DeviceError(refusal)
         return channel
 
     def receive(self, channel: int, timeout_s: float) -> bytes:
         """Return what has come on a channel."""
-        until = time.monotonic() + timeout_s
         with self._changed:
-            while not (buffer := self._received.get(channel)):
-                if channel in self._lost:
-                    raise PortLostError(self._lost[channel])
-                left = until - time.monotonic()
-                if left <= 0:
-                    return b""
-                self._changed.wait(left)
-            data = bytes(buffer)
-            buffer.clear()
-            return data
+            self._changed.wait_for(
+                lambda: self._received.get(channel) or channel in self._lost or self.gone is not None, timeout_s
+            )
+            if buffer := self._received.get(channel):
+                data = bytes(buffer)
+                buffer.clear()
+                return data
+            self._require_open(channel)
+            return b""
 
     def send(self, channel: int, data: bytes) -> None:
         """Send bytes on a channel."""
-        if channel in self._lost:
-            raise PortLostError(self._lost[channel])
+        self._require_open(channel)
         self._write(channel, data)
 
     def close_channel(self, channel: int) -> None:
         """Have the guard stop the device of a channel and close its port."""
+        with self._changed:
+            self._lost.setdefault(channel, "the port has been closed")
+            self._received.pop(channel, None)
+            self._changed.notify_all()
         with contextlib.suppress(DeviceError):
             self._tell({"close": channel})
 
@@ -191,16 +212,16 @@ class _GuardProcess:
         """End the guard, which stops what is still open."""
         self._closed.set()
         assert self._process.stdin is not None
-        try:
-            with self._writing:
-                self._process.stdin.close()
-        except OSError:
-            pass
+        with contextlib.suppress(DeviceError):
+            self._tell({"end": True})  # a process that was forked from this one may keep the pipe open
+        with contextlib.suppress(OSError), self._writing:
+            self._process.stdin.close()
         try:
             self._process.wait(_END_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.wait()
+            with contextlib.suppress(subprocess.TimeoutExpired):  # it hangs in a driver of the system
+                self._process.wait(_END_S)
 
     def _beat(self) -> None:
         number = 0
@@ -216,21 +237,35 @@ class _GuardProcess:
         while frame := read_frame(cast(BinaryIO, self._process.stdout)):
             channel, content = frame
             with self._changed:
-                if channel != CONTROL:
-                    self._received.setdefault(channel, bytearray()).extend(content)
-                else:
-                    message = json.loads(content)
-                    if "opened" in message:
-                        self._opened[message["opened"]] = None
-                    elif "refused" in message:
-                        self._opened[message["refused"]] = str(message["text"])
-                    elif "lost" in message:
-                        self._lost[message["lost"]] = str(message["text"])
+                if channel == CONTROL:
+                    self._note(json.loads(content))
+                elif (buffer := self._received.get(channel)) is not None:
+                    buffer += content
+                    del buffer[:-_KEPT_BYTES]  # nobody reads, and the device goes on sending
                 self._changed.notify_all()
         with self._changed:
-            for channel in range(1, self._next):
-                self._lost.setdefault(channel, _GUARD_GONE)
+            if self.gone is None:
+                self.gone = _GONE.format(why="has ended unexpectedly")
             self._changed.notify_all()
+
+    def _note(self, message: dict[str, Any]) -> None:
+        if "opened" in message:
+            self._opened[message["opened"]] = None
+        elif "refused" in message:
+            self._opened[message["refused"]] = str(message["text"])
+        elif "lost" in message:
+            self._lost.setdefault(message["lost"], str(message["text"]))
+        elif "ended" in message:
+            self.gone = _GONE.format(why=f"has ended, because {message['ended']}")
+
+    def _require_life(self) -> None:
+        if self.gone is not None:
+            raise GuardEndedError(self.gone)
+
+    def _require_open(self, channel: int) -> None:
+        if channel in self._lost:
+            raise PortLostError(self._lost[channel])
+        self._require_life()
 
     def _tell(self, message: dict[str, Any]) -> None:
         self._write(CONTROL, json.dumps(message).encode())
@@ -241,16 +276,23 @@ class _GuardProcess:
             with self._writing:
                 write_frame(cast(BinaryIO, self._process.stdin), channel, content)
         except (OSError, ValueError) as error:
-            raise PortLostError(_GUARD_GONE) from error
+            raise GuardEndedError(self.gone or _GONE.format(why="has ended unexpectedly")) from error
 
 
-_GUARD_GONE = (
-    "the process that holds the ports has ended, and has stopped the devices if it could; check that they stand still "
-    "and that the laser is off, and connect again"
+_GONE = (
+    "the process that holds the ports {why}, and has stopped the devices if it could; check that they stand still and "
+    "that the laser is off, and resume or connect again"
 )
+
+
+def _is_same(address: str, other: str) -> bool:
+    """Return whether two addresses lead to one port, by one name or by several."""
+    if address == other:
+        return True
+    return "://" not in address + other and os.path.realpath(address) == os.path.realpath(other)
 
 
 def _environment() -> dict[str, str]:
     """Return the environment of a process that imports the package from where this one does."""
-    paths = [path for path in sys.path if path]
+    paths = [path or os.getcwd() for path in sys.path]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
+import re
+import select
+import sys
 import threading
 import time
 from typing import Any, Protocol
@@ -13,6 +17,9 @@ from ladarreg_core.errors import DeviceError
 _POLL_S = 0.02
 _WRITE_S = 0.5
 _LOCK_S = 0.2
+_PIECE = 4096
+_FAILURES = (OSError, TypeError, AttributeError, ValueError)
+"""What pyserial raises; all but the first after a close on another thread."""
 _NO_PORTS = "no serial port is connected"
 
 
@@ -52,7 +59,8 @@ class SerialPort:
 
     def __init__(self, address: str, baud: int) -> None:
         self.address, self._baud = address, baud
-        self._writing = threading.Lock()
+        self._writing, self._reading = threading.Lock(), threading.Lock()
+        self._closed = False
         self._serial: Any = _opened(address, baud)
 
     def read(self, timeout_s: float) -> bytes:
@@ -60,10 +68,13 @@ class SerialPort:
         until = time.monotonic() + timeout_s
         try:
             while True:
-                found = bytes(self._serial.read(max(1, self._serial.in_waiting)))
+                with self._reading:
+                    found = b"" if self._closed else self._read_some()
+                if self._closed:
+                    raise PortLostError(f"the port {self.address} has been closed")
                 if found or time.monotonic() >= until:
                     return found
-        except (OSError, TypeError, AttributeError) as error:  # pyserial raises the last two after a close elsewhere
+        except _FAILURES as error:
             raise PortLostError(_lost(self.address)) from error
 
     def write(self, data: bytes) -> None:
@@ -72,7 +83,12 @@ class SerialPort:
         held = self._writing.acquire(timeout=_LOCK_S)
         try:
             self._serial.write(data)
-        except (OSError, TypeError, AttributeError) as error:
+        except _FAILURES as error:
+            if type(error).__name__ == "SerialTimeoutException":
+                raise PortLostError(
+                    f"the device on the port {self.address} takes no bytes; check its power, its cable and its flow "
+                    "control"
+                ) from error
             raise PortLostError(_lost(self.address)) from error
         finally:
             if held:
@@ -82,11 +98,26 @@ class SerialPort:
         """Close the port and open it again."""
         self.close()
         self._serial = _opened(self.address, self._baud)
+        self._closed = False
 
     def close(self) -> None:
         """Close the port."""
-        with contextlib.suppress(OSError, TypeError, AttributeError):
+        self._closed = True
+        # While another thread awaits bytes the system keeps the port, and with it the lock on it.
+        free = self._reading.acquire(timeout=_LOCK_S)
+        with contextlib.suppress(*_FAILURES):
             self._serial.close()
+        if free:
+            self._reading.release()
+
+    def _read_some(self) -> bytes:
+        """Return what has come, or b'' after a short while."""
+        if self.address.startswith("socket:"):  # which says of waiting bytes only that there are some
+            if not select.select([self._serial.fileno()], [], [], _POLL_S)[0]:
+                return b""
+            self._serial.timeout = 0
+            return bytes(self._serial.read(_PIECE))
+        return bytes(self._serial.read(max(1, self._serial.in_waiting)))
 
 
 def port_names() -> list[str]:
@@ -115,33 +146,59 @@ def _opened(address: str, baud: int) -> Any:
     if "://" not in address:
         options["exclusive"] = True
     try:
-        return serial.serial_for_url(address, **options)
-    except (OSError, ValueError) as error:
+        port = serial.serial_for_url(address, **options)
+    except (OSError, ValueError, TypeError, AttributeError) as error:  # the last two by addresses such as socket://x
         raise DeviceError(_refusal(address, error)) from error
+    _keep_others_out(address, port)
+    return port
+
+
+def _keep_others_out(address: str, port: Any) -> None:
+    """Have the system refuse this port to programs that heed no lock, too, until it is closed."""
+    if sys.platform == "win32" or not re.match(r"/dev/(tty[A-Z]|rfcomm|cu\.|tty\.)", os.path.realpath(address)):
+        return  # Windows does it by itself; on a pseudo-terminal the refusal would outlive the closing
+    import fcntl
+    import termios
+
+    with contextlib.suppress(OSError, AttributeError):
+        fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
 
 
 def _refusal(address: str, error: Exception) -> str:
     """Return why a port cannot be opened, and what to do."""
     text, number = str(error).lower(), getattr(error, "errno", None)
+    address = _printable(address)
     there = port_names()
     listed = f"this machine has {', '.join(there)}" if there else _NO_PORTS
+    if not address:
+        return f"the port has no name; {listed}"
+    if address.startswith("socket:") and not re.search(r":\d{1,5}(\?|$)", address):
+        return f"the address {address} names no port; write for example socket://192.168.0.10:10940"
     if "://" in address:
         return f"{address} cannot be opened ({_reason(error)}); check the address, and that something listens there"
-    if "exclusive" in text or number == errno.EBUSY or "resource busy" in text or "access is denied" in text:
+    # Windows states its reasons in the language of the user, but Python names them.
+    windows = sys.platform == "win32"
+    if "exclusive" in text or number == errno.EBUSY or "resource busy" in text or (windows and "permission" in text):
         return f"the port {address} is in use by another program; close that program, or choose another port"
     if number == errno.EACCES or "permission" in text:
         return (
             f"the port {address} may not be opened by this user; on Linux add the user to the group dialout "
             "(sudo usermod -aG dialout $USER) and log in again"
         )
-    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "no such" in text or "cannot find" in text:
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "filenotfound" in text or "no such" in text:
         return f"there is no port {address}; {listed}: check the cable and the name"
+    if number == errno.EISDIR or "inappropriate ioctl" in text or "input/output error" in text:
+        return f"{address} is no serial port, or no device is behind it; {listed}"
     return f"the port {address} cannot be opened ({_reason(error)}); {listed}"
 
 
 def _reason(error: Exception) -> str:
     reason = str(getattr(error, "strerror", None) or error)
-    return " ".join(reason.split())[:120]
+    return _printable(reason)[:120]
+
+
+def _printable(text: str) -> str:
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())
 
 
 def _lost(address: str) -> str:

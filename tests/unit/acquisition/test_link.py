@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
@@ -15,8 +16,9 @@ from pathlib import Path
 
 import pytest
 
+from ladarreg_core.acquisition.guard import LONGEST_SILENCE_S
 from ladarreg_core.acquisition.link import Link
-from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.acquisition.ports import GuardEndedError, Ports
 from ladarreg_core.acquisition.serial_port import PortLostError
 from ladarreg_core.acquisition.twin_address import check_twin
 from ladarreg_core.errors import Cancelled, DeviceError
@@ -27,16 +29,20 @@ CHECKOUT = Path(__file__).resolve().parents[3]
 
 
 class Terminal:
-    """A device at the far end of a pseudo-terminal, which answers by a function."""
+    """A device at the far end of a pseudo-terminal, which answers by a function.
 
-    def __init__(self, answer: Callable[[bytes], bytes]) -> None:
+    Its name leads nowhere once it is unplugged; that of the terminal itself would soon be another one's.
+    """
+
+    def __init__(self, path: Path, answer: Callable[[bytes], bytes]) -> None:
         import pty
         import tty
 
         self._answer = answer
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
-        self.address = os.ttyname(self._slave)
+        self.address = str(path)
+        path.symlink_to(os.ttyname(self._slave))
         self.received = b""
         self.heard = threading.Condition()
         self._running = True
@@ -64,6 +70,7 @@ class Terminal:
     def unplug(self) -> None:
         self._running = False
         self._thread.join(1)
+        Path(self.address).unlink()
         for end in (self._master, self._slave):
             os.close(end)
 
@@ -73,8 +80,8 @@ class Terminal:
 
 
 @pytest.fixture
-def terminal() -> Iterator[Terminal]:
-    found = Terminal(lambda data: b"* 17\r\n" if data.strip() == b"PP" else b"")
+def terminal(tmp_path: Path) -> Iterator[Terminal]:
+    found = Terminal(tmp_path / "tty", lambda data: b"* 17\r\n" if data.strip() == b"PP" else b"")
     yield found
     if found._running:
         found.unplug()
@@ -142,10 +149,120 @@ def test_absent_and_busy_ports_are_refused(terminal: Terminal, guarded: bool) ->
         ports.open(terminal.address, 9600, stop=STOP, name="unit")
         with pytest.raises(DeviceError, match="in use by another program"):
             others.open(terminal.address, 9600, stop=STOP, name="unit")
-        with pytest.raises(DeviceError, match="already used by another device"):
-            ports.open(terminal.address, 9600, stop=STOP, name="scanner")
+        for name in (terminal.address, os.path.realpath(terminal.address)):
+            with pytest.raises(DeviceError, match="already used by another device"):
+                ports.open(name, 9600, stop=STOP, name="scanner")
         with pytest.raises(DeviceError, match=r"socket://127\.0\.0\.1:1 cannot be opened"):
             ports.open("socket://127.0.0.1:1", 9600, stop=STOP, name="unit")
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("", "has no name"),
+        ("/dev", "is no serial port"),
+        (__file__, "is no serial port"),
+        ("COM7", "no port COM7"),
+        ("socket://localhost", "names no port"),
+        ("socket://", "names no port"),
+        ("nothing://here", "cannot be opened"),
+        ("a\nb\0", "cannot be opened"),
+    ],
+)
+def test_an_address_that_is_no_port_is_refused_in_one_line(address: str, said: str) -> None:
+    with pytest.raises(DeviceError, match=said) as refused, Ports(guarded=False) as ports:
+        ports.open(address, 9600, stop=STOP, name="unit")
+    assert str(refused.value).isprintable()
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_closing_ends_the_exchange_that_is_going_on_and_frees_the_port(terminal: Terminal, guarded: bool) -> None:
+    failed: list[DeviceError] = []
+
+    def wait_for_the_answer(link: Link) -> None:
+        with pytest.raises(DeviceError) as error:
+            link.exchange(b"A ", complete=ended, deadline_s=60)
+        failed.append(error.value)
+
+    with Ports(guarded=guarded) as ports, Ports(guarded=guarded) as others:
+        link = Link(ports.open(terminal.address, 9600, stop=STOP, name="unit"), device="the unit")
+        waiting = threading.Thread(target=wait_for_the_answer, args=(link,), daemon=True)
+        waiting.start()
+        assert terminal.await_bytes(b"A ", 2)
+        link.close()
+        waiting.join(5)
+        assert failed
+        until = time.monotonic() + 2
+        while True:
+            try:
+                others.open(terminal.address, 9600, stop=STOP, name="unit")
+                break
+            except DeviceError:  # the guard is about to close it
+                assert time.monotonic() < until
+                time.sleep(0.02)
+
+
+def test_a_port_is_closed_before_it_is_opened_again(terminal: Terminal) -> None:
+    with Ports() as ports:
+        port = ports.open(terminal.address, 9600, stop=STOP, name="unit")
+        for _ in range(3):
+            port.reopen()
+        assert Link(port, device="the unit").exchange(b"PP ", complete=ended, deadline_s=2) == b"* 17\r\n"
+        assert terminal.received.count(STOP) == 3
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_a_device_that_never_falls_silent_is_left(terminal: Terminal, guarded: bool) -> None:
+    with Ports(guarded=guarded) as ports:
+        link = Link(ports.open(terminal.address, 9600, stop=STOP, name="unit"), device="the unit")
+        talking = True
+
+        def talk() -> None:
+            while talking:
+                if select.select([], [terminal._master], [], 0.02)[1]:
+                    terminal.say(b"0123456789abcdef" * 64)
+
+        talker = threading.Thread(target=talk)
+        talker.start()
+        try:
+            with pytest.raises(DeviceError, match=r"the unit on .* sends without end \(\d+ bytes\)"):
+                link.exchange(b"V ", complete=ended, deadline_s=60)
+        finally:
+            talking = False
+            talker.join()
+
+
+def test_a_connection_that_is_not_answered_holds_up_no_other_device(terminal: Terminal) -> None:
+    deaf = socket.create_server(("127.0.0.1", 0), backlog=0)
+    waiting = [socket.socket() for _ in range(4)]  # until the system takes no more
+    for one in waiting:
+        one.setblocking(False)
+        one.connect_ex(deaf.getsockname())
+    refused: list[str] = []
+
+    def connect(ports: Ports) -> None:
+        with pytest.raises(DeviceError) as error:
+            ports.open(f"socket://127.0.0.1:{deaf.getsockname()[1]}", 9600, stop=b"QT\n", name="scanner")
+        refused.append(str(error.value))
+
+    try:
+        with Ports() as ports:
+            link = Link(ports.open(terminal.address, 9600, stop=STOP, name="unit"), device="the unit")
+            connecting = threading.Thread(target=connect, args=(ports,), daemon=True)
+            connecting.start()
+            until = time.monotonic() + 2 * LONGEST_SILENCE_S
+            while time.monotonic() < until:
+                assert link.exchange(b"PP ", complete=ended, deadline_s=1) == b"* 17\r\n"
+                time.sleep(0.05)
+            assert connecting.is_alive()
+            assert STOP not in terminal.received
+            for one in (deaf, *waiting):
+                one.close()
+            connecting.join(10)
+        assert "cannot be opened" in refused[0]
+    finally:
+        for one in (deaf, *waiting):
+            one.close()
 
 
 PROGRAM = """
@@ -154,11 +271,12 @@ PROGRAM = """
     ports = Ports()
     port = ports.open(sys.argv[1], 9600, stop=b"\\rH ", name="unit")
     port.write(b"PP1000 ")
-    print("ready", ports._guard._process.pid, flush=True)
+    print("ready", ports.guard().pid, flush=True)
     time.sleep(60)
 """
 
 
+# All of its group: as a terminal does by Ctrl-C and Ctrl-Z, and as the end of a session does.
 @pytest.mark.parametrize("end", ["SIGKILL", "SIGSTOP", "SIGINT", "SIGTERM"])
 def test_the_device_stops_within_a_second_of_the_programs_end(terminal: Terminal, end: str) -> None:
     program = subprocess.Popen(
@@ -170,7 +288,7 @@ def test_the_device_stops_within_a_second_of_the_programs_end(terminal: Terminal
         guard = int(program.stdout.readline().split()[1])
         assert terminal.await_bytes(b"PP1000 ", 5)
         assert STOP not in terminal.received
-        program.send_signal(getattr(signal, end))
+        os.killpg(program.pid, getattr(signal, end))
         assert terminal.await_bytes(STOP, 1.5)
     finally:
         program.kill()
@@ -181,13 +299,63 @@ def test_the_device_stops_within_a_second_of_the_programs_end(terminal: Terminal
     assert not Path(f"/proc/{guard}").exists(), "the guard has ended"
 
 
-def test_a_guard_that_is_killed_is_noticed(terminal: Terminal) -> None:
+@pytest.mark.parametrize("end", ["SIGKILL", "SIGTERM"])
+def test_the_end_of_the_guard_is_said_before_another_one_takes_over(terminal: Terminal, end: str) -> None:
     with Ports() as ports:
-        port = ports.open(terminal.address, 9600, stop=STOP, name="unit")
-        assert ports._guard is not None
-        ports._guard._process.kill()
-        with pytest.raises(PortLostError, match="process that holds the ports has ended"):
-            port.read(5)
+        link = Link(ports.open(terminal.address, 9600, stop=STOP, name="unit"), device="the unit")
+        set_up: list[bool] = []
+        link.when_connected(lambda: set_up.append(True))
+        assert link.exchange(b"PP ", complete=ended, deadline_s=2)
+        os.kill(ports.guard().pid, getattr(signal, end))
+        why = {"SIGKILL": "has ended unexpectedly", "SIGTERM": "because it was told to end"}[end]
+        with pytest.raises(GuardEndedError, match=f"process that holds the ports has ended.*{why.split()[-1]}"):
+            link.receive(complete=ended, deadline_s=5)
+        with pytest.raises(GuardEndedError):
+            link.exchange(b"PP ", complete=ended, deadline_s=2)
+        if end == "SIGTERM":
+            assert terminal.await_bytes(STOP, 1)
+        assert not set_up
+        assert link.exchange(b"PP ", complete=ended, deadline_s=5) == b"* 17\r\n"
+        assert set_up
+
+
+HANGING_PROGRAM = """
+    import sys
+    from ladarreg_core.acquisition.link import Link
+    from ladarreg_core.acquisition.ports import Ports
+    from ladarreg_core.errors import DeviceError
+    with Ports() as ports:
+        link = Link(ports.open(sys.argv[1], 9600, stop=b"\\rH ", name="unit"), device="the unit")
+        print("ready", flush=True)
+        for line in sys.stdin:
+            try:
+                print(link.exchange(b"PP ", complete=lambda data: data.find(b"\\n") + 1, deadline_s=3), flush=True)
+            except DeviceError as error:
+                print(error, flush=True)
+"""
+
+
+def test_a_program_that_hung_is_told_that_its_devices_were_stopped(terminal: Terminal) -> None:
+    program = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(HANGING_PROGRAM), terminal.address],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=CHECKOUT,
+    )  # fmt: skip
+    try:
+        assert program.stdin is not None
+        assert program.stdout is not None
+        assert program.stdout.readline() == "ready\n"
+        program.send_signal(signal.SIGSTOP)
+        assert terminal.await_bytes(STOP, 1.5)
+        program.send_signal(signal.SIGCONT)
+        program.stdin.write("1\n2\n")
+        program.stdin.flush()
+        assert "because this program hung for more than 0.7 s" in program.stdout.readline()
+        assert "* 17" in program.stdout.readline()
+        program.stdin.close()
+        assert program.wait(10) == 0
+    finally:
+        program.kill()
+        program.wait(10)
 
 
 def test_addresses_of_simulated_devices_are_checked() -> None:
