@@ -19,6 +19,7 @@ from ladarreg_core.twins.twin import Twin
 
 _TICK_S = 0.002
 _PIECE = 4096
+_MOST_UNSENT = 1 << 17  # more is lost, as by a device whose host does not listen
 
 
 class TwinServer:
@@ -77,8 +78,7 @@ class TwinServer:
             now = self.now_s()
             if data:
                 twin.feed(data, now)
-            if out := twin.due(now):
-                end.write(out)
+            end.write(twin.due(now))
 
 
 class _End:
@@ -96,6 +96,7 @@ class _End:
         raise NotImplementedError
 
     def write(self, data: bytes) -> None:
+        """Send what could not be sent before, and data; what the system does not take now is kept for the next call."""
         raise NotImplementedError
 
 
@@ -106,6 +107,7 @@ class _Terminal(_End):
         self.address = str(path)
         self._lock = threading.Lock()
         self._ends: tuple[int, int] | None = None
+        self._unsent = b""
         self.open()
 
     def open(self) -> None:
@@ -142,9 +144,10 @@ class _Terminal(_End):
 
     def write(self, data: bytes) -> None:
         with self._lock:
-            if self._ends is not None:
-                with contextlib.suppress(OSError):  # nobody reads, and the terminal is full: the bytes are lost
-                    os.write(self._ends[0], data)
+            self._unsent = (self._unsent + data)[:_MOST_UNSENT] if self._ends is not None else b""
+            if self._ends is not None and self._unsent:
+                with contextlib.suppress(OSError):  # the terminal is full
+                    self._unsent = self._unsent[os.write(self._ends[0], self._unsent) :]
 
 
 class _Socket(_End):
@@ -155,6 +158,7 @@ class _Socket(_End):
         self._port = 0
         self._listening: socket.socket | None = None
         self._host: socket.socket | None = None
+        self._unsent = b""
         self.open()
         self.address = f"socket://127.0.0.1:{self._port}"
 
@@ -197,12 +201,15 @@ class _Socket(_End):
     def _accept(self, listening: Any) -> None:
         host, _ = listening.accept()
         if self._host is None:
-            self._host = host
+            host.setblocking(False)
+            host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._host, self._unsent = host, b""
         else:  # a port belongs to one program
             host.close()
 
     def write(self, data: bytes) -> None:
         with self._lock:
-            if self._host is not None:
-                with contextlib.suppress(OSError):
-                    self._host.sendall(data)
+            self._unsent = (self._unsent + data)[:_MOST_UNSENT] if self._host is not None else b""
+            if self._host is not None and self._unsent:
+                with contextlib.suppress(OSError):  # the connection is full, or has ended, which `read` will find
+                    self._unsent = self._unsent[self._host.send(self._unsent) :]
