@@ -18,6 +18,7 @@ from ladarreg_core.version import VERSION
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.piece_list import PieceList
     from ladarreg_core.frames import Rigid
+    from ladarreg_core.range_alignment.piece_refinement import Refinement
     from ladarreg_core.scan import Scan
 
 PANORAMA_IS = (
@@ -102,8 +103,6 @@ def _mosaic(
     from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 
     held = mount or Rigid.identity()
-    if calibrate_mount or refine:
-        raise OptionError("the mount and the pieces of a mosaic cannot be refined yet; leave the options out")
     pieces = [
         PlacedPiece(
             bound(read_scan, piece.path),
@@ -112,6 +111,17 @@ def _mosaic(
         )
         for piece in listed.pieces
     ]
+    found = None
+    if calibrate_mount or refine:
+        from ladarreg_core.range_alignment.piece_refinement import refine_pieces
+
+        at = [piece.at for piece in listed.pieces]
+        found = refine_pieces(pieces, at, mount=held, calibrate_mount=calibrate_mount, refine=refine, report=report)
+        held = found.mount
+        pieces = [
+            replace(piece, world_from_scanner=one.world_from_scanner)
+            for piece, one in zip(pieces, found.pieces, strict=True)
+        ]
     made = compose_mosaic(pieces, name=listed.source.stem, report=report)
     counts = {
         "overlapping": made.overlapping,
@@ -122,8 +132,40 @@ def _mosaic(
         {"returns": one.returns, "shown": one.shown, "outdone": one.outdone, "folded": one.folded}
         for one in made.pieces
     ]
-    fields = {"mount": mount_as_fields(held), "counts": counts, "each": each}
+    fields: dict[str, Any] = {"mount": mount_as_fields(held), "counts": counts, "each": each}
+    if found is not None:
+        _state_refinement(fields, found, calibrated=calibrate_mount)
     return Panorama(made.scan, made.piece_of_cell, fields)
+
+
+def _state_refinement(fields: dict[str, Any], found: Refinement, *, calibrated: bool) -> None:
+    """Add what a refinement found to the fields of a mosaic."""
+    from ladarreg_core.range_alignment.piece_refinement import PARAMETERS
+
+    for each, one in zip(fields["each"], found.pieces, strict=True):
+        each["refinement"] = {
+            "state": one.state, "pan_tilt_roll_deg": list(one.turn_deg), "shift_mm": one.shift_mm,
+            "sigma_pan_tilt_deg": list(one.sigma_deg), "points": one.points,
+        }  # fmt: skip
+    fields["refinement"] = {
+        "accepted": found.accepted, "planes": found.planes, "noise_mm": 1000 * found.noise_m,
+        "held_out_before_mm": 1000 * found.held_out_before_m, "held_out_after_mm": 1000 * found.held_out_after_m,
+    }  # fmt: skip
+    fields["notes"] = list(found.reasons)
+    if calibrated and found.mount_covariance is not None:
+        sigma = np.sqrt(np.diag(found.mount_covariance))
+        fields["mount"] |= _mount_report(PARAMETERS, sigma, found.mount_determined)
+
+
+def _mount_report(names: Sequence[str], sigma: NDArray[np.float64], determined: Sequence[bool]) -> dict[str, Any]:
+    """Return the standard deviations of a mount in mm and degrees, and what is not determined."""
+    units = {"x": ("x_mm", 1e3), "y": ("y_mm", 1e3), "z": ("z_mm", 1e3), "latency": ("latency_ms", 1e3)}
+    stated = {}
+    for name, value, known in zip(names, sigma, determined, strict=True):
+        label, scale = units.get(name, (f"{name}_deg", float(np.degrees(1))))
+        stated[label] = scale * float(value) if known else None
+    lost = [name for name, known in zip(names, determined, strict=True) if not known]
+    return {"from": "estimated", "sigma": stated, "not_determined": lost}
 
 
 def _sweep(listed: PieceList, mount: Rigid | None, *, calibrate_mount: bool, report: Report | None) -> Panorama:

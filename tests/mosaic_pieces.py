@@ -19,12 +19,12 @@ MOUNT = Rigid.from_rotvec([0.01, -0.02, 0.015], [0.06, -0.03, 0.08])
 
 
 def piece_scan(pose: Rigid, geometry: ScanGeometry = PIECE, *, sigma_m: float = 0.0, seed: int = 0) -> Scan:
-    """Return what a scanner at a pose measures; the intensity says where: 100 + x + 10 y + 100 z."""
+    """Return what a scanner at a pose measures; the intensity says where: 300 + x + 10 y + 100 z."""
     rays = geometry.rays @ pose.rotation.T
     true = distances(pose.translation, rays)
     points = pose.translation + rays * true[..., None]
     noise = sigma_m * np.random.default_rng(seed).standard_normal(true.shape)
-    light = 100 + points @ [1.0, 10.0, 100.0]
+    light = 300 + points @ [1.0, 10.0, 100.0]
     return Scan(geometry, (true + noise).astype(np.float32), light.astype(np.float32))
 
 

@@ -24,6 +24,16 @@ def panorama_lines(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         ("mount", f"{xyz} mm, roll pitch yaw {rpy} deg ({mount['from']})"),
     ]
+    if mount.get("sigma"):
+        known = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in mount["sigma"].items() if value)
+        lines.append(("sigma", f"of the mount: {known}"))
+    if mount.get("not_determined"):
+        lines.append(("unknown", f"not determined, as given: {', '.join(mount['not_determined'])} of the mount"))
+    checked = fields.get("refinement") or fields.get("calibration")
+    if checked:
+        change = f"{checked['held_out_before_mm'] or 0:.2f} -> {checked['held_out_after_mm'] or 0:.2f} mm"
+        lines.append(("checked", f"{change} on surfaces left out; {'used' if checked['accepted'] else 'not used'}"))
+    lines += [("note", str(note)) for note in fields.get("notes") or []]
     if counts.get("overlapping"):
         share = 100 * counts.get("disagreeing", 0) / counts["overlapping"]
         lines.append(("overlap", f"{counts['overlapping']:,} cells, in {share:.1f} % of them the pieces disagree"))

@@ -33,7 +33,7 @@ def test_a_mosaic_of_the_whole_room_lies_on_its_surfaces(mount: Rigid) -> None:
     assert np.median(wrong) < 2e-4
     points = made.scan.points[made.scan.valid]
     assert np.quantile(off_surface(points), 0.999) < 0.03
-    light = 100 + made.scan.points @ np.array([1.0, 10.0, 100.0], np.float32)
+    light = 300 + made.scan.points @ np.array([1.0, 10.0, 100.0], np.float32)
     assert np.quantile(np.abs(made.scan.intensity - light)[made.scan.valid], 0.98) < 0.6
     # Both sides of the seam belong together as any two columns do.
     seam, others = (np.nanmedian(np.abs(np.diff(made.scan.ranges[:, [a, b]], axis=1))) for a, b in ((0, -1), (90, 91)))

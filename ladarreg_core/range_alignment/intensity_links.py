@@ -1,0 +1,271 @@
+"""Alignment of scans by their intensities, where they see the same surfaces from nearly the same place.
+
+What is printed or painted on a surface shows a shift along it, to which its ranges are blind. A residual is the
+difference of the logarithms of two scans' intensities at one point, both smoothed alike; it is linear in a small move.
+
+Source: direct alignment by Gauss and Newton, after Lucas and Kanade 1981.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.frames import Rigid
+from ladarreg_core.scan import Scan
+
+BLUR_CELLS = (6.0, 3.0, 1.5)
+"""Smoothing of the intensities, in turn: from far off only what is coarse leads to the right place."""
+
+_BAND = 5.0
+_BORDER = 1.0
+_STEEPEST = 6.0  # relative change of the range over a cell, in steps: beyond it, a depth edge
+_EDGE_CELLS = 5
+_POINTS_A_LINK = 5_000
+_LEAST_POINTS = 200
+_PROBED = 97  # of so many points one is looked up first
+_SAME_SURFACE = (0.03, 0.02)
+_HUBER = 1.5
+_MAD = 1.4826
+_LEAST_SIGMA = 0.01
+_LEAST_CONTRAST = 0.02
+_LEAST_CORRELATION = 0.5
+_FLOOR_SHARE = 0.25
+_CORRELATED = 2.0
+"""Standard deviations are larger than those of independent residuals by this factor: texture is seen through one
+smoothing, and gloss depends on where one stands."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IntensityView:
+    """One scan, prepared for the comparison of its intensities."""
+
+    scan: Scan
+    light: NDArray[np.float32]
+    """(H, W) smoothed logarithm of the intensity; NaN near depth edges and holes."""
+    by_cell: tuple[NDArray[np.float32], NDArray[np.float32]]
+    """Its derivatives by row and by column."""
+
+    @staticmethod
+    def of(scan: Scan, floor: float, blur_cells: float) -> IntensityView:
+        """Return a scan prepared for comparison.
+
+        Args:
+            scan: the scan.
+            floor: intensity that is added before the logarithm is taken, the same for all scans.
+            blur_cells: standard deviation of the smoothing.
+        """
+        there = scan.valid
+        size = (0, 0)
+        light = np.where(there, np.log(np.maximum(scan.intensity, 0) + floor), 0).astype(np.float32)
+        # Gloss moves with the scanner's centre, and is smooth: only what is finer is compared.
+        smooth, wide = (_blurred(light, there, size, cells) for cells in (blur_cells, _BAND * blur_cells))
+        smooth -= wide
+        smooth[_near_edges(scan)] = np.nan
+        # At the border the smoothing is one-sided, and on the other side in the scan beside it.
+        margin = int(np.ceil(_BORDER * _BAND * blur_cells))
+        for border in (smooth[:margin], smooth[-margin:], smooth[:, :margin], smooth[:, -margin:]):
+            border[...] = np.nan
+        return IntensityView(scan, smooth, (_slope(smooth, 0), _slope(smooth, 1)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """Points of one view that another one sees, too."""
+
+    first: int
+    second: int
+    points: FloatArray
+    """(N, 3) m, in the first's frame."""
+    cells: IntArray
+    """(N,) their cells, counted through the first's grid."""
+
+
+def links_of(views: Sequence[IntensityView], poses: Sequence[Rigid], *, seed: int = 0) -> list[Link]:
+    """Return the links between all views that overlap at some poses, each pair in both directions."""
+    found = []
+    rng = np.random.default_rng(seed)
+    for a, view in enumerate(views):
+        stride = max(1, int(np.sqrt(view.scan.ranges.size / 200_000)))
+        part = slice(None, None, stride)
+        points = view.scan.points_at(part, part).reshape(-1, 3)
+        cells = np.arange(view.light.size).reshape(view.light.shape)[part, part].ravel()
+        good = np.isfinite(view.light.ravel()[cells]) & np.isfinite(points[:, 0])
+        points, cells = points[good], cells[good]
+        world = poses[a] @ points
+        axis = poses[a].rotation @ view.scan.mean_direction
+        for b, other in enumerate(views):
+            if a == b or axis @ poses[b].rotation @ other.scan.mean_direction < -0.9:
+                continue
+            there = poses[b].inverse
+            few = there @ world[::_PROBED]
+            if not _lookup(other, few).good(few).any():
+                continue
+            local = there @ world
+            at = np.flatnonzero(_lookup(other, local).good(local))
+            if len(at) < _LEAST_POINTS:
+                continue
+            if len(at) > _POINTS_A_LINK:
+                # Blank surfaces say nothing, and their many small residuals would make texture look like outliers.
+                steep = np.hypot(*(slope.ravel()[cells[at]] for slope in view.by_cell))
+                steep = np.where(np.isfinite(steep), steep, 0) + 1e-9
+                chance = np.minimum(steep, np.quantile(steep, 0.98)) ** 2
+                at = np.sort(rng.choice(at, _POINTS_A_LINK, replace=False, p=chance / chance.sum()))
+            found.append(Link(a, b, points[at].astype(np.float64), cells[at]))
+    return found
+
+
+def link_equations(
+    links: Sequence[Link], views: Sequence[IntensityView], poses: Sequence[Rigid], *, keep: IntArray | None = None,
+    held_out: int = 4,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
+    """Return the information (6 V, 6 V) and the gradient (6 V,) of the views' moves (w, t).
+
+    Args:
+        links: the links.
+        views: the views.
+        poses: `world_from_scan` of each.
+        keep: remainders, modulo `held_out`, of the metre-sized blocks of the room to use; None: all of them.
+        held_out: see above.
+    """
+    count = len(views)
+    blocks, gradient = np.zeros((count, count, 6, 6)), np.zeros((count, 6))
+    for link in links:
+        residual, jacobian, light = _residuals(link, views, poses, keep, held_out)
+        if len(residual) < _LEAST_POINTS // 2 or not _textured(light, residual):
+            continue
+        sigma = max(_MAD * float(np.median(np.abs(residual))), _LEAST_SIGMA)
+        weight = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(residual), 1e-12)) / (_CORRELATED * sigma) ** 2
+        H = jacobian.T @ (jacobian * weight[:, None])
+        g = jacobian.T @ (weight * residual)
+        a, b = link.first, link.second
+        blocks[a, a] += H
+        blocks[b, b] += H
+        blocks[a, b] -= H
+        blocks[b, a] -= H
+        gradient[a] += g
+        gradient[b] -= g
+    return blocks.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count), gradient.ravel()
+
+
+def link_residuals(
+    links: Sequence[Link], views: Sequence[IntensityView], poses: Sequence[Rigid], *, keep: IntArray, held_out: int = 4
+) -> NDArray[np.float64]:
+    """Return the residuals (M,) of all links, without their common part: differences of logarithms of intensities."""
+    found = [_residuals(link, views, poses, keep, held_out)[0] for link in links]
+    return np.concatenate([np.zeros(0), *found])
+
+
+def common_floor(scans: Sequence[Scan]) -> float:
+    """Return what is added to the intensities of all scans before their logarithm is taken."""
+    middle = [float(np.median(scan.intensity[scan.valid])) for scan in scans]
+    return max(_FLOOR_SHARE * float(np.median(middle)), 1e-6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    light: FloatArray
+    slopes: FloatArray
+    """(N, 2)"""
+    ranges: FloatArray
+
+    def good(self, points: FloatArray) -> BoolArray:
+        """Return which points (N, 3), in this view's frame, lie on the surface that it sees."""
+        apart = np.abs(np.linalg.norm(points, axis=-1) - self.ranges)
+        with np.errstate(invalid="ignore"):
+            same = apart < _SAME_SURFACE[0] + _SAME_SURFACE[1] * self.ranges
+        return np.asarray(same & np.isfinite(self.light) & np.isfinite(self.slopes).all(axis=-1))
+
+
+def _lookup(view: IntensityView, points: FloatArray) -> _Seen:
+    height, width = view.scan.shape
+    cell = np.asarray(view.scan.geometry.cell_of(points), np.float64)
+    with np.errstate(invalid="ignore"):
+        inside = (cell >= 0).all(axis=-1) & (cell[:, 0] <= height - 1) & (cell[:, 1] <= width - 1)
+    cell = np.where(inside[:, None], cell, 0)
+    top = np.minimum(cell[:, 0].astype(int), height - 2)
+    left = np.minimum(cell[:, 1].astype(int), width - 2)
+    down, right = cell[:, 0] - top, cell[:, 1] - left
+    flat = top * width + left
+
+    def between(field: FloatArray) -> FloatArray:
+        values = field.ravel()
+        upper = (1 - right) * values[flat] + right * values[flat + 1]
+        lower = (1 - right) * values[flat + width] + right * values[flat + width + 1]
+        return np.asarray(np.where(inside, (1 - down) * upper + down * lower, np.nan))
+
+    slopes = np.stack([between(view.by_cell[0]), between(view.by_cell[1])], axis=-1)
+    nearest = view.scan.ranges[np.rint(cell[:, 0]).astype(int), np.rint(cell[:, 1]).astype(int)]
+    return _Seen(between(view.light), slopes, np.where(inside, nearest, np.nan))
+
+
+def _residuals(
+    link: Link, views: Sequence[IntensityView], poses: Sequence[Rigid], keep: IntArray | None, held_out: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return residuals (M,), less their median, derivatives (M, 6) by the first view's move, and its light (M,)."""
+    other = views[link.second]
+    world = poses[link.first] @ link.points
+    use = np.ones(len(world), np.bool_)
+    if keep is not None:
+        block = np.floor(world).astype(np.int64) @ np.array([1, 3, 2])
+        use = np.isin(block % held_out, keep)
+    there = poses[link.second].inverse
+    local = there @ world
+    seen = _lookup(other, local)
+    use &= seen.good(local) & np.isfinite(views[link.first].light.ravel()[link.cells])
+    world, local = world[use], local[use]
+    light = views[link.first].light.ravel()[link.cells[use]].astype(np.float64)
+    residual = seen.light[use] - light
+    if not len(residual):
+        return np.zeros(0), np.zeros((0, 6)), np.zeros(0)
+    small = 1e-4 * np.linalg.norm(local, axis=-1)
+    by_point = np.empty((len(local), 3))
+    for axis in range(3):
+        beside = np.zeros((len(local), 3))
+        beside[:, axis] = small
+        cells = np.asarray(other.scan.geometry.cell_of(local + beside)) - other.scan.geometry.cell_of(local - beside)
+        by_point[:, axis] = (cells * seen.slopes[use]).sum(-1) / (2 * small)
+    by_world = by_point @ there.rotation
+    jacobian = np.hstack([np.cross(world, by_world), by_world])
+    return residual - float(np.median(residual)), jacobian, light
+
+
+def _textured(light: FloatArray, residual: FloatArray) -> bool:
+    """Return whether two scans see the same texture; of blank surfaces only noise would be aligned."""
+    contrast = float(np.std(light))
+    if contrast < _LEAST_CONTRAST:
+        return False
+    other = light + residual
+    spread = contrast * float(np.std(other))
+    covariance = float(np.mean((light - light.mean()) * (other - other.mean())))
+    return bool(spread > 0 and covariance > _LEAST_CORRELATION * spread)
+
+
+def _blurred(light: FloatArray, there: BoolArray, size: tuple[int, int], cells: float) -> NDArray[np.float32]:
+    share = cv2.GaussianBlur(there.astype(np.float32), size, cells)
+    return np.asarray(cv2.GaussianBlur(light, size, cells) / np.maximum(share, 1e-6), np.float32)
+
+
+def _slope(field: FloatArray, axis: int) -> NDArray[np.float32]:
+    out = np.full(field.shape, np.nan, np.float32)
+    if axis == 0:
+        out[1:-1] = (field[2:] - field[:-2]) / 2
+    else:
+        out[:, 1:-1] = (field[:, 2:] - field[:, :-2]) / 2
+    return out
+
+
+def _near_edges(scan: Scan) -> BoolArray:
+    """Return the cells (H, W) near a depth edge, a hole or a grazing surface."""
+    ranges = np.where(scan.valid, scan.ranges, 0).astype(np.float32)
+    square = np.ones((3, 3), np.uint8)
+    far, near = cv2.dilate(ranges, square), cv2.erode(ranges, square)
+    step = 2 * float(np.hypot(*scan.geometry.step_rad))
+    edge = (far > near * (1 + _STEEPEST * step) + 0.02) | ~scan.valid
+    wide = np.ones((_EDGE_CELLS, _EDGE_CELLS), np.uint8)
+    return np.asarray(cv2.dilate(edge.astype(np.uint8), wide) > 0)

@@ -1,0 +1,384 @@
+"""Refinement of the pieces of a mosaic against each other: from the unit's angles to what their overlaps show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.acquisition.mosaic_piece import PlacedPiece
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.frames import Rigid, rotation_about
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.range_alignment.adjustment import (
+    GATES,
+    Adjustment,
+    Common,
+    RangeView,
+    adjoint,
+    adjust,
+    move_between,
+    off_planes,
+    planes_of,
+)
+from ladarreg_core.range_alignment.intensity_links import (
+    BLUR_CELLS,
+    IntensityView,
+    common_floor,
+    link_equations,
+    links_of,
+)
+from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
+
+PARAMETERS = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Parameters of a mount, in this order."""
+
+_SIGMA_ANGLE_RAD = float(np.radians(0.3))
+_SIGMA_ROLL_RAD = float(np.radians(0.005))
+_SIGMA_SHIFT_M = 1e-4
+_SIGMA_MOUNT = (0.1, float(np.radians(5.0)))
+_SIGMA_FIXED_RAD = float(np.radians(0.01))
+_POINTS_A_PIECE = 60_000
+_LEAST_POINTS = 300
+_UNDETERMINED_RAD = float(np.radians(0.02))
+_UNDETERMINED_MOUNT = (0.005, float(np.radians(0.1)))
+_HELD_OUT = 4
+_WORSE = 1.02
+_MOUNT_GATES = ((0.25, 12.0), (0.2, 10.0), (0.12, 6.0), (0.06, 4.0), (0.04, 3.0), (0.04, 3.0))
+
+State = Literal["refined", "no overlap", "not determined", "kept"]
+"""`refined`; too little overlap, or surfaces that do not hold it: the unit's angles stay; `kept`: the refinement as a
+whole was no better and none of it is used."""
+
+
+@dataclass(frozen=True, slots=True)
+class RefinedPiece:
+    """One piece after the refinement."""
+
+    world_from_scanner: Rigid
+    """The pose to use."""
+    state: State
+    """Whether it was refined."""
+    turn_deg: tuple[float, float, float]
+    """Correction about the pan axis, about the tilt axis, and about the axis ahead, degrees."""
+    shift_mm: float
+    """Length of the shift beside it."""
+    sigma_deg: tuple[float, float]
+    """Standard deviations of the corrections of pan and tilt."""
+    points: int
+    """Points that it shares with other pieces."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """Pieces refined against each other, and how well they then agree."""
+
+    pieces: tuple[RefinedPiece, ...]
+    """One a piece."""
+    accepted: bool
+    """Surfaces that were not fitted to agree better than before."""
+    mount: Rigid
+    """`unit_from_scanner`: calibrated if that was asked and is `accepted`."""
+    mount_covariance: NDArray[np.float64] | None
+    """(6, 6) of `PARAMETERS`, m and rad, infinite on the diagonal where not determined; None: not calibrated."""
+    held_out_before_m: float
+    """RMS distance from planes that were not fitted to, before; NaN without any."""
+    held_out_after_m: float
+    """The same after."""
+    noise_m: float
+    """RMS distance from planes fitted to each piece alone: what no pose can remove."""
+    planes: int
+    """Planes that pieces share."""
+    reasons: tuple[str, ...] = field(default=())
+    """Sentences for the operator."""
+
+    @property
+    def mount_determined(self) -> tuple[bool, ...]:
+        """(6,) whether the overlaps show each parameter of the mount."""
+        if self.mount_covariance is None:
+            return (False,) * 6
+        return tuple(bool(value) for value in np.isfinite(np.diag(self.mount_covariance)))
+
+
+def refine_pieces(
+    pieces: Sequence[PlacedPiece],
+    positions: Sequence[PanTilt],
+    *,
+    mount: Rigid,
+    calibrate_mount: bool = False,
+    refine: bool = True,
+    report: Report | None = None,
+) -> Refinement:
+    """Refine the pieces of a mosaic, or the mount of its scanner, or both, by the surfaces that pieces share.
+
+    The gauge is the unit's: what turns all pieces alike is not determined by overlaps and stays as the angles say on
+    the average. One plane in four is held out; unless these agree better afterwards, nothing is changed.
+
+    Args:
+        pieces: the pieces at their poses by the unit's angles and the mount.
+        positions: position of the unit at each.
+        mount: `unit_from_scanner`.
+        calibrate_mount: adjust the mount, too.
+        refine: adjust the pieces; without it their angles are taken to be exact but for .01 deg.
+        report: receives the progress; may raise `Cancelled`.
+    """
+    views, light = _views(pieces, positions, exact=not refine, report=report)
+    placed = [view.world_from_scan for view in views]
+    enough = np.array([len(view.points) >= _LEAST_POINTS for view in views])
+    common = _mount_moves() if calibrate_mount else None
+    gates = _MOUNT_GATES if calibrate_mount else GATES
+    if enough.sum() < 2:
+        return _kept(pieces, mount, enough, "the pieces do not overlap: each stays where the unit's angles say")
+    links = links_of(light[-1], placed)
+
+    def printed(poses: Sequence[Rigid], stage: int, keep: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
+        level = light[min(stage, len(light) - 1)]
+        return link_equations(links, level, poses, keep=keep, held_out=_HELD_OUT)
+
+    train = adjust(
+        views, common=common, use_blocks=lambda block: ~_held(block),
+        more=lambda poses, stage: printed(poses, stage, np.arange(1, _HELD_OUT)), report=report, gates=gates,
+    )  # fmt: skip
+    before, after = _held_out(views, placed, train.poses)
+    if not (np.isfinite(before) and after <= before):
+        why = (
+            "too few surfaces are seen by several pieces"
+            if not np.isfinite(before)
+            else f"surfaces left out would disagree by {1000 * after:.2f} mm instead of {1000 * before:.2f} mm"
+        )
+        return _kept(pieces, mount, enough, f"nothing was refined: {why}", before, after)
+    found = adjust(views, common=common, more=printed, report=report, gates=gates)
+    held = _weak(found, positions, enough)
+    if refine and held.any():
+        # What the surfaces do not hold is put back; the others are adjusted without it.
+        fixed = [_fixed(view) if hold else view for view, hold in zip(views, held, strict=True)]
+        links = [link for link in links if not (held[link.first] or held[link.second])]
+        found = adjust(fixed, common=common, more=printed, report=report, gates=gates)
+    return _result(pieces, positions, views, found, mount, held, (before, after), common, refine=refine)
+
+
+def overlap_points(scans: Sequence[Scan], poses: Sequence[Rigid], number: int, *, most: int) -> NDArray[np.float32]:
+    """Return points (N, 3) of a scan, in its own frame, in directions that another scan covers, too.
+
+    Args:
+        scans: all scans.
+        poses: `world_from_scan` of each.
+        number: the scan whose points are wanted.
+        most: about so many points at most.
+    """
+    scan = scans[number]
+    coarse, _ = scan.thinned(20_000)
+    share = _covered(coarse.points.reshape(-1, 3), scans, poses, number).mean()
+    if share == 0:
+        return np.zeros((0, 3), np.float32)
+    thin, _ = scan.thinned(max(20_000, int(most / share)))
+    points = thin.points.reshape(-1, 3)
+    points = points[np.isfinite(points[:, 0])]
+    return np.asarray(points[_covered(points, scans, poses, number)], np.float32)
+
+
+def _covered(points: FloatArray, scans: Sequence[Scan], poses: Sequence[Rigid], number: int) -> BoolArray:
+    covered = np.zeros(len(points), np.bool_)
+    world = poses[number] @ points
+    axis = poses[number].rotation @ scans[number].mean_direction
+    for k, (scan, pose) in enumerate(zip(scans, poses, strict=True)):
+        if k == number or axis @ pose.rotation @ scan.mean_direction < -0.9:
+            continue
+        left = np.flatnonzero(~covered)
+        with np.errstate(invalid="ignore"):
+            cell = np.asarray(scan.geometry.cell_of(pose.inverse @ world[left]))
+            inside = (cell >= 0).all(axis=-1) & (cell <= np.array(scan.shape) - 1).all(axis=-1)
+        covered[left[inside]] = True
+    return covered
+
+
+def _views(
+    pieces: Sequence[PlacedPiece], positions: Sequence[PanTilt], *, exact: bool, report: Report | None
+) -> tuple[list[RangeView], list[list[IntensityView]]]:
+    scans = []
+    for number, piece in enumerate(pieces):
+        if report is not None:
+            report(Progress(number, len(pieces), "reading the pieces"))
+        scans.append(piece.load())
+    poses = [piece.world_from_scanner for piece in pieces]
+    floor = common_floor(scans)
+    views = [
+        RangeView(overlap_points(scans, poses, k, most=_POINTS_A_PIECE), poses[k], _prior(positions[k], exact=exact))
+        for k in range(len(pieces))
+    ]
+    return views, [[IntensityView.of(scan, floor, blur) for scan in scans] for blur in BLUR_CELLS]
+
+
+def _axes(at: PanTilt) -> NDArray[np.float64]:
+    """Return the pan axis, the tilt axis (upward is positive) and the axis ahead, as rows (3, 3), in the world."""
+    turn = rotation_about("z", at.pan_rad)
+    return np.stack([[0.0, 0.0, 1.0], turn @ [0.0, -1.0, 0.0], turn @ [1.0, 0.0, 0.0]])
+
+
+def _prior(at: PanTilt, *, exact: bool = False) -> NDArray[np.float64]:
+    angle = _SIGMA_FIXED_RAD if exact else _SIGMA_ANGLE_RAD
+    roll = _SIGMA_FIXED_RAD if exact else _SIGMA_ROLL_RAD
+    axes = _axes(at)
+    information = np.zeros((6, 6))
+    information[:3, :3] = axes.T @ np.diag([angle**-2, angle**-2, roll**-2]) @ axes
+    information[3:, 3:] = np.eye(3) / _SIGMA_SHIFT_M**2
+    return information
+
+
+def _fixed(view: RangeView) -> RangeView:
+    """Return a view without points, which its prior holds where it is."""
+    return RangeView(view.points[:0], view.world_from_scan, view.information)
+
+
+def _mount_moves() -> Common:
+    shift, angle = _SIGMA_MOUNT
+
+    def moves(poses: Sequence[Rigid]) -> NDArray[np.float64]:
+        # In the order of `PARAMETERS`: the shift first.
+        return np.stack([np.hstack([adjoint(pose)[:, 3:], adjoint(pose)[:, :3]]) for pose in poses])
+
+    return Common(moves, np.diag([shift**-2] * 3 + [angle**-2] * 3))
+
+
+def _held(block: IntArray) -> BoolArray:
+    return np.asarray(block % _HELD_OUT == 0, np.bool_)
+
+
+def _held_out(views: Sequence[RangeView], before: Sequence[Rigid], after: Sequence[Rigid]) -> tuple[float, float]:
+    """Return the RMS distances from held-out planes with both sets of poses; the planes are those that either joins."""
+    squares, counts = np.zeros(2), 0
+    for poses in (before, after):
+        found, owner = planes_of(views, poses, apart_m=0.1, angle_rad=float(np.radians(5.0)))
+        found = found.select(_held(found.block))
+        if not found.count:
+            continue
+        for k, tried in enumerate((before, after)):
+            squares[k] += float((_clipped(off_planes(views, tried, found, owner)) ** 2).sum())
+        counts += len(found.point)
+    if not counts:
+        return float("nan"), float("nan")
+    rms = np.sqrt(squares / counts)
+    return float(rms[0]), float(rms[1])
+
+
+def _clipped(distances: FloatArray) -> FloatArray:
+    """Return distances of which outliers count as five typical ones."""
+    limit = 5 * 1.4826 * float(np.median(np.abs(distances)))
+    return np.clip(distances, -limit, limit)
+
+
+def _weak(found: Adjustment, positions: Sequence[PanTilt], enough: BoolArray) -> BoolArray:
+    """Return the pieces whose pan or tilt the surfaces do not hold, each with the others fixed."""
+    weak = ~enough
+    for k, at in enumerate(positions):
+        own = found.data[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+        rest = _prior(at)
+        angles = np.zeros((6, 2))
+        angles[:3] = _axes(at)[:2].T
+        others = np.zeros((6, 4))
+        others[:3, 0] = _axes(at)[2]
+        others[3:, 1:] = np.eye(3)
+        full = others.T @ (own + rest) @ others
+        mixed = angles.T @ own @ others
+        seen = angles.T @ own @ angles - mixed @ np.linalg.solve(full, mixed.T)
+        weak[k] |= bool(np.linalg.eigvalsh(seen)[0] < _UNDETERMINED_RAD**-2)
+    return weak
+
+
+def _result(
+    pieces: Sequence[PlacedPiece],
+    positions: Sequence[PanTilt],
+    views: Sequence[RangeView],
+    found: Adjustment,
+    mount: Rigid,
+    held: BoolArray,
+    checked: tuple[float, float],
+    common: Common | None,
+    *,
+    refine: bool,
+) -> Refinement:
+    new_mount, covariance, reasons = mount, None, []
+    if common is not None and found.common is not None and found.common_covariance is not None:
+        new_mount, covariance = _new_mount(mount, found.common, found.common_covariance)
+        lost = [name for name, value in zip(PARAMETERS, np.diag(covariance), strict=True) if not np.isfinite(value)]
+        if lost:
+            reasons.append(f"not determined, kept as given: {', '.join(lost)} of the mount")
+    out = []
+    for k in range(len(pieces)):
+        at = positions[k]
+        by_unit = pan_tilt_pose(at.pan_rad, at.tilt_rad, unit_from_scanner=new_mount)
+        pose = by_unit if held[k] or not refine else found.poses[k]
+        if refine and not held[k] and common is not None:
+            pose = found.poses[k]
+        move = move_between(by_unit, pose)
+        block = found.covariance[6 * k : 6 * k + 3, 6 * k : 6 * k + 3]
+        sigma = np.degrees(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", _axes(at), block, _axes(at)), 0)))
+        turn = np.degrees(_axes(at) @ move[:3])
+        state: State = "refined"
+        if held[k]:
+            state = "no overlap" if len(views[k].points) < _LEAST_POINTS else "not determined"
+        elif not refine:
+            state = "kept"
+        out.append(
+            RefinedPiece(
+                pose, state, (float(turn[0]), float(turn[1]), float(turn[2])),
+                float(1000 * np.linalg.norm(move[3:])), (float(sigma[0]), float(sigma[1])), int(found.points[k]),
+            )
+        )  # fmt: skip
+    unheld = [str(k) for k in np.flatnonzero(held)]
+    if refine and unheld:
+        reasons.append(
+            f"the unit's angles stay for piece{'s' * (len(unheld) > 1)} {', '.join(unheld)}: too little overlap, or no "
+            "surfaces in it that hold it"
+        )
+    after, owner = planes_of(views, [one.world_from_scanner for one in out], apart_m=0.1, angle_rad=0.09)
+    noise = float("nan")
+    if after.count:
+        noise = float(np.sqrt(np.mean(_clipped(off_planes(views, found.poses, after, owner, within_views=True)) ** 2)))
+    return Refinement(
+        tuple(out), accepted=True, mount=new_mount, mount_covariance=covariance, held_out_before_m=checked[0],
+        held_out_after_m=checked[1], noise_m=noise, planes=found.planes, reasons=tuple(reasons),
+    )  # fmt: skip
+
+
+def _new_mount(mount: Rigid, moved: FloatArray, covariance: FloatArray) -> tuple[Rigid, NDArray[np.float64]]:
+    """Return the mount with what is determined of its correction, and its covariance."""
+    limit = np.repeat(_UNDETERMINED_MOUNT, 3)
+    known = np.sqrt(np.diag(covariance)) < limit
+    # What is not determined is set back to zero, and the rest follows as its correlation says.
+    step = np.array(moved, np.float64)
+    if not known.all() and known.any():
+        lost = ~known
+        gain = covariance[np.ix_(known, lost)] @ np.linalg.pinv(covariance[np.ix_(lost, lost)])
+        step[known] -= gain @ step[lost]
+    step[~known] = 0
+    out = np.array(covariance, np.float64)
+    out[~known] = 0
+    out[:, ~known] = 0
+    out[~known, ~known] = np.inf
+    return mount @ Rigid.from_rotvec(step[3:], step[:3]), out
+
+
+def _kept(
+    pieces: Sequence[PlacedPiece],
+    mount: Rigid,
+    enough: BoolArray,
+    why: str,
+    before: float = float("nan"),
+    after: float = float("nan"),
+) -> Refinement:
+    nothing = (0.0, 0.0, 0.0)
+    nan = float("nan")
+    return Refinement(
+        tuple(
+            RefinedPiece(one.world_from_scanner, "kept" if there else "no overlap", nothing, 0.0, (nan, nan), 0)
+            for one, there in zip(pieces, enough, strict=True)
+        ),
+        accepted=False, mount=mount, mount_covariance=None, held_out_before_m=before, held_out_after_m=after,
+        noise_m=nan, planes=0, reasons=(why,),
+    )  # fmt: skip
