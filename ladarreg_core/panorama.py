@@ -177,11 +177,12 @@ def _sweep(listed: PieceList, mount: Rigid | None, *, calibrate_mount: bool, rep
     if mount is None:
         raise OptionError("the run has no plan with a mount; give `mount`, which also stands a line scanner upright")
     sweeps, sweep_of_piece = read_sweeps(listed.pieces, report=report)
-    latency_s, calibration = 0.0, {}
+    latency_s = 0.0
+    calibration: dict[str, Any] = {}
     if calibrate_mount:
         found = mount_calibration.calibrate_mount(sweeps, mount, report=report)
         mount, latency_s = found.unit_from_scanner, found.latency_s
-        calibration = {"calibration": found.as_fields()}
+        calibration = {"calibration": found.as_fields()} | ({"from": "estimated"} if found.accepted else {})
     made = compose_sweeps(sweeps, mount, latency_s=latency_s, name=listed.source.stem)
     counts = {"folded": made.folded, "repeated": made.repeated}
     fields = {

@@ -29,6 +29,8 @@ def panorama_lines(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
         lines.append(("sigma", f"of the mount: {known}"))
     if mount.get("not_determined"):
         lines.append(("unknown", f"not determined, as given: {', '.join(mount['not_determined'])} of the mount"))
+    for reason in (mount.get("calibration") or {}).get("reasons") or []:
+        lines.append(("mount note", str(reason)))
     checked = fields.get("refinement") or fields.get("calibration")
     if checked:
         change = f"{checked['held_out_before_mm'] or 0:.2f} -> {checked['held_out_after_mm'] or 0:.2f} mm"

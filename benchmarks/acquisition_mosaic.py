@@ -1,0 +1,212 @@
+"""Mosaics: pieces refined against each other, and a panorama of 28 million cells composed, registered and textured.
+
+Run it as `python -m benchmarks.acquisition_mosaic [mosaic] [large] [--seeds N] [--cells M]`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ladarreg_core.acquisition.mosaic_piece import PlacedPiece
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.frames import Rigid
+from ladarreg_core.range_alignment.piece_refinement import refine_pieces
+from ladarreg_core.scanner.grids import SphericalGrid
+from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
+from ladarreg_core.twins.recordings import simulate_mosaic
+
+_PIECES = (7, 4)
+"""Columns and rows of the large mosaic."""
+_OVERLAP = 0.08
+
+
+def mosaic(*, seeds: Sequence[int] = range(3), scene: str = "office") -> list[dict[str, Any]]:
+    """Return for each seed how far 4 x 3 pieces are from the truth before and after they are refined."""
+    rows = []
+    for seed in seeds:
+        made = simulate_mosaic(scene, seed)
+        mount = made.bench.frame_mount
+        truth = [piece.world_from_scanner for piece in made.pieces]
+        pieces = [
+            PlacedPiece(
+                (lambda scan=piece.scan: scan),
+                pan_tilt_pose(piece.read.pan_rad, piece.read.tilt_rad, unit_from_scanner=mount),
+                piece.scan.name,
+            )
+            for piece in made.pieces
+        ]
+        started = time.perf_counter()
+        found = refine_pieces(pieces, [piece.read for piece in made.pieces], mount=mount)
+        seconds = time.perf_counter() - started
+        before = errors([piece.world_from_scanner for piece in pieces], truth)
+        after = errors([piece.world_from_scanner for piece in found.pieces], truth)
+        rows.append({
+            "scene": scene, "seed": seed, "seconds": seconds, "accepted": found.accepted,
+            "refined": sum(piece.state == "refined" for piece in found.pieces),
+            "before_deg": before[0], "after_deg_median": after[1], "after_deg": after[0], "after_mm": after[2],
+            "held_out_before_mm": 1000 * found.held_out_before_m, "held_out_after_mm": 1000 * found.held_out_after_m,
+            "noise_mm": 1000 * found.noise_m,
+        })  # fmt: skip
+    return rows
+
+
+def errors(poses: Sequence[Rigid], truth: Sequence[Rigid]) -> tuple[float, float, float]:
+    """Return the largest and the median angle (deg) and the largest distance (mm) of poses from the truth.
+
+    What turns all pieces alike is no error of a mosaic: it is the gauge, and removed.
+    """
+    together = np.sum([true.rotation @ pose.rotation.T for pose, true in zip(poses, truth, strict=True)], axis=0)
+    u, _, vt = np.linalg.svd(together)
+    turned = [Rigid(u @ vt, np.zeros(3)) @ pose for pose in poses]
+    angles: FloatArray = np.degrees([one.angle_to(true) for one, true in zip(turned, truth, strict=True)])
+    apart = max(float(np.linalg.norm(a.translation - b.translation)) for a, b in zip(turned, truth, strict=True))
+    return float(angles.max()), float(np.median(angles)), 1000 * apart
+
+
+def large(*, cells_millions: Sequence[float] = (2.0, 7.0, 28.0)) -> list[dict[str, Any]]:
+    """Return time and peak memory of composing, registering and texturing panoramas of several sizes, each alone."""
+    rows = []
+    for size in cells_millions:
+        with tempfile.TemporaryDirectory() as folder:
+            _make(Path(folder), size)
+            rows.append(_in_child(Path(folder)))
+    if len(rows) > 1:
+        first, last = rows[0], rows[-1]
+        grown = np.log(last["cells"] / first["cells"])
+        last["exponent"] = float(np.log(last["seconds"] / first["seconds"]) / grown)
+    return rows
+
+
+def _make(folder: Path, millions: float) -> None:
+    """Write a photograph, and the pieces of a mosaic of 7 x 4 with a list, into a folder."""
+    from benchmarks.dome import CAMERA, POSE, SCENE
+    from ladarreg_core.formats.camera_file import write_camera
+    from ladarreg_core.formats.json_file import write_json
+    from ladarreg_core.formats.npz import write_npz_panorama
+    from ladarreg_core.photo import Photo
+    from ladarreg_core.scan import Scan
+    from ladarreg_core.simulate.case import case_world, png_of
+    from ladarreg_core.simulate.photograph import Lighting, take_photograph
+    from ladarreg_core.simulate.ray_cast import RayCaster
+    from ladarreg_core.simulate.terrestrial import scan_around
+
+    world = case_world(SCENE, seed=0)
+    caster = RayCaster(world.triangles)
+    step = float(2 * np.pi / np.sqrt(millions * 1e6 * 7 / 4))
+    pan_step, tilt_step = 2 * np.pi / _PIECES[0], np.radians(205.7) / _PIECES[1]
+    shape = [round(side * (1 + _OVERLAP) / step) for side in (tilt_step * 0.95, pan_step)]
+    lines = ["file,pan_deg,tilt_deg"]
+    middle = (_PIECES[1] - 1) / 2
+    for row in range(_PIECES[1]):
+        latitude = (row - middle) * np.radians(44.0)
+        for column in range(_PIECES[0]):
+            pan = column * pan_step
+            height = round(np.radians(46.0) / step)
+            grid = SphericalGrid(height, shape[1], step, step, pan, latitude + step * (height - 1) / 2)
+            ranges, light = scan_around(world, caster, grid, rng=np.random.default_rng([row, column]))
+            # The piece's own frame is turned by the pan; its rows are those of the panorama, so that its tilt is 0.
+            own = SphericalGrid(height, shape[1], step, step, 0.0, latitude + step * (height - 1) / 2)
+            name = f"piece_{row}_{column}.npz"
+            write_npz_panorama(folder / name, Scan(own, ranges, light))
+            lines.append(f"{name},{np.degrees(pan)},0")
+    (folder / "pieces.csv").write_text("\n".join(lines), encoding="utf-8")
+    pixels = take_photograph(
+        world, caster, CAMERA, POSE, lighting=Lighting(), rng=np.random.default_rng([0, 1]), noise=1.0
+    )
+    (folder / "photo.png").write_bytes(png_of(Photo(pixels=pixels, camera=CAMERA, name="photo")))
+    write_camera(folder / "camera.json", CAMERA)
+    write_json(folder / "truth.json", {"camera_from_scanner": POSE.matrix.tolist()})
+
+
+def _in_child(folder: Path) -> dict[str, Any]:
+    cores = sorted(os.sched_getaffinity(0))[:2]
+    child = subprocess.run(
+        [sys.executable, "-m", "benchmarks.acquisition_mosaic", "--child", str(folder)],
+        check=True, stdout=subprocess.PIPE, text=True, preexec_fn=lambda: os.sched_setaffinity(0, cores),
+    )  # fmt: skip
+    figures: dict[str, Any] = json.loads(child.stdout.splitlines()[-1])
+    return figures
+
+
+def chain(folder: Path) -> dict[str, Any]:
+    """Compose, write, read, view, register and texture; return the figures of this process."""
+    from ladarreg.process_resources import keep_heap_small
+
+    import ladarreg_core as lr
+    from ladarreg_core.formats.pose_file import read_pose
+    from ladarreg_core.panorama import compose, write_panorama
+    from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
+    from ladarreg_core.surface.texture import texture_scan
+
+    keep_heap_small()
+    told: list[float] = []
+    stages: dict[str, float] = {}
+    started = time.perf_counter()
+
+    def done(name: str) -> None:
+        stages[name] = round(time.perf_counter() - started - sum(stages.values()), 2)
+        stages[f"{name} peak MB"] = 0.0
+        peaks[name] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+
+    peaks: dict[str, int] = {}
+    made = compose(folder / "pieces.csv", report=lambda _: told.append(time.perf_counter() - started))
+    done("compose")
+    write_panorama(folder / "out", made)
+    del made
+    done("write")
+    scan = lr.read_scan(folder / "out" / "scan.npz")
+    photo = lr.read_photo(folder / "photo.png", camera=folder / "camera.json")
+    done("read")
+    found = lr.register(scan, photo)
+    done("register")
+    pose, truth = found.camera_from_scanner, read_pose(folder / "truth.json")
+    texture = texture_scan(scan, photo, pose, camera=found.camera, covariance=found.joint_covariance)
+    done("texture")
+    model = photo_model(scan, [ModelPhoto(photo.pixels, found.camera, pose, texture.labels)])
+    done("model")
+    return {
+        "cells": scan.ranges.size, "seconds": time.perf_counter() - started,
+        "stages_s": {name: value for name, value in stages.items() if "peak" not in name}, "peaks_mb": peaks,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "accepted": found.accepted,
+        "error_deg": float(np.degrees(pose.angle_to(truth))), "error_mm": 1000 * pose.distance_to(truth),
+        "first_progress_s": told[0], "reports": len(told), "faces": model.faces,
+    }  # fmt: skip
+
+
+ROWS: dict[str, Callable[[], list[dict[str, Any]]]] = {"mosaic": mosaic, "large": large}
+"""The rows of this module."""
+
+
+def main() -> None:
+    """Print the rows asked for, one JSON object a line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("rows", nargs="*", choices=[*ROWS, []], default=[*ROWS])
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--cells", type=float, nargs="+", default=[2.0, 7.0, 28.0])
+    parser.add_argument("--child", type=Path)
+    given = parser.parse_args()
+    if given.child is not None:
+        print(json.dumps(chain(given.child)))
+        return
+    if "mosaic" in given.rows:
+        for row in mosaic(seeds=range(given.seeds)):
+            print(json.dumps(row), flush=True)
+    if "large" in given.rows:
+        for row in large(cells_millions=given.cells):
+            print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()
