@@ -62,8 +62,9 @@ def resolved_twin(address: str) -> str:
 
 
 def _started(arguments: tuple[tuple[str, str], ...]) -> tuple[subprocess.Popen[str], dict[str, str]]:
+    # Like a real device it does not hear the signals that a terminal sends to all processes of this program.
     process = subprocess.Popen(
-        [sys.executable, "-m", "ladarreg_core.twins", json.dumps(dict(arguments))],
+        [sys.executable, "-P", "-m", "ladarreg_core.twins", json.dumps(dict(arguments))], start_new_session=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=_environment(),
     )  # fmt: skip
     assert process.stdout is not None
@@ -79,7 +80,7 @@ def _started(arguments: tuple[tuple[str, str], ...]) -> tuple[subprocess.Popen[s
 
 def _environment() -> dict[str, str]:
     """Return the environment of a process that imports the package from where this one does."""
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
 
 
 def watched_folder(folder: str) -> str:
