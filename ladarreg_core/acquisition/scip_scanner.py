@@ -80,9 +80,11 @@ class ScipScanner:
                 part = min(count, MOST_LINES)
                 yield from self._part(part, check)
                 count -= part
-        finally:
+        except BaseException:
             self.laser_off()
             self._settle()
+            raise
+        parse_status(self._ask(b"QT\n"), b"QT\n")
 
     def clock(self) -> ClockReading:
         """Return how the scanner's clock relates to the host's, from the quickest of several exchanges.

@@ -47,9 +47,10 @@ class Devices:
         fields: dict[str, Any] = {"pan": Axis(-4, 4, 1), "tilt": Axis(0, 0, 0), "settle_s": 0.0, **changes}
         return Plan(self.unit_plan, self.scanner_plan, "sweep", mount=LINE_MOUNT, **fields)
 
-    def run(self, folder: RunWriter, events: list[RunEvent], on_event: Any = None) -> Run:
+    def run(self, folder: RunWriter, events: list[RunEvent], on_event: Any = None, *, fails: bool = False) -> Run:
         def report(event: RunEvent) -> None:
             events.append(event)
+            assert fails or not (isinstance(event, Paused) and event.fault), event  # it would wait for ever
             if on_event is not None:
                 on_event(event)
 
@@ -126,7 +127,7 @@ def test_a_fault_pauses_and_a_resumed_run_is_the_same_bit_for_bit(devices: Devic
             devices.twins.fail("scip2", "wrong checksum")
 
     folder = RunWriter.begin(tmp_path / "run", devices.plan())
-    run = devices.run(folder, events, break_it)
+    run = devices.run(folder, events, break_it, fails=True)
 
     def on() -> None:
         while not any(isinstance(event, Paused) for event in events):
