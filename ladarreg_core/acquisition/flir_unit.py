@@ -52,18 +52,22 @@ class FlirUnit:
 
     @staticmethod
     def connect(ports: Ports, plan: UnitPlan) -> FlirUnit:
-        """Connect to a unit, halt it and ask what it is.
+        """Connect to a unit, halt it, ask what it is, and set the plan's speed.
 
         Raises:
             DeviceError: if the port cannot be opened, or what answers is no such unit.
+            OptionError: if the unit refuses the plan's speed.
         """
         link = Link(ports.open(plan.port, plan.baud, stop=STOP, name="pan/tilt unit"), device="the pan/tilt unit")
         try:
             unit = FlirUnit(link, plan.signs)
+            if plan.speed_deg_s is not None:
+                speed = math.radians(plan.speed_deg_s)
+                unit.set_speed(PanTilt(speed, speed))
         except BaseException:
             link.close()
             raise
-        link.when_connected(unit._set_up)
+        link.when_connected(unit._set_up_again)
         return unit
 
     @property
@@ -141,6 +145,11 @@ class FlirUnit:
         time.sleep(_POLL_S)
         for name in ("FT", "ED", "CI"):
             self._ask(command(name), deadline_s=_CONNECT_S)
+
+    def _set_up_again(self) -> None:
+        """Set up as before: a unit that lost its power has forgotten its speed, too."""
+        self._set_up()
+        self.set_speed(self.identity.speed_rad_s)
 
     def _identify(self) -> UnitIdentity:
         model = self._ask(command("V")).text

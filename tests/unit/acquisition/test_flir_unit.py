@@ -125,3 +125,19 @@ def test_a_cable_that_is_pulled_and_put_back_is_noticed_and_survived(bench: Benc
     bench.server.unplug(bench.twin.name)
     with pytest.raises(DeviceError, match="disappeared"):
         unit.position()
+
+
+def test_the_speed_of_the_plan_is_set(bench: Bench) -> None:
+    unit = bench.connect(speed_deg_s=6.0)
+    assert math.degrees(unit.identity.speed_rad_s.pan_rad) == pytest.approx(6.0)
+    unit.start_move(PanTilt(math.radians(12), 0))
+    begun = bench.server.now_s()
+    while bench.twin.moving(bench.server.now_s()):
+        time.sleep(0.005)
+    assert bench.server.now_s() - begun > 1  # by the twin's own clock; at its usual speed it takes .4 s
+    unit.close()
+
+
+def test_a_speed_that_the_unit_does_not_reach_is_refused(bench: Bench) -> None:
+    with pytest.raises(OptionError, match="choose another"):
+        bench.connect(speed_deg_s=1000.0)
