@@ -97,7 +97,7 @@ class FolderSource:
                 if status.st_size:
                     found[name] = status.st_size, status.st_mtime_ns
             return found
-        except FileNotFoundError as error:
+        except OSError as error:  # a file that has just been renamed, or a drive that is gone
             if not self._folder.is_dir():
                 raise DeviceError(f"the folder {self._folder} of {self._device} is gone; check the drive") from error
             return dict(self._seen) if hasattr(self, "_seen") else {}
