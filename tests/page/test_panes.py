@@ -455,3 +455,46 @@ def test_a_running_simplex_moves_its_predictions_over_the_photograph_until_it_en
         assert panes.evaluate(ring, at)
     panes.evaluate("store.take({ slices: { job: { state: 'done' } } })")
     assert not panes.evaluate(ring, at)
+
+
+KEPT = """async ([told, late]) => {
+  sessionStorage.clear();
+  const { Store } = await import('/js/net/store.js');
+  const { Picking } = await import('/js/panes/picking.js');
+  const { keepUnfinished } = await import('/js/panes/unfinished.js');
+  const page = () => {
+    const store = new Store();
+    const picking = new Picking();
+    keepUnfinished(picking, store);
+    store.watch(['scan', 'shown'], () => picking.turnTo(store.shown()));
+    return { store, picking };
+  };
+  const ours = { project: { id: 'A' }, scan: { id: 's' }, photos: [{ id: 'p' }], shown: 'p' };
+  const others = { project: { id: 'B' }, scan: null, photos: [], shown: null };
+  const first = page();
+  first.store.take({ slices: ours });
+  first.picking.open = { side: 'scan', kind: 'point', ends: [[1, 0, 0]] };
+  if (told) first.store.take({ event: 'project', id: 'B', name: 'B', by: 'x' });
+  first.store.take({ slices: others });
+  first.picking.forgetScan();
+  dispatchEvent(new Event('pagehide'));
+  const elsewhere = page();
+  elsewhere.store.take({ slices: others });
+  dispatchEvent(new Event('pagehide'));
+  const again = page();
+  again.store.take({ slices: late ? { ...ours, scan: null } : ours });
+  if (late) {
+    const before = again.picking.open;
+    dispatchEvent(new Event('pagehide'));
+    again.store.take({ slices: { scan: ours.scan } });
+    if (before) throw new Error('it was open without its scan');
+  }
+  return [elsewhere.picking.open, again.picking.open?.ends, sessionStorage.length];
+}"""
+
+
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("late", [True, False])
+def test_an_unfinished_match_waits_for_its_project(blank: Page, told: bool, late: bool) -> None:
+    """Also if slices of the other project arrive before the page has started afresh, or the scan after the project."""
+    assert blank.evaluate(KEPT, [told, late]) == [None, [[1, 0, 0]], 0]

@@ -154,7 +154,7 @@ export class Picking {
     return this.open && this.acceptable ? this.#paired(this.predicted) : null;
   }
 
-  /** Reopen the first side of a pair that was refused, in its own photograph. */
+  /** Open a first side again, in its own photograph: of a pair that was refused, or kept from an earlier page. */
   reopen(first, of) {
     if (of !== this.subject) this.waiting.set(of, this.waiting.get(of) ?? first);
     else if (this.idle) this.open = first;
@@ -214,15 +214,10 @@ export class Picking {
     return gone.length > 0;
   }
 
-  /** @returns {[string, Drawn][]} the open sides with their photographs, as `restore` takes them */
+  /** @returns {[string, Drawn][]} the open sides with their photographs, as `reopen` takes them one by one */
   kept() {
     const own = this.open && this.subject !== null ? [[this.subject, this.open]] : [];
     return [...own, ...this.waiting];
-  }
-
-  /** Take up open sides before the first photograph is shown. @param {[string, Drawn][]} kept */
-  restore(kept) {
-    this.waiting = new Map(kept);
   }
 
   /** @returns {Drawn[]} what is to be drawn as unfinished */

@@ -27,17 +27,35 @@ const write = (key, value) => {
  * @param {import("../net/store.js").Store} store
  */
 export const keepUnfinished = (picking, store) => {
+  const keyOf = (project) => `${KEY}:${project.id}`;
   let key = null;
-  const scanId = () => store.get("scan")?.id ?? null;
+  let scan = null; // what is drawn belongs to it, even while slices of another project arrive
+  let awaited = null;
+  let left = false;
+
+  const keep = () => {
+    const drawn = picking.kept();
+    if (key && !left && !awaited && drawn.length) write(key, { scan, drawn });
+  };
+  const leave = () => {
+    keep();
+    left = true;
+  };
+  store.onEvent("project", leave);
   store.on("project", (project) => {
-    if (key || !project) return; // the page belongs to its first project
-    key = `${KEY}:${project.id}`;
-    const kept = read(key);
-    if (kept && kept.scan === scanId()) picking.restore(kept.drawn);
+    if (!project) return;
+    if (!key) {
+      key = keyOf(project);
+      awaited = read(key);
+    } else if (keyOf(project) !== key) leave();
+  });
+  store.watch(["project", "scan"], () => {
+    scan = store.get("scan")?.id ?? null;
+    if (!key || left || !awaited) return;
+    if (awaited.scan && !scan) return; // the scan may still be being read
+    if (awaited.scan === scan) for (const [photo, first] of awaited.drawn) picking.reopen(first, photo);
+    awaited = null;
     write(key, null);
   });
-  addEventListener("pagehide", () => {
-    const drawn = picking.kept();
-    if (key && drawn.length) write(key, { scan: scanId(), drawn });
-  });
+  addEventListener("pagehide", keep);
 };
