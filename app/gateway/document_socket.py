@@ -8,7 +8,8 @@ import logging
 import re
 import threading
 from collections import defaultdict, deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -18,7 +19,7 @@ from ladarreg_core.errors import LadarregError
 
 from ..process_resources import return_memory_soon
 from .encoding import InvalidMessageError, SharedEncoder, decode_object, encode
-from .protocol import Client, Message, Visitor, Workbench
+from .protocol import URGENT, Client, Message, Visitor, Workbench
 
 log = logging.getLogger(__name__)
 MAX_MESSAGE_CHARACTERS = 1_000_000
@@ -30,6 +31,10 @@ _PROJECT_CHANGED = "project"
 _MAX_REASON_BYTES = 123
 """Longest reason that a websocket can be closed with."""
 _MAX_EVENTS = 200
+_MAX_WAITING = 32
+"""Commands of a page that wait for their turn; it is not read any further then."""
+_MAX_URGENT_CHARACTERS = 1000
+_URGENT_THREADS = 4
 _SECRET = re.compile(r"[A-Za-z0-9_-]{16,64}")
 _MAX_FIELD = 100
 _LATEST_ONLY = frozenset({"simplex", "hover", "cursor", "view"})
@@ -49,6 +54,8 @@ class DocumentSocket:
     def __init__(self, workbench: Workbench, clients: ClientRegistry) -> None:
         self._workbench, self._clients = workbench, clients
         self._encoder = SharedEncoder()
+        # Other requests, which may be slow, share a limited number of threads.
+        self._urgent = ThreadPoolExecutor(_URGENT_THREADS, thread_name_prefix="urgent command")
 
     async def serve(self, websocket: WebSocket) -> None:
         """Serve one page until it disconnects."""
@@ -95,14 +102,41 @@ class DocumentSocket:
             unsubscribe()
 
     async def _receive(self, websocket: WebSocket, client: Client, outbox: Outbox, replied: asyncio.Event) -> None:
+        waiting: asyncio.Queue[str | Awaitable[str] | None] = asyncio.Queue(_MAX_WAITING)
+        await _until_one_ends(
+            self._read(websocket, client, waiting), self._reply_in_order(client, waiting, outbox, replied)
+        )
+
+    async def _read(
+        self, websocket: WebSocket, client: Client, waiting: asyncio.Queue[str | Awaitable[str] | None]
+    ) -> None:
+        """Read commands; urgent ones are executed at once, and only their replies wait for their turn."""
         while (received := await websocket.receive())["type"] != "websocket.disconnect":
             text = received.get("text")
             if text is not None and len(text) > MAX_MESSAGE_CHARACTERS:
+                await waiting.join()
                 await websocket.close(_TOO_LONG, "a message of a page has at most 1 MB")
                 return
-            outbox.reply(await run_in_threadpool(self._answer, client, text))
-            await replied.wait()  # a page that sends commands without reading the replies is not read any further
+            if text is not None and _is_urgent(text):
+                loop = asyncio.get_running_loop()
+                await waiting.put(loop.run_in_executor(self._urgent, self._answer, client, text))
+            else:
+                await waiting.put(text)
+        await waiting.join()  # what a page sent before it was closed counts
+
+    async def _reply_in_order(
+        self, client: Client, waiting: asyncio.Queue[str | Awaitable[str] | None], outbox: Outbox,
+        replied: asyncio.Event,
+    ) -> None:  # fmt: skip
+        while True:
+            command = await waiting.get()
+            if command is None or isinstance(command, str):
+                outbox.reply(await run_in_threadpool(self._answer, client, command))
+            else:
+                outbox.reply(await asyncio.shield(command))
+            await replied.wait()  # of a page that sends commands without reading the replies, few wait
             replied.clear()
+            waiting.task_done()
 
     def _answer(self, client: Client, text: str | None) -> str:
         try:
@@ -229,6 +263,15 @@ class ClientRegistry:
         clients = self._clients.get(browser, [])
         named = (client for client in reversed(clients) if client.id == client_id)
         return next(named, clients[-1] if clients else None)
+
+
+def _is_urgent(text: str) -> bool:
+    if len(text) > _MAX_URGENT_CHARACTERS or not any(command in text for command in URGENT):
+        return False
+    try:
+        return decode_object(text).get("do") in URGENT
+    except InvalidMessageError:
+        return False
 
 
 def _visitor(websocket: WebSocket) -> Visitor:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+URGENT = frozenset({"acquire_stop"})
+"""Commands that wait neither for earlier ones of their page nor for a thread."""
 READ_ONLY = "This page is read-only: to change anything, open the workbench with the link that permits editing."
 """Refusal of everything but looking."""
 Message = dict[str, Any]

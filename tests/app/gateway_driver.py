@@ -52,6 +52,8 @@ class CountingWorkbench:
         self.number, self.version, self.joined, self.most = 0, 0, 0, 100
         self.listeners: list[Callable[[Message], None]] = []
         self.pages: list[Page] = []
+        self.done: list[str] = []
+        self.slow = threading.Event()
         self.taken: list[tuple[str, str, str | None, bytes, Page | None]] = []
 
     def slices(self, client: Page) -> dict[str, Any]:
@@ -89,6 +91,9 @@ class CountingWorkbench:
     def answer(self, client: Page, message: dict[str, Any]) -> dict[str, Any]:
         if message.get("do") == "fail":
             raise RuntimeError("a secret of the program")
+        if message.get("do") == "slow":
+            self.slow.wait(30)
+        self.done.append(str(message.get("do")))
         if message.get("do") == "set":
             with self.lock:
                 self.number, self.version = message["number"], self.version + 1

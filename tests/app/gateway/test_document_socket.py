@@ -116,6 +116,41 @@ def test_replies_keep_the_order_of_the_commands(run: Running) -> None:
         assert [reply(page)["reply"] for _ in range(200)] == list(range(200))
 
 
+def test_stopping_waits_for_no_command_and_no_thread_and_is_answered_in_its_turn(run: Running) -> None:
+    run.bench.done.clear()
+    run.bench.slow.clear()
+    pages = [run.socket() for _ in range(45)]  # more than the threads that other requests share
+    try:
+        for number, page in enumerate(pages):
+            page.send(json.dumps({"id": number, "do": "slow"}))
+        page = pages[0]
+        page.send('{"id": "look", "do": "look"}')
+        page.send('{"id": "stop", "do": "acquire_stop"}')
+        assert soon(lambda: "acquire_stop" in run.bench.done)
+        assert "slow" not in run.bench.done
+        assert "look" not in run.bench.done
+        run.bench.slow.set()
+        assert [reply(page)["reply"] for _ in range(3)] == [0, "look", "stop"]
+        assert run.bench.done.count("acquire_stop") == 1
+    finally:
+        run.bench.slow.set()
+        for page in pages:
+            page.close()
+    assert soon(lambda: not run.bench.pages)
+
+
+def test_only_the_command_itself_is_urgent(run: Running) -> None:
+    run.bench.done.clear()
+    run.bench.slow.clear()
+    with run.socket() as page:
+        page.send('{"id": 1, "do": "slow"}')
+        page.send('{"id": 2, "do": "set", "number": 5, "name": "acquire_stop"}')
+        page.send('{"id": 3, "do": "acquire_stop"}')
+        assert soon(lambda: run.bench.done == ["acquire_stop"])
+        run.bench.slow.set()
+        assert [reply(page)["reply"] for _ in range(3)] == [1, 2, 3]
+
+
 def test_ten_clients_see_one_state(run: Running) -> None:
     pages = [run.socket() for _ in range(10)]
     try:
