@@ -124,7 +124,7 @@ class _Watch:
 
     def see(self, event: RunEvent) -> None:
         """Show an event."""
-        from ladarreg_core.acquisition.runner import Ended, Paused, PieceKept, Resumed
+        from ladarreg_core.acquisition.runner import Ended, Paused, PieceKept, Repeated, Resumed
         from ladarreg_core.progress import Progress
 
         if isinstance(event, PieceKept):
@@ -134,6 +134,8 @@ class _Watch:
         elif isinstance(event, Paused) and event.fault:
             self.fault = event.reason
             threading.Thread(target=self._ask, daemon=True).start()
+        elif isinstance(event, Repeated):
+            print(f"\nladarreg: {one_line(event.reason)}", file=sys.stderr)
         elif isinstance(event, Resumed):
             self.fault = ""
         elif isinstance(event, Ended):

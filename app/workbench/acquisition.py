@@ -320,17 +320,20 @@ class Acquisition:
             )  # fmt: skip
 
     def _see(self, event: RunEvent) -> None:
-        from ladarreg_core.acquisition.runner import Moved, Paused, PieceKept, Resumed
+        from ladarreg_core.acquisition.runner import Moved, Paused, PieceKept, Repeated, Resumed
 
         if isinstance(event, Moved):
             self._at = event.at
         elif isinstance(event, PieceKept):
             self._progress.done, self._progress.seconds_left = event.done, event.seconds_left
+            self._said = ""
             if self._preview is not None:
                 self._preview.add(event.piece)
                 self._draw()
         elif isinstance(event, Paused):
             self._state, self._said = ("fault" if event.fault else "paused"), as_fields(event.reason)
+        elif isinstance(event, Repeated):
+            self._said = event.reason
         elif isinstance(event, Resumed):
             self._state, self._said = "running", ""
         self._publish()

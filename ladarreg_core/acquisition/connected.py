@@ -11,7 +11,7 @@ from ladarreg_core.acquisition.devices import FrameSource
 from ladarreg_core.acquisition.flir_unit import FlirUnit
 from ladarreg_core.acquisition.folder_source import FolderSource
 from ladarreg_core.acquisition.plan import CameraPlan, Plan, ScannerPlan, UnitPlan
-from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.acquisition.ports import GuardEndedError, Ports
 from ladarreg_core.acquisition.run_folder import RunWriter
 from ladarreg_core.acquisition.runner import EventReport, Run
 from ladarreg_core.acquisition.scip_scanner import ScipScanner
@@ -54,24 +54,43 @@ def connected(plan: Plan, *, guarded: bool = True) -> Iterator[Connected]:
     Raises:
         DeviceError: if one cannot be reached.
     """
-    with Ports(guarded=guarded) as ports, ExitStack() as stack:
-        unit = FlirUnit.connect(ports, plan.unit)
-        stack.callback(unit.close)
-        line_scanner = frames = None
-        if plan.scanner.kind == "scip2":
-            line_scanner = ScipScanner.connect(ports, plan.scanner)
-            stack.callback(line_scanner.close)
-        else:
-            frames = FolderSource(
-                watched_folder(plan.scanner.folder),
-                is_readable=_is_scan,
-                timeout_s=plan.scanner.timeout_s,
-                device="the scanner",
-            )  # fmt: skip
-        camera = None if plan.camera is None else _camera(plan.camera)
-        if camera is not None:
-            stack.callback(camera.close)
-        yield Connected(unit, line_scanner, frames, camera)
+    with ExitStack() as stack:
+        yield _connect(plan, stack, guarded=guarded)
+
+
+def _connect(plan: Plan, stack: ExitStack, *, guarded: bool) -> Connected:
+    """Return the devices, disconnected by `stack`; once more if this program hung for a moment meanwhile."""
+    for last in (False, False, True):
+        try:
+            with ExitStack() as attempt:
+                devices = _connect_once(plan, attempt, guarded=guarded)
+                stack.push(attempt.pop_all())
+                return devices
+        except GuardEndedError as error:
+            if last or not error.hung:
+                raise
+    raise AssertionError("the last attempt returns or raises")
+
+
+def _connect_once(plan: Plan, stack: ExitStack, *, guarded: bool) -> Connected:
+    ports = stack.enter_context(Ports(guarded=guarded))
+    unit = FlirUnit.connect(ports, plan.unit)
+    stack.callback(unit.close)
+    line_scanner = frames = None
+    if plan.scanner.kind == "scip2":
+        line_scanner = ScipScanner.connect(ports, plan.scanner)
+        stack.callback(line_scanner.close)
+    else:
+        frames = FolderSource(
+            watched_folder(plan.scanner.folder),
+            is_readable=_is_scan,
+            timeout_s=plan.scanner.timeout_s,
+            device="the scanner",
+        )  # fmt: skip
+    camera = None if plan.camera is None else _camera(plan.camera)
+    if camera is not None:
+        stack.callback(camera.close)
+    return Connected(unit, line_scanner, frames, camera)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,8 @@
 `python -m ladarreg_core.acquisition.guard` reads frames on its standard input and writes frames on its standard output:
 four bytes for the channel, four for the length, big-endian, and the content. Channel 0 carries JSON: from the program
 `{"open": channel, "address", "baud", "stop"}`, `{"close": channel}`, `{"beat": n}` and `{"end": true}`; from the guard
-`{"opened": channel}`, `{"refused": channel, "text"}`, `{"lost": channel, "text"}` and `{"ended": text}`. The other
-channels carry the bytes of the ports.
+`{"opened": channel}`, `{"refused": channel, "text"}`, `{"lost": channel, "text"}` and `{"ended": text, "hung": bool}`.
+The other channels carry the bytes of the ports.
 
 When its input ends, or no frame has come for a while, the guard sends each port its stop bytes, closes it, and ends.
 A port that hangs, while it is opened or written to, never holds up another one, nor the watch over the program.
@@ -116,7 +116,7 @@ class Guard:
             seen, last = frames, now
         self.stop()
         why = "it was told to end" if self.told_to_end else f"this program hung for more than {LONGEST_SILENCE_S:g} s"
-        telling = threading.Thread(target=self._tell, args=({"ended": why},), daemon=True)
+        telling = threading.Thread(target=self._tell, args=({"ended": why, "hung": not self.told_to_end},), daemon=True)
         telling.start()
         telling.join(_TELL_S)  # the program may have stopped reading
         os._exit(1)  # the main thread waits for a frame

@@ -142,15 +142,16 @@ class Link:
     ) -> bytes:
         if fresh:
             self._drain()
-        begun = time.monotonic()
+        begun, late = time.monotonic(), False
         if request:
             self._port.write(request)
         try:
             while not (end := complete(bytes(self._buffer)) if self._buffer else False):
-                left = begun + deadline_s - time.monotonic()
-                if left <= 0:
+                if late:
                     break
-                self._buffer += self._port.read(min(left, _SLICE_S))
+                left = begun + deadline_s - time.monotonic()
+                late = left <= 0  # the answer may have come while this computer was busy
+                self._buffer += self._port.read(min(max(left, 0.0), _SLICE_S))
                 if len(self._buffer) > _LONGEST_REPLY:
                     break
                 if check is not None:

@@ -20,11 +20,21 @@ from ladarreg_core.errors import DeviceError
 _BEAT_S = 0.1
 _OPEN_S = 10.0
 _END_S = 2.0
+_LAST_WORD_S = 0.2
 _KEPT_BYTES = 1 << 22
 
 
 class GuardEndedError(PortLostError):
-    """The guard has ended, and has stopped the devices: nothing may move on without being told to."""
+    """The guard has ended, and has stopped the devices: what was under way counts for nothing.
+
+    Args:
+        text: what happened.
+        hung: whether it did so because this program hung for a moment.
+    """
+
+    def __init__(self, text: str, *, hung: bool = False) -> None:
+        super().__init__(text)
+        self.hung = hung
 
 
 class Ports:
@@ -148,6 +158,7 @@ class GuardProcess:
             raise DeviceError(f"the process that is to hold the ports could not be started ({error})") from error
         self.gone: str | None = None
         """Why it has ended; None while it lives."""
+        self._hung = False
         self._changed = threading.Condition()
         self._received: dict[int, bytearray] = {}
         self._opened: dict[int, str | None] = {}
@@ -256,11 +267,12 @@ class GuardProcess:
         elif "lost" in message:
             self._lost.setdefault(message["lost"], str(message["text"]))
         elif "ended" in message:
+            self._hung = bool(message["hung"])
             self.gone = _GONE.format(why=f"has ended, because {message['ended']}")
 
     def _require_life(self) -> None:
         if self.gone is not None:
-            raise GuardEndedError(self.gone)
+            raise GuardEndedError(self.gone, hung=self._hung)
 
     def _require_open(self, channel: int) -> None:
         if channel in self._lost:
@@ -276,7 +288,10 @@ class GuardProcess:
             with self._writing:
                 write_frame(cast(BinaryIO, self._process.stdin), channel, content)
         except (OSError, ValueError) as error:
-            raise GuardEndedError(self.gone or _GONE.format(why="has ended unexpectedly")) from error
+            with self._changed:  # what it said last may still be on its way
+                self._changed.wait_for(lambda: self.gone is not None, _LAST_WORD_S)
+                said = self.gone or _GONE.format(why="has ended unexpectedly")
+                raise GuardEndedError(said, hung=self._hung) from error
 
 
 _GONE = (

@@ -16,6 +16,7 @@ from ladarreg_core.acquisition.continuous import measured_pass
 from ladarreg_core.acquisition.devices import FrameSource, LineScanner, PanTilt, PanTiltUnit
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Plan
+from ladarreg_core.acquisition.ports import GuardEndedError
 from ladarreg_core.acquisition.run_folder import PHOTOS, PIECES, Record, RunWriter, ScanPiece, write_sweep
 from ladarreg_core.acquisition.stops import Stop, forecast, require_possible, stops_of
 from ladarreg_core.errors import Cancelled, DeviceError, FormatError, OptionError
@@ -24,6 +25,7 @@ from ladarreg_core.formats.npz import write_npz_xyz
 
 _NAP_S = 0.02
 _AVERAGED = 0.3  # weight of the latest piece in the time that a piece takes
+_MOST_REPEATS = 6  # of a piece; each of two devices tells of the same hang
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +58,14 @@ class Paused:
 
 
 @dataclass(frozen=True, slots=True)
+class Repeated:
+    """A piece is begun again by itself: the devices were stopped because this program hung for a moment."""
+
+    index: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class Resumed:
     """The run goes on."""
 
@@ -70,8 +80,11 @@ class Ended:
     total: int
 
 
-RunEvent = Moved | PieceKept | Paused | Resumed | Ended
+RunEvent = Moved | PieceKept | Paused | Repeated | Resumed | Ended
 EventReport = Callable[[RunEvent], None]
+
+
+_HUNG = "this computer was too busy for a moment, and the devices were stopped; the piece is measured again"
 
 
 class Run:
@@ -113,7 +126,8 @@ class Run:
     def go(self) -> bool:
         """Measure all pieces that are missing; return whether all are there, or the run was stopped.
 
-        A device that fails pauses the run until `resume` or `stop`.
+        A device that fails pauses the run until `resume` or `stop`. Devices that were stopped because this program hung
+        for a moment have not failed: their piece is begun again, a few times.
 
         Raises:
             ExportError: if a piece cannot be written; the devices are at rest then, as after every other end.
@@ -144,6 +158,7 @@ class Run:
         self._rest()
 
     def _measure_until_kept(self, stop: Stop) -> None:
+        repeats = 0
         while True:
             if self._paused.is_set():
                 self._wait("paused", fault=False)
@@ -154,8 +169,13 @@ class Run:
                 if self._stopped.is_set():
                     raise Cancelled from None
                 self._rest()
+                if isinstance(error, GuardEndedError) and error.hung and repeats < _MOST_REPEATS:
+                    repeats += 1
+                    self._report(Repeated(stop.index, _HUNG))
+                    continue
                 self._paused.set()
                 self._wait(str(error), fault=True)
+                repeats = 0
                 continue
             taken = time.monotonic() - begun
             self._seconds_a_piece += _AVERAGED * (taken - self._seconds_a_piece)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import signal
@@ -22,7 +23,7 @@ from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan
 from ladarreg_core.acquisition.ports import Ports
 from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
-from ladarreg_core.acquisition.runner import Ended, Paused, PieceKept, Resumed, Run, RunEvent
+from ladarreg_core.acquisition.runner import Ended, Paused, PieceKept, Repeated, Resumed, Run, RunEvent
 from ladarreg_core.acquisition.scip_scanner import ScipScanner
 from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.twins.devices import TwinDevices
@@ -34,9 +35,9 @@ CHECKOUT = Path(__file__).resolve().parents[3]
 class Devices:
     """Connected drivers of the simulated devices."""
 
-    def __init__(self, twins: TwinDevices) -> None:
+    def __init__(self, twins: TwinDevices, *, guarded: bool = False) -> None:
         self.twins = twins
-        self.ports = Ports(guarded=False)
+        self.ports = Ports(guarded=guarded)
         at = twins.addresses
         self.unit_plan = UnitPlan(at["flir-ptu"], baud=115_200)
         self.scanner_plan = ScannerPlan("scip2", at["scip2"], lines=2)
@@ -144,6 +145,37 @@ def test_a_fault_pauses_and_a_resumed_run_is_the_same_bit_for_bit(devices: Devic
     assert pause.fault
     assert "checksum is wrong" in pause.reason
     assert any(isinstance(event, Resumed) for event in events)
+    assert same(pieces_of(tmp_path / "whole"), pieces_of(tmp_path / "run"))
+
+
+def hang(seconds: float) -> None:
+    """Hold the interpreter, so that no thread of this program runs."""
+    if sys.platform == "win32":
+        ctypes.PyDLL("kernel32").Sleep(round(1e3 * seconds))
+    else:
+        ctypes.PyDLL(None).usleep(round(1e6 * seconds))
+
+
+def test_a_program_that_hangs_for_a_moment_goes_on_by_itself(twins: TwinDevices, tmp_path: Path) -> None:
+    """The guard has stopped the devices meanwhile: the piece is measured again, whatever was under way."""
+    devices = Devices(twins, guarded=True)
+    try:
+        plan = devices.plan(pan=Axis(-2, 2, 2))
+        whole = RunWriter.begin(tmp_path / "whole", plan)
+        assert devices.run(whole, []).go()
+        whole.close()
+        events: list[RunEvent] = []
+
+        def hang_twice(event: RunEvent) -> None:
+            if isinstance(event, PieceKept) and event.done < 3:
+                hang(1.2)
+
+        folder = RunWriter.begin(tmp_path / "run", plan)
+        assert devices.run(folder, events, hang_twice).go()
+        folder.close()
+    finally:
+        devices.ports.close()
+    assert {event.index for event in events if isinstance(event, Repeated)} == {1, 2}
     assert same(pieces_of(tmp_path / "whole"), pieces_of(tmp_path / "run"))
 
 
