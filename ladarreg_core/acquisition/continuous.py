@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from contextlib import closing
 
 import numpy as np
 
@@ -44,12 +45,13 @@ def measured_pass(plan: Plan, stop: Stop, unit: PanTiltUnit, scanner: LineScanne
         reader.start()
         try:
             lines = []
-            for line in scanner.lines(count, check=check):
-                lines.append(line)
-                if reader.error is not None:
-                    raise reader.error
-                if reader.arrived(stop.to):
-                    break
+            with closing(scanner.lines(count, check=check)) as measured:
+                for line in measured:
+                    lines.append(line)
+                    if reader.error is not None:
+                        raise reader.error
+                    if reader.arrived(stop.to):
+                        break
         finally:
             reader.stop()
         if reader.error is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -112,7 +112,7 @@ class LineScanner(Protocol):
     def identity(self) -> LineScannerIdentity:
         """What it is."""
 
-    def lines(self, count: int, *, check: Check) -> Iterator[ScanLine]:
+    def lines(self, count: int, *, check: Check) -> Generator[ScanLine]:
         """Switch the laser on, measure a bounded number of lines, and switch it off, whatever happens."""
 
     def clock(self) -> ClockReading:

@@ -32,19 +32,31 @@ _OFFSET = 0x30
 _MOST_STEPS = 9999
 _NO_ECHO = 65_535  # values above are no distances, whatever the range of the scanner
 _LONGEST_REPLY = 1 << 17
+UNKNOWN = ("0C", "0D", "0E", "0F")
+"""Statuses of a command, or of a form of it, that the scanner does not know."""
 _STATUS = {
-    "01": "a start step that is no number",
-    "02": "an end step that is no number",
-    "03": "a cluster count that is no number",
-    "04": "an end step beyond its range",
-    "05": "an end step before the start step",
-    "06": "an interval that is no number",
-    "07": "a number of lines that is no number",
-    "0E": "a command that it does not know",
-    "10": "that its laser is off",
-    "21": "a fault of its own (21): switch it off and on",
-    "98": "that it resumes after a fault",
+    "0A": "saying that it could not make up an answer; switch it off and on",
+    "0B": "saying that its memory is full; switch it off and on",
+    **dict.fromkeys(UNKNOWN, "saying that it does not know this command; it is not supported"),
+    "10": "saying that its laser is off",
 }
+_STATUS_OF_LINES = {
+    "01": "saying that the start step is no number; check the cable",
+    "02": "saying that the end step is no number; check the cable",
+    "03": "saying that the cluster count is no number; check the cable",
+    "04": "saying that the end step is beyond its range; connect again",
+    "05": "saying that the end step comes before the start step; check the cable",
+    "06": "saying that the interval is no number; check the cable",
+    "07": "saying that the number of lines is no number; check the cable",
+}
+_STATUS_OF_CLOCK = {
+    "01": "saying that it does not know this form of the command; check the cable",
+    "02": "saying that its clock is being compared already; connect again",
+    "03": "saying that its clock is no longer being compared; connect again",
+    "04": "saying that its clock is not being compared; connect again",
+}
+SETTLING = (*(f"{number}" for number in range(21, 50)), "98")
+"""Statuses of a scanner that checks itself after a fault, or has just done so: it may be asked again."""
 _HARDWARE = range(50, 98)
 
 
@@ -158,15 +170,20 @@ def parse_fields(received: bytes, sent: bytes) -> Mapping[str, str]:
     """Return the fields of a reply to `VV`, `PP` or `II`, `NAME:VALUE;` with a checksum each.
 
     Raises:
-        ScipError: if the reply is wrong, or a checksum is.
+        ScipError: if the reply is wrong, a checksum is, or a field comes twice.
     """
     _, lines = parse_status(received, sent)
-    fields = {}
+    fields: dict[str, str] = {}
     for line in lines:
-        match = re.fullmatch(rb"([A-Z]{4}):([^;]*);(.)", line, re.DOTALL)
+        match = re.fullmatch(rb"([A-Z]{4}):([ -:<-~]*);(.)", line, re.DOTALL)
         if match is None or checksum(match.group(1) + b":" + match.group(2)) != match.group(3)[0]:
-            raise ScipError(f"the line scanner sent the field {_shown(line)}, whose checksum is wrong; check the cable")
-        fields[match.group(1).decode("ascii")] = match.group(2).decode("ascii", "replace").strip()
+            raise ScipError(
+                f"the line scanner sent {_shown(line)} where a field with its checksum is due; check the cable"
+            )
+        name = match.group(1).decode("ascii")
+        if name in fields:
+            raise ScipError(f"the line scanner sent the field {name} twice; check the cable")
+        fields[name] = match.group(2).decode("ascii").strip()
     return fields
 
 
@@ -231,10 +248,17 @@ def _status_of(lines: list[bytes], sent: bytes, allowed: tuple[str, ...]) -> str
     status = lines[0][:2].decode("ascii", "replace")
     if status in allowed:
         return status
-    reason = _STATUS.get(status, f"the status {status}")
+    raise ScipError(f"the line scanner answered {_shown(sent)} by {_reason(status, sent)}")
+
+
+def _reason(status: str, sent: bytes) -> str:
+    """Return what a status means; the low numbers depend on the command."""
+    if status in SETTLING:
+        return f"saying that it checks itself after a fault ({status}); wait, then switch it off and on if it goes on"
     if status.isdigit() and int(status) in _HARDWARE:
-        reason = f"a fault of its hardware ({status}): switch it off and on, and have it repaired if that does not help"
-    raise ScipError(f"the line scanner answered {_shown(sent)} by {reason}")
+        return f"a fault of its hardware ({status}): switch it off and on, and have it repaired if that does not help"
+    own = {b"G": _STATUS_OF_LINES, b"M": _STATUS_OF_LINES, b"T": _STATUS_OF_CLOCK}.get(sent[:1], {})
+    return own.get(status) or _STATUS.get(status) or f"the status {status}, which is not known; switch it off and on"
 
 
 def _clock(line: bytes) -> int:

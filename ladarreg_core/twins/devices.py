@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.scanner.grids import ScanGeometry
 from ladarreg_core.twins.flir_twin import COUNTS_PER_RAD, FlirTwin
 from ladarreg_core.twins.folder_twin import FRAME, FolderTwin, ScanFormat, camera_twin, scanner_twin
-from ladarreg_core.twins.scip_twin import UTM_30LX, ScipModel, ScipTwin
+from ladarreg_core.twins.scip_twin import UTM_30LX, ScipFailure, ScipModel, ScipTwin
 from ladarreg_core.twins.server import TwinServer
 from ladarreg_core.twins.world import Angles, Bench
 
@@ -148,9 +148,7 @@ class TwinDevices:
             self.unit.silent, self.unit.rubbish, self.unit.stuck = (kind == k for k in ("silent", "rubbish", "stuck"))
             if kind == "limit":
                 self.unit.hit_limit("P", now)
-        elif device == self.scanner.name and kind in (
-            "silent", "rubbish", "wrong checksum", "lost line", "truncated", "none",
-        ):  # fmt: skip
+        elif device == self.scanner.name and kind in (*get_args(ScipFailure), "none"):
             self.scanner.failure = None if kind == "none" else kind  # type: ignore[assignment]
         else:
             raise OptionError(f"the device {device} does not fail by {kind!r}")

@@ -17,7 +17,11 @@ from ladarreg_core.twins.twin import Outbox
 Measure = Callable[[NDArray[np.float64], NDArray[np.float64], int], tuple[NDArray[np.float32], NDArray[np.float32]]]
 """Given the angle (N,), rad, and the time (N,), s, of each ray, and the number of the line within its request: ranges
 (N,), m, NaN without a return, and intensities (N,)."""
-ScipFailure = Literal["silent", "rubbish", "wrong checksum", "lost line", "truncated"]
+ScipFailure = Literal[
+    "silent", "rubbish", "wrong checksum", "lost line", "truncated", "doubled line", "wrong echo", "wrong status",
+    "wrong stamp", "checks itself",
+]  # fmt: skip
+"""`wrong status` and `wrong stamp` have wrong contents under right checksums."""
 _THINKS_S = 0.001
 _SPIN_UP_S = 0.02
 
@@ -99,6 +103,13 @@ class ScipTwin:
     def _obey(self, command: bytes, now_s: float) -> None:
         name = command[:2]
         at_s = now_s + _THINKS_S
+        if self.failure == "checks itself" and name in (b"GD", b"GE", b"MD", b"ME"):
+            status = b"25" if self.fails_after_lines > 1 else b"98"
+            self.fails_after_lines -= 1
+            if self.fails_after_lines <= 0:
+                self.failure = None
+            self._answer(command, status, [], at_s)
+            return
         if name == b"QT" or name == b"RS":
             self._switch_off(now_s)
             self._answer(command, b"00", [], at_s)
@@ -179,7 +190,11 @@ class ScipTwin:
             return
         coded = (((values[:, None] >> np.array([12, 6, 0])) & 63) + 48).astype(np.uint8).tobytes()
         blocks = [coded[k : k + 64] for k in range(0, len(coded), 64)]
-        stamp = self._number(self.clock_ms(begun_s), 4)
+        clock = self.clock_ms(begun_s)
+        if fails and self.failure == "wrong stamp":
+            self.failure = None
+            clock ^= 1 << 10
+        stamp = self._number(clock, 4)
         lines = [stamp + self._sum(stamp), *(block + self._sum(block) for block in blocks)]
         if fails and self.failure == "wrong checksum":
             self.failure = None
@@ -189,7 +204,17 @@ class ScipTwin:
         if fails and self.failure == "truncated":
             self.failure = None
             lines = lines[: len(lines) // 2]
-        self._answer(echo, b"00" if echo[:1] == b"G" else b"99", lines, at_s + self.late_s)
+        status = b"00" if echo[:1] == b"G" else b"99"
+        if fails and self.failure == "doubled line":
+            self.failure = None
+            self._answer(echo, status, lines, at_s + self.late_s)
+        if fails and self.failure == "wrong echo":
+            self.failure = None
+            echo = echo[:5] + bytes([echo[5] ^ 1]) + echo[6:]
+        if fails and self.failure == "wrong status":
+            self.failure = None
+            status = b"00" if status == b"99" else b"10"
+        self._answer(echo, status, lines, at_s + self.late_s)
 
     def _answer(self, echo: bytes, status: bytes, lines: list[bytes], at_s: float) -> None:
         if self.failure == "silent" and self.fails_after_lines <= 0:

@@ -178,6 +178,10 @@ def test_the_clock_is_unwrapped_and_compared_with_the_hosts(bench: Bench) -> Non
         ("truncated", "where .* are due|incomplete"),
         ("silent", "no complete answer"),
         ("rubbish", "the line scanner"),
+        ("doubled line", "lines are missing"),
+        ("wrong echo", "answered .* to"),
+        ("wrong status", "laser is off|status"),
+        ("wrong stamp", "time stamp"),
     ],
 )
 def test_failures_are_noticed_and_the_laser_is_off(bench: Bench, failure: str, said: str) -> None:
@@ -189,6 +193,65 @@ def test_failures_are_noticed_and_the_laser_is_off(bench: Bench, failure: str, s
     assert bench.await_darkness()
     bench.twin.failure = None
     assert len(list(scanner.lines(2, check=goes_on))) == 2
+
+
+@pytest.mark.parametrize("off_ms", [-400, -(1 << 20), 500, 1 << 20])
+def test_a_stamp_that_is_not_between_request_and_arrival_is_refused(bench: Bench, off_ms: int) -> None:
+    """Also of the first line, which has none before it."""
+    scanner, right = bench.connect(), bench.twin.clock_ms
+    assert len(list(scanner.lines(1, check=goes_on))) == 1
+    asked = 0
+
+    def clock_ms(now_s: float) -> int:
+        nonlocal asked
+        asked += 1
+        return (right(now_s) + (off_ms if asked == 2 else 0)) % (1 << 24)  # the first time it is compared
+
+    bench.twin.clock_ms = clock_ms  # type: ignore[method-assign]
+    with pytest.raises(ScipError, match="after the line's arrival" if off_ms > 0 else "before the line's request"):
+        list(scanner.lines(3, check=goes_on))
+    assert len(list(scanner.lines(3, check=goes_on))) == 3  # a wrong stamp has spoilt nothing
+
+
+def test_a_scanner_that_checks_itself_is_asked_again(bench: Bench) -> None:
+    bench.twin.failure, bench.twin.fails_after_lines = "checks itself", 3
+    scanner = bench.connect()
+    assert scanner.identity.has_intensity
+    bench.twin.failure, bench.twin.fails_after_lines = "checks itself", 3
+    with pytest.raises(ScipError, match=r"checks itself after a fault \(25\); wait"):
+        list(scanner.lines(3, check=goes_on))
+    bench.twin.failure = None
+    assert len(list(scanner.lines(3, check=goes_on))) == 3
+
+
+@pytest.mark.parametrize("second", [False, True])
+def test_parameters_that_differ_or_come_twice_are_refused(bench: Bench, second: bool) -> None:
+    fields, asked = bench.twin._fields, 0
+
+    def other(name: bytes, now_s: float) -> list[tuple[str, str]]:
+        nonlocal asked
+        found = fields(name, now_s)
+        if name == b"PP":
+            asked += 1
+            if second:
+                return [*found, ("AMAX", "700")]
+            return [(key, "700" if key == "AMAX" and asked == 2 else value) for key, value in found]
+        return found
+
+    bench.twin._fields = other  # type: ignore[method-assign]
+    with pytest.raises(ScipError, match="AMAX twice" if second else "other parameters when it is asked again"):
+        bench.connect()
+
+
+def test_the_laser_is_off_if_only_the_last_command_fails(bench: Bench) -> None:
+    scanner = bench.connect()
+    lines = scanner.lines(2, check=goes_on)
+    next(lines)
+    next(lines)
+    bench.twin.failure, bench.twin.laser_on = "silent", True  # it has not obeyed
+    with pytest.raises(DeviceError, match="no complete answer"):
+        next(lines)
+    assert bench.await_darkness()
 
 
 def test_the_laser_is_off_after_a_cancel_a_break_and_a_call_from_elsewhere(bench: Bench) -> None:
