@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
-from contextlib import closing
 
 import numpy as np
 
@@ -19,6 +19,7 @@ _READ_EVERY_S = 0.03
 _SPARE_LINES = 20
 _LEAST_READINGS = 4
 _STILL_S = 0.3
+_CLOCKS_APART_S, _DRIFT = 0.1, 1e-3
 
 
 def measured_pass(plan: Plan, stop: Stop, unit: PanTiltUnit, scanner: LineScanner, *, check: Check) -> LineSweep:
@@ -45,8 +46,8 @@ def measured_pass(plan: Plan, stop: Stop, unit: PanTiltUnit, scanner: LineScanne
         reader.start()
         try:
             lines = []
-            with closing(scanner.lines(count, check=check)) as measured:
-                for line in measured:
+            with contextlib.closing(scanner.lines(count, check=check)) as coming:
+                for line in coming:
                     lines.append(line)
                     if reader.error is not None:
                         raise reader.error
@@ -59,6 +60,11 @@ def measured_pass(plan: Plan, stop: Stop, unit: PanTiltUnit, scanner: LineScanne
     finally:
         unit.set_speed(before)
     after = scanner.clock().host_minus_scanner_s
+    if abs(after - host_minus_scanner) > _CLOCKS_APART_S + _DRIFT * duration:
+        raise DeviceError(
+            f"the scanner's clock moved by {after - host_minus_scanner:+.2f} s against the computer's during a pass; "
+            "the scanner was connected anew: resume"
+        )
     times, pan, tilt = reader.readings()
     if len(times) < _LEAST_READINGS or not lines:
         raise DeviceError(

@@ -113,7 +113,10 @@ class LineScanner(Protocol):
         """What it is."""
 
     def lines(self, count: int, *, check: Check) -> Generator[ScanLine]:
-        """Switch the laser on, measure a bounded number of lines, and switch it off, whatever happens."""
+        """Switch the laser on, measure a bounded number of lines, and switch it off, whatever happens.
+
+        Who may not take all of them closes the generator, since the laser stays on until then.
+        """
 
     def clock(self) -> ClockReading:
         """Return how the scanner's clock relates to the host's."""

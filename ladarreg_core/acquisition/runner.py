@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
@@ -208,7 +209,8 @@ class Run:
 
     def _measure_lines(self, read: PanTilt) -> LineSweep:
         assert self._lines is not None
-        lines = list(self._lines.lines(self.plan.scanner.lines, check=self._check))
+        with contextlib.closing(self._lines.lines(self.plan.scanner.lines, check=self._check)) as coming:
+            lines = list(coming)
         ranges: NDArray[np.float32] = np.stack([line.ranges_m for line in lines])
         light = [line.intensity for line in lines if line.intensity is not None]
         return LineSweep(

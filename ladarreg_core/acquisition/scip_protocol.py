@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ladarreg_core.acquisition.scip_status import is_passing, status_in_words
 from ladarreg_core.errors import DeviceError, OptionError
 
 STOP = b"\nQT\n"
@@ -30,38 +31,20 @@ _BLOCK = 64
 _CHARACTERS = 3
 _OFFSET = 0x30
 _MOST_STEPS = 9999
-_NO_ECHO = 65_535  # values above are no distances, whatever the range of the scanner
+_LARGEST_MM = 65_535  # of scanners that do not measure beyond
+_MOST_DIGITS = 6
+_MM = 0.001
+_FIELDS = ("DMIN", "DMAX", "ARES", "AMIN", "AMAX", "AFRT", "SCAN")
+_SPEEDS = range(60, 12_001)  # turns a minute
 _LONGEST_REPLY = 1 << 17
-UNKNOWN = ("0C", "0D", "0E", "0F")
-"""Statuses of a command, or of a form of it, that the scanner does not know."""
-_STATUS = {
-    "0A": "saying that it could not make up an answer; switch it off and on",
-    "0B": "saying that its memory is full; switch it off and on",
-    **dict.fromkeys(UNKNOWN, "saying that it does not know this command; it is not supported"),
-    "10": "saying that its laser is off",
-}
-_STATUS_OF_LINES = {
-    "01": "saying that the start step is no number; check the cable",
-    "02": "saying that the end step is no number; check the cable",
-    "03": "saying that the cluster count is no number; check the cable",
-    "04": "saying that the end step is beyond its range; connect again",
-    "05": "saying that the end step comes before the start step; check the cable",
-    "06": "saying that the interval is no number; check the cable",
-    "07": "saying that the number of lines is no number; check the cable",
-}
-_STATUS_OF_CLOCK = {
-    "01": "saying that it does not know this form of the command; check the cable",
-    "02": "saying that its clock is being compared already; connect again",
-    "03": "saying that its clock is no longer being compared; connect again",
-    "04": "saying that its clock is not being compared; connect again",
-}
-SETTLING = (*(f"{number}" for number in range(21, 50)), "98")
-"""Statuses of a scanner that checks itself after a fault, or has just done so: it may be asked again."""
-_HARDWARE = range(50, 98)
 
 
 class ScipError(DeviceError):
     """A reply of the scanner that is an error, or that its protocol does not have."""
+
+
+class ScipNotReadyError(ScipError):
+    """The scanner does not measure yet: it verifies its laser or motor, and may be asked again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +90,56 @@ class RawLine:
     """Lines of the request that are still to come."""
 
 
+@dataclass(frozen=True, slots=True)
+class ScipParameters:
+    """What a scanner states about itself in answer to `PP`."""
+
+    least_mm: int
+    """Smaller values are error codes."""
+    most_mm: int
+    """Larger values say that there was no return."""
+    steps_a_turn: int
+    first_step: int
+    last_step: int
+    front_step: int
+    """The step that looks ahead."""
+    turns_a_minute: int
+
+    def ranges_m(self, distance_mm: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Return the ranges of a line, (N,) m, NaN where there was no return."""
+        ranges = (distance_mm * _MM).astype(np.float32)
+        ranges[(distance_mm < max(1, self.least_mm)) | (distance_mm > self.most_mm)] = np.nan
+        return ranges
+
+    @staticmethod
+    def of(fields: Mapping[str, str]) -> ScipParameters:
+        """Return the parameters that fields state.
+
+        Raises:
+            ScipError: if one is missing, or no scanner has such parameters.
+        """
+        missing = [name for name in _FIELDS if not re.fullmatch(rf"[0-9]{{1,{_MOST_DIGITS}}}", fields.get(name, ""))]
+        if missing:
+            raise ScipError(f"the line scanner does not state {', '.join(missing)} in numbers; it is not supported")
+        found = ScipParameters(*(int(fields[name]) for name in _FIELDS))
+        absurd = [
+            what
+            for wrong, what in (
+                (not 0 <= found.least_mm < found.most_mm < 1 << (6 * _CHARACTERS), ("DMIN", "DMAX")),
+                (not 2 <= found.steps_a_turn <= _MOST_STEPS + 1 or found.steps_a_turn % 2 == 1, ("ARES",)),
+                (not 0 <= found.first_step < found.last_step < found.steps_a_turn, ("AMIN", "AMAX", "ARES")),
+                (not found.first_step <= found.front_step <= found.last_step, ("AFRT", "AMIN", "AMAX")),
+                (found.turns_a_minute not in _SPEEDS, ("SCAN",)),
+            )
+            if wrong
+        ]
+        if absurd:
+            names = list(dict.fromkeys(name for group in absurd for name in group))
+            stated = ", ".join(f"{name} {fields[name]}" for name in names)
+            raise ScipError(f"the line scanner states {stated}, which no scanner has; check the cable")
+        return found
+
+
 def checksum(data: bytes) -> int:
     """Return the checksum of bytes, the code of one character."""
     return (sum(data) & 0x3F) + _OFFSET
@@ -139,7 +172,7 @@ def decoded(data: bytes, characters: int) -> NDArray[np.int32]:
 
 def reply_length(received: bytes) -> int:
     """Return the length of the complete reply at the start of the bytes received, 0 if it is incomplete."""
-    end = received.find(b"\n\n")
+    end = received.find(b"\n\n", len(received) - len(received.lstrip(b"\n")))
     if end < 0:
         return len(received) if len(received) > _LONGEST_REPLY else 0
     return end + 2
@@ -154,6 +187,7 @@ def parse_status(received: bytes, sent: bytes, *, allowed: tuple[str, ...] = ("0
         allowed: statuses that are no error.
 
     Raises:
+        ScipNotReadyError: if the scanner does not measure yet.
         ScipError: if it is no reply to the command, its checksum is wrong, or the scanner reports an error.
     """
     if not received.endswith(b"\n\n"):
@@ -170,19 +204,19 @@ def parse_fields(received: bytes, sent: bytes) -> Mapping[str, str]:
     """Return the fields of a reply to `VV`, `PP` or `II`, `NAME:VALUE;` with a checksum each.
 
     Raises:
-        ScipError: if the reply is wrong, a checksum is, or a field comes twice.
+        ScipError: if the reply is wrong, or a checksum is, or a name comes twice.
     """
     _, lines = parse_status(received, sent)
     fields: dict[str, str] = {}
     for line in lines:
         match = re.fullmatch(rb"([A-Z]{4}):([ -:<-~]*);(.)", line, re.DOTALL)
-        if match is None or checksum(match.group(1) + b":" + match.group(2)) != match.group(3)[0]:
+        if match is None or checksum(line[:-2]) != line[-1]:
             raise ScipError(
-                f"the line scanner sent {_shown(line)} where a field with its checksum is due; check the cable"
+                f"the line scanner sent {_shown(line)} where a field is due, or its checksum is wrong; check the cable"
             )
         name = match.group(1).decode("ascii")
         if name in fields:
-            raise ScipError(f"the line scanner sent the field {name} twice; check the cable")
+            raise ScipError(f"the line scanner sent the field {name} twice in one answer; check the cable")
         fields[name] = match.group(2).decode("ascii").strip()
     return fields
 
@@ -200,29 +234,34 @@ def parse_clock(received: bytes, sent: bytes) -> int:
 
 
 def is_acknowledgement(received: bytes, request: LineRequest) -> bool:
-    """Return whether a reply only acknowledges a request for several lines."""
-    return not request.single and len(received[:-2].split(b"\n")) == 2
+    """Return whether a reply to a request for several lines has a status only."""
+    return not request.single and received.strip(b"\n").count(b"\n") == 1
 
 
-def parse_line(received: bytes, request: LineRequest) -> RawLine:
+def parse_line(received: bytes, request: LineRequest, *, most_mm: int = _LARGEST_MM) -> RawLine:
     """Return the line of a reply.
 
     Args:
         received: a complete reply.
         request: what was requested.
+        most_mm: the scanner's largest distance; larger values up to 65,535 say that there was no return.
 
     Raises:
+        ScipNotReadyError: if the scanner has interrupted the request.
         ScipError: if anything about it is not as specified.
     """
-    sent, left = request.sent, 0
+    sent, left, only_status = request.sent, 0, is_acknowledgement(received, request)
     if not request.single:
         # The echo counts the lines that are left; everything before is that of the request.
         echo = received.lstrip(b"\n").split(b"\n", 1)[0]
         digits = echo[-2:].decode("ascii", "replace")
-        if not re.fullmatch("[0-9]{2}", digits) or int(digits) >= request.count:
+        if not re.fullmatch("[0-9]{2}", digits) or int(digits) >= request.count + only_status:
             raise ScipError(f"the line scanner sent a line with the echo {_shown(echo)}; check the cable")
         sent, left = sent[:-3] + echo[-2:] + b"\n", int(digits)
-    _, lines = parse_status(received, sent, allowed=("00",) if request.single else ("99",))
+    allowed = ("00",) if request.single or only_status else ("99",)
+    _, lines = parse_status(received, sent, allowed=allowed)
+    if only_status:
+        raise ScipError("the line scanner acknowledged a request where a line is due; check the cable")
     if not lines:
         raise ScipError("the line scanner sent a line without a time stamp; check the cable")
     time_ms = _clock(lines[0])
@@ -234,7 +273,7 @@ def parse_line(received: bytes, request: LineRequest) -> RawLine:
             "check the cable, and that no other program uses the port"
         )
     values = decoded(data, _CHARACTERS).reshape(-1, each)
-    if values[:, 0].max() > _NO_ECHO:
+    if values[:, 0].max() > max(_LARGEST_MM, most_mm):
         raise ScipError(f"the line scanner sent a distance of {values[:, 0].max()} mm, which it cannot measure")
     return RawLine(time_ms, values[:, 0], values[:, 1] if request.with_intensity else None, left)
 
@@ -248,17 +287,8 @@ def _status_of(lines: list[bytes], sent: bytes, allowed: tuple[str, ...]) -> str
     status = lines[0][:2].decode("ascii", "replace")
     if status in allowed:
         return status
-    raise ScipError(f"the line scanner answered {_shown(sent)} by {_reason(status, sent)}")
-
-
-def _reason(status: str, sent: bytes) -> str:
-    """Return what a status means; the low numbers depend on the command."""
-    if status in SETTLING:
-        return f"saying that it checks itself after a fault ({status}); wait, then switch it off and on if it goes on"
-    if status.isdigit() and int(status) in _HARDWARE:
-        return f"a fault of its hardware ({status}): switch it off and on, and have it repaired if that does not help"
-    own = {b"G": _STATUS_OF_LINES, b"M": _STATUS_OF_LINES, b"T": _STATUS_OF_CLOCK}.get(sent[:1], {})
-    return own.get(status) or _STATUS.get(status) or f"the status {status}, which is not known; switch it off and on"
+    kind = ScipNotReadyError if is_passing(status, sent) else ScipError
+    raise kind(f"the line scanner answered {_shown(sent)} by {status_in_words(status, sent)}")
 
 
 def _clock(line: bytes) -> int:

@@ -129,8 +129,7 @@ class TwinDevices:
         Args:
             device: its name.
             kind: `none` ends all failures; of devices with ports: unplugged, plugged, silent, rubbish; of the unit:
-                stuck, limit; of the line scanner: `wrong checksum`, `lost line`, `truncated`; of the next file in a
-                folder: `FileFailure`.
+                stuck, limit; of the line scanner: `ScipFailure`; of the next file in a folder: `FileFailure`.
 
         Raises:
             OptionError: if there is no such device or failure.

@@ -18,12 +18,21 @@ Measure = Callable[[NDArray[np.float64], NDArray[np.float64], int], tuple[NDArra
 """Given the angle (N,), rad, and the time (N,), s, of each ray, and the number of the line within its request: ranges
 (N,), m, NaN without a return, and intensities (N,)."""
 ScipFailure = Literal[
-    "silent", "rubbish", "wrong checksum", "lost line", "truncated", "doubled line", "wrong echo", "wrong status",
-    "wrong stamp", "checks itself",
+    "silent", "rubbish", "wrong checksum", "lost line", "truncated", "doubled line", "wrong echo", "endless",
+    "wrong status", "stamp checksum", "wrong stamp", "checks itself", "interrupted", "parameters",
 ]  # fmt: skip
-"""`wrong status` and `wrong stamp` have wrong contents under right checksums."""
+"""What the twin does wrong on request; once, but for `silent` and `rubbish`.
+
+`wrong echo`: a line for other steps; `endless`: a request acknowledged as one without end; `wrong status`: a line with
+a damaged status; `stamp checksum`: with a damaged time stamp; `wrong stamp`: one off by `stamp_off_ms` under a right
+checksum; `checks itself`: `fails_after_lines` requests answered by 25, the last by 98; `interrupted`: a request ended
+early by status 21; `parameters`: another DMAX in one answer.
+"""
 _THINKS_S = 0.001
 _SPIN_UP_S = 0.02
+_MOST_CODED = {b"S": (1 << 12) - 1, b"D": (1 << 18) - 1, b"E": (1 << 18) - 1}
+_UNKNOWN = b"0E"
+_ENDLESS = 1000  # lines, of a request without a number
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +48,7 @@ class ScipModel:
     front: int
     turns_a_minute: int
     has_intensity: bool
+    tells_time: bool = True
 
     @property
     def period_s(self) -> float:
@@ -68,10 +78,13 @@ class ScipTwin:
         self.laser_off_at_s: float | None = None
         self.failure: ScipFailure | None = None
         self.fails_after_lines = 0
+        self.stamp_off_ms = 300
+        self.asked_without_end = False
+        """Whether lines were ever requested without a number."""
         self.late_s = 0.0
         self._measure = measure
         self._outbox = Outbox(baud)
-        self._received = b""
+        self._received = self._requested = b""
         self._rng = np.random.default_rng(seed)
         self._clock_start_ms = float(self._rng.integers(0, 1 << 24))
         self._drift = 1 + float(self._rng.uniform(-50e-6, 50e-6))
@@ -103,31 +116,32 @@ class ScipTwin:
     def _obey(self, command: bytes, now_s: float) -> None:
         name = command[:2]
         at_s = now_s + _THINKS_S
-        if self.failure == "checks itself" and name in (b"GD", b"GE", b"MD", b"ME"):
-            status = b"25" if self.fails_after_lines > 1 else b"98"
-            self.fails_after_lines -= 1
-            if self.fails_after_lines <= 0:
-                self.failure = None
-            self._answer(command, status, [], at_s)
-            return
-        if name == b"QT" or name == b"RS":
+        if name in (b"QT", b"RS"):
             self._switch_off(now_s)
+            if name == b"RS":
+                self._clock_start_ms, self._adjusting = -now_s * 1000 * self._drift, False
             self._answer(command, b"00", [], at_s)
         elif name == b"BM":
             status = b"02" if self.laser_on else b"00"
             self._switch_on(now_s)
             self._answer(command, status, [], at_s)
         elif name in (b"VV", b"PP", b"II"):
-            self._answer(command, b"00", [self._field(*field) for field in self._fields(name, now_s)], at_s)
-        elif name == b"TM" and command[2:3] in (b"0", b"1", b"2"):
+            fields = dict(self._fields(name, now_s))
+            if name == b"PP" and self._fails("parameters"):
+                fields["DMAX"] = str(self.model.most_mm - 1000)
+            self._answer(command, b"00", [self._field(*field) for field in fields.items()], at_s)
+        elif name == b"TM" and self.model.tells_time and command[2:3] in (b"0", b"1", b"2"):
             self._clock_command(command, at_s)
-        elif name in (b"GD", b"GE", b"MD", b"ME") and (self.model.has_intensity or name[1:] != b"E"):
+        elif name[:1] in (b"G", b"M") and name[1:] in _MOST_CODED and (self.model.has_intensity or name[1:] != b"E"):
             self._lines_command(command, at_s)
         else:
-            self._answer(command, b"0E", [], at_s)
+            self._answer(command, _UNKNOWN, [], at_s)
 
     def _clock_command(self, command: bytes, at_s: float) -> None:
         wanted = command[2:3]
+        if wanted == b"1" and not self._adjusting:
+            self._answer(command, b"04", [], at_s)
+            return
         if wanted == b"1":
             stamp = self._number(self.clock_ms(at_s), 4)
             self._answer(command, b"00", [stamp + self._sum(stamp)], at_s)
@@ -147,6 +161,13 @@ class ScipTwin:
         if last > self.model.last or first > last:
             self._answer(command, b"04" if last > self.model.last else b"05", [], at_s)
             return
+        if self.failure == "checks itself":
+            status = b"25" if self.fails_after_lines > 1 and not single else b"98"
+            self.fails_after_lines -= 1
+            if self.fails_after_lines <= 0:
+                self.failure = None
+            self._answer(command, status, [], at_s)
+            return
         if single and not self.laser_on:
             self._answer(command, b"10", [], at_s)
             return
@@ -154,10 +175,12 @@ class ScipTwin:
             self._schedule(command, first, last, 0, self._next_turn(at_s))
             return
         count, skipped = int(body[11:13]), int(body[10:11])
+        self.asked_without_end |= count == 0
+        self._requested = command
         self._switch_on(at_s)
-        self._answer(command, b"00", [], at_s)
+        self._answer(command[:13] + b"00" if self._fails("endless") else command, b"00", [], at_s)
         begun = self._next_turn(max(at_s, self._spun_up_s))
-        for number in range(count):  # a count of 0 would be endless; nothing here asks for that
+        for number in range(count or _ENDLESS):
             echo = command[:13] + f"{count - 1 - number:02d}".encode() + command[15:]
             self._schedule(echo, first, last, number, begun + number * (skipped + 1) * self.model.period_s)
 
@@ -174,8 +197,9 @@ class ScipTwin:
             ranges, light = self._measure(angles, times, number)
             mm = np.rint(np.nan_to_num(ranges, nan=0.0) * 1000).astype(np.int64)
             mm = np.where((mm < model.least_mm) | (mm > model.most_mm), 1, mm)  # 1: no echo
+            mm = np.minimum(mm, _MOST_CODED[echo[1:2]])
             values = [mm, np.clip(np.rint(light), 0, (1 << 18) - 1).astype(np.int64)] if echo[1:2] == b"E" else [mm]
-            self._send_line(echo, np.stack(values, axis=-1).ravel(), float(times[0]), at_s)
+            self._send_line(echo, np.stack(values, axis=-1).ravel(), turn_s, at_s)
             if echo[:1] == b"M" and echo[13:15] == b"00":
                 self._switch_off(at_s)
 
@@ -183,43 +207,53 @@ class ScipTwin:
         self._jobs.sort(key=lambda job: job[0])
 
     def _send_line(self, echo: bytes, values: NDArray[np.int64], begun_s: float, at_s: float) -> None:
-        fails = self.failure is not None and self.fails_after_lines <= 0
-        self.fails_after_lines -= 1
-        if fails and self.failure == "lost line":
-            self.failure = None
+        at_s += self.late_s
+        if self._fails("lost line"):
+            self.fails_after_lines -= 1
             return
-        coded = (((values[:, None] >> np.array([12, 6, 0])) & 63) + 48).astype(np.uint8).tobytes()
+        if self._fails("interrupted"):
+            self._jobs.clear()
+            self._answer(echo[:13] + self._requested[13:15], b"21", [], at_s)
+            return
+        shifts = np.array([6, 0] if echo[1:2] == b"S" else [12, 6, 0])
+        coded = (((values[:, None] >> shifts) & 63) + 48).astype(np.uint8).tobytes()
         blocks = [coded[k : k + 64] for k in range(0, len(coded), 64)]
-        clock = self.clock_ms(begun_s)
-        if fails and self.failure == "wrong stamp":
-            self.failure = None
-            clock ^= 1 << 10
-        stamp = self._number(clock, 4)
+        off_ms = self.stamp_off_ms if self._fails("wrong stamp") else 0
+        stamp = self._number((self.clock_ms(begun_s) + off_ms) % (1 << 24), 4)
         lines = [stamp + self._sum(stamp), *(block + self._sum(block) for block in blocks)]
-        if fails and self.failure == "wrong checksum":
-            self.failure = None
-            spoilt = bytearray(lines[len(lines) // 2])
-            spoilt[3] ^= 1
-            lines[len(lines) // 2] = bytes(spoilt)
-        if fails and self.failure == "truncated":
-            self.failure = None
+        if self._fails("wrong checksum"):
+            lines[len(lines) // 2] = self._spoilt(lines[len(lines) // 2])
+        if self._fails("stamp checksum"):
+            lines[0] = self._spoilt(lines[0])
+        if self._fails("truncated"):
             lines = lines[: len(lines) // 2]
-        status = b"00" if echo[:1] == b"G" else b"99"
-        if fails and self.failure == "doubled line":
-            self.failure = None
-            self._answer(echo, status, lines, at_s + self.late_s)
-        if fails and self.failure == "wrong echo":
-            self.failure = None
+        if self._fails("wrong echo"):
             echo = echo[:5] + bytes([echo[5] ^ 1]) + echo[6:]
-        if fails and self.failure == "wrong status":
-            self.failure = None
-            status = b"00" if status == b"99" else b"10"
-        self._answer(echo, status, lines, at_s + self.late_s)
+        status = b"00" if echo[:1] == b"G" else b"99"
+        if self._fails("wrong status"):
+            status = b"98"
+        twice = self._fails("doubled line")
+        self.fails_after_lines -= 1
+        for _ in range(1 + twice):
+            self._answer(echo, status, lines, at_s, sum_of=b"00" if status == b"98" else None)
 
-    def _answer(self, echo: bytes, status: bytes, lines: list[bytes], at_s: float) -> None:
+    def _fails(self, failure: ScipFailure) -> bool:
+        """Return whether this failure is due, which it then is no more."""
+        due = self.failure == failure and self.fails_after_lines <= 0
+        if due:
+            self.failure = None
+        return due
+
+    @staticmethod
+    def _spoilt(line: bytes) -> bytes:
+        return line[:3] + bytes([line[3] ^ 1]) + line[4:]
+
+    def _answer(
+        self, echo: bytes, status: bytes, lines: list[bytes], at_s: float, *, sum_of: bytes | None = None
+    ) -> None:
         if self.failure == "silent" and self.fails_after_lines <= 0:
             return
-        data = b"".join(line + b"\n" for line in [echo, status + self._sum(status), *lines]) + b"\n"
+        data = b"".join(line + b"\n" for line in [echo, status + self._sum(sum_of or status), *lines]) + b"\n"
         if self.failure == "rubbish" and self.fails_after_lines <= 0:
             data = self._rng.integers(0, 256, len(data)).astype(np.uint8).tobytes()
         self._outbox.send(data, at_s)

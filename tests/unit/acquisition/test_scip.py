@@ -6,6 +6,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,9 +15,13 @@ from hypothesis import strategies as st
 
 from ladarreg_core.acquisition.plan import ScannerPlan
 from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.acquisition.scip_clock import ClockSample, LineTimes, ScannerClock
 from ladarreg_core.acquisition.scip_protocol import (
+    CLOCK_MS,
     LineRequest,
     ScipError,
+    ScipNotReadyError,
+    ScipParameters,
     checksum,
     decoded,
     encoded,
@@ -27,7 +32,7 @@ from ladarreg_core.acquisition.scip_protocol import (
 )
 from ladarreg_core.acquisition.scip_scanner import ScipScanner
 from ladarreg_core.errors import Cancelled, DeviceError, OptionError
-from ladarreg_core.twins.scip_twin import URG_04LX, UTM_30LX, ScipModel, ScipTwin
+from ladarreg_core.twins.scip_twin import URG_04LX, UTM_30LX, ScipFailure, ScipModel, ScipTwin
 from ladarreg_core.twins.server import TwinServer
 
 
@@ -97,13 +102,163 @@ def test_every_single_corrupted_byte_is_noticed_unless_nothing_could_tell() -> N
             parse_line(whole[:cut], request)
 
 
-def test_statuses_are_sentences() -> None:
-    for status, said in ((b"10", "laser is off"), (b"0E", "does not know"), (b"60", "fault of its hardware")):
-        reply = b"BM\n" + status + bytes([checksum(status)]) + b"\n\n"
+@pytest.mark.parametrize(
+    ("sent", "status", "said"),
+    [
+        (b"GE0000001001\n", b"10", "laser is off"),
+        (b"GE0000001001\n", b"01", "a start step that is no number"),
+        (b"BM\n", b"01", "its laser does not work"),
+        (b"BM\n", b"02", "on already"),
+        (b"TM1\n", b"04", "clock is not being compared"),
+        (b"QT\n", b"01", "the status 01, which the protocol does not have for this command"),
+        (b"ME0000001001001\n", b"07", "a number of lines that is no number"),
+        (b"GE0000001001\n", b"07", "does not have for this command"),
+        (b"BM\n", b"0E", "does not know the command"),
+        (b"BM\n", b"0I", "firmware is being updated"),
+        (b"BM\n", b"60", "fault of its hardware"),
+        (b"QT\n", b"30", "fault of its own"),
+    ],
+)
+def test_what_a_status_says_depends_on_the_command(sent: bytes, status: bytes, said: str) -> None:
+    reply = sent + status + bytes([checksum(status)]) + b"\n\n"
+    with pytest.raises(ScipError, match=said) as refused:
+        parse_status(reply, sent)
+    assert not isinstance(refused.value, ScipNotReadyError)
+
+
+def test_a_scanner_that_verifies_itself_is_not_broken() -> None:
+    for sent, status in ((b"ME0000001001001\n", b"21"), (b"ME0000001001001\n", b"98"), (b"GD0000001001\n", b"98")):
+        with pytest.raises(ScipNotReadyError, match="does not measure yet"):
+            parse_status(sent + status + bytes([checksum(status)]) + b"\n\n", sent)
+
+
+def test_lines_are_never_requested_without_end_nor_acknowledged_so() -> None:
+    for count in (0, 100, -1):
+        with pytest.raises(OptionError, match="1 to 99"):
+            LineRequest(0, 10, count=count, single=False)
+    request = LineRequest(0, 10, count=7, single=False)
+    for echo in (request.sent, request.sent.replace(b"07\n", b"00\n")):
+        reply = echo + b"00" + bytes([checksum(b"00")]) + b"\n\n"
+        if echo == request.sent:
+            assert parse_status(reply, request.sent) == ("00", [])
+        else:
+            with pytest.raises(ScipError, match="answered"):
+                parse_status(reply, request.sent)
+    assert all(LineRequest(0, 10, count=n, single=False).sent[-3:-1] == f"{n:02d}".encode() for n in range(1, 100))
+
+
+def fields_reply(*fields: bytes, sent: bytes = b"PP\n") -> bytes:
+    return sent + b"00P\n" + b"".join(each + b";" + bytes([checksum(each)]) + b"\n" for each in fields) + b"\n"
+
+
+def test_fields() -> None:
+    # As real scanners state them, with their own checksums.
+    real = b"PP\n00P\nMODL:URG-04LX(Hokuyo Automatic Co.,Ltd.);N\nDMIN:20;4\nDMAX:5600;_\nARES:1024;\\\nAMIN:44;7\n"
+    real += b"AMAX:725;o\nAFRT:384;6\nSCAN:600;e\n\n"
+    assert ScipParameters.of(parse_fields(real, b"PP\n")) == ScipParameters(20, 5600, 1024, 44, 725, 384, 600)
+    assert parse_fields(fields_reply(b"DMIN: 20"), b"PP\n") == {"DMIN": "20"}
+    for fields, said in (
+        ((b"DMIN:20", b"DMIN:30"), "the field DMIN twice in one answer"),
+        ((b"DMIN:2\xb2",), "where a field is due"),
+        ((b"DMIN:2\x00",), "where a field is due"),
+        ((b"DMI:20",), "where a field is due"),
+    ):
         with pytest.raises(ScipError, match=said):
-            parse_status(reply, b"BM\n")
-    with pytest.raises(OptionError, match="1 to 99"):
-        LineRequest(0, 10, count=0, single=False)
+            parse_fields(fields_reply(*fields), b"PP\n")
+    with pytest.raises(ScipError, match="checksum"):
+        parse_fields(fields_reply(b"DMIN:20").replace(b"20", b"21"), b"PP\n")
+
+
+GOOD = {"DMIN": "23", "DMAX": "60000", "ARES": "1440", "AMIN": "0", "AMAX": "1080", "AFRT": "540", "SCAN": "2400"}
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"AFRT": "1081"}, "AFRT 1081, AMIN 0, AMAX 1080, which no scanner has"),
+        ({"AMIN": "600"}, "AFRT 540, AMIN 600, AMAX 1080"),
+        ({"DMAX": "0"}, "DMIN 23, DMAX 0"),
+        ({"DMAX": "300000"}, "DMAX 300000"),
+        ({"ARES": "1439"}, "ARES 1439"),
+        ({"ARES": "0"}, "ARES 0"),
+        ({"AMAX": "1440"}, "AMAX 1440, ARES 1440"),
+        ({"AMAX": "0", "AFRT": "0"}, "AMIN 0, AMAX 0"),
+        ({"SCAN": "0"}, "SCAN 0"),
+        ({"SCAN": "24000"}, "SCAN 24000"),
+        ({"SCAN": "9" * 5000}, "does not state SCAN in numbers"),
+        ({"DMIN": "\u0663"}, "does not state DMIN in numbers"),
+        ({"DMIN": "-5"}, "does not state DMIN in numbers"),
+    ],
+)
+def test_absurd_parameters_are_refused_in_a_sentence(changed: dict[str, str], said: str) -> None:
+    assert ScipParameters.of(GOOD).most_mm == 60_000
+    with pytest.raises(ScipError, match=said):
+        ScipParameters.of(GOOD | changed)
+
+
+class TestClock:
+    """Comparing clocks and the times of lines, without any device."""
+
+    @staticmethod
+    def compared(offset_ms: float, *, at_s: float = 100.0) -> ScannerClock:
+        clock = ScannerClock()
+        clock.compare([ClockSample(at_s, at_s + 0.002, int(offset_ms + (at_s + 0.001) * 1000) % CLOCK_MS)])
+        return clock
+
+    @staticmethod
+    def times(clock: ScannerClock) -> LineTimes:
+        return LineTimes(clock, period_s=0.025, last_ray_s=0.019, asked_s=101.0)
+
+    @given(st.integers(0, CLOCK_MS - 1), st.floats(0, 0.5))
+    def test_lines_in_step_are_accepted_wherever_the_clock_wraps(self, offset_ms: int, waited_s: float) -> None:
+        times = self.times(self.compared(offset_ms))
+        found = []
+        for k in range(30):
+            begun = 101.0 + waited_s + k * 0.025
+            stamp = int(offset_ms + begun * 1000) % CLOCK_MS
+            found.append(times.accept(stamp, arrived_s=begun + 0.03 + (0.4 if k % 7 == 0 else 0)))
+        np.testing.assert_allclose(np.diff(found), 0.025, atol=0.0011)
+
+    @pytest.mark.parametrize("off_ms", [-300, -60, -8, 8, 60, 300, 1 << 20])
+    def test_a_stamp_that_is_off_is_refused_and_poisons_nothing(self, off_ms: int) -> None:
+        clock = self.compared(5000)
+        first = self.times(clock)
+        if abs(off_ms) > 20:  # the first line has no line before it, but the clock of the host
+            with pytest.raises(ScipError, match=r"before it was asked for|after it arrived"):
+                first.accept((5000 + 101_010 + off_ms) % CLOCK_MS, arrived_s=101.04)
+        times = self.times(clock)
+        times.accept(5000 + 101_010, arrived_s=101.04)
+        with pytest.raises(ScipError, match=r"before it was|after it|ms apart"):
+            times.accept((5000 + 101_035 + off_ms) % CLOCK_MS, arrived_s=101.065)
+        again = self.times(clock)
+        assert again.accept(5000 + 101_035, arrived_s=101.065) == pytest.approx(106.035)
+
+    def test_turns_that_are_left_out_are_whole(self) -> None:
+        times = self.times(self.compared(0))
+        times.accept(101_010, arrived_s=101.04)
+        assert times.accept(101_085, arrived_s=101.12) == pytest.approx(101.085)
+        with pytest.raises(ScipError, match="38 ms apart"):
+            times.accept(101_123, arrived_s=101.16)
+
+    def test_steps_that_are_each_a_little_long_are_noticed(self) -> None:
+        times = self.times(self.compared(0))
+
+        def measure() -> None:
+            for k in range(60):
+                times.accept(101_010 + 27 * k, arrived_s=101.1 + 0.027 * k)
+
+        with pytest.raises(ScipError, match="ms apart"):
+            measure()
+
+    def test_clocks_that_contradict_each_other(self) -> None:
+        clock = self.compared(0)
+        with pytest.raises(ScipError, match=r"differs by 0.50 s between two readings"):
+            clock.compare([ClockSample(101, 101.002, 101_001), ClockSample(101.1, 101.103, 101_601)])
+        clock = self.compared(0)
+        with pytest.raises(ScipError, match="switched off and on"):
+            clock.compare([ClockSample(160, 160.002, 17)])
+        assert not clock.is_fresh(160, for_s=60)
+        assert clock.compare([ClockSample(161, 161.002, 1017)]).host_minus_scanner_s == pytest.approx(159.984)
 
 
 class Bench:
@@ -178,10 +333,6 @@ def test_the_clock_is_unwrapped_and_compared_with_the_hosts(bench: Bench) -> Non
         ("truncated", "where .* are due|incomplete"),
         ("silent", "no complete answer"),
         ("rubbish", "the line scanner"),
-        ("doubled line", "lines are missing"),
-        ("wrong echo", "answered .* to"),
-        ("wrong status", "laser is off|status"),
-        ("wrong stamp", "time stamp"),
     ],
 )
 def test_failures_are_noticed_and_the_laser_is_off(bench: Bench, failure: str, said: str) -> None:
@@ -195,63 +346,105 @@ def test_failures_are_noticed_and_the_laser_is_off(bench: Bench, failure: str, s
     assert len(list(scanner.lines(2, check=goes_on))) == 2
 
 
-@pytest.mark.parametrize("off_ms", [-400, -(1 << 20), 500, 1 << 20])
-def test_a_stamp_that_is_not_between_request_and_arrival_is_refused(bench: Bench, off_ms: int) -> None:
-    """Also of the first line, which has none before it."""
-    scanner, right = bench.connect(), bench.twin.clock_ms
+def test_lines_that_only_other_checks_find_wrong_are_refused(bench: Bench) -> None:
+    scanner = bench.connect()
+    failures: dict[ScipFailure, str] = {
+        "doubled line": "sent a line twice",
+        "wrong echo": "answered",
+        "endless": "answered|acknowledge",
+        "wrong status": "status .* is not one",
+        "stamp checksum": "checksum of the line scanner's time stamp",
+        "wrong stamp": "after it arrived|ms apart",
+    }
+    for failure, said in failures.items():
+        bench.twin.failure = failure
+        bench.twin.fails_after_lines = 0 if failure == "endless" else 1
+        with pytest.raises(DeviceError, match=said):
+            list(scanner.lines(3, check=goes_on))
+        assert bench.await_darkness()
+        assert bench.twin.failure is None, "it did fail"
+    assert len(list(scanner.lines(2, check=goes_on))) == 2
+    assert not bench.twin.asked_without_end
+
+
+def test_the_stamp_of_the_only_line_is_checked(bench: Bench) -> None:
+    scanner = bench.connect()
+    for off_ms, said in ((-20_000, "before it was asked for"), (20_000, "after it arrived")):
+        bench.twin.failure, bench.twin.stamp_off_ms = "wrong stamp", off_ms
+        with pytest.raises(DeviceError, match=said):
+            list(scanner.lines(1, check=goes_on))
+        assert bench.await_darkness()
     assert len(list(scanner.lines(1, check=goes_on))) == 1
-    asked = 0
-
-    def clock_ms(now_s: float) -> int:
-        nonlocal asked
-        asked += 1
-        return (right(now_s) + (off_ms if asked == 2 else 0)) % (1 << 24)  # the first time it is compared
-
-    bench.twin.clock_ms = clock_ms  # type: ignore[method-assign]
-    with pytest.raises(ScipError, match="after the line's arrival" if off_ms > 0 else "before the line's request"):
-        list(scanner.lines(3, check=goes_on))
-    assert len(list(scanner.lines(3, check=goes_on))) == 3  # a wrong stamp has spoilt nothing
 
 
-def test_a_scanner_that_checks_itself_is_asked_again(bench: Bench) -> None:
-    bench.twin.failure, bench.twin.fails_after_lines = "checks itself", 3
+def test_a_scanner_that_is_not_ready_is_asked_again(bench: Bench) -> None:
+    bench.twin.failure, bench.twin.fails_after_lines = "checks itself", 1
     scanner = bench.connect()
     assert scanner.identity.has_intensity
-    bench.twin.failure, bench.twin.fails_after_lines = "checks itself", 3
-    with pytest.raises(ScipError, match=r"checks itself after a fault \(25\); wait"):
-        list(scanner.lines(3, check=goes_on))
-    bench.twin.failure = None
-    assert len(list(scanner.lines(3, check=goes_on))) == 3
+    bench.twin.failure, bench.twin.fails_after_lines = "checks itself", 2
+    assert len(list(scanner.lines(1, check=goes_on))) == 1
+    bench.twin.failure, bench.twin.fails_after_lines = "interrupted", 2
+    lines = list(scanner.lines(5, check=goes_on))
+    assert len(lines) == 5
+    assert (np.diff([line.time_s for line in lines]) > 0).all()
+    assert bench.await_darkness()
 
 
-@pytest.mark.parametrize("second", [False, True])
-def test_parameters_that_differ_or_come_twice_are_refused(bench: Bench, second: bool) -> None:
-    fields, asked = bench.twin._fields, 0
-
-    def other(name: bytes, now_s: float) -> list[tuple[str, str]]:
-        nonlocal asked
-        found = fields(name, now_s)
-        if name == b"PP":
-            asked += 1
-            if second:
-                return [*found, ("AMAX", "700")]
-            return [(key, "700" if key == "AMAX" and asked == 2 else value) for key, value in found]
-        return found
-
-    bench.twin._fields = other  # type: ignore[method-assign]
-    with pytest.raises(ScipError, match="AMAX twice" if second else "other parameters when it is asked again"):
+def test_a_scanner_that_is_never_ready_is_said_to_be(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ladarreg_core.acquisition.scip_scanner._READY_S", 0.0)
+    bench.twin.failure, bench.twin.fails_after_lines = "checks itself", 1000
+    with pytest.raises(DeviceError, match=r"does not measure yet \(98\).*switch it off and on"):
         bench.connect()
 
 
-def test_the_laser_is_off_if_only_the_last_command_fails(bench: Bench) -> None:
+@pytest.mark.parametrize("bench", [replace(UTM_30LX, tells_time=False)], indirect=True)
+def test_a_scanner_that_does_not_tell_the_time(bench: Bench) -> None:
     scanner = bench.connect()
-    lines = scanner.lines(2, check=goes_on)
+    bench.twin._clock_start_ms = (1 << 24) - 200 - bench.server.now_s() * 1000  # it wraps while lines are measured
+    assert (np.diff([line.time_s for line in scanner.lines(12, check=goes_on)]) > 0).all()
+    bench.twin.failure, bench.twin.fails_after_lines = "wrong stamp", 1
+    with pytest.raises(DeviceError, match="time stamp"):
+        list(scanner.lines(3, check=goes_on))
+    with pytest.raises(ScipError, match="does not know the command"):
+        scanner.clock()
+
+
+def test_parameters_that_differ_when_asked_again_are_refused(bench: Bench) -> None:
+    bench.twin.failure = "parameters"
+    assert bench.twin.model.most_mm == 60_000
+    with pytest.raises(DeviceError, match="stated DMAX 59000 first and 60000 when asked again"):
+        bench.connect()
+
+
+def test_a_failure_to_switch_the_laser_off_is_followed_by_a_stop(bench: Bench) -> None:
+    scanner = bench.connect()
+    lines = scanner.lines(1, check=goes_on)
     next(lines)
-    next(lines)
-    bench.twin.failure, bench.twin.laser_on = "silent", True  # it has not obeyed
+    # The twin keeps its laser on and does not answer the QT at the end: the next bytes that it obeys switch it off.
+    bench.twin.laser_on, bench.twin.failure, bench.twin.fails_after_lines = True, "silent", 0
+    stops = len([each for each in scanner.link.exchanges if each.request == b"\nQT\n"])
     with pytest.raises(DeviceError, match="no complete answer"):
         next(lines)
+    assert len([each for each in scanner.link.exchanges if each.request == b"\nQT\n"]) > stops
     assert bench.await_darkness()
+
+
+def test_what_is_no_distance_is_no_return() -> None:
+    """Error codes below the least distance, and what lies beyond the largest one; few send more than 65,535."""
+    request, stamp = LineRequest(0, 5, with_intensity=False), encoded(1, 4)
+    head = request.sent + b"00P\n" + stamp + bytes([checksum(stamp)]) + b"\n"
+
+    def reply(*values: int) -> bytes:
+        data = b"".join(encoded(value, 3) for value in values)
+        return head + data + bytes([checksum(data)]) + b"\n\n"
+
+    raw = parse_line(reply(0, 22, 23, 60_000, 60_001, 65_535), request)
+    ranges = ScipParameters.of(GOOD).ranges_m(raw.distance_mm)
+    np.testing.assert_allclose(ranges, [np.nan, np.nan, 0.023, 60.0, np.nan, np.nan], rtol=1e-6)
+    far = reply(0, 22, 23, 60_000, 60_001, 65_536)
+    with pytest.raises(ScipError, match="65536 mm"):
+        parse_line(far, request)
+    assert parse_line(far, request, most_mm=80_000).distance_mm[-1] == 65_536
 
 
 def test_the_laser_is_off_after_a_cancel_a_break_and_a_call_from_elsewhere(bench: Bench) -> None:
