@@ -1,25 +1,27 @@
-"""Runs that are killed and devices that are unplugged, at random times.
+"""Runs that are killed and devices that are unplugged, at random times: rows `kills` and `unplugs`.
 
-`python -m benchmarks.acquisition_kills [--kills 50] [--unplugs 20] [--seed 1]` drives the simulated devices by a
-process of its own, again and again. After each kill: whether every piece that was reported is there, and how long the
-unit moved on and the laser stayed on. After each run that was resumed to its end: whether the panorama is, bit for bit,
-that of a run that nothing disturbed. An unplugged device is plugged in again after the run has paused; until then the
-time is taken that the other device takes to come to rest.
+The simulated devices are driven by a process of its own, again and again, with moves so slow that only a halt ends them
+within a second. After each kill: whether every piece that was reported is there, and how long the unit moved on and the
+laser stayed on. After each run that was resumed to its end: whether the panorama is, bit for bit, that of a run that
+nothing disturbed. An unplugged device is plugged in again after the run has paused; until then the last moment is taken
+at which the other device was not at rest. Runs without the guard process are the control.
 """
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.bars import Row
 from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan, read_plan, write_plan
 from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
 from ladarreg_core.acquisition.runner import Paused, PieceKept, RunEvent
@@ -29,7 +31,11 @@ from ladarreg_core.twins.world import LINE_MOUNT
 
 LONGEST_S = 1.0
 """How long a device may go on after a kill."""
-_LONGEST_RUN_S = 2.5
+KILLS, UNPLUGS, SEED = 50, 20, 1
+_QUICK_KILLS, _QUICK_UNPLUGS = 10, 5
+_CONTROLS = 6
+_SPEED_DEG_S = 5.0
+_LONGEST_RUN_S = 4.0
 _WAIT_S = 60.0
 _POLL_S = 0.005
 _LET_GO_S = 0.5
@@ -51,20 +57,29 @@ class Outcome:
     different: int = 0
     """Of these the ones whose panorama differs from the undisturbed one."""
 
-    def row(self, name: str) -> str:
-        """Return a row of the table."""
-        late = sum(rest > LONGEST_S for rest in self.rest_s)
-        longest = max(self.rest_s, default=0.0)
-        counts = (self.events, self.active, self.lost_pieces, late, f"{longest:.2f}", self.runs, self.different)
-        return f"| {name} | {' | '.join(map(str, counts))} |"
+    def rows(self, name: str) -> list[Row]:
+        """Return the rows of the table."""
+        longest, lost, of = (
+            max(self.rest_s),
+            self.lost_pieces,
+            f"{self.events} {name}, {self.active} in motion or light",
+        )
+        return [
+            Row(f"{of}: pieces that were reported kept and are missing", "0", str(lost), lost == 0),
+            Row(f"{name}: time until at rest, longest", "<= 1 s", f"{longest:.2f} s", longest <= LONGEST_S),
+            Row(
+                f"{name}: panoramas of resumed runs, bit for bit as undisturbed", "all",
+                f"{self.runs - self.different} of {self.runs}", self.different == 0,
+            ),
+        ]  # fmt: skip
 
 
 class Driver:
     """A process that runs a plan, and says what it does."""
 
-    def __init__(self, plan: Path, run: Path) -> None:
+    def __init__(self, plan: Path, run: Path, *, guarded: bool = True) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.acquisition_kills", "--drive", str(plan), str(run)],
+            [sys.executable, "-m", "benchmarks.acquisition_kills", str(plan), str(run), "bare" * (not guarded)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         self.kept: set[int] = set()
@@ -77,6 +92,11 @@ class Driver:
         with self.said:
             self.said.wait_for(lambda: word in self.words or "end" in self.words, _WAIT_S)
             return word in self.words
+
+    def has_said(self, *words: str) -> bool:
+        """Return whether it has said any of some words."""
+        with self.said:
+            return any(word in self.words for word in words)
 
     def resume(self) -> None:
         """Have it go on after a pause."""
@@ -100,7 +120,7 @@ class Driver:
             self.said.notify_all()
 
 
-def drive(plan: Path, run: Path) -> None:
+def drive(plan: Path, run: Path, *, guarded: bool) -> None:
     """Run a plan, or go on with it, as the process that is killed."""
     from ladarreg_core.acquisition.connected import connected
 
@@ -111,7 +131,7 @@ def drive(plan: Path, run: Path) -> None:
             print("paused", event.reason, flush=True)
 
     folder = RunWriter.begin(run, read_plan(plan), resume=run.exists())
-    with connected(folder.plan) as devices:
+    with connected(folder.plan, guarded=guarded) as devices:
         acquisition = devices.run(folder.plan, folder, say)
 
         def resume() -> None:
@@ -124,14 +144,49 @@ def drive(plan: Path, run: Path) -> None:
     folder.close()
 
 
-def kills(twins: TwinDevices, plan: Path, count: int, random: np.random.Generator, scratch: Path) -> Outcome:
+def kills_rows(quick: bool, show: Callable[[str], None]) -> list[Row]:
     """Kill runs at random times and resume them."""
+    with _bench() as (twins, plan, scratch):
+        found = kills(twins, plan, _QUICK_KILLS if quick else KILLS, scratch, show=show)
+        control = kills(twins, plan, _CONTROLS, scratch / "bare", show=show, guarded=False)
+    longest = max(control.rest_s)
+    return [
+        *found.rows("kills"),
+        Row("kills, control without guard: time until at rest", "> 1 s", f"{longest:.2f} s", longest > LONGEST_S),
+    ]
+
+
+def unplugs_rows(quick: bool, show: Callable[[str], None]) -> list[Row]:
+    """Unplug a device at random times, plug it in again, and resume; the time is that of the other device."""
+    with _bench() as (twins, plan, scratch):
+        return unplugs(twins, plan, _QUICK_UNPLUGS if quick else UNPLUGS, scratch, show=show).rows("unplugs")
+
+
+@contextmanager
+def _bench() -> Iterator[tuple[TwinDevices, Path, Path]]:
+    with TwinDevices("office", SEED) as twins, tempfile.TemporaryDirectory() as name:
+        scratch, at = Path(name), twins.addresses
+        plan = Plan(
+            UnitPlan(at["flir-ptu"], baud=115_200, speed_deg_s=_SPEED_DEG_S),
+            ScannerPlan("scip2", at["scip2"], lines=2), "sweep",
+            pan=Axis(-30, 30, 10), tilt=Axis(0, 0, 0), mount=LINE_MOUNT, settle_s=0.0,
+        )  # fmt: skip
+        write_plan(scratch / "plan.json", plan)
+        yield twins, scratch / "plan.json", scratch
+
+
+def kills(
+    twins: TwinDevices, plan: Path, count: int, scratch: Path, *, show: Callable[[str], None], guarded: bool = True
+) -> Outcome:
+    """Kill runs at random times and resume them."""
+    scratch.mkdir(exist_ok=True)
+    random = np.random.default_rng(SEED)
     truth = _panorama(_undisturbed(plan, scratch / "undisturbed"))
     found = Outcome()
     while found.events < count:
         run = scratch / f"kill-{found.runs}"
         while found.events < count:
-            driver = Driver(plan, run)
+            driver = Driver(plan, run, guarded=guarded)
             driver.await_word("connected")
             time.sleep(float(random.uniform(0, _LONGEST_RUN_S)))
             if driver.process.poll() is not None:
@@ -140,6 +195,7 @@ def kills(twins: TwinDevices, plan: Path, count: int, random: np.random.Generato
             driver.process.kill()
             found.events += 1
             found.rest_s.append(_until_rest(twins, ("moving", "laser_on")))
+            show(f"kill {found.events}: at rest after {found.rest_s[-1]:.2f} s")
             driver.process.wait()
             driver.await_word("end")
             found.lost_pieces += len(driver.kept - set(RunFolder.open(run).records))
@@ -151,8 +207,9 @@ def kills(twins: TwinDevices, plan: Path, count: int, random: np.random.Generato
     return found
 
 
-def unplugs(twins: TwinDevices, plan: Path, count: int, random: np.random.Generator, scratch: Path) -> Outcome:
+def unplugs(twins: TwinDevices, plan: Path, count: int, scratch: Path, *, show: Callable[[str], None]) -> Outcome:
     """Unplug a device at random times, plug it in again, and resume."""
+    random = np.random.default_rng(SEED)
     truth = _panorama(_undisturbed(plan, scratch / "undisturbed-2"))
     found = Outcome()
     others = {"flir-ptu": "laser_on", "scip2": "moving"}
@@ -166,10 +223,17 @@ def unplugs(twins: TwinDevices, plan: Path, count: int, random: np.random.Genera
                 break
             device = str(random.choice(list(others)))
             found.active += _is_active(twins)
+            since = time.monotonic()
             twins.fail(device, "unplugged")
             found.events += 1
-            paused = driver.await_word("paused")
-            found.rest_s.append(_until_rest(twins, (others[device],)))
+            last = since
+            while not driver.has_said("paused", "end"):
+                if twins.state()[others[device]]:
+                    last = time.monotonic()
+                time.sleep(_POLL_S)
+            paused = driver.has_said("paused")
+            found.rest_s.append(last - since)
+            show(f"unplugged {found.events} ({device}): the other at rest after {found.rest_s[-1]:.2f} s")
             twins.fail(device, "plugged")
             if not paused:
                 break
@@ -212,34 +276,5 @@ def _until_rest(twins: TwinDevices, moved: tuple[str, ...]) -> float:
     return time.monotonic() - begun
 
 
-def main() -> int:
-    """Print the table; return 1 if anything was lost, late or different."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--unplugs", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--drive", nargs=2, type=Path, metavar=("PLAN", "RUN"), help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.drive:
-        drive(*arguments.drive)
-        return 0
-    random = np.random.default_rng(arguments.seed)
-    with TwinDevices("office", arguments.seed) as twins, tempfile.TemporaryDirectory() as name:
-        scratch, at = Path(name), twins.addresses
-        plan = Plan(
-            UnitPlan(at["flir-ptu"], baud=115_200), ScannerPlan("scip2", at["scip2"], lines=2), "sweep",
-            pan=Axis(-30, 30, 5), tilt=Axis(0, 0, 0), mount=LINE_MOUNT, settle_s=0.1,
-        )  # fmt: skip
-        write_plan(scratch / "plan.json", plan)
-        print("| event | events | in motion or light | pieces lost | later than 1 s | longest, s | runs | different |")
-        print("|---|---|---|---|---|---|---|---|")
-        found = []
-        for what, measure, count in (("kill", kills, arguments.kills), ("unplug", unplugs, arguments.unplugs)):
-            if count:
-                found.append(measure(twins, scratch / "plan.json", count, random, scratch))
-                print(found[-1].row(what), flush=True)
-    return int(any(one.lost_pieces or one.different or max(one.rest_s) > LONGEST_S for one in found))
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    drive(Path(sys.argv[1]), Path(sys.argv[2]), guarded=sys.argv[3] != "bare")

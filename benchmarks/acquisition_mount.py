@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.bars import Row, table
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
 from ladarreg_core.range_alignment.mount_calibration import MountCalibration, calibrate_mount
 from ladarreg_core.twins.recordings import Continuous, SimulatedSweep, simulate_sweep
@@ -25,16 +25,6 @@ _OFF_M, _OFF_DEG = (0.020, -0.005, 0.030), (0.4, -0.3, 0.2)
 _TURN_DEG = (-150.0, 150.0)
 _PAN_ONLY_TILT_DEG = -45.0
 _TILTS_DEG = (-20.0, 0.0, 20.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """A figure of the benchmark."""
-
-    what: str
-    bar: str
-    reached: str
-    held: bool
 
 
 def true_mount() -> Rigid:
@@ -215,8 +205,7 @@ def main() -> None:
         for name in options.rows or ROWS
         for row in ROWS[name](seeds=options.seeds, first=options.first, scenes=options.scene)
     ]
-    for row in rows:
-        print(f"| {row.what} | {row.bar} | {row.reached} | {'held' if row.held else 'MISSED'} |")
+    print(table(rows))
 
 
 if __name__ == "__main__":

@@ -59,6 +59,9 @@ class PanTiltUnit(Protocol):
     def set_speed(self, speed: PanTilt) -> None:
         """Set the speed of both axes, rad/s."""
 
+    def require_present(self) -> None:
+        """Raise `DeviceError` if its port is lost; without an exchange, so that it can be asked often."""
+
     def halt(self) -> None:
         """Stop at once, whatever else waits for the unit; may be called from any thread."""
 
@@ -120,6 +123,9 @@ class LineScanner(Protocol):
 
     def clock(self) -> ClockReading:
         """Return how the scanner's clock relates to the host's."""
+
+    def require_present(self) -> None:
+        """Raise `DeviceError` if its port is lost; without an exchange, so that it can be asked often."""
 
     def laser_off(self) -> None:
         """Switch the laser off at once; may be called from any thread."""

@@ -127,6 +127,10 @@ class FlirUnit:
                 ) from error
         self.identity = replace(self.identity, speed_rad_s=speed)
 
+    def require_present(self) -> None:
+        """Raise `DeviceError` if the port is lost; without an exchange."""
+        self._link.require_present()
+
     def halt(self) -> None:
         """Stop at once, whatever else waits for the unit; may be called from any thread, and never raises."""
         with self._halting:

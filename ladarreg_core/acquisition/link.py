@@ -113,6 +113,23 @@ class Link:
         with self._one:
             return self._exchange(b"", complete, deadline_s, check, fresh=False)
 
+    def require_present(self) -> None:
+        """Look whether the port is still there, without an exchange; does nothing while one is going on.
+
+        Raises:
+            DeviceError: if it is lost. The next exchange tries to open it again.
+        """
+        if not self._one.acquire(blocking=False):
+            return
+        try:
+            self._buffer += self._port.read(0)
+            del self._buffer[:-_LONGEST_REPLY]
+        except GuardEndedError:
+            self._told_of_guard = True
+            raise
+        finally:
+            self._one.release()
+
     def urgent(self, data: bytes) -> None:
         """Send bytes at once, whatever exchange is going on; its reply is left to that exchange.
 

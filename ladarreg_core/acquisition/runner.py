@@ -114,6 +114,8 @@ class Run:
         require_possible(plan, unit.identity, identity)
         self.plan, self.folder = plan, folder
         self._unit, self._lines, self._frames, self._camera = unit, line_scanner, frames, camera
+        self._devices = [device for device in (unit, line_scanner) if device is not None]
+        self._in_doubt = False
         self._report = report
         self._stops = stops_of(plan)
         self._stopped, self._paused = threading.Event(), threading.Event()
@@ -165,11 +167,15 @@ class Run:
                 self._wait("paused", fault=False)
             begun = time.monotonic()
             try:
+                if self._in_doubt:
+                    self._find_devices()
+                    self._in_doubt = False
                 record, piece = self._measure(stop)
             except (DeviceError, FormatError) as error:
                 if self._stopped.is_set():
                     raise Cancelled from None
                 self._rest()
+                self._in_doubt = True
                 if isinstance(error, GuardEndedError) and error.hung and repeats < _MOST_REPEATS:
                     repeats += 1
                     self._report(Repeated(stop.index, _HUNG))
@@ -188,9 +194,9 @@ class Run:
     def _wait(self, reason: str, *, fault: bool) -> None:
         self._report(Paused(reason, fault))
         while self._paused.is_set():
-            self._check()
+            self._require_wanted()
             time.sleep(_NAP_S)
-        self._check()
+        self._require_wanted()
         self._report(Resumed())
 
     def _measure(self, stop: Stop) -> tuple[Record, LineSweep | ScanPiece]:
@@ -249,8 +255,20 @@ class Run:
             time.sleep(min(left, _NAP_S))
 
     def _check(self) -> None:
+        """Raise if the run is to be stopped, or a device has been lost: the others must not go on without it."""
+        self._require_wanted()
+        for device in self._devices:
+            device.require_present()
+
+    def _require_wanted(self) -> None:
         if self._stopped.is_set():
             raise Cancelled
+
+    def _find_devices(self) -> None:
+        """Exchange something with each device, which opens a port that was lost again."""
+        self._unit.position()
+        if self._lines is not None:
+            self._lines.clock()
 
     def _rest(self) -> None:
         """Halt the unit and switch the laser off."""

@@ -117,6 +117,10 @@ class ScipScanner:
             parse_status(self._ask(b"TM2\n"), b"TM2\n", allowed=("00", "03"))
         return self._clock.compare(samples)
 
+    def require_present(self) -> None:
+        """Raise `DeviceError` if the port is lost; without an exchange."""
+        self._link.require_present()
+
     def laser_off(self) -> None:
         """Switch the laser off at once; may be called from any thread, and never raises."""
         with contextlib.suppress(DeviceError):  # the port is lost, which every later use says

@@ -179,6 +179,31 @@ def test_a_program_that_hangs_for_a_moment_goes_on_by_itself(twins: TwinDevices,
     assert same(pieces_of(tmp_path / "whole"), pieces_of(tmp_path / "run"))
 
 
+def test_a_unit_does_not_move_on_without_its_scanner(devices: Devices, tmp_path: Path) -> None:
+    events: list[RunEvent] = []
+    folder = RunWriter.begin(tmp_path / "run", devices.plan(pan=Axis(0, 60, 60)))
+    before = devices.unit.identity.speed_rad_s
+    devices.unit.set_speed(PanTilt(math.radians(10), math.radians(10)))
+    run = devices.run(folder, events, fails=True)
+    thread = threading.Thread(target=run.go)
+    thread.start()
+    try:
+        while not events or not devices.twins.state()["moving"]:  # on its way to the second stop, for 6 s
+            time.sleep(0.01)
+        devices.twins.fail("scip2", "unplugged")
+        assert devices.at_rest()
+        while not isinstance(events[-1], Paused):
+            time.sleep(0.01)
+        assert events[-1].fault
+        assert abs(devices.unit.position().pan_rad) < math.radians(50)
+    finally:
+        devices.twins.fail("scip2", "plugged")
+        run.stop()
+        thread.join()
+        folder.close()
+        devices.unit.set_speed(before)
+
+
 def test_a_stopped_run_is_at_rest_at_once_and_goes_on_at_the_missing_piece(devices: Devices, tmp_path: Path) -> None:
     events: list[RunEvent] = []
     plan = devices.plan(pan=Axis(0, 60, 20))
