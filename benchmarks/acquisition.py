@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 
-from benchmarks import acquisition_kills, acquisition_mosaic, acquisition_mount
+from benchmarks import acquisition_kills, acquisition_latency, acquisition_mosaic, acquisition_mount
 from benchmarks.bars import Row, table
 
 Show = Callable[[str], None]
@@ -30,6 +30,7 @@ ROWS: dict[str, Measure] = {
     **{name: partial(_mount, name) for name in acquisition_mount.ROWS},
     "mosaic": acquisition_mosaic.mosaic_rows,
     "large": acquisition_mosaic.large_rows,
+    "latency": acquisition_latency.latency_rows,
     "kills": acquisition_kills.kills_rows,
     "unplugs": acquisition_kills.unplugs_rows,
 }

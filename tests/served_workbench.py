@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,13 +97,15 @@ class Page:
 
 
 @contextmanager
-def served(project: Path, *, port: int = 0, photo: Path | None = None) -> Iterator[tuple[Served, float]]:
+def served(
+    project: Path, *, port: int = 0, photo: Path | None = None, program: Sequence[str] = ("-m", "ladarreg")
+) -> Iterator[tuple[Served, float]]:
     """Start a server on the sample or its scan and another photo; also yield the time until its first picture, s."""
     folder = sample_folder()
     photo = photo or next(folder.glob("photo.*"))
     begun = time.perf_counter()
     process = subprocess.Popen(
-        [sys.executable, "-m", "ladarreg", "serve", str(folder / "scan.npz"), str(photo),
+        [sys.executable, *program, "serve", str(folder / "scan.npz"), str(photo),
          "--project", str(project), "--port", str(port), "--no-browser"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
