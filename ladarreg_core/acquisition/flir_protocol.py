@@ -4,6 +4,8 @@ A command is one or two letters, for most an integer, and a space. The unit answ
 `* value`, an error by `! message`, each ended by a line feed. A limit that is hit is reported unasked, by `!P` or `!T`,
 which may stand before any answer. Answers may be terse or verbose, and follow the echo of the command if that is on.
 
+Nothing has a checksum: an answer is taken only if all of it has the form of one, and who asks compares several.
+
 Source: the units' command reference.
 """
 
@@ -18,8 +20,11 @@ STOP = b"\rH "
 """Ends a command that is half sent, and halts."""
 _MOST_COUNTS = 1 << 31
 _LONGEST_REPLY = 512
-_NOTICE = re.compile(r"!([PT])(?![A-Za-z ])")
-_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
+_NOTICE = re.compile(r"!([PT])(?=[ \t]*(?:[*!\r\n]|$))")
+_NUMBER = re.compile(r"[-+]?[0-9]{1,10}(?:\.[0-9]{1,9})?")
+_WORD = re.compile(r"[A-Za-z][A-Za-z/().,:]*")
+_OF_A_HALT = re.compile(r"H[ \t]*\*?")
+_SPACE = " \t\r\n"
 _NAME = re.compile(r"[A-Z]{1,3}")
 
 
@@ -40,10 +45,11 @@ class FlirReply:
         """Return the value of a query.
 
         Raises:
-            FlirError: if there is not exactly one number in the answer.
+            FlirError: if the answer is anything but one number, among words if it is verbose.
         """
-        numbers = _NUMBER.findall(self.text)
-        if len(numbers) != 1 or len(numbers[0]) > 12:
+        tokens = self.text.split()
+        numbers = [token for token in tokens if _NUMBER.fullmatch(token)]
+        if len(numbers) != 1 or not all(token in numbers or _WORD.fullmatch(token) for token in tokens):
             raise FlirError(
                 f"the pan/tilt unit answered {_shown(self.text)} to {_shown(sent)} where one number is due; check that "
                 "it is a FLIR or Directed Perception unit, and the baud rate"
@@ -105,10 +111,15 @@ def parse_reply(received: bytes, sent: bytes) -> FlirReply:
             "check the baud rate and the cable"
         )
     _, line, hit = found
+    if not (line.isascii() and line.isprintable()):
+        raise FlirError(
+            f"the pan/tilt unit sent {_shown(line)} in answer to {_shown(sent)}, which is no text; check the baud rate "
+            "and the cable"
+        )
     if line.startswith("*"):
-        return FlirReply(line[1:].strip(), hit)
+        return FlirReply(line[1:].strip(_SPACE), hit)
     if line.startswith("!"):
-        reason = line[1:].strip() or "no reason"
+        reason = line[1:].strip(_SPACE) or "no reason"
         raise FlirError(f"the pan/tilt unit refused {_shown(sent)}: {reason[:120]}")
     raise FlirError(
         f"the pan/tilt unit sent {_shown(line)} in answer to {_shown(sent)}, where * or ! is due; check the baud rate, "
@@ -127,14 +138,16 @@ def _first_answer(received: bytes, sent: bytes) -> tuple[int, str, tuple[str, ..
     notices: list[str] = []
     start = 0
     for match in re.finditer(rb"[^\r\n]*[\r\n]", received):
-        line = match.group().decode("ascii", "replace").strip()
+        line = match.group().decode("ascii", "replace").strip(_SPACE)
         echo = sent.decode("ascii", "replace").strip()
         if echo and line.startswith(echo):
-            line = line[len(echo) :].strip()
+            line = line[len(echo) :].strip(_SPACE)
+        elif _OF_A_HALT.fullmatch(line):
+            line = ""
         start = match.end()
         while notice := _NOTICE.match(line):
             notices.append({"P": "pan", "T": "tilt"}[notice.group(1)])
-            line = line[notice.end() :].strip()
+            line = line[notice.end() :].strip(_SPACE)
         if not line or (is_query and line == "*"):
             continue
         while start < len(received) and received[start : start + 1] in (b"\r", b"\n"):
@@ -147,6 +160,7 @@ def _first_answer(received: bytes, sent: bytes) -> tuple[int, str, tuple[str, ..
 
 _AXIS_QUERIES = ("P", "O", "S", "D", "R", "N", "X", "U", "L", "A", "B", "NU", "XU", "NF", "XF")
 _QUERIES = frozenset(f"{axis}{letter}".encode() for axis in "PT" for letter in _AXIS_QUERIES) | {
+    b"L",
     b"V",
     b"VV",
     b"VM",

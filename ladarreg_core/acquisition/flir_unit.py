@@ -6,7 +6,7 @@ import contextlib
 import math
 import threading
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ladarreg_core.acquisition.devices import Check, PanTilt, UnitIdentity
 from ladarreg_core.acquisition.flir_protocol import (
@@ -31,6 +31,10 @@ _SPARE_S = 10.0
 _ARC_SECONDS = math.radians(1 / 3600)
 _REACHED_COUNTS = 1
 _STILL_READINGS = 2
+_QUIET_S, _QUIET_IN_DOUBT_S, _LONGEST_TALK_S = 0.1, 0.3, 1.0
+_TRIES = 3
+_FASTER, _SPARE_COUNTS = 1.5, 10
+_MOST_TURNS_RAD = 4 * math.pi
 _AXES = (("P", "pan"), ("T", "tilt"))
 
 
@@ -42,9 +46,12 @@ class FlirUnit:
 
     def __init__(self, link: Link, signs: tuple[int, int]) -> None:
         self._link, self._signs = link, signs
-        self._halts = 0
-        self._halting = threading.Lock()
+        self._halts = self._halts_answered = 0
+        self._halting, self._asking = threading.Lock(), threading.RLock()
         self._limits_hit: tuple[str, ...] = ()
+        self._in_doubt = False
+        self._readings: list[_Reading | None] = [None, None]
+        self._fastest_counts_s = 0.0
         self._set_up()
         self._counts_at_limits: list[tuple[int, int]] = []
         self._step_rad: list[float] = []
@@ -119,8 +126,10 @@ class FlirUnit:
             OptionError: if the unit refuses it.
         """
         for (letter, axis), value, step in zip(_AXES, (speed.pan_rad, speed.tilt_rad), self._step_rad, strict=True):
+            counts_s = max(1, round(abs(value) / step))
+            self._fastest_counts_s = max(self._fastest_counts_s, counts_s)
             try:
-                self._ask(command(f"{letter}S", max(1, round(abs(value) / step))))
+                self._ask(command(f"{letter}S", counts_s))
             except FlirError as error:
                 raise OptionError(
                     f"the pan/tilt unit does not {axis} at {math.degrees(value):.3g} deg/s; choose another ({error})"
@@ -144,11 +153,23 @@ class FlirUnit:
         self._link.close()
 
     def _set_up(self) -> None:
-        """Halt, and have answers terse and without echo, and moves begin at once."""
-        self._link.urgent(STOP)
-        time.sleep(_POLL_S)
-        for name in ("FT", "ED", "CI"):
-            self._ask(command(name), deadline_s=_CONNECT_S)
+        """Halt, and have answers terse and without echo, moves begin at once and end at limits.
+
+        A unit that was just switched on talks first, and one that was left in the middle of a command answers that.
+        """
+        for left in reversed(range(_TRIES)):
+            self._link.urgent(STOP)
+            self._settle()
+            try:
+                for name in ("FT", "ED", "CI", "I"):
+                    self._ask(command(name), deadline_s=_CONNECT_S)
+                break
+            except FlirError:
+                if not left:
+                    raise
+        if self._limits_are() == "off":
+            self._ask(command("LE"))
+        self._readings, self._limits_hit = [None, None], ()  # a reset reports limits, too
 
     def _set_up_again(self) -> None:
         """Set up as before: a unit that lost its power has forgotten its speed, too."""
@@ -157,22 +178,25 @@ class FlirUnit:
 
     def _identify(self) -> UnitIdentity:
         model = self._ask(command("V")).text
-        self._step_rad = [self._ask(q := command(f"{letter}R")).number(q) * _ARC_SECONDS for letter, _ in _AXES]
+        self._step_rad = [self._asked_twice(f"{letter}R") * _ARC_SECONDS for letter, _ in _AXES]
         if not all(1e-7 < step < 0.1 for step in self._step_rad):
             raise FlirError(
                 f"the pan/tilt unit states steps of {', '.join(f'{math.degrees(s):.3g}' for s in self._step_rad)} deg, "
                 "which no unit has; check the baud rate"
             )
+        of_user = "U" if self._limits_are() == "user" else ""
         self._counts_at_limits = []
-        for letter, axis in _AXES:
-            low, high = (self._ask(q := command(f"{letter}{end}")).counts(q) for end in "NX")
-            if low >= high:
-                raise FlirError(f"the pan/tilt unit states {axis} limits of {low} to {high} counts; reset the unit")
-            self._counts_at_limits.append((low, high))
-        speeds = [
-            self._ask(q := command(f"{letter}S")).counts(q) * step
-            for (letter, _), step in zip(_AXES, self._step_rad, strict=True)
-        ]
+        for (letter, axis), step in zip(_AXES, self._step_rad, strict=True):
+            low, high = (self._asked_twice(f"{letter}{end}", whole=True) for end in "NX")
+            if of_user:
+                inner = [self._asked_twice(f"{letter}{end}{of_user}", whole=True) for end in "NX"]
+                low, high = max(low, inner[0]), min(high, inner[1])
+            if not (low < high and max(abs(low), abs(high)) * step <= _MOST_TURNS_RAD):
+                raise FlirError(f"the pan/tilt unit states {axis} limits of {low:g} to {high:g} counts; reset the unit")
+            self._counts_at_limits.append((int(low), int(high)))
+        counts_s = [self._asked_twice(f"{letter}S", whole=True) for letter, _ in _AXES]
+        self._fastest_counts_s = max(self._fastest_counts_s, *counts_s)
+        speeds = [count * step for count, step in zip(counts_s, self._step_rad, strict=True)]
         ends = [self._angles([axis[k] for axis in self._counts_at_limits]) for k in (0, 1)]
         return UnitIdentity(
             " ".join(model.split())[:120],
@@ -247,8 +271,52 @@ class FlirUnit:
                 "lies within; it is halted: reset the unit, so that it finds its zero again, and resume"
             )
 
+    def _asked_twice(self, query: str, *, whole: bool = False) -> float:
+        """Return what a unit states about itself, the same when it is asked again: answers have no checksum."""
+        sent = command(query)
+        first, again = (self._ask(sent) for _ in range(2))
+        values = [reply.counts(sent) if whole else reply.number(sent) for reply in (first, again)]
+        if values[0] != values[1]:
+            raise FlirError(
+                f"the pan/tilt unit answered {values[0]:g} to {query} and {values[1]:g} when it was asked again; check "
+                "the cable, and that no other program uses the port"
+            )
+        return values[0]
+
+    def _limits_are(self) -> str:
+        """Return whether the unit enforces limits: `on`, `off`, or `user` for those that its user has set."""
+        try:
+            words = self._ask(command("L")).text.upper()
+        except FlirError:  # it does not have the query, and always enforces its limits
+            return "on"
+        return "off" if "OFF" in words or "DISABLE" in words else "user" if "USER" in words else "on"
+
     def _positions(self) -> list[int]:
-        return [self._ask(q := command(f"{letter}P")).counts(q) for letter, _ in _AXES]
+        return [self._position(k) for k in (0, 1)]
+
+    def _position(self, k: int) -> int:
+        """Return the counts of an axis; a reading that no movement explains is compared with a second one."""
+        found, before = self._read(k), self._readings[k]
+        low, high = self._counts_at_limits[k]
+        within = low - _SPARE_COUNTS <= found.counts <= high + _SPARE_COUNTS
+        if before is None or not within or not self._follows(k, before, found):
+            again = self._read(k)
+            if not self._follows(k, found, again) and (before is None or not self._follows(k, before, again)):
+                raise FlirError(
+                    f"the pan/tilt unit answered {found.counts} to {_AXES[k][0]}P and {again.counts} when it was asked "
+                    "again; check the cable, and that no other program uses the port"
+                )
+            found = again
+        self._readings[k] = found
+        return found.counts
+
+    def _read(self, k: int) -> _Reading:
+        sent, begun = command(f"{_AXES[k][0]}P"), time.monotonic()
+        return _Reading(self._ask(sent).counts(sent), begun, time.monotonic())
+
+    def _follows(self, k: int, before: _Reading, found: _Reading) -> bool:
+        way = abs(found.counts - before.counts)
+        return way <= _FASTER * self._fastest_counts_s * (found.ended_s - before.begun_s) + _SPARE_COUNTS
 
     def _angles(self, counts: list[int]) -> PanTilt:
         pan, tilt = (sign * n * step for sign, n, step in zip(self._signs, counts, self._step_rad, strict=True))
@@ -259,10 +327,34 @@ class FlirUnit:
         return f"pan {math.degrees(at.pan_rad):.2f}, tilt {math.degrees(at.tilt_rad):.2f} deg"
 
     def _ask(self, sent: bytes, *, deadline_s: float = _ANSWER_S) -> FlirReply:
-        received = self._link.exchange(sent, complete=lambda data: reply_length(data, sent), deadline_s=deadline_s)
-        reply = parse_reply(received, sent)
-        self._limits_hit += limits_hit(self._link.take_unasked()) + reply.limits_hit
-        return reply
+        with self._asking:
+            if self._in_doubt or self._halts != self._halts_answered:
+                # The answer to a halt, or one that came too late, would be taken for the one to this command.
+                self._halts_answered = self._halts
+                self._settle(_QUIET_IN_DOUBT_S if self._in_doubt else _QUIET_S)
+            self._in_doubt = True
+            received = self._link.exchange(sent, complete=lambda data: reply_length(data, sent), deadline_s=deadline_s)
+            reply = parse_reply(received, sent)
+            self._in_doubt = False
+            self._limits_hit += limits_hit(self._link.take_unasked()) + reply.limits_hit
+            return reply
+
+    def _settle(self, quiet_s: float = _QUIET_S) -> None:
+        """Let pass what the unit still sends, but for limits that it reports."""
+        until, passed = time.monotonic() + _LONGEST_TALK_S, b""
+        with contextlib.suppress(DeviceError):  # it is quiet, or the port is lost, which the next command says
+            while time.monotonic() < until:
+                passed += self._link.exchange(b"", complete=bool, deadline_s=quiet_s)
+        self._limits_hit += limits_hit(passed)
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """The position of an axis as it was read."""
+
+    counts: int
+    begun_s: float
+    ended_s: float
 
 
 def _pair(at: PanTilt) -> tuple[float, float]:

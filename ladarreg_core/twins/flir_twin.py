@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +24,7 @@ _SPEED, _LEAST_SPEED, _MOST_SPEED = 3_000, 60, 8_000  # counts/s
 _ACCELERATION = 12_000  # counts/s^2
 _THINKS_S = 0.004
 _RESET_S = 4.0
+_BANNER = b"\r\n### PTU CONTROLLER, v2.13.0(D46C), (C)1991-2010 FLIR Systems ###\r\nInitializing...\r\n!T!T!P!P*\r\n"
 _COMMAND = re.compile(r"([A-Z]{1,4})([-+]?\d+)?$")
 
 
@@ -64,6 +66,8 @@ class _Move:
 class _Axis:
     low: int
     high: int
+    user_low: int = -1_000
+    user_high: int = 1_000
     speed: float = _SPEED
     acceleration: float = _ACCELERATION
     target: int = 0
@@ -95,7 +99,8 @@ class FlirTwin:
     """The simulated unit.
 
     Failures on request: `silent` answers nothing, `rubbish` answers noise, `late_s` delays every answer, `stuck` ends
-    every movement halfway; `hit_limit` reports a limit unasked and stops.
+    every movement halfway; `hit_limit` reports a limit unasked and stops; `misreads` has the next answer to a query, by
+    its name, be off by so many counts; `twice` sends the next answer two times.
 
     Args:
         baud: bits a second of its port.
@@ -110,6 +115,8 @@ class FlirTwin:
         self.baud = baud
         self._moved = moved
         self.silent = self.rubbish = self.stuck = False
+        self.misreads: dict[str, int] = {}
+        self.twice = False
         self.late_s = 0.0
         self.halted_at_s: float | None = None
         self._axes = {name: _Axis(*limits) for name, limits in _LIMITS.items()}
@@ -118,7 +125,7 @@ class FlirTwin:
         self._free_s = 0.0
         self._verbose = self._echo = True
         self._immediate = True
-        self._limited = True
+        self._limits: Literal["off", "factory", "user"] = "factory"
         self._rng = np.random.default_rng(seed)
 
     def angles_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
@@ -138,6 +145,14 @@ class FlirTwin:
         """Report a limit that nobody asked for, and stop."""
         self._stop(now_s)
         self._outbox.send(f"!{axis}\r\n".encode(), now_s)
+
+    def switch_on(self, now_s: float) -> None:
+        """Have lost its power and got it back: it has forgotten its modes, finds its zero again, and talks."""
+        self._verbose = self._echo = self._immediate = True
+        self._limits = "factory"
+        for name, axis in self._axes.items():
+            self._axes[name] = _Axis(axis.low, axis.high)
+        self._outbox.send(_BANNER, now_s)
 
     def feed(self, data: bytes, now_s: float) -> None:
         """Receive bytes from the host."""
@@ -173,15 +188,19 @@ class FlirTwin:
         data = f"{text}\r\n".encode()
         if self.rubbish:
             data = self._rng.integers(0, 256, len(data) + 3).astype(np.uint8).tobytes()
-        self._outbox.send(data, at_s + _THINKS_S + self.late_s)
+        for _ in range(1 + self.twice):
+            self._outbox.send(data, at_s + _THINKS_S + self.late_s)
+        self.twice = False
 
     def _do(self, name: str, value: int | None, now_s: float) -> tuple[str, float]:
         """Return the answer to a command and when it is ready."""
         modes = {"FT": ("_verbose", False), "FV": ("_verbose", True), "ED": ("_echo", False), "EE": ("_echo", True),
-                 "CI": ("_immediate", True), "CS": ("_immediate", False), "I": ("_immediate", True),
-                 "S": ("_immediate", False), "LE": ("_limited", True), "LD": ("_limited", False)}  # fmt: skip
+                 "I": ("_immediate", True), "S": ("_immediate", False), "LE": ("_limits", "factory"),
+                 "LD": ("_limits", "off"), "LU": ("_limits", "user")}  # fmt: skip
         if name in modes and value is None:
             setattr(self, *modes[name])
+            return "*", now_s
+        if name == "CI":  # the axes are controlled by position, which says nothing about when a movement begins
             return "*", now_s
         if name == "H":
             self._stop(now_s)
@@ -192,14 +211,15 @@ class FlirTwin:
         if name == "V":
             return "* Pan-Tilt Controller v2.13.0(D46C), (C)1991-2010 FLIR Systems", now_s
         if name == "L":
-            return f"* {'Limit enforcement is ' if self._verbose else ''}{'ON' if self._limited else 'OFF'}", now_s
+            said = {"off": "DISABLED", "factory": "ENABLED (factory limits)", "user": "ENABLED (user limits)"}
+            return f"* {'Limit bounds are ' if self._verbose else ''}{said[self._limits]}", now_s
         if name == "R":
             for axis in self._axes.values():
                 axis.moves.clear()
                 axis.target = 0
             return "!T!T!P!P*", now_s + _RESET_S
-        if name[0] in "PT" and len(name) == 2:
-            return self._do_axis(name[0], name[1], value, now_s)
+        if name[0] in "PT" and (len(name) == 2 or name[1:] in ("NU", "XU")):
+            return self._do_axis(name[0], name[1:], value, now_s)
         return "! Illegal command", now_s
 
     def _do_axis(self, letter: str, what: str, value: int | None, now_s: float) -> tuple[str, float]:
@@ -208,16 +228,18 @@ class FlirTwin:
             shown = {
                 "P": round(axis.now(now_s)), "O": axis.target, "S": round(axis.speed), "D": round(axis.speed),
                 "A": round(axis.acceleration), "R": RESOLUTION_ARC_S, "N": axis.low, "X": axis.high,
-                "U": _MOST_SPEED, "L": _LEAST_SPEED, "B": _LEAST_SPEED,
+                "U": _MOST_SPEED, "L": _LEAST_SPEED, "B": _LEAST_SPEED, "NU": axis.user_low, "XU": axis.user_high,
             }.get(what)  # fmt: skip
             if shown is None:
                 return "! Illegal command", now_s
+            shown += self.misreads.pop(letter + what, 0)
             side = "Pan" if letter == "P" else "Tilt"
             return f"* Current {side} value is {shown}" if self._verbose else f"* {shown}", now_s
         if what in "PO":
             target = value if what == "P" else round(axis.now(now_s)) + value
-            if self._limited and not axis.low <= target <= axis.high:
-                return f"! {'Maximum' if target > axis.high else 'Minimum'} allowable position exceeded", now_s
+            low, high = (axis.user_low, axis.user_high) if self._limits == "user" else (axis.low, axis.high)
+            if self._limits != "off" and not low <= target <= high:
+                return f"! {'Maximum' if target > high else 'Minimum'} allowable position exceeded", now_s
             axis.target = target
             if self._immediate:
                 self._begin(now_s)

@@ -141,3 +141,65 @@ def test_the_speed_of_the_plan_is_set(bench: Bench) -> None:
 def test_a_speed_that_the_unit_does_not_reach_is_refused(bench: Bench) -> None:
     with pytest.raises(OptionError, match="choose another"):
         bench.connect(speed_deg_s=1000.0)
+
+
+def test_a_unit_is_set_up_whatever_state_it_was_left_in(bench: Bench) -> None:
+    """Moves that wait for a command to begin, limits off, in the middle of a command, and just switched on."""
+    twin = bench.twin
+    twin.feed(b"S LD PP-20", 0.0)
+    assert twin._limits == "off"
+    unit = bench.connect()
+    assert twin._limits == "factory"
+    assert not twin._echo
+    assert not twin._verbose
+    assert math.degrees(unit.move_to(at(1, 0), check=goes_on).pan_rad) == pytest.approx(1, abs=0.02)
+    bench.server.unplug(twin.name)
+    twin.switch_on(bench.server.now_s() + 0.1)  # it talks when it is plugged in, of limits, too
+    bench.server.plug(twin.name)
+    assert math.degrees(unit.move_to(at(2, 1), check=goes_on).tilt_rad) == pytest.approx(1, abs=0.02)
+    assert math.degrees(unit.identity.speed_rad_s.pan_rad) == pytest.approx(twin._axes["P"].speed * 46.2857 / 3600)
+
+
+def test_limits_of_the_user_are_kept(bench: Bench) -> None:
+    bench.twin.feed(b"LU ", 0.0)
+    unit = bench.connect()
+    assert math.degrees(unit.identity.highest.pan_rad) == pytest.approx(12.86, abs=0.01)
+    with pytest.raises(OptionError, match=r"beyond the unit's limits, -12.86 to 12.86"):
+        unit.move_to(at(13, 0), check=goes_on)
+    assert bench.twin._limits == "user"
+
+
+@pytest.mark.parametrize("query", ["PR", "TX", "PS"])
+def test_a_unit_that_contradicts_itself_is_refused(bench: Bench, query: str) -> None:
+    bench.twin.misreads[query] = 100
+    with pytest.raises(DeviceError, match=rf"answered \S+ to {query} and \S+ when it was asked again"):
+        bench.connect()
+
+
+def test_readings_that_no_movement_explains(bench: Bench) -> None:
+    unit = bench.connect()
+    here = unit.move_to(at(2, 0), check=goes_on)
+    bench.twin.misreads["PP"] = 4_000
+    assert unit.position() == here, "read again"
+    bench.twin.misreads["TP"] = -1_000
+    assert unit.position() == here
+    bench.twin._axes["P"].move(-5_000, bench.server.now_s() - 60)  # it is there indeed: it was pushed, or reset
+    assert math.degrees(unit.position().pan_rad) == pytest.approx(-5_000 * 46.2857 / 3600, abs=0.05)
+
+
+def test_answers_that_come_late_or_twice_are_not_taken_for_others(bench: Bench) -> None:
+    unit = bench.connect()
+    unit.move_to(at(2, -1), check=goes_on)
+    bench.twin.twice = True
+    first = unit.position()
+    assert unit.position() == first
+    bench.twin.late_s = 1.1
+    with pytest.raises(DeviceError, match="no complete answer"):
+        unit.position()
+    bench.twin.late_s = 0.0
+    for _ in range(3):
+        found = unit.position()
+        assert (math.degrees(found.pan_rad), math.degrees(found.tilt_rad)) == pytest.approx((2, -1), abs=0.02)
+    unit.halt()
+    with pytest.raises(OptionError, match="choose another"):  # the star of the halt is not taken for its success
+        unit.set_speed(PanTilt(math.radians(1000), math.radians(1000)))
