@@ -95,6 +95,12 @@ class ClientView:
         self._looks, self._looked_from = name, viewpoint
         _move(self._place, viewpoint, near_m=near_m)
 
+    def look_at_run(self, viewpoint: Viewpoint) -> None:
+        """Move a client that has no scan to look at to the points of a run; once."""
+        if self._subject is None and self._looked_from is None:
+            self._looked_from = viewpoint
+            _move(self._place, viewpoint, near_m=_NEAR_M)
+
     @property
     def pose(self) -> Rigid | None:
         """Pose of a camera that stands where the client looks from; None while that is not known."""

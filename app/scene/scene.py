@@ -11,17 +11,22 @@ import numpy as np
 
 from ladarreg_core.export.glb import glb_bytes
 from ladarreg_core.inspection.model_textures import uniform_picture
+from ladarreg_core.inspection.viewpoints import overview_of_points
 from ladarreg_core.palette import BACKGROUND
 from ladarreg_core.surface.mesh import Mesh
 
 from .client_view import ClientView, SimplexShown
 from .draw_queue import DrawQueue
 from .person import ANYBODY, Person, ViewpointName
+from .run_layer import RunLayer
 
 if TYPE_CHECKING:
     import viser
+    from numpy.typing import NDArray
 
+    from ladarreg_core.arrays import ByteArray
     from ladarreg_core.frames import Rigid
+    from ladarreg_core.inspection.viewpoints import Viewpoint
 
     from .picks_layer import Picks
     from .place import Place
@@ -31,6 +36,7 @@ if TYPE_CHECKING:
 MODEL_NODE = "/model"
 """Node of the model. It is empty here: the page, which fetches mesh and textures, fills it in the browser."""
 SIMPLEX_EVERY_S = 0.04
+RUN_EVERY_S = 1.0
 _EMPTY_MESH = Mesh(
     np.eye(3, dtype=np.float32) * np.float32(1e-6),
     np.array([[0, 1, 2]], dtype=np.int32),
@@ -84,7 +90,10 @@ class Scene3D:
         scene.configure_default_lights(enabled=False, cast_shadow=False)
         scene.set_background_image(uniform_picture(BACKGROUND), format="png")
         empty = glb_bytes(_EMPTY_MESH, uniform_picture(BACKGROUND), for_viser=True)
-        scene.add_glb(MODEL_NODE, empty, cast_shadow=False, receive_shadow=False)
+        self._model = scene.add_glb(MODEL_NODE, empty, cast_shadow=False, receive_shadow=False)
+        self._run = RunLayer(server)
+        self._run_view: Viewpoint | None = None
+        self._run_points: list[tuple[NDArray[np.float32], ByteArray]] = []
         scene.on_click()(self._clicked)
         server.on_client_connect(self._connected)
         server.on_client_disconnect(lambda client: self.remove_view(client.client_id))
@@ -146,6 +155,18 @@ class Scene3D:
         """
         self._set_simplex(None if best is None else SimplexShown(photo, best, runs=False))
 
+    def show_run(self, points: NDArray[np.float32], gray: ByteArray) -> None:
+        """Draw more points of a run, (N, 3), m, with gray levels (N,); the model is hidden meanwhile."""
+        with self._lock:
+            self._run_points.append((points, gray))
+        self._queue.request("run", self._draw_run, every_s=RUN_EVERY_S)
+
+    def forget_run(self) -> None:
+        """Remove the points of the run, and show the model again."""
+        with self._lock:
+            self._run_points = []
+        self._queue.request("run", self._clear_run)
+
     def add_view(self, number: int, place: Place, person: str) -> None:
         """Draw a client's view from now on."""
         with self._lock:
@@ -192,6 +213,27 @@ class Scene3D:
             person = self._person(view)
             shown = photos.get(person.photo) or photos.get(None)
             view.draw(person, shown.subject if shown else None, shown.picks if shown else None, simplex)
+            if self._run_view is not None:
+                view.look_at_run(self._run_view)
+
+    def _draw_run(self) -> None:
+        with self._lock:
+            parts, self._run_points = self._run_points, []
+            views = list(self._views.values())
+        if not parts:
+            return
+        points, gray = (np.concatenate(part) for part in zip(*parts, strict=True))
+        if self._run_view is None:
+            self._run_view = overview_of_points(points)
+            self._model.visible = False
+        self._run.add(points, gray)
+        for view in views:
+            view.look_at_run(self._run_view)
+
+    def _clear_run(self) -> None:
+        self._run.clear()
+        self._run_view = None
+        self._model.visible = True
 
     def _set_simplex(self, simplex: SimplexShown | None) -> None:
         with self._lock:

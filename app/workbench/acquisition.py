@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from ladarreg_core.acquisition.run_folder import RunWriter
     from ladarreg_core.acquisition.runner import Run, RunEvent
 
+    from ..scene import Scene3D
+
 log = logging.getLogger(__name__)
 RUNS = "runs"
 """Folder of the runs in a project's folder."""
@@ -58,13 +60,15 @@ class Acquisition:
         publish: publishes the state.
         open_scan: opens a finished panorama as the project's scan.
         present: whether a client is still connected, by its id.
+        scene: returns the 3-D scene, which shows the points of a run; None where there is none.
     """
 
     def __init__(
         self, folder: Path, publish: Callable[[], None], open_scan: Callable[[Path, Client], None],
-        present: Callable[[str], bool],
+        present: Callable[[str], bool], scene: Callable[[], Scene3D | None],
     ) -> None:  # fmt: skip
         self._home, self._publish, self._open_scan, self._present = folder, publish, open_scan, present
+        self._scene = scene
         self._lock = threading.RLock()
         self._state = "off"
         self._said = ""
@@ -80,6 +84,7 @@ class Acquisition:
         self._preview: RunPreview | None = None
         self._picture: Picture | None = None
         self._pictured_s = 0.0
+        self._points = 0
         self.offered = False
         """Whether pages open the acquisition by themselves in an empty project."""
 
@@ -193,7 +198,10 @@ class Acquisition:
             except BaseException:
                 folder.close()
                 raise
-            preview = RunPreview(plan.mount, step_deg=plan.pan.step_deg if plan.mode == "sweep" else 0.0)
+            preview = RunPreview(
+                plan.mount, pieces=run.total, step_deg=plan.pan.step_deg if plan.mode == "sweep" else 0.0
+            )
+            self._forget_points()
             self._run, self._plan, self._preview, self._picture = run, plan, preview, None
             self._progress = _Progress(len(folder.records), run.total, 0.0, False, name)
             self._state, self._said = "running", ""
@@ -237,6 +245,8 @@ class Acquisition:
         if not (self._progress.complete and path.is_file()):
             raise OptionError("no run has finished; run a plan to its end first")
         self._open_scan(path, client)
+        self._forget_points()
+        self._publish()
 
     def left(self, client: Client) -> None:
         """A client is gone: a jog of its is halted, a run goes on and may be taken over."""
@@ -271,6 +281,7 @@ class Acquisition:
                 "complete": progress.complete,
                 "run": progress.folder,
                 "picture": None if self._picture is None else self._picture.etag,
+                "points": self._points,
             }
 
     def picture(self) -> Picture:
@@ -349,6 +360,17 @@ class Acquisition:
         data = buffer.getvalue()
         self._picture = Picture(data, "image/png", hashlib.sha256(data).hexdigest()[:16])
         self._pictured_s = time.monotonic()
+        points, gray = self._preview.take_points()
+        scene = self._scene()
+        if scene is not None and len(points):
+            scene.show_run(points, gray)
+            self._points += len(points)
+
+    def _forget_points(self) -> None:
+        self._points = 0
+        scene = self._scene()
+        if scene is not None:
+            scene.forget_run()
 
     def _begin(self, work: Callable[[], None], name: str) -> None:
         self._stopping.clear()
@@ -391,6 +413,7 @@ class Acquisition:
         self._run = None
         self._at = None
         self._driver = None
+        self._forget_points()
         self._state = "off"
 
     def _require_driver(self, client: Client) -> None:

@@ -110,7 +110,9 @@ class Workbench:
         self.jobs = JobRegistry(
             workspace, self.runner, watch, self.publish_event, self._publish if solve_automatically else None
         )
-        self.acquisition = Acquisition(session.folder.path, self._publish, self._open_panorama, self._is_present)
+        self.acquisition = Acquisition(
+            session.folder.path, self._publish, self._open_panorama, self._is_present, lambda: self.scene
+        )
         self.images = Images(session, loader)
         self.model_parts = ModelParts(session, loader)
         self._pick_entries, self._history_entries = ListCache(pick_entry), ListCache(history_entry)

@@ -16,7 +16,8 @@ from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 HEIGHT, WIDTH = 360, 720
 """Rows and columns of the picture: half a degree each, the zenith at the top, straight ahead in the middle, left at the
 left."""
-_MOST_POINTS_A_PIECE = 20_000
+_MOST_POINTS = 200_000
+_MOST_PICTURED = 20_000
 _DARKEST, _BRIGHTEST = 40, 250
 _GROWS = 1.5
 
@@ -26,19 +27,19 @@ class RunPreview:
 
     Args:
         unit_from_scanner: the mount.
+        pieces: how many there will be; each has an equal share of the points.
         step_deg: angle between neighbouring lines; the picture is filled between them.
-        most_points: so many points are kept, evenly over the run.
     """
 
-    def __init__(self, unit_from_scanner: Rigid, *, step_deg: float = 0.0, most_points: int = 200_000) -> None:
+    def __init__(self, unit_from_scanner: Rigid, *, pieces: int, step_deg: float = 0.0) -> None:
         self._mount = unit_from_scanner
         self._wide = 2 * round(abs(step_deg) * WIDTH / 360 / 2 + 0.5) + 1
         self._light = np.zeros((HEIGHT, WIDTH), np.float32)
         self._nearest = np.full((HEIGHT, WIDTH), np.inf, np.float32)
         self._points: list[NDArray[np.float32]] = []
         self._shades: list[NDArray[np.float32]] = []
-        self._most_points = most_points
-        self.pieces = 0
+        self._share = max(1, _MOST_POINTS // max(1, pieces))
+        self._taken = 0
 
     def add(self, piece: LineSweep | ScanPiece) -> None:
         """Add a piece."""
@@ -46,7 +47,6 @@ class RunPreview:
         ranges = np.linalg.norm(points, axis=-1)
         there = np.isfinite(ranges) & (ranges > 0)
         points, light, ranges = points[there], light[there], ranges[there]
-        self.pieces += 1
         if not len(points):
             return
         # Intensity falls with the squared range; without the fall the far walls of a picture are legible.
@@ -60,10 +60,9 @@ class RunPreview:
         nearer = ranges[far_first] <= self._nearest[row, column] * _GROWS
         self._light[row[nearer], column[nearer]] = shade[far_first][nearer]
         self._nearest[row[nearer], column[nearer]] = ranges[far_first][nearer]
-        step = max(1, len(points) // _MOST_POINTS_A_PIECE)
+        step = -(-len(points) // self._share)
         self._points.append(points[::step].astype(np.float32))
         self._shades.append(shade[::step])
-        self._thin()
 
     def picture(self) -> ByteArray:
         """Return what has been seen, (360, 720) gray; 0 where nothing has."""
@@ -75,11 +74,17 @@ class RunPreview:
         filled = cv2.dilate(wide, np.ones((1, min(self._wide, WIDTH // 4 * 2 + 1)), np.uint8))
         return np.asarray(np.where(seen, picture, filled[:, self._wide : -self._wide]), dtype=np.uint8)
 
-    def points(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Return points (N, 3), m, in the world of the unit, and their gray levels (N,)."""
-        if not self._points:
+    def take_points(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Return the points that are new since the last call, (N, 3), m, in the world of the unit, with grays (N,).
+
+        All calls together return at most 200,000 points.
+        """
+        new, self._taken = self._taken, len(self._points)
+        if new == self._taken:
             return np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)
-        return np.concatenate(self._points), self._gray(np.concatenate(self._shades))
+        gray = self._gray(np.concatenate(self._shades))
+        points = np.concatenate(self._points[new:])
+        return points, gray[-len(points) :]
 
     def _points_of(self, piece: LineSweep | ScanPiece) -> tuple[FloatArray, FloatArray]:
         if isinstance(piece, LineSweep):
@@ -87,7 +92,7 @@ class RunPreview:
             light = np.zeros(len(points)) if piece.intensity is None else piece.intensity.ravel()
             return points, light
         scan = piece.scan
-        step = max(1, int(np.sqrt(scan.ranges.size / _MOST_POINTS_A_PIECE)) // 2)
+        step = max(1, int(np.sqrt(scan.ranges.size / _MOST_PICTURED)) // 2)
         part = slice(None, None, step)
         pose = pan_tilt_pose(piece.at.pan_rad, piece.at.tilt_rad, unit_from_scanner=self._mount)
         local = grid_rays(scan.geometry, part, part) * scan.ranges[part, part, None]
@@ -97,9 +102,3 @@ class RunPreview:
         low, high = np.quantile(shades, (0.02, 0.98))
         share = np.clip((shades - low) / max(float(high - low), 1e-9), 0, 1)
         return np.asarray(_DARKEST + share * (_BRIGHTEST - _DARKEST), dtype=np.uint8)
-
-    def _thin(self) -> None:
-        """Keep every other point of all pieces once there are too many."""
-        if sum(map(len, self._points)) > self._most_points:
-            self._points = [points[::2] for points in self._points]
-            self._shades = [shades[::2] for shades in self._shades]

@@ -15,6 +15,7 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
+from ladarreg_core.inspection.viewpoints import is_all_around
 from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.palette import ACCENT
 from ladarreg_core.scan import Scan
@@ -30,6 +31,7 @@ _WIDEST_PX = 2048
 _MOST_PIXELS = 8_000_000
 _ONE_VIEW_HALF_RAD = math.radians(50.0)
 _FIELD_RAD = math.radians(90.0)
+_WELL_FILLED, _SAMPLED = 0.9, 4
 _NOTABLE = 1.05
 _EMPTY = np.array((11, 12, 15), np.uint8)  # no return
 _BINS = 4096
@@ -49,6 +51,8 @@ class NamedView:
 def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
     """Return one view of the whole scan, or several side by side where one would be too wide.
 
+    Several go from left to right; all around they begin with a well filled one, as nearly ahead as can be.
+
     Each has about one pixel per cell, but no more than 8 Mpixel, 16 pixels per cell of the scan, or 32,000 pixels a
     side; beyond these limits the views are coarser. Source: thesis 2.2.2.
 
@@ -66,10 +70,20 @@ def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
         check_viewable(scan, focal * share)
     camera = Camera.from_focal(max(2, round(side * share)), max(2, round(side * share)), focal * share)
     directions = sorted(viewing_directions(scan, camera), key=lambda d: -_azimuth(d.rotation[2]))
-    return tuple(
-        NamedView(perspective_view(scan, camera, view_from_scanner=d), _direction_name(_azimuth(d.rotation[2])))
-        for d in directions
-    )
+    views = [perspective_view(scan, camera, view_from_scanner=d) for d in directions]
+    azimuths = [_azimuth(d.rotation[2]) for d in directions]
+    if is_all_around(scan):
+        filled = [_returns_in(view) for view in views]
+        good = [k for k in range(len(views)) if filled[k] >= _WELL_FILLED * max(filled)]
+        first = min(good, key=lambda k: abs(azimuths[k]))
+        views, azimuths = views[first:] + views[:first], azimuths[first:] + azimuths[:first]
+    return tuple(NamedView(view, _direction_name(azimuth)) for view, azimuth in zip(views, azimuths, strict=True))
+
+
+def _returns_in(view: View) -> int:
+    """Return how many of a sample of pixels have returns."""
+    column, row = np.rint(view.cells[::_SAMPLED, ::_SAMPLED][view.inside[::_SAMPLED, ::_SAMPLED]]).astype(np.intp).T
+    return int(np.count_nonzero(view.scan.valid[row, column]))
 
 
 def resolution_note(scan: Scan, views: Sequence[NamedView]) -> str | None:

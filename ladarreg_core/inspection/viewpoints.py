@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera import CameraModel, axial_pinhole
@@ -112,6 +113,13 @@ def overview(scan: Scan, camera_centre: FloatArray | None, *, forward: FloatArra
     middle = [_centred(shown[:, k], depth) for k in range(2)]
     position, target = (view.T @ np.array([*middle, z]) for z in (-back, float(np.median(shown[:, 2]))))
     return Viewpoint(position, target, np.array([0.0, 0, 1]), _OVERVIEW_FOV_RAD)
+
+
+def overview_of_points(points: ArrayLike) -> Viewpoint:
+    """Return a viewpoint outside and above points (N, 3), m, that lie around the origin."""
+    outermost = float(np.percentile(np.linalg.norm(np.asarray(points, np.float64), axis=1), _PERCENTILES[1]))
+    position = np.array([-1.0, -0.6, 0.9]) * 1.6 * outermost
+    return Viewpoint(position, np.zeros(3), np.array([0.0, 0, 1]), _OVERVIEW_FOV_RAD)
 
 
 def _centred(across: FloatArray, depth: FloatArray) -> float:

@@ -72,6 +72,9 @@ def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
     page.get_by_role("button", name="Start", exact=True).click()
     page.locator(".live-scan").wait_for()
     page.wait_for_function(f"{STATE % 'done'}.then((done) => done >= 2)")
+    page.wait_for_function(f"{STATE % 'points'}.then((points) => points > 0)")
+    page.locator("iframe.model-frame[src]").wait_for()
+    page.locator(".model-cover.gone").wait_for(state="attached")
     page.get_by_role("button", name="Pause").click()
     awaits(page, "state", "paused")
 

@@ -22,7 +22,8 @@ export const mountModelCover = (loader) => {
     const { state, got, total, error } = last;
     const open = Boolean(store.get("scan"));
     const why = failure || error || (open && !hasWebGL() ? NO_WEBGL : "");
-    cover.classList.toggle("gone", state === "drawn" && !failure);
+    const run = Boolean(store.get("acquisition")?.points); // its points are drawn without the page's help
+    cover.classList.toggle("gone", (state === "drawn" || run) && !failure);
     const share = total ? got / total : 0;
     bar.hidden = !open || Boolean(why);
     if (total) bar.value = share;
@@ -37,7 +38,7 @@ export const mountModelCover = (loader) => {
     last = state;
     show();
   });
-  store.watch(["scan"], show);
+  store.watch(["scan", "acquisition"], show);
   return {
     element: cover,
     fail: (sentence) => {

@@ -36,7 +36,7 @@ const forwardKeys = (frame) => {
 export const mountModelFrame = (frame, { loaded, failed }) => {
   const open = () => {
     const you = store.get("people")?.you;
-    if (!you || !store.get("scan")) return;
+    if (!you || !(store.get("scan") || store.get("acquisition")?.points)) return;
     const address = `viser/${encodeURIComponent(you)}/`;
     if (frame.getAttribute("src") !== address) frame.src = address;
   };
@@ -56,7 +56,7 @@ export const mountModelFrame = (frame, { loaded, failed }) => {
     }
   });
   whenFirstPicturesArrived().then(() => {
-    store.watch(["people", "scan"], open);
+    store.watch(["people", "scan", "acquisition"], open);
     open();
   });
 };

@@ -131,11 +131,11 @@ export const mountModelPane = (pane) => {
     setAttribute(body, "data-model", state);
   });
   const show = () => {
-    const without = connectionState() === "connected" && !store.get("scan");
+    const without = connectionState() === "connected" && !store.get("scan") && !store.get("acquisition")?.points;
     setChildren(empty, without ? "The scan is shown here as a surface, with the camera." : "");
     empty.hidden = !without;
   };
-  store.watch(["scan"], show);
+  store.watch(["scan", "acquisition"], show);
   onConnection(show);
   show();
 };

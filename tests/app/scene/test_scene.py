@@ -410,3 +410,31 @@ def test_a_distant_pose_is_drawn(server: viser.ViserServer, scene: Scene3D) -> N
     far = dataclasses.replace(pose(), camera_from_scanner=Rigid(np.eye(3), [0.0, 0.0, 1e6]))
     scene.show(shown(far))
     assert "/camera" in drawn(scene, server)
+
+
+def test_points_of_a_run_are_drawn_in_place_of_the_model_and_seen_from_outside(
+    server: viser.ViserServer, scene: Scene3D
+) -> None:
+    scene.remove_view(1)
+    viewer = Viewer(server)
+    scene.add_view(2, viewer, "ann")  # type: ignore[arg-type]
+    rng = np.random.default_rng(0)
+    sent = [rng.uniform(-3, 3, (6000, 3)).astype(np.float32) for _ in range(3)]
+    for points in sent:
+        scene.show_run(points, np.full(len(points), 200, np.uint8))
+        assert scene.settle()
+    nodes = drawn(scene, server)
+    clouds = [node for name, node in nodes.items() if name.startswith("/run/")]
+    assert len(clouds) == 2  # one is full, the other is being filled
+    shown_points = np.concatenate([cloud.points for cloud in clouds])
+    np.testing.assert_allclose(shown_points, np.concatenate(sent), atol=0.01)
+    assert not nodes["/model"].visible
+    assert np.linalg.norm(viewer.camera.position) > 3
+    moved = viewer.camera.position = np.array([9.0, 9, 9])
+    scene.show_run(sent[0], np.full(6000, 200, np.uint8))
+    assert scene.settle()
+    np.testing.assert_array_equal(viewer.camera.position, moved, "a view is moved once")
+    scene.forget_run()
+    nodes = drawn(scene, server)
+    assert not any(name.startswith("/run/") for name in nodes)
+    assert nodes["/model"].visible

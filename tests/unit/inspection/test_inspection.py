@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from functools import cache
 
 import cv2
@@ -110,6 +111,20 @@ def test_a_narrow_scan_has_one_view_and_a_wide_one_several_that_cover_it() -> No
     for named in views:
         seen |= named.view.camera.contains(named.view.project(rays))
     assert seen.all()
+
+
+@pytest.mark.parametrize("turned_deg", [0, 100, 250])
+def test_views_all_around_begin_where_most_is_to_be_seen_and_go_on_to_the_right(turned_deg: float) -> None:
+    step = np.deg2rad(2.0)
+    geometry = SphericalGrid(40, 180, step, step, 0.0, 20 * step)
+    ranges = np.full((40, 180), 3.0)
+    azimuth = np.arctan2(geometry.rays[..., 1], geometry.rays[..., 0])
+    empty = np.cos(azimuth - np.deg2rad(turned_deg)) < 0.2
+    ranges[empty] = np.where(geometry.rays[empty][:, 2] < -0.3, 3.0, np.nan)  # only the floor is seen there
+    views = [named.view for named in inspection_views(Scan(geometry, ranges, np.ones((40, 180))))]
+    ahead = [np.degrees(np.arctan2(*view.view_from_scanner.rotation[2, 1::-1])) for view in views]
+    assert abs((ahead[0] - turned_deg + 180) % 360 - 180) < 60
+    assert all(0 < (a - b) % 360 < 120 for a, b in itertools.pairwise(ahead))
 
 
 def test_views_have_no_more_pixels_than_the_scan_resolves() -> None:
