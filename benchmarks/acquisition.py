@@ -1,4 +1,4 @@
-"""How good acquisition is: mounts, latencies, mosaics, and runs that are killed, in one table with their bars.
+"""How good acquisition is: mounts, latencies, mosaics, runs that are killed, damaged replies, in one table with bars.
 
 `python -m benchmarks.acquisition [ROW ...] [--quick]` measures rows, all by default, one after another; nothing else
 should run meanwhile. A row named `control` shows that its measurement can fail. The thesis has one figure to set beside
@@ -13,7 +13,13 @@ import sys
 from collections.abc import Callable
 from functools import partial
 
-from benchmarks import acquisition_kills, acquisition_latency, acquisition_mosaic, acquisition_mount
+from benchmarks import (
+    acquisition_kills,
+    acquisition_latency,
+    acquisition_mosaic,
+    acquisition_mount,
+    acquisition_parsers,
+)
 from benchmarks.bars import Row, table
 
 Show = Callable[[str], None]
@@ -33,6 +39,7 @@ ROWS: dict[str, Measure] = {
     "latency": acquisition_latency.latency_rows,
     "kills": acquisition_kills.kills_rows,
     "unplugs": acquisition_kills.unplugs_rows,
+    "parsers": acquisition_parsers.parsers_rows,
 }
 
 

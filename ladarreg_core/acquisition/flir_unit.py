@@ -6,8 +6,10 @@ import contextlib
 import math
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
+from ladarreg_core.acquisition.axis_readings import AxisReadings
 from ladarreg_core.acquisition.devices import Check, PanTilt, UnitIdentity
 from ladarreg_core.acquisition.flir_protocol import (
     STOP,
@@ -33,7 +35,6 @@ _REACHED_COUNTS = 1
 _STILL_READINGS = 2
 _QUIET_S, _QUIET_IN_DOUBT_S, _LONGEST_TALK_S = 0.1, 0.3, 1.0
 _TRIES = 3
-_FASTER, _SPARE_COUNTS = 1.5, 10
 _MOST_TURNS_RAD = 4 * math.pi
 _AXES = (("P", "pan"), ("T", "tilt"))
 
@@ -50,7 +51,7 @@ class FlirUnit:
         self._halting, self._asking = threading.Lock(), threading.RLock()
         self._limits_hit: tuple[str, ...] = ()
         self._in_doubt = False
-        self._readings: list[_Reading | None] = [None, None]
+        self._axes: list[AxisReadings] = []
         self._fastest_counts_s = 0.0
         self._set_up()
         self._counts_at_limits: list[tuple[int, int]] = []
@@ -97,7 +98,10 @@ class FlirUnit:
             OptionError: if the target is beyond the limits; nothing has been sent then.
             DeviceError: if the unit does not answer as specified.
         """
-        for (letter, _), counts in zip(_AXES, self._target_counts(target), strict=True):
+        wanted = self._target_counts(target)
+        for axis in self._axes:
+            axis.may_move()
+        for (letter, _), counts in zip(_AXES, wanted, strict=True):
             self._ask(command(f"{letter}P", counts))
 
     def move_to(self, target: PanTilt, *, check: Check) -> PanTilt:
@@ -169,7 +173,9 @@ class FlirUnit:
                     raise
         if self._limits_are() == "off":
             self._ask(command("LE"))
-        self._readings, self._limits_hit = [None, None], ()  # a reset reports limits, too
+        self._limits_hit = ()  # a reset reports them, too
+        for axis in self._axes:
+            axis.forget()
 
     def _set_up_again(self) -> None:
         """Set up as before: a unit that lost its power has forgotten its speed, too."""
@@ -194,6 +200,10 @@ class FlirUnit:
             if not (low < high and max(abs(low), abs(high)) * step <= _MOST_TURNS_RAD):
                 raise FlirError(f"the pan/tilt unit states {axis} limits of {low:g} to {high:g} counts; reset the unit")
             self._counts_at_limits.append((int(low), int(high)))
+        self._axes = [
+            AxisReadings(f"{letter}P", partial(self._counts, f"{letter}P"), limits=limits)
+            for (letter, _), limits in zip(_AXES, self._counts_at_limits, strict=True)
+        ]
         counts_s = [self._asked_twice(f"{letter}S", whole=True) for letter, _ in _AXES]
         self._fastest_counts_s = max(self._fastest_counts_s, *counts_s)
         speeds = [count * step for count, step in zip(counts_s, self._step_rad, strict=True)]
@@ -292,31 +302,11 @@ class FlirUnit:
         return "off" if "OFF" in words or "DISABLE" in words else "user" if "USER" in words else "on"
 
     def _positions(self) -> list[int]:
-        return [self._position(k) for k in (0, 1)]
+        return [axis.position(self._fastest_counts_s) for axis in self._axes]
 
-    def _position(self, k: int) -> int:
-        """Return the counts of an axis; a reading that no movement explains is compared with a second one."""
-        found, before = self._read(k), self._readings[k]
-        low, high = self._counts_at_limits[k]
-        within = low - _SPARE_COUNTS <= found.counts <= high + _SPARE_COUNTS
-        if before is None or not within or not self._follows(k, before, found):
-            again = self._read(k)
-            if not self._follows(k, found, again) and (before is None or not self._follows(k, before, again)):
-                raise FlirError(
-                    f"the pan/tilt unit answered {found.counts} to {_AXES[k][0]}P and {again.counts} when it was asked "
-                    "again; check the cable, and that no other program uses the port"
-                )
-            found = again
-        self._readings[k] = found
-        return found.counts
-
-    def _read(self, k: int) -> _Reading:
-        sent, begun = command(f"{_AXES[k][0]}P"), time.monotonic()
-        return _Reading(self._ask(sent).counts(sent), begun, time.monotonic())
-
-    def _follows(self, k: int, before: _Reading, found: _Reading) -> bool:
-        way = abs(found.counts - before.counts)
-        return way <= _FASTER * self._fastest_counts_s * (found.ended_s - before.begun_s) + _SPARE_COUNTS
+    def _counts(self, query: str) -> int:
+        sent = command(query)
+        return self._ask(sent).counts(sent)
 
     def _angles(self, counts: list[int]) -> PanTilt:
         pan, tilt = (sign * n * step for sign, n, step in zip(self._signs, counts, self._step_rad, strict=True))
@@ -346,15 +336,6 @@ class FlirUnit:
             while time.monotonic() < until:
                 passed += self._link.exchange(b"", complete=bool, deadline_s=quiet_s)
         self._limits_hit += limits_hit(passed)
-
-
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """The position of an axis as it was read."""
-
-    counts: int
-    begun_s: float
-    ended_s: float
 
 
 def _pair(at: PanTilt) -> tuple[float, float]:

@@ -181,7 +181,7 @@ def test_readings_that_no_movement_explains(bench: Bench) -> None:
     here = unit.move_to(at(2, 0), check=goes_on)
     bench.twin.misreads["PP"] = 4_000
     assert unit.position() == here, "read again"
-    bench.twin.misreads["TP"] = -1_000
+    bench.twin.misreads["TP"] = -3  # it is at rest
     assert unit.position() == here
     bench.twin._axes["P"].move(-5_000, bench.server.now_s() - 60)  # it is there indeed: it was pushed, or reset
     assert math.degrees(unit.position().pan_rad) == pytest.approx(-5_000 * 46.2857 / 3600, abs=0.05)
