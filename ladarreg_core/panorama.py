@@ -212,7 +212,7 @@ def _document(listed: PieceList, made: Panorama, checksums: Sequence[str], mount
     return {
         "version": _VERSION, "kind": "panorama", "software": {"name": "ladarreg", "version": VERSION},
         "mode": listed.mode, "scan": "scan.npz", "frame_is": PANORAMA_IS, "counts": counts, "mount": mount, **own,
-        "missing": list(listed.missing), "pieces": pieces,
+        "notes": [*made.scan.notes, *own.get("notes", ())], "missing": list(listed.missing), "pieces": pieces,
     }  # fmt: skip
 
 

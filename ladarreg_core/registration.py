@@ -177,7 +177,7 @@ def _register(
             scan, photo, steps,
             picks=picks, initial=initial, options=options.seeded_thesis, samples_per_line=options.samples_per_line,
         )  # fmt: skip
-        result = _thesis_result(chain, scan, photo)
+        result = _with_shape_alone_said(_thesis_result(chain, scan, photo), scan)
         if photo.assumed:
             result = with_assumed_camera(result, options.thesis.pose.camera_prior)
         result = with_lengths_checked(result, scan, picks or (), tolerance_m=options.match_tolerance_m)
@@ -188,7 +188,7 @@ def _register(
         return _registration(result, scan, "manual", steps, options)
     found = register_by_modality(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
     with steps.step("result"):
-        result = _auto_result(found, scan, photo)
+        result = _with_shape_alone_said(_auto_result(found, scan, photo), scan)
         if photo.assumed:
             result = with_assumed_camera(result, options.pose.camera_prior, shown=_SHOWN_BY_BLOCKS)
         steps.pose, steps.matches = result.camera_from_scanner, result.matches
@@ -259,6 +259,13 @@ def _thesis_result(found: ThesisResult, scan: Scan, photo: Photo) -> PoseResult:
     return replace(result, reasons=(*result.reasons, *found.fallback_note, *found.cautions, *found.losses))
 
 
+def _with_shape_alone_said(result: PoseResult, scan: Scan) -> PoseResult:
+    """Return a result whose reasons say so if the scan has no intensity."""
+    if scan.has_intensity:
+        return result
+    return replace(result, reasons=(*result.reasons, _SHAPE_ALONE))
+
+
 def _auto_result(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
     """Return an automatic result with the residuals and diagnostics that every pose has."""
     if found.camera_from_scanner is None:
@@ -289,6 +296,7 @@ def _auto_result(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
     )
 
 
+_SHAPE_ALONE = "The scan has no intensity, so that only its shape was compared with the photo."
 _UNKNOWN = np.diag([np.pi**2] * 3 + [100.0**2] * 3)
 
 

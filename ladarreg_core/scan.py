@@ -22,6 +22,8 @@ _DIRECTION_SAMPLES = 20_000
 _ROWS_AT_ONCE = 256
 LUMA_NOTE = "the intensity is the luminance of the colours (Rec. 709), not the laser's"
 """Note of a scan whose intensity is the luminance of its colours."""
+NO_INTENSITY_NOTE = "the scan has no intensity: only its shape can be compared with a photo"
+"""Note of a scan whose intensity is the same everywhere."""
 _REC_709 = (0.2126, 0.7152, 0.0722)
 
 
@@ -189,6 +191,12 @@ class Scan:
         mask.flags.writeable = False
         return mask
 
+    @cached_property
+    def has_intensity(self) -> bool:
+        """Whether the intensity differs between returns; that of a scanner which measures none is 0 everywhere."""
+        low = self.intensity.min(initial=np.inf, where=self.valid)
+        return bool(low < self.intensity.max(initial=-np.inf, where=self.valid))
+
     @property
     def rays(self) -> FloatArray:
         """(H, W, 3) unit rays, scanner frame; float32 or float64."""
@@ -260,7 +268,7 @@ def _light_of(
         return read_only(intensity, np.float32, shape, "the intensity"), ()
     if colors is not None:
         return luma(colors), (LUMA_NOTE,)
-    return np.zeros(shape, np.float32), ("no intensity is given: the scan can only be registered by given matches",)
+    return np.zeros(shape, np.float32), (NO_INTENSITY_NOTE,)
 
 
 def luma(color: ByteArray) -> NDArray[np.float32]:

@@ -110,6 +110,8 @@ def _composed(out: Path, *, quiet: bool) -> ExitCode:
         add_to_run(out, panorama)
     rows, columns = panorama.scan.shape
     print(f"Panorama   {rows} x {columns} cells, {panorama.scan.valid.mean():.0%} with returns: {out / 'scan.npz'}")
+    for note in panorama.scan.notes:
+        print(f"Note       {one_line(note)}")
     return ExitCode.ACCEPTED
 
 

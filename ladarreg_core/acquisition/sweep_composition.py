@@ -13,14 +13,13 @@ from ladarreg_core.acquisition.sweep_columns import column_grid
 from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.scan import Scan
+from ladarreg_core.scan import NO_INTENSITY_NOTE, Scan
 from ladarreg_core.scanner.grids import SphericalGrid, TabulatedGrid
 
 _FULL_TURN_GAP_RAD = float(np.radians(2.0))
 _LONGITUDE_BINS = 1440
 _BEHIND = (0.1, 1.15)
 _LEAST_BESIDE = 0.25  # cells from the centre, for a return to stand in the cell beside it
-NO_INTENSITY = "the scanner measures no intensity: the scan can only be registered by given matches"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +58,7 @@ def compose_sweeps(
     """
     if not sweeps:
         raise ShapeError("there is no line to compose; a sweep needs at least two")
-    notes = () if any(sweep.intensity is not None for sweep in sweeps) else (NO_INTENSITY,)
+    notes = () if any(sweep.intensity is not None for sweep in sweeps) else (NO_INTENSITY_NOTE,)
     grid = column_grid(sweeps[0], unit_from_scanner, latency_s=latency_s) if len(sweeps) == 1 else None
     if grid is not None:
         scan = Scan(TabulatedGrid.taking_over(grid.rays), grid.ranges_m, grid.intensity, name=name, notes=notes)

@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from ladarreg_core.formats.untrusted import (
 from ladarreg_core.formats.world_pose import world_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.scan import IntensityKind, Scan
+from ladarreg_core.scan import NO_INTENSITY_NOTE, IntensityKind, Scan
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.scanner.grid_window import grid_rays
 from ladarreg_core.scanner.grids import (
@@ -132,7 +132,7 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         del values, metres
         for array in (ranges, shown):
             array.flags.writeable = False  # handed over without a copy
-        return Scan(
+        scan = Scan(
             geometry,
             ranges,
             shown,
@@ -142,6 +142,7 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
             name=file.stem,
             notes=(*notes, *unit_notes(ranges)),
         )
+        return scan if scan.has_intensity else replace(scan, notes=(*scan.notes, NO_INTENSITY_NOTE))
 
 
 def write_npz_counts(
