@@ -16,9 +16,10 @@ from .stop_signals import forget_interrupt, interrupt_on_stop_signals
 
 COMMANDS = {
     "register": "Register a scan with a photo: pose, registered image, model.",
-    "apply": "Colour and export with a pose that is known: given, not verified.",
+    "apply": "Colour and export with a known pose: given, not verified.",
     "compare": "Compare the thesis's stages with the default method.",
     "panorama": "Compose the pieces of a pan/tilt run as one scan.",
+    "register-scans": "Register scans of several stations to each other.",
     "export": "Hand results over to other programs: COLMAP, E57, LAZ, ROS ...",
     "report": "Write the report of a result or project: one HTML file.",
     "info": "Describe a scan, photo, camera, pose, matches or results file.",
@@ -81,7 +82,7 @@ def entry_point() -> NoReturn:
 def _run(name: str, words: list[str], *, debug: bool) -> int:
     from .arguments import parse
 
-    command = importlib.import_module(f".commands.{name}", __package__)
+    command = importlib.import_module(f".commands.{name.replace('-', '_')}", __package__)
     arguments = parse(command.Arguments, words, prog=f"ladarreg {name}", description=COMMANDS[name])
     _set_up_log(debug=debug)
     return int(command.run(arguments))

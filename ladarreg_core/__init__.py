@@ -51,6 +51,9 @@ if TYPE_CHECKING:
     from ladarreg_core.results import Registration as Registration
     from ladarreg_core.scan import Scan as Scan
     from ladarreg_core.simulate import simulate_case as simulate_case
+    from ladarreg_core.stations.registration import register_scans as register_scans
+    from ladarreg_core.stations.results import StationNetwork as StationNetwork
+    from ladarreg_core.stations.results import StationPair as StationPair
     from ladarreg_core.surface.perspective import View as View
     from ladarreg_core.surface.perspective import perspective_view as perspective_view
     from ladarreg_core.surface.photo_points import PhotoPoints as PhotoPoints
@@ -85,6 +88,8 @@ _HOMES = {
     "Registration": "results",
     "Rigid": "frames",
     "Scan": "scan",
+    "StationNetwork": "stations.results",
+    "StationPair": "stations.results",
     "Step": "progress",
     "ThesisParameters": "frames",
     "View": "surface.perspective",
@@ -104,6 +109,7 @@ _HOMES = {
     "read_registration": "formats",
     "read_scan": "formats",
     "register": "registration",
+    "register_scans": "stations.registration",
     "simulate_case": "simulate",
     "texture_scan": "surface.texture",
     "verify_pose": "given",

@@ -20,7 +20,7 @@ EXAMPLES = (
     "# the images that a scanner took, with their cameras and poses:",
     "ladarreg info room.e57 --scan 1 --extract images",
 )
-_DOCUMENTS = ("registration.json", "comparison.json", "export.json", "panorama.json")
+_DOCUMENTS = ("registration.json", "comparison.json", "export.json", "panorama.json", "stations.json")
 
 
 @dataclass(frozen=True, kw_only=True)

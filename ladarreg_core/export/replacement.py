@@ -39,6 +39,8 @@ PANORAMA_FILE = "panorama.json"
 """File that describes a panorama."""
 PANORAMA_FILES = (PANORAMA_FILE, "scan.npz")
 """Files of a panorama."""
+STATIONS_FILE = "stations.json"
+"""File that describes stations, beside their scans."""
 _SIMULATION_FILES = ("scan.npz", "photo.png", "camera.json", "truth.json")
 _STAGE_PICTURE = re.compile(r"(registered|not_accepted)_[a-z0-9_]+\.png")
 _FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini", ".directory"})
@@ -264,6 +266,14 @@ def _files_of_panorama(fields: Mapping[str, Any]) -> Collection[str] | None:
     return PANORAMA_FILES if fields.get("kind") == "panorama" and isinstance(fields.get("software"), dict) else None
 
 
+def _files_of_stations(fields: Mapping[str, Any]) -> Collection[str] | None:
+    stations = fields.get("stations")
+    if fields.get("kind") != "stations" or not isinstance(fields.get("software"), dict):
+        return None
+    named = [one.get("scan") for one in stations if isinstance(one, dict)] if isinstance(stations, list) else []
+    return (STATIONS_FILE, *(name for name in named if isinstance(name, str) and is_file_name(name)))
+
+
 def is_file_name(name: str) -> bool:
     """Return whether a name, with `/` between folders, is of a file below the folder that it is relative to."""
     parts = name.split("/")
@@ -288,6 +298,7 @@ _DOCUMENTS: Mapping[str, Callable[[Mapping[str, Any]], Collection[str] | None]] 
     "truth.json": _files_of_simulation,
     EXPORT_FILE: _files_of_export,
     PANORAMA_FILE: _files_of_panorama,
+    STATIONS_FILE: _files_of_stations,
 }
 """Identifying document of each kind of results, and a function that returns the names of all their files; None if the
 document was not written by ladarreg."""

@@ -15,6 +15,7 @@ from ladarreg_core.formats.file_info import FileInfo
 from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
 from ladarreg_core.formats.panorama_info import panorama_lines
 from ladarreg_core.formats.pose_file import GUESS_FIELD, POSE_FIELD, WORLD_FIELD, read_pose
+from ladarreg_core.formats.stations_info import station_lines
 from ladarreg_core.formats.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position
 from ladarreg_core.results import verdict_words
@@ -56,6 +57,8 @@ def _describer(fields: Fields) -> Callable[[Path, Fields], FileInfo] | None:
         return _comparison
     if fields.get("kind") == "panorama" and isinstance(fields.get("pieces"), list):
         return _panorama
+    if fields.get("kind") == "stations" and isinstance(fields.get("stations"), list):
+        return _stations
     if "offset_is" in fields and isinstance(fields.get("offset_m"), list):
         return _offset
     return None
@@ -123,6 +126,11 @@ def _comparison(path: Path, fields: Fields) -> FileInfo:
 def _panorama(path: Path, fields: Fields) -> FileInfo:
     lines = tuple(f"{name}: {one_line(text, _LONGEST)}" for name, text in panorama_lines(fields))
     return FileInfo(**_about(path, fields, "panorama"), contents=lines, notes=_texts(fields.get("notes")))
+
+
+def _stations(path: Path, fields: Fields) -> FileInfo:
+    lines = tuple(f"{name}: {one_line(text, _LONGEST)}" for name, text in station_lines(fields))
+    return FileInfo(**_about(path, fields, "stations"), contents=lines)
 
 
 def _offset(path: Path, fields: Fields) -> FileInfo:

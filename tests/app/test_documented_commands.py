@@ -38,7 +38,7 @@ def refusal(line: str) -> str:
         return f"no command {words[0]}"
     if len(words) == 1:
         return ""
-    arguments = importlib.import_module(f"ladarreg.commands.{words[0]}").Arguments
+    arguments = importlib.import_module(f"ladarreg.commands.{words[0].replace('-', '_')}").Arguments
     try:
         parse(arguments, words[1:], prog=f"ladarreg {words[0]}", description="")
     except OptionError as error:

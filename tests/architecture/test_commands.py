@@ -23,5 +23,5 @@ def test_every_command_has_examples_for_its_help(path: Path) -> None:
     assert "EXAMPLES" in named, "add EXAMPLES = (...), command lines for the end of --help; see commands/register.py"
     examples = ast.literal_eval(named["EXAMPLES"])
     assert isinstance(examples, tuple)
-    assert any(example.startswith(f"ladarreg {path.stem}") for example in examples)
+    assert any(example.startswith(f"ladarreg {path.stem.replace('_', '-')}") for example in examples)
     assert all(len(example) < 78 for example in examples)

@@ -89,7 +89,7 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     for name, summary in COMMANDS.items():
         assert name in shown
         assert summary in shown
-        command = importlib.import_module(f"ladarreg.commands.{name}")
+        command = importlib.import_module(f"ladarreg.commands.{name.replace('-', '_')}")
         assert callable(command.run)
         assert command.Arguments.__doc__
 

@@ -43,7 +43,7 @@ def test_help_is_plain_text_that_fits(
     assert "\x1b" not in text
     assert all(len(line) < width for line in text.splitlines()), max(text.splitlines(), key=len)
     assert "Arguments of" not in text  # the summary of the command, not of its class
-    kind = importlib.import_module(f"ladarreg.commands.{name}").Arguments
+    kind = importlib.import_module(f"ladarreg.commands.{name.replace('-', '_')}").Arguments
     for one in arguments_of(kind):
         assert one.text, one.name
         for flag in one.flags:
@@ -53,7 +53,7 @@ def test_help_is_plain_text_that_fits(
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_example_parses(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    kind = importlib.import_module(f"ladarreg.commands.{name}").Arguments
+    kind = importlib.import_module(f"ladarreg.commands.{name.replace('-', '_')}").Arguments
     examples = [one for one in examples_of(kind) if not one.startswith("#")]
     assert examples
     text = shown(name, capsys, monkeypatch)
@@ -90,7 +90,7 @@ def test_the_overview_fits_and_names_every_command(
     assert all(len(line) < 80 for line in text.splitlines())
     for line in text[text.index("examples:") :].splitlines()[1:]:
         words = shlex.split(line)
-        kind = importlib.import_module(f"ladarreg.commands.{words[1]}").Arguments
+        kind = importlib.import_module(f"ladarreg.commands.{words[1].replace('-', '_')}").Arguments
         parse(kind, words[2:], prog="ladarreg", description="")
 
 

@@ -1,0 +1,83 @@
+"""Scans of one room from several upright stations, with their true poses."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.frames import Rigid, rotation_about
+from ladarreg_core.scan import Scan
+from ladarreg_core.simulate.ray_cast import RayCaster
+from ladarreg_core.simulate.scenes import build_scene
+from ladarreg_core.simulate.surroundings import SURROUNDINGS
+from ladarreg_core.simulate.terrestrial import RANGE_NOISE, RangeNoise, dome_grid, scan_around
+from ladarreg_core.simulate.world import World
+from ladarreg_core.validation import require_choice, require_int
+
+_BEAM_RAD = float(np.radians(0.02))
+
+
+def upright_pose(position_m: FloatArray, yaw_rad: float, lean_rad: tuple[float, float] = (0.0, 0.0)) -> Rigid:
+    """Return where a scanner stands: its position (3,), its yaw, and how it leans about its X and Y axes."""
+    lean = Rigid.from_rotvec([*lean_rad, 0.0])
+    return Rigid(rotation_about("z", yaw_rad) @ lean.rotation, np.asarray(position_m, np.float64))
+
+
+@lru_cache(maxsize=2)
+def station_room(scene: str, seed: int) -> tuple[World, RayCaster]:
+    """Return a room that is furnished on all sides.
+
+    Args:
+        scene: a name in `SURROUNDINGS`.
+        seed: every seed gives another room.
+
+    Raises:
+        OptionError: if the scene does not exist or the seed is negative.
+        DependencyError: if `embreex` is not installed.
+    """
+    require_choice(scene, tuple(SURROUNDINGS), "the scene")
+    require_int(seed, "the seed", least=0)
+    layout = np.random.default_rng([zlib.crc32(f"{scene}/stations".encode()), seed])
+    world = build_scene(scene, layout=layout, all_around=True)
+    return world, RayCaster(world.triangles)
+
+
+def scan_stations(
+    room: tuple[World, RayCaster],
+    poses: Sequence[Rigid],
+    *,
+    seed: int,
+    step_deg: float = 0.35,
+    width_deg: float = 360.0,
+    noise: RangeNoise = RANGE_NOISE,
+    mixed: bool = True,
+) -> list[Scan]:
+    """Return the scans of stations, without their poses.
+
+    Args:
+        room: the world and its caster.
+        poses: `world_from_scanner` of each station.
+        seed: of the noise.
+        step_deg: angle between neighbouring rays.
+        width_deg: extent in longitude, centred on each scanner's X axis.
+        noise: of the ranges, which falls with the amplitude and so grows with incidence and distance.
+        mixed: the beam has a width: at edges a range is between those of the two surfaces.
+    """
+    world, caster = room
+    grid = dome_grid(np.radians(step_deg), width_rad=np.radians(width_deg))
+    scans = []
+    for k, pose in enumerate(poses):
+        rng = np.random.default_rng([zlib.crc32(b"station noise"), seed, k])
+        ranges, intensity = scan_around(world, caster, grid, rng=rng, noise=noise, world_from_scanner=pose)
+        if mixed:
+            beside = Rigid(pose.rotation @ rotation_about("z", _BEAM_RAD), pose.translation)
+            other, _ = scan_around(world, caster, grid, rng=rng, noise=noise, world_from_scanner=beside)
+            apart = np.abs(other - ranges) > 0.03 * ranges
+            share = rng.uniform(0, 1, ranges.shape).astype(np.float32)
+            ranges = np.where(apart, share * ranges + (1 - share) * other, ranges).astype(np.float32)
+        scans.append(Scan(geometry=grid, ranges=ranges, intensity=intensity, name=f"station {k + 1}"))
+    return scans

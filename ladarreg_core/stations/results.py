@@ -1,0 +1,195 @@
+"""What is known of stations that were registered to each other: pairs, loops, and the poses that follow."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ladarreg_core.frames import Rigid
+from ladarreg_core.scan import Scan
+
+PairVerdict = Literal["verified", "ambiguous", "refused"]
+StationState = Literal["fixed", "registered", "out"]
+
+
+@dataclass(frozen=True, slots=True)
+class PairEvidence:
+    """The figures that a pair is judged by; NaN where there is none."""
+
+    overlap: float
+    """Share of both stations' surfaces, without floors and ceilings, that the other one measured as well."""
+    contradicted: float
+    """Share of the surfaces in plain view of the other station that it saw through."""
+    shared_planes: int
+    """Planes that the alignment rests on."""
+    held_out_planes: int
+    """Planes that were kept from it, and then compared."""
+    held_out_ratio: float
+    """RMS distance of both scans from the held-out planes, over that of each scan from its own: 1 is perfect."""
+    runner_up_overlap: float
+    """Overlap of the best other placement; 0 without any."""
+    runner_up_contradicted: float
+    """What is contradicted of it; 1 without any."""
+    print_correlation: float
+    """Correlation of the intensities' local contrast."""
+    print_by_chance: float
+    """Its median with the surfaces shifted along themselves by 25 to 85 cm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StationPair:
+    """Two stations registered to each other, and the verdict on it."""
+
+    first: int
+    """Index of the scan whose frame is used."""
+    second: int
+    """Index of the scan that was placed in it."""
+    verdict: PairVerdict
+    """`verified`; `ambiguous`: another placement, or a sliding one, explains the scans as well; `refused`."""
+    reasons: tuple[str, ...]
+    """Sentences that say why."""
+    first_from_second: Rigid
+    """The pose; the best guess unless the pair is verified."""
+    covariance: NDArray[np.float64]
+    """(6, 6) of (w, c): R_true = exp([w]x) R, c = C_true - C; w in rad, C the second scanner's centre, m, both in
+    the frame of the first."""
+    evidence: PairEvidence
+    """The figures."""
+    start: str
+    """Where the pose was found from: `search` or `poses in the files`."""
+    not_determined: tuple[str, ...] = ()
+    """What the surfaces do not hold, in words."""
+    runner_up: Rigid | None = None
+    """The best other placement."""
+
+    @property
+    def verified(self) -> bool:
+        """Whether the pair may be used."""
+        return self.verdict == "verified"
+
+    @property
+    def sigma_mm(self) -> float:
+        """Largest standard deviation of the second scanner's position, mm."""
+        return 1000 * _largest(self.covariance[3:, 3:])
+
+    @property
+    def sigma_deg(self) -> float:
+        """Largest standard deviation of its orientation, deg."""
+        return float(np.degrees(_largest(self.covariance[:3, :3])))
+
+    def as_fields(self) -> dict[str, Any]:
+        """Return what `stations.json` states of the pair."""
+        pose = {"first_from_second": self.first_from_second.matrix.tolist()}
+        return {
+            "first": self.first, "second": self.second, "verdict": self.verdict, "reasons": list(self.reasons),
+            **(pose if self.verified else {"first_from_second": None, "rejected_guess": pose}),
+            "covariance": _numbers(self.covariance) if self.verified else None,
+            "sigma_mm": _number(self.sigma_mm), "sigma_deg": _number(self.sigma_deg), "start": self.start,
+            "evidence": {name: _number(value) for name, value in asdict(self.evidence).items()},
+            "not_determined": list(self.not_determined),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """Verified pairs that lead back to where they began, and by how much they miss it."""
+
+    stations: tuple[int, ...]
+    """Indices in order."""
+    error_mm: float
+    """Distance by which the loop does not close."""
+    error_deg: float
+    """Angle by which it does not close."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedStation:
+    """Where one scan stands."""
+
+    index: int
+    """Its place in the list of scans."""
+    name: str
+    """Its display name."""
+    state: StationState
+    """`fixed`, `registered`, or `out`: no verified pair leads to it."""
+    world_from_scanner: Rigid | None
+    """Its pose; None if it is out."""
+    covariance: NDArray[np.float64]
+    """(6, 6) of (w, c) against the fixed station, as `StationPair.covariance`, in the world; zero for the fixed
+    one, NaN if it is out."""
+
+    def as_fields(self) -> dict[str, Any]:
+        """Return what `stations.json` states of the station."""
+        pose, known = self.world_from_scanner, np.isfinite(self.covariance).all()
+        sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0)) if known else None
+        return {
+            "index": self.index, "name": self.name, "state": self.state,
+            "world_from_scanner": None if pose is None else pose.matrix.tolist(),
+            "covariance": _numbers(self.covariance) if known else None,
+            "sigma_mm": None if sigma is None else [_number(1000 * float(v)) for v in sigma[3:]],
+            "sigma_deg": None if sigma is None else [_number(float(np.degrees(v))) for v in sigma[:3]],
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StationNetwork:
+    """Scans in one world."""
+
+    stations: tuple[PlacedStation, ...]
+    """One for each scan, in their order."""
+    pairs: tuple[StationPair, ...]
+    """Every pair that was tried."""
+    loops: tuple[Loop, ...]
+    """Loops of verified pairs."""
+    reasons: tuple[str, ...]
+    """Remarks on the whole."""
+    seed: int = 0
+    """Random seed."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """How it was asked for."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether every scan was registered."""
+        return all(one.state != "out" for one in self.stations)
+
+    def placed(self, scans: Sequence[Scan]) -> list[Scan]:
+        """Return the registered scans with their poses; those that stayed out are left out."""
+        return [
+            replace(scans[one.index], world_from_scanner=one.world_from_scanner)
+            for one in self.stations
+            if one.world_from_scanner is not None
+        ]
+
+    def as_fields(self) -> dict[str, Any]:
+        """Return the result as JSON-ready fields."""
+        return {
+            "accepted": self.accepted, "reasons": list(self.reasons),
+            "stations": [one.as_fields() for one in self.stations],
+            "pairs": [one.as_fields() for one in self.pairs], "loops": [asdict(one) for one in self.loops],
+            "options": dict(self.options), "seed": self.seed,
+        }  # fmt: skip
+
+    def to_json(self) -> str:
+        """Return the result as JSON."""
+        return json.dumps(self.as_fields(), allow_nan=False, indent=2)
+
+
+def _largest(covariance: NDArray[np.float64]) -> float:
+    """Return the largest standard deviation in any direction; infinite if nothing is known."""
+    if not np.isfinite(covariance).all():
+        return float("inf")
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _numbers(matrix: NDArray[np.float64]) -> list[list[float | None]]:
+    return [[_number(float(value)) for value in row] for row in matrix]
