@@ -20,14 +20,14 @@ COMMANDS = {
     "compare": "Compare the thesis's stages with the default method.",
     "panorama": "Compose the pieces of a pan/tilt run as one scan.",
     "register-scans": "Register scans of several stations to each other.",
-    "export": "Hand results over to other programs: COLMAP, E57, LAZ, ROS ...",
+    "export": "Hand results to other programs: COLMAP, E57, LAZ, ROS ...",
     "report": "Write the report of a result or project: one HTML file.",
-    "info": "Describe a scan, photo, camera, pose, matches or results file.",
+    "info": "Describe a scan, photo, camera, pose, matches or results.",
     "selftest": "Estimate how well a scan and a camera will register.",
-    "devices": "List serial ports, and what pan/tilt unit or scanner is there.",
+    "devices": "List serial ports, and the pan/tilt unit or scanner there.",
     "acquire": "Scan all around: drive a pan/tilt unit and a scanner by a plan.",
     "simulate": "Write a synthetic scan and photo with their true pose.",
-    "serve": "Open the workbench in the browser, also on a project or files.",
+    "serve": "Open the workbench in the browser, on a project or files.",
     "demo": "Open the workbench on the embedded sample.",
 }
 """Summary of each command; its code is `commands/<name>.py`."""
