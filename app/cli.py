@@ -25,7 +25,7 @@ COMMANDS = {
     "info": "Describe a scan, photo, camera, pose, matches or results.",
     "selftest": "Estimate how well a scan and a camera will register.",
     "devices": "List serial ports, and the pan/tilt unit or scanner there.",
-    "acquire": "Scan all around: drive a pan/tilt unit and a scanner by a plan.",
+    "acquire": "Scan all around: drive pan/tilt unit and scanner by a plan.",
     "simulate": "Write a synthetic scan and photo with their true pose.",
     "serve": "Open the workbench in the browser, on a project or files.",
     "demo": "Open the workbench on the embedded sample.",
