@@ -14,13 +14,16 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from ladarreg_core.acquisition.line_sweep import LineSweep
-from ladarreg_core.arrays import FloatArray, IntArray
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
 from ladarreg_core.progress import Progress
 from ladarreg_core.range_alignment.voxel_planes import (
     LEAST_ACROSS,
+    LEAST_POINTS,
+    SMALL_LEAST_POINTS,
     SMALL_VOXELS_M,
     VOXELS_M,
     SharedPlanes,
@@ -33,20 +36,29 @@ Parameter = Literal["x", "y", "z", "roll", "pitch", "yaw", "latency"]
 MOUNT: tuple[Parameter, ...] = ("x", "y", "z", "roll", "pitch", "yaw")
 
 _MOST_POINTS = 1_500_000
+_ENOUGH_POINTS = 250_000  # while the mount is far off
 _GATES = ((0.25, 15.0), (0.25, 15.0), (0.15, 12.0), (0.1, 10.0), (0.06, 8.0), (0.03, 6.0), (0.015, 5.0))
 """Distance (m) and angle (deg) within which two views' patches are one plane, in turn."""
+_TRIMMED_GATES = 2  # the last ones, where most planes are right
 _NOISE_GATE = 3.0  # two patches of a plane are at most so many times the noise apart
-_MOST_STEPS = 16
+_MOST_STEPS = 5  # with the last gates; planes come and go without end
 _FINISHED = 0.15  # standard deviations of the result; planes that come and go move it by more than rounding does
 _HUBER = 3.0
-_UNDETERMINED = 0.005  # m, and rad at one metre: a wider uncertainty is no measurement of a mount
+_UNDETERMINED = 0.003  # m, and rad at one metre: a wider uncertainty is no measurement of a mount
 _LONGEST_STEP = 0.04  # m, and rad at one metre
 _LOOSE = 2.5e-4  # m, and rad at one metre: from here on furniture is asked, too
 _MUCH_TIGHTER = 1.5
-_PRIOR_POINTS = 30
+_HELD_RAD = float(np.radians(0.5))
+"""What a rotation that is not determined is thought to be off by."""
+_FEW_PLANES = 2.0  # planes whose word is worth nothing: what fewer show, others cannot check
+_PRIOR_POINTS = 10
 _HELD_OUT = 4  # one block of the room in four
 _LEAST_PLANES = 12
 _MAD = 1.4826
+_DISAGREE = 0.02  # share of the planes whose views disagree so much by chance
+_TRIMMINGS = 8
+_LEAST_SHARE = 1e-6
+_MEDIAN_CHI2 = 0.85  # the median of chi^2 / dof with about four degrees of freedom
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +149,8 @@ class _System:
     """(K, P, P) information of each plane."""
     sigma_m: float
     """Noise of the ranges."""
+    points: int
+    """Points that count."""
 
 
 def calibrate_mount(
@@ -188,7 +202,10 @@ def calibrate_mount(
     assert solved is not None
     covariance, determined = _covariance(solved[0], scale)
     if not determined.all() or _worst(covariance, scale) > _LOOSE:
-        small = _fit(sweeps, final, start, scale, level, keep=None, gates=_GATES[-1:], voxels_m=SMALL_VOXELS_M)
+        small = _fit(
+            sweeps, final, start, scale, level, keep=None, gates=_GATES[-1:], voxels_m=SMALL_VOXELS_M,
+            least_points=SMALL_LEAST_POINTS,
+        )  # fmt: skip
         assert small[2] is not None
         tighter = _covariance(small[2][0], scale)
         more = int(tighter[1].sum()) > int(determined.sum())
@@ -237,8 +254,18 @@ def _undetermined(names: list[Parameter]) -> str:
     }  # fmt: skip
     listed = [words[name] for name in names]
     if len(listed) == 1:
-        return f"{listed[0]} is not determined by these sweeps and keeps its value"
-    return f"{', '.join(listed[:-1])} and {listed[-1]} are not determined by these sweeps and keep their values"
+        what = f"{listed[0]} is not determined by these sweeps and keeps its value"
+    else:
+        what = f"{', '.join(listed[:-1])} and {listed[-1]} are not determined by these sweeps and keep their values"
+    return f"{what}; {_what_helps(names)}"
+
+
+def _what_helps(names: list[Parameter]) -> str:
+    if "latency" in names:
+        return "sweep in both directions"
+    if set(names) <= {"z", "yaw"}:
+        return "they only move the whole cloud; sweeps at several tilts show them"
+    return "set the tilt to about -45 deg, or sweep at several tilts, one of them about -45 deg"
 
 
 def _kept(
@@ -267,10 +294,10 @@ def _scale(sweeps: Sequence[LineSweep]) -> NDArray[np.float64]:
     return np.append(np.ones(6), 1 / max(rates)) if max(rates) > 0 else np.ones(6)
 
 
-def _returns(sweeps: Sequence[LineSweep], state: _State) -> _Returns:
-    """Return every n-th return of all sweeps at their positions."""
+def _returns(sweeps: Sequence[LineSweep], state: _State, most: int = _MOST_POINTS) -> _Returns:
+    """Return every n-th return of all sweeps at their positions, `most` in all."""
     total = sum(int(np.isfinite(sweep.ranges_m).sum()) for sweep in sweeps)
-    stride = max(1, int(np.ceil(total / _MOST_POINTS)))
+    stride = max(1, int(np.ceil(total / most)))
     parts = []
     for number, sweep in enumerate(sweeps):
         line, ray = (index[::stride] for index in np.nonzero(np.isfinite(sweep.ranges_m)))
@@ -318,24 +345,27 @@ def _fit(
     keep: Callable[[SharedPlanes], NDArray[np.bool_]] | None,
     gates: Sequence[tuple[float, float]] = _GATES,
     voxels_m: Sequence[float] = VOXELS_M,
+    least_points: int = LEAST_POINTS,
 ) -> tuple[_State, int, tuple[_System, int] | None]:
     """Minimise the distances of points from the planes that they share, matching the planes again after each step."""
     count = 0
     solved = None
-    for number in range(_MOST_STEPS):
+    for number in range(len(gates) - 1 + _MOST_STEPS):
         apart, angle = gates[min(number, len(gates) - 1)]
         apart = max(apart, _NOISE_GATE * solved[0].sigma_m) if solved else apart
-        returns = _returns(sweeps, state)
+        trimmed = number >= len(gates) - _TRIMMED_GATES
+        returns = _returns(sweeps, state, _MOST_POINTS if trimmed else _ENOUGH_POINTS)
         world, rays = _in_world(returns, state)
         found = shared_planes(
-            world, rays, returns.view, farthest_apart_m=apart, largest_angle_rad=np.radians(angle), voxels_m=voxels_m
-        )
+            world, rays, returns.view, farthest_apart_m=apart, largest_angle_rad=np.radians(angle), voxels_m=voxels_m,
+            least_points=least_points,
+        )  # fmt: skip
         found = found if keep is None else found.select(keep(found))
         count = found.count
         if count < _LEAST_PLANES:
             return state, count, None
-        system = _system(returns, state, world, rays, found, scale, level)
-        solved = system, len(found.point)
+        system = _system(returns, state, world, rays, found, scale, level, trimmed=trimmed)
+        solved = system, system.points
         step = _step(system, state.since(start, level, len(scale)) / scale)
         state = state.moved(step * scale, level)
         if number + 1 >= len(gates) and step @ system.information @ step < (_FINISHED * system.sigma_m) ** 2:
@@ -351,6 +381,8 @@ def _system(
     found: SharedPlanes,
     scale: FloatArray,
     level: FloatArray,
+    *,
+    trimmed: bool = False,
 ) -> _System:
     """Build the normal equations and eliminate the planes' own unknowns: offset and two inclinations each."""
     at, plane, planes = found.point, found.plane, found.count
@@ -362,10 +394,11 @@ def _system(
     spread = np.sqrt(across**2 + LEAST_ACROSS**2)  # noise along the ray, as it acts across the plane
     scaled = residual / spread
     usual = _MAD * float(np.median(np.abs(scaled)))
-    # Dark, far and grazing surfaces are noisier: each plane has its own noise, and that of all where it has few points.
+    # Dark, far and grazing surfaces are noisier: each patch has its own noise, and that of all where it has few points.
     clipped = np.minimum(scaled**2, (_HUBER * usual) ** 2)
-    own_noise = np.bincount(plane, clipped, planes) + _PRIOR_POINTS * usual**2
-    spread = spread * np.sqrt(own_noise / (np.bincount(plane, minlength=planes) + _PRIOR_POINTS))[plane] / usual
+    count = np.bincount(found.patch)
+    own_noise = np.bincount(found.patch, clipped) + _PRIOR_POINTS * usual**2
+    spread = spread * np.sqrt(own_noise / (count + _PRIOR_POINTS))[found.patch] / usual
     weight = np.minimum(1.0, _HUBER * usual / np.maximum(np.abs(residual / spread), 1e-12)) / spread**2
 
     # The rows are taken where the ray meets the plane: with the noise of the range in them they would be correlated
@@ -398,10 +431,43 @@ def _system(
     left = jacobian - np.einsum("ni,nij->nj", own, explained[plane][:, :, :unknowns])
     rest = residual - (own * explained[plane][:, :, unknowns]).sum(-1)
     scores = _sums(plane, planes, left, (weight * rest)[:, None])[..., 0]
-    dof = max(1, len(at) - 3 * planes - unknowns)
-    sigma = float(np.sqrt((weight * rest**2).sum() / dof))
     shares = _sums(plane, planes, left * weight[:, None], left)
-    return _System(shares.sum(axis=0), scores.sum(axis=0), scores, shares, sigma)
+    squares = np.bincount(plane, weight * rest**2, planes).astype(np.float64)
+    count = np.bincount(plane, minlength=planes)
+    if trimmed:
+        agree = _agreeing(scores, shares, squares, count)
+        scores, shares, squares, count = scores[agree], shares[agree], squares[agree], count[agree]
+    dof = max(1, int(count.sum()) - 3 * len(count) - unknowns)
+    return _System(
+        shares.sum(axis=0), scores.sum(axis=0), scores, shares, float(np.sqrt(squares.sum() / dof)), int(count.sum())
+    )
+
+
+def _agreeing(scores: FloatArray, shares: FloatArray, squares: FloatArray, count: IntArray) -> BoolArray:
+    """Return the planes (K,) whose views agree with the others about the mount as well as their noise lets them.
+
+    What remains of a plane's score after the step is chi^2 distributed if all its views saw one surface. A plane of two
+    surfaces, each seen by another view, has a score that many good planes do not make up for.
+    """
+    values, axes = np.linalg.eigh(shares)
+    use = values > _LEAST_SHARE * values[:, -1:]
+    rank = use.sum(axis=1)
+    keep = np.ones(len(scores), np.bool_)
+    limit = chi2.isf(_DISAGREE, rank)
+    for _ in range(_TRIMMINGS):
+        information, unknowns = shares[keep].sum(axis=0), shares.shape[1]
+        variance = squares[keep].sum() / max(1, count[keep].sum() - 3 * keep.sum() - unknowns)
+        strength, directions = np.linalg.eigh(information)
+        along = np.where(strength > variance / _UNDETERMINED**2, 1 / np.maximum(strength, 1e-300), 0.0)
+        step = -directions @ (along * (directions.T @ scores[keep].sum(axis=0)))
+        left = np.einsum("kij,ki->kj", axes, scores + shares @ step)
+        off = np.where(use, left**2 / np.where(use, values, 1.0), 0.0).sum(axis=1) / variance
+        usual = max(1.0, float(np.median(off[keep] / rank[keep])) / _MEDIAN_CHI2)
+        new = off < limit * usual
+        if (new == keep).all():
+            break
+        keep = new
+    return keep
 
 
 def _sums(plane: IntArray, planes: int, a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
@@ -442,18 +508,25 @@ def _covariance(system: _System, scale: FloatArray) -> tuple[NDArray[np.float64]
 
     Residuals of one plane are correlated where the plane is not quite flat or its ranges are biased. The covariance of
     independent residuals is enlarged by as much as the scores of whole planes scatter more than it predicts; they are
-    corrected for the plane's own share in the solution (CR2 of Bell and McCaffrey 2002).
+    corrected for the plane's own share in the solution (CR2 of Bell and McCaffrey 2002). What only a few planes show is
+    less certain than their noise: nothing says whether they are what they seem.
     """
     values, axes, seen = _seen(system)
     whiten = axes[:, seen] / np.sqrt(values[seen])
-    inverse = whiten @ whiten.T
     white = system.scores @ whiten
     share, turn = np.linalg.eigh(whiten.T @ system.shares @ whiten)
     corrected = np.einsum("kij,ki->kj", turn, white) / np.sqrt(np.clip(1 - share, 0.05, 1))
     scatter = float((corrected**2).sum() / max(1, int(seen.sum())))
     variance = max(system.sigma_m**2, scatter)
-    covariance = inverse * variance * np.outer(scale, scale)
+    of_planes = np.einsum("ip,kij,jp->kp", whiten, system.shares, whiten, optimize=True)
+    support = 1 / (of_planes**2).sum(axis=0)  # each column adds up to one: as many planes of equal weight
+    whiten = whiten * np.sqrt(1 + _FEW_PLANES / support)
+    covariance = whiten @ whiten.T * variance * np.outer(scale, scale)
     determined = (axes[:, ~seen] ** 2).sum(axis=1) < 1e-3
+    # Rotations do not commute: two that are held, and wrong, turn about the third axis as well.
+    for axis in range(3):
+        if not determined[3 + (axis + 1) % 3] and not determined[3 + (axis + 2) % 3]:
+            covariance[3 + axis, 3 + axis] += (_HELD_RAD**2 / 2) ** 2
     covariance[~determined] = 0
     covariance[:, ~determined] = 0
     covariance[~determined, ~determined] = np.inf

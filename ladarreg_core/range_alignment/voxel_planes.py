@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,12 @@ SMALL_VOXELS_M = (0.5, 0.25, 0.125)
 """Sides with which furniture counts as well. Patches as small as this, beside edges and other things, have shifted the
 mount by up to .2 mm: they are for what nothing larger shows."""
 
-_LEAST_POINTS = 8
+LEAST_POINTS = 20
+"""Points of a patch. With fewer, two surfaces that meet at a slight angle pass for one, and many such patches along one
+edge shift a mount all the same way."""
+SMALL_LEAST_POINTS = 8
+"""The same with which furniture counts as well."""
+
 _FLATTEST = 0.1  # thickness over the smaller extent of a patch
 _LEAST_EXTENT = 0.12  # of the voxel's side
 _TOO_THICK = 0.3  # variance beyond that of the typical patch, as a share of it
@@ -37,6 +42,8 @@ class SharedPlanes:
     """(M,) index of each point that lies on one."""
     plane: IntArray
     """(M,) its plane, 0 to K - 1."""
+    patch: IntArray
+    """(M,) its patch, the part of a plane that one view sees, from 0."""
     normals: NDArray[np.float64]
     """(K, 3) unit."""
     centres: NDArray[np.float64]
@@ -54,13 +61,14 @@ class SharedPlanes:
         number = np.cumsum(planes) - 1
         keep = planes[self.plane]
         return SharedPlanes(
-            self.point[keep], number[self.plane[keep]], self.normals[planes], self.centres[planes], self.block[planes]
-        )
+            self.point[keep], number[self.plane[keep]], self.patch[keep],
+            self.normals[planes], self.centres[planes], self.block[planes],
+        )  # fmt: skip
 
 
 def shared_planes(
     points: FloatArray, rays: FloatArray, view: IntArray, *, farthest_apart_m: float, largest_angle_rad: float,
-    voxels_m: Sequence[float] = VOXELS_M,
+    voxels_m: Sequence[float] = VOXELS_M, least_points: int = LEAST_POINTS,
 ) -> SharedPlanes:  # fmt: skip
     """Find planes that at least two views see.
 
@@ -73,20 +81,27 @@ def shared_planes(
         farthest_apart_m: largest distance between two views' patches of one plane.
         largest_angle_rad: largest angle between their normals.
         voxels_m: sides of the voxels, falling.
+        least_points: points of a patch.
     """
     left = np.arange(len(points))
     found: list[SharedPlanes] = []
     for side in voxels_m:
         if not len(left):
             break
-        level, used = _of_voxels(points[left], rays[left], view[left], side, farthest_apart_m, largest_angle_rad)
-        found.append(SharedPlanes(left[level.point], level.plane, level.normals, level.centres, level.block))
+        level, used = _of_voxels(
+            points[left], rays[left], view[left], side, farthest_apart_m, largest_angle_rad, least_points
+        )
+        found.append(replace(level, point=left[level.point]))
         left = left[~used]
     first = np.cumsum([0] + [planes.count for planes in found[:-1]])
+    first_patch = np.cumsum([0] + [int(planes.patch.max(initial=-1)) + 1 for planes in found[:-1]])
     return SharedPlanes(
         np.concatenate([planes.point for planes in found] or [np.zeros(0, np.intp)]),
         np.concatenate(
             [planes.plane + start for planes, start in zip(found, first, strict=True)] or [np.zeros(0, int)]
+        ),
+        np.concatenate(
+            [planes.patch + start for planes, start in zip(found, first_patch, strict=True)] or [np.zeros(0, int)]
         ),
         np.concatenate([planes.normals for planes in found] or [np.zeros((0, 3))]),
         np.concatenate([planes.centres for planes in found] or [np.zeros((0, 3))]),
@@ -95,15 +110,16 @@ def shared_planes(
 
 
 def _of_voxels(
-    points: FloatArray, rays: FloatArray, view: IntArray, side: float, farthest_apart_m: float, largest_angle_rad: float
-) -> tuple[SharedPlanes, BoolArray]:
+    points: FloatArray, rays: FloatArray, view: IntArray, side: float, farthest_apart_m: float,
+    largest_angle_rad: float, least_points: int,
+) -> tuple[SharedPlanes, BoolArray]:  # fmt: skip
     """Return the planes of one size of voxels, and the points (N,) of patches that are flat."""
     cell = np.floor(points / side - _clear_of_walls(points, side)).astype(np.int64)
     codes, voxel = np.unique(_code(cell), return_inverse=True)
     groups, group = np.unique(voxel * (int(view.max()) + 1) + view, return_inverse=True)
     count, centre, normal, spread = plane_moments(points, group, len(groups))
     with np.errstate(invalid="ignore"):
-        flat = (count >= _LEAST_POINTS) & (spread[:, 1] > (_LEAST_EXTENT * side) ** 2)
+        flat = (count >= least_points) & (spread[:, 1] > (_LEAST_EXTENT * side) ** 2)
         flat &= spread[:, 0] < (_FLATTEST**2) * spread[:, 1]
     if flat.any():
         # In units of what the range noise does across the patch: what is thicker than others is bent, or two surfaces.
@@ -131,12 +147,13 @@ def _of_voxels(
     member[joined] = True
     index = np.flatnonzero(member[group])
     shared, plane = np.unique(voxel[index], return_inverse=True)
+    patch = (np.cumsum(member) - 1)[group[index]]
     _, centres, normals, _ = plane_moments(points[index], plane, len(shared))
     # Consecutive numbers along any axis, so that a share of the blocks is spread over the room.
     block = np.floor(centres).astype(np.int64) @ np.array([1, 3, 2])
     used = np.zeros(len(points), np.bool_)
     used[index] = True
-    return SharedPlanes(index, plane, normals, centres, block), used
+    return SharedPlanes(index, plane, patch, normals, centres, block), used
 
 
 def _clear_of_walls(points: FloatArray, side: float) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ import pytest
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
 from ladarreg_core.range_alignment.mount_calibration import MountCalibration, calibrate_mount
+from tests import box_room
 from tests.box_room import MOUNT, in_motion, stop_and_go
 
 OFF = Rigid.from_rotvec(np.radians([0.4, -0.3, 0.2]), [0.02, -0.005, 0.03])
@@ -57,6 +58,29 @@ def test_a_pan_only_sweep_keeps_what_it_cannot_show() -> None:
     seen = np.flatnonzero(found.determined)
     assert off[seen] @ np.linalg.solve(found.covariance[np.ix_(seen, seen)], off[seen]) < 18.5
     assert np.abs(off[:2]).max() < 5e-3
+
+
+def test_a_level_pan_only_sweep_says_what_would_help() -> None:
+    found = calibrate_mount(sweeps(0, seed=4), GIVEN)
+    off = error(found)
+    assert not any(found.determined[i] for i in (0, 1, 2, 3, 5))
+    seen = np.flatnonzero(found.determined)
+    assert (np.abs(off[seen]) < 3 * found.sigma[seen]).all()
+    assert "-45 deg" in found.reasons[-1] or not found.accepted
+
+
+def test_furniture_that_was_moved_between_sweeps_does_not_move_the_mount(monkeypatch: pytest.MonkeyPatch) -> None:
+    passes = sweeps(-20, 0, 20, seed=5)
+    monkeypatch.setattr(box_room, "BOARD", box_room.BOARD + np.array([0, 0, 0.012]))
+    monkeypatch.setattr(box_room, "PILLAR", box_room.PILLAR + np.array([0.012, 0.012, 0]))
+    passes[2:] = sweeps(0, 0, 20, seed=5)[2:]
+    found = calibrate_mount(passes, GIVEN)
+    assert found.accepted
+    off = error(found)
+    seen = np.flatnonzero(found.determined)
+    assert {0, 2, 3, 4, 5} <= set(seen)
+    assert np.abs(off[[0, 2]]).max() < 2e-4  # .34 mm if the moved planes count
+    assert off[seen] @ np.linalg.solve(found.covariance[np.ix_(seen, seen)], off[seen]) < 22.5
 
 
 class MountCalibrationOf:
