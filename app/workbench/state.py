@@ -88,7 +88,7 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
         "notes": [as_fields(text) for text in (*scan.notes, *([note] if note else []))],
         "world": None if scan.world_from_scanner is None else describe_world(scan.world_from_scanner),
         "has_color": scan.color is not None,
-        "has_intensity": True,
+        "has_intensity": scan.has_intensity,
         "views": [
             {
                 "label": named.label,

@@ -177,7 +177,7 @@ def model_texture(
     """
     known = _checked_kind(kind)
     if known == "intensity":
-        if np.ptp(scan.intensity[scan.valid]) <= 0:
+        if not scan.has_intensity:
             return ModelTexture(
                 shape_picture(scan),
                 Legend("Shape: the scan has no intensity", ramp=_GRAYS, least="oblique", most="facing the scanner"),

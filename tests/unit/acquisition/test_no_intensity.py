@@ -19,6 +19,7 @@ from ladarreg_core.scan import NO_INTENSITY_NOTE
 from ladarreg_core.twins.devices import TwinDevices
 from ladarreg_core.twins.scip_twin import URG_04LX
 from ladarreg_core.twins.world import LINE_MOUNT
+from tests.app.workbench_driver import open_bench
 
 QUICK = replace(URG_04LX, turns_a_minute=2400)
 
@@ -55,6 +56,12 @@ def test_a_scanner_without_intensity_goes_through_the_whole_chain(
     said = "The scan has no intensity, so that only its shape was compared with the photo."
     assert said in capsys.readouterr().out
     assert said in json.loads((tmp_path / "registered" / "registration.json").read_text())["reasons"]
+
+    shown = open_bench(tmp_path / "project", out / "scan.npz")
+    try:
+        assert shown.eventually(lambda: shown.slice("scan"))["has_intensity"] is False
+    finally:
+        shown.workbench.close()
 
     # The control.
     with np.load(out / "scan.npz") as archive:
