@@ -129,3 +129,67 @@ def stations_document(network: StationNetwork, stations: Sequence[StationScan]) 
     return {
         "version": _VERSION, "kind": "stations", "software": software_document(), "poses_are": STATIONS_ARE, **own
     }  # fmt: skip
+
+
+def is_station_folder(folder: str | Path) -> bool:
+    """Return whether a folder contains a `stations.json`."""
+    from ladarreg_core.export.replacement import STATIONS_FILE
+
+    return (Path(folder) / STATIONS_FILE).is_file()
+
+
+def station_files(folder: str | Path) -> list[Path]:
+    """Return the scans of a folder of stations, those that were registered.
+
+    Raises:
+        FormatError: if its document is damaged, or a scan is missing.
+    """
+    from ladarreg_core.errors import FormatError
+    from ladarreg_core.export.replacement import STATIONS_FILE, is_file_name
+    from ladarreg_core.formats.json_file import read_json_object
+    from ladarreg_core.formats.untrusted import reading
+
+    home = Path(folder)
+    with reading(home / STATIONS_FILE) as file:
+        fields = read_json_object(file, "stations")
+        listed = fields.get("stations")
+        if fields.get("kind") != "stations" or not isinstance(listed, list):
+            raise FormatError("it does not describe stations; give the folder of `register-scans`")
+        names = [one.get("scan") for one in listed if isinstance(one, dict)]
+        scans = [name for name in names if name is not None]
+        if not scans or not all(isinstance(name, str) and is_file_name(name) for name in scans):
+            raise FormatError("it names no scans; register the stations again")
+        missing = [name for name in scans if not (home / name).is_file()]
+        if missing:
+            raise FormatError(f"{missing[0]} is missing beside it; register the stations again")
+    return [home / name for name in scans]
+
+
+def export_station_folder(
+    folder: str | Path, out: str | Path, *, force: bool = False, report: Report | None = None
+) -> None:
+    """Write the scans of a folder of stations with their poses into one E57.
+
+    Args:
+        folder: what `write_stations` wrote.
+        out: output folder.
+        force: replace an earlier export and nothing else.
+        report: receives the progress; may raise `Cancelled`.
+
+    Raises:
+        FormatError: if the folder is damaged.
+        ExportError: if the output cannot be written.
+    """
+    from functools import partial
+
+    from ladarreg_core.export.targets.e57_stations import export_stations
+    from ladarreg_core.formats import read_scan
+
+    files = station_files(folder)
+    named = [partial(_named_scan, read_scan, path) for path in files]
+    export_stations(out, named, inputs=files, force=force, report=report)
+
+
+def _named_scan(read: Any, path: Path) -> Scan:
+    scan: Scan = read(path)
+    return replace(scan, name=path.stem)

@@ -42,7 +42,7 @@ class Arguments(ScanArguments):
     """Arguments of `export`."""
 
     results: Annotated[tyro.conf.Positional[_Paths], tyro.conf.arg(metavar="RESULT")] = field(default_factory=list)
-    """Folder of results, several on the same scan, or a project."""
+    """Folder of results, several on the same scan, a project, or a folder of stations."""
     to: Annotated[str | None, tyro.conf.arg(metavar="TARGETS")] = None
     """Targets, separated by commas; list prints them."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = None
@@ -84,6 +84,7 @@ def run(arguments: Arguments) -> ExitCode:
     from ladarreg_core.export.targets.target import ExportOptions
     from ladarreg_core.project.folder import ProjectFolder, is_project
     from ladarreg_core.saved_results import is_saved_result
+    from ladarreg_core.station_folder import is_station_folder
 
     if arguments.list or arguments.to == _LIST:
         print(_table())
@@ -100,6 +101,8 @@ def run(arguments: Arguments) -> ExitCode:
     started = time.perf_counter()
     targets = targets_of([name.strip() for name in arguments.to.split(",") if name.strip()])
     first = arguments.results[0]
+    if is_station_folder(first):
+        return _stations(arguments, first, [target.name for target in targets])
     project = is_project(first) and not is_saved_result(first)
     apart = [first] if project else []
     check_folder(arguments.out, force=arguments.force, inputs=[] if project else arguments.results, apart_from=apart)
@@ -128,6 +131,23 @@ def run(arguments: Arguments) -> ExitCode:
             print(f"Photo    {one.id}: {_state(one)}")
         print(f"Frame    {handed.frame.sentence}")
         print(f"Wrote    {', '.join(target.name for target in targets)} in {arguments.out}")
+        print(f"Took     {time.perf_counter() - started:.1f} s")
+    return ExitCode.ACCEPTED
+
+
+def _stations(arguments: Arguments, folder: Path, targets: Sequence[str]) -> ExitCode:
+    """Write the scans of stations into one E57."""
+    from ladarreg_core.errors import OptionError
+    from ladarreg_core.station_folder import export_station_folder
+
+    assert arguments.out is not None
+    if len(arguments.results) > 1 or list(targets) != ["e57"]:
+        raise OptionError("a folder of stations is exported by itself and to e57 only; for photos, give their results")
+    started = time.perf_counter()
+    with progress_bar(quiet=arguments.quiet) as bar:
+        export_station_folder(folder, arguments.out, force=arguments.force, report=bar.progress)
+    if not arguments.quiet:
+        print(f"Wrote    e57 in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED
 

@@ -42,7 +42,7 @@ class PairOptions:
 
     least_overlap: float = 0.25
     """Smallest share of the surfaces that both stations measured."""
-    most_contradicted: float = 0.03
+    most_contradicted: float = 0.015
     """Largest share of the surfaces in plain view of the other station that it saw through."""
     least_held_out: int = 4
     """Smallest number of held-out planes."""

@@ -1,4 +1,4 @@
-"""A new E57 of a scan that was read from another format: every return, with its colour."""
+"""New E57 files of scans that were read from other formats: every return, with its colour."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from ladarreg_core.export.targets.e57_nodes import (
 )
 from ladarreg_core.export.targets.e57_tree import library, record_buffers, record_writer
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
-from ladarreg_core.surface.best_photo import NO_PHOTO
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.best_photo import NO_PHOTO, CellColours
 
 _CELLS_AT_ONCE = 131_072
 
@@ -37,7 +38,13 @@ def write_new_scan(file: Any, handed: RegisteredScan, report: Callable[[int], No
     Returns:
         the GUID of the scan.
     """
-    e57, scan, guid = library(), handed.scan, new_guid()
+    data3d = start_tree(file, note_of(handed))
+    return append_scan(file, data3d, handed.scan, note_of(handed), report, colours=handed.colours)
+
+
+def start_tree(file: Any, note: str) -> Any:
+    """Write the tree of a new file, without any scan, and return the vector that scans are appended to."""
+    e57 = library()
     file.extensionsAdd("", e57.E57_V1_0_URI)
     declare_note(file)
     root = file.root()
@@ -48,18 +55,44 @@ def write_new_scan(file: Any, handed: RegisteredScan, report: Callable[[int], No
     root.set("e57LibraryVersion", e57.StringNode(file, software_name()))
     root.set("coordinateMetadata", e57.StringNode(file, ""))
     root.set("creationDateTime", time_node(file))
-    root.set(NOTE, e57.StringNode(file, note_of(handed)))
+    root.set(NOTE, e57.StringNode(file, note))
     data3d, images = e57.VectorNode(file, True), e57.VectorNode(file, True)
     root.set("data3D", data3d)
     root.set("images2D", images)
+    return data3d
+
+
+def append_scan(
+    file: Any,
+    data3d: Any,
+    scan: Scan,
+    note: str,
+    report: Callable[[int], None],
+    *,
+    colours: CellColours | None = None,
+) -> str:
+    """Append a scan with its pose and every return to a new file.
+
+    Args:
+        file: the file.
+        data3d: what `start_tree` returned.
+        scan: the scan.
+        note: its description.
+        report: receives the numbers of points; may raise `Cancelled`.
+        colours: of its cells by photographs; None: there are none.
+
+    Returns:
+        the GUID of the scan.
+    """
+    e57, guid = library(), new_guid()
     node = e57.StructureNode(file)
     node.set("guid", e57.StringNode(file, guid))
     node.set("name", e57.StringNode(file, plain(scan.name)))
-    node.set("description", e57.StringNode(file, note_of(handed)))
+    node.set("description", e57.StringNode(file, note))
     if scan.world_from_scanner is not None:
         node.set("pose", pose_node(file, scan.world_from_scanner))
     height, width = scan.shape
-    limits = _limits(handed, report)
+    limits = _limits(scan, report)
     node.set("cartesianBounds", number_nodes(file, limits["cartesian"]))
     node.set("intensityLimits", number_nodes(file, limits["intensity"]))
     bounds: dict[str, float] = {
@@ -84,12 +117,13 @@ def write_new_scan(file: Any, handed: RegisteredScan, report: Callable[[int], No
     points = e57.CompressedVectorNode(file, prototype, e57.VectorNode(file, True))
     node.set("points", points)
     data3d.append(node)
-    _write_cells(file, points, prototype, handed, report)
+    _write_cells(file, points, prototype, scan, colours, report)
     return guid
 
 
-def _write_cells(file: Any, points: Any, prototype: Any, handed: RegisteredScan, report: Callable[[int], None]) -> None:
-    scan, colours = handed.scan, handed.colours
+def _write_cells(
+    file: Any, points: Any, prototype: Any, scan: Scan, colours: CellColours | None, report: Callable[[int], None]
+) -> None:
     gray = Gray(scan)
     rows_at_once = max(1, _CELLS_AT_ONCE // scan.shape[1])
     buffers = record_buffers(prototype, rows_at_once * scan.shape[1])
@@ -102,8 +136,9 @@ def _write_cells(file: Any, points: Any, prototype: Any, handed: RegisteredScan,
             if not count:
                 continue
             here = scan.points_at(rows, slice(None))[valid]
-            shown = (colours.photo[rows] != NO_PHOTO)[valid]
-            rgb = colours.image[rows][valid]
+            shown, rgb = np.zeros(count, np.bool_), np.zeros((count, 3), np.uint8)
+            if colours is not None:
+                shown, rgb = (colours.photo[rows] != NO_PHOTO)[valid], colours.image[rows][valid]
             intensity = scan.intensity[rows][valid]
             if scan.color is not None:
                 rgb = np.where(shown[:, None], rgb, scan.color[rows][valid])
@@ -120,9 +155,8 @@ def _write_cells(file: Any, points: Any, prototype: Any, handed: RegisteredScan,
             report(count)
 
 
-def _limits(handed: RegisteredScan, report: Callable[[int], None]) -> dict[str, dict[str, float]]:
+def _limits(scan: Scan, report: Callable[[int], None]) -> dict[str, dict[str, float]]:
     """Return the bounds of a scan's returns and of their intensity."""
-    scan = handed.scan
     low, high = np.full(4, np.inf), np.full(4, -np.inf)
     step = max(1, _CELLS_AT_ONCE // scan.shape[1])
     for first in range(0, scan.shape[0], step):

@@ -46,6 +46,18 @@ def test_the_scans_are_written_with_their_poses(
     assert [one["state"] for one in stated["stations"]] == ["fixed", "registered", "out"]
     assert main(["info", str(out)]) == 0
     assert "office to hall: verified" in capsys.readouterr().out
+    # All of them with their poses in one E57.
+    pytest.importorskip("pye57")
+    assert main(["export", str(out), "--to", "e57", "-o", str(tmp_path / "handed"), "--quiet"]) == 0
+    handed = tmp_path / "handed" / "e57" / "stations.e57"
+    for index, scan in enumerate((first, second)):
+        again = lr.read_scan(handed, scan_index=index)
+        assert again.world_from_scanner is not None
+        assert scan.world_from_scanner is not None
+        assert again.world_from_scanner.distance_to(scan.world_from_scanner) < 1e-6
+        assert int(again.valid.sum()) == int(scan.valid.sum())
+    assert main(["export", str(out), "--to", "ply", "-o", str(tmp_path / "ply"), "--quiet"]) == 2
+    capsys.readouterr()
     # An earlier result is replaced by --force only, and nothing else is.
     assert main(["register-scans", *files[:2], "-o", str(out), "--quiet"]) == 2
     assert main(["register-scans", *files[:2], "-o", str(out), "--force", "--json"]) == 0

@@ -1,0 +1,230 @@
+"""Stations registered to each other by their ranges: accuracy, false acceptance, loops, and a peer.
+
+Run it as `python -m benchmarks.panorama [--quick] [ROW ...]`. The rooms and seeds are kept aside: none was used for
+tuning.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.bars import Row, table
+from ladarreg_core.arrays import FloatArray
+from ladarreg_core.frames import Rigid, rotvec_from_rotation
+from ladarreg_core.scan import Scan
+from ladarreg_core.simulate.alike import alike_corridor, equal_rooms, symmetric_room
+from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose
+from ladarreg_core.stations.pair import prepare, register_pair
+from ladarreg_core.stations.registration import register_scans
+from ladarreg_core.stations.search import search
+
+_SCENES = ("office", "boxes", "people", "desk", "plain")
+_FIRST_SEED = 7000
+Show = Callable[[str], None]
+
+
+def stations_rows(quick: bool, show: Show) -> list[Row]:
+    """Two stations 3 m apart, full turns and 60 to 120 degrees, and small_gicp from the same start."""
+    found = [_two_stations(k, show, wide=True) for k in range(4 if quick else 20)]
+    narrow = [_two_stations(k, show, wide=False) for k in range(4 if quick else 20)]
+    accepted = [one for one in found if one["verdict"] == "verified"]
+    some = [one for one in narrow if one["verdict"] == "verified"]
+    mm, deg = (max((one[name] for one in accepted), default=np.nan) for name in ("mm", "deg"))
+    part_mm, part_deg = (max((one[name] for one in some), default=np.nan) for name in ("mm", "deg"))
+    rows = [
+        Row("two stations, full turns: accepted", "all", f"{len(accepted)} of {len(found)}",
+            len(accepted) == len(found)),
+        Row("two stations: worst position", "<= 5 mm", f"{mm:.2f} mm", mm <= 5),
+        Row("two stations: worst rotation", "<= .05 deg", f"{deg:.4f} deg", deg <= 0.05),
+        Row("60 to 120 deg wide: accepted and wrong", "0", f"{sum(one['mm'] > 30 for one in some)} of {len(narrow)}",
+            all(one["mm"] <= 30 for one in some)),
+        Row("60 to 120 deg wide: accepted, worst", "<= 5 mm, .05 deg",
+            f"{len(some)} of {len(narrow)}, {part_mm:.2f} mm, {part_deg:.4f} deg", part_mm <= 5 and part_deg <= 0.05),
+        Row("Mahalanobis distance / sqrt 6 of the pairs, RMS", ".9 to 1.1", f"{_rms(accepted):.2f}",
+            0.9 <= _rms(accepted) <= 1.1),
+    ]  # fmt: skip
+    if "peer_mm" in found[0]:
+        worst = [max(one[f"peer_{unit}"] for one in found) for unit in ("mm", "deg")]
+        middle = [float(np.median([one[f"peer_{unit}"] for one in found])) for unit in ("mm", "deg")]
+        own = [float(np.median([one[unit] for one in accepted])) for unit in ("mm", "deg")]
+        rows.append(
+            Row(
+                "small_gicp from the same start: median (worst); ours: median", "reported",
+                f"{middle[0]:.2f} ({worst[0]:.1f}) mm, {middle[1]:.4f} ({worst[1]:.3f}) deg; "
+                f"{own[0]:.2f} mm, {own[1]:.4f} deg", True,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def different_rows(quick: bool, show: Show) -> list[Row]:
+    """Pairs of different rooms: none may be accepted."""
+    wrong, count = [], 10 if quick else 50
+    for k in range(count):
+        rng = np.random.default_rng([_FIRST_SEED, 2, k])
+        width = 360.0 if k % 3 else float(rng.uniform(60, 120))
+        scans = []
+        for which in range(2):
+            scene = _SCENES[int(rng.integers(5)) if k % 2 else k // 2 % 5]
+            room = station_room(scene, _FIRST_SEED + 100 + 2 * k + which)
+            pose = _pose(rng, rng.uniform(-0.6, 0.6, 2))
+            scans += scan_stations(room, [pose], seed=k, step_deg=0.5, width_deg=width)
+        wrong += _judged(f"different {k}", scans, None, show)
+    return [Row("different rooms: accepted", "0", f"{len(wrong)} of {count}", not wrong)]
+
+
+def alike_rows(quick: bool, show: Show) -> list[Row]:
+    """Corridors of equal bays, equal rooms, symmetric rooms: none may be accepted wrongly."""
+    wrong, count = [], 6 if quick else 20
+    for k in range(count):
+        rng = np.random.default_rng([_FIRST_SEED, 3, k])
+        seed, truth = _FIRST_SEED + k, None
+        poses = [_pose(rng, [rng.uniform(-2, 0), 0.1]), _pose(rng, [rng.uniform(1, 4), -0.2])]
+        near = [_pose(rng, [-0.4, 0.3]), _pose(rng, [0.5, -0.3])]
+        if k % 3 == 0:
+            # The ends are out of its range, as in a long corridor.
+            both = scan_stations(alike_corridor(seed), poses, seed=k, step_deg=0.5)
+            scans = [replace(s, ranges=np.where(s.ranges > 6.5, np.nan, s.ranges).astype(np.float32)) for s in both]
+            truth = poses[0].inverse @ poses[1]
+        elif k % 3 == 1:
+            rooms = equal_rooms(seed)
+            scans = [
+                scan_stations(room, [pose], seed=2 * k + n, step_deg=0.5)[0]
+                for n, (room, pose) in enumerate(zip(rooms, near, strict=True))
+            ]
+        else:
+            scans = scan_stations(symmetric_room(seed), near, seed=k, step_deg=0.5)
+            truth = near[0].inverse @ near[1]
+        wrong += _judged(f"alike {k}", scans, truth, show)
+    return [Row("places that look alike: accepted wrongly", "0", f"{len(wrong)} of {count}", not wrong)]
+
+
+def loop_rows(quick: bool, show: Show) -> list[Row]:
+    """Five stations in a loop, adjusted together."""
+    found = []
+    for k in range(2 if quick else 20):
+        rng = np.random.default_rng([_FIRST_SEED, 4, k])
+        room = station_room(_SCENES[k % 4], _FIRST_SEED + 300 + k)
+        around = 2 * np.pi * np.arange(5) / 5 + rng.uniform(0, 1)
+        poses = [_pose(rng, 1.2 * np.array([np.cos(a), np.sin(a)])) for a in around]
+        network = register_scans(scan_stations(room, poses, seed=k, step_deg=0.5))
+        each = [
+            _error(poses[0].inverse @ pose, one.world_from_scanner, one.covariance)
+            for pose, one in zip(poses[1:], network.stations[1:], strict=True)
+            if one.world_from_scanner is not None
+        ]
+        found.append({
+            "loop": k, "registered": len(each), "verified": sum(pair.verified for pair in network.pairs),
+            "mm": max((one[0] for one in each), default=np.nan), "deg": max((one[1] for one in each), default=np.nan),
+            "distances": [one[2] for one in each],
+            "closing_mm": max((loop.error_mm for loop in network.loops), default=np.nan),
+        })  # fmt: skip
+        show(json.dumps(found[-1]))
+    mm, deg = max(one["mm"] for one in found), max(one["deg"] for one in found)
+    rms = float(np.sqrt(np.mean(np.square([d for one in found for d in one["distances"]]))))
+    whole = sum(one["registered"] == 4 for one in found)
+    return [
+        Row("loop of five: all registered", "all", f"{whole} of {len(found)}", whole == len(found)),
+        Row("loop of five: worst station", "<= 4 mm, .03 deg", f"{mm:.2f} mm, {deg:.4f} deg", mm <= 4 and deg <= 0.03),
+        Row("loop of five: Mahalanobis distance / sqrt 6, RMS", ".9 to 1.1", f"{rms:.2f}", 0.9 <= rms <= 1.1),
+    ]
+
+
+def _two_stations(k: int, show: Show, *, wide: bool) -> dict[str, Any]:
+    rng = np.random.default_rng([_FIRST_SEED, 1, k])
+    room = station_room(_SCENES[k % 5], _FIRST_SEED + k)
+    # Both stand in the open: nothing furnishes the way through the middle of every room.
+    bearing = rng.uniform(-np.pi, np.pi)
+    half = 1.5 * np.array([np.cos(bearing), np.sin(bearing)])
+    yaw = rng.uniform(-np.pi, np.pi)
+    turn = rng.uniform(-np.pi, np.pi) if wide else rng.uniform(-0.4, 0.4)
+    poses = [_pose(rng, -half, yaw), _pose(rng, half, yaw + turn)]
+    width = 360.0 if wide else float(rng.uniform(60, 120))
+    scans = scan_stations(room, poses, seed=k, step_deg=0.35, width_deg=width)
+    truth = poses[0].inverse @ poses[1]
+    first, second = prepare(scans[0]), prepare(scans[1])
+    pair = register_pair(first, second)
+    mm, deg, distance = _error(truth, pair.first_from_second, pair.covariance)
+    out = {"stations": k, "width_deg": width, "verdict": pair.verdict, "mm": mm, "deg": deg, "distances": [distance],
+           "overlap": pair.evidence.overlap, "contradicted": pair.evidence.contradicted}  # fmt: skip
+    if wide:
+        start = search(first.view, second.view, keep=1)[0].first_from_second
+        peer = _small_gicp(scans, start)
+        if peer is not None:
+            out["peer_mm"], out["peer_deg"], _ = _error(truth, peer, np.eye(6))
+    show(json.dumps(out))
+    return out
+
+
+def _small_gicp(scans: Sequence[Scan], start: Rigid) -> Rigid | None:
+    """Return what small_gicp makes of a start; None where it is not installed."""
+    try:
+        import small_gicp
+    except ImportError:
+        return None
+    points = [scan.points[scan.valid].astype(np.float64) for scan in scans]
+    found = small_gicp.align(
+        points[0], points[1], init_T_target_source=start.matrix, registration_type="GICP",
+        downsampling_resolution=0.05, max_correspondence_distance=0.5, num_threads=1,
+    )  # fmt: skip
+    return Rigid.from_matrix(found.T_target_source)
+
+
+def _judged(name: str, scans: Sequence[Scan], truth: Rigid | None, show: Show) -> list[str]:
+    """Return the name if the pair was accepted and is wrong."""
+    pair = register_pair(prepare(scans[0]), prepare(scans[1]))
+    right = truth is not None and pair.first_from_second.distance_to(truth) < 0.03
+    show(json.dumps({
+        "pair": name, "verdict": pair.verdict, "right": right, "overlap": pair.evidence.overlap,
+        "contradicted": pair.evidence.contradicted,
+    }))  # fmt: skip
+    return [name] if pair.verified and not right else []
+
+
+def _pose(rng: np.random.Generator, xy: FloatArray | Sequence[float], yaw: float | None = None) -> Rigid:
+    lean = rng.normal(0, 0.008, 2)
+    turn = rng.uniform(-np.pi, np.pi) if yaw is None else yaw
+    return upright_pose(np.array([xy[0], xy[1], rng.uniform(-0.1, 0.2)]), turn, (float(lean[0]), float(lean[1])))
+
+
+def _error(truth: Rigid, pose: Rigid, covariance: FloatArray) -> tuple[float, float, float]:
+    """Return the error in mm and deg, and the Mahalanobis distance / sqrt 6."""
+    turn = rotvec_from_rotation(truth.rotation @ pose.rotation.T)
+    error = np.concatenate([turn, truth.translation - pose.translation])
+    known = bool(np.isfinite(covariance).all())
+    distance = float(np.sqrt(error @ np.linalg.solve(covariance, error) / 6)) if known else float("nan")
+    return 1000 * float(np.linalg.norm(error[3:])), float(np.degrees(np.linalg.norm(turn))), distance
+
+
+def _rms(found: Sequence[dict[str, Any]]) -> float:
+    return float(np.sqrt(np.mean(np.square([d for one in found for d in one["distances"]])))) if found else np.nan
+
+
+ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
+    "stations": stations_rows, "different": different_rows, "alike": alike_rows, "loop": loop_rows,
+}  # fmt: skip
+"""The rows of this module."""
+
+
+def main() -> None:
+    """Measure the rows asked for, and print them against their bars."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("rows", nargs="*", metavar="ROW", help=f"some of {', '.join(ROWS)}; all if none is given")
+    parser.add_argument("--quick", action="store_true", help="a few seeds only")
+    given = parser.parse_args()
+    if unknown := [name for name in given.rows if name not in ROWS]:
+        parser.error(f"there is no row {', '.join(unknown)}; use {', '.join(ROWS)}")
+    measured: list[Row] = []
+    for name in given.rows or ROWS:
+        measured += ROWS[name](given.quick, lambda text: print(text, flush=True))
+    print(table(measured))
+
+
+if __name__ == "__main__":
+    main()
