@@ -54,6 +54,9 @@ _FEW_PLANES = 2.0  # planes whose word is worth nothing: what fewer show, others
 _PRIOR_POINTS = 10
 _HELD_OUT = 4  # one block of the room in four
 _LEAST_PLANES = 12
+_SEEN_TWICE = (
+    "sweep a line of more than 180 deg over a whole turn with the tilt at about -45 deg, or sweep at several tilts"
+)
 _MAD = 1.4826
 _DISAGREE = 0.02  # share of the planes whose views disagree so much by chance
 _TRIMMINGS = 8
@@ -186,9 +189,8 @@ def calibrate_mount(
     progress(0, "finding surfaces that are seen twice")
     fitted, planes, _ = _fit(sweeps, start, start, scale, level, keep=lambda found: found.block % _HELD_OUT != 0)
     if planes < _LEAST_PLANES:
-        return _kept(
-            start, scale, tilt, planes, f"only {planes} surfaces are seen twice, and {_LEAST_PLANES} are needed"
-        )
+        why = f"{planes} surfaces are seen twice, and {_LEAST_PLANES} are needed; {_SEEN_TWICE}"
+        return _kept(start, scale, tilt, planes, why)
     progress(1, "checking the mount on other surfaces")
     before, after = _held_out(sweeps, start, fitted)
     if not after < before:
