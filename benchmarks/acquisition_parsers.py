@@ -304,10 +304,11 @@ def _hold_against_others(count: Count, says: object, read: object) -> None:
         return
     before = (says.time_ms - _PERIOD_MS) % (1 << 24)
     clock.compare([ClockSample(10.0, 10.001, before)])
-    times = LineTimes(clock, period_s=_PERIOD_MS / 1000, last_ray_s=0.019, asked_s=10.0)
+    times = LineTimes(clock, period_s=_PERIOD_MS / 1000, asked_s=10.0)
     times.accept(before, arrived_s=10.030)
     try:
         times.accept(read.time_ms, arrived_s=10.055)
+        times.accept((says.time_ms + _PERIOD_MS) % (1 << 24), arrived_s=10.080)
     except scip_protocol.ScipError:
         count.found_later += 1
         return

@@ -110,12 +110,11 @@ class LineTimes:
     Args:
         clock: compared with the host's.
         period_s: time of a turn.
-        last_ray_s: from the time stamp, which is that of step 0, to the last ray.
         asked_s: host time just before the request was sent.
     """
 
-    def __init__(self, clock: ScannerClock, *, period_s: float, last_ray_s: float, asked_s: float) -> None:
-        self._clock, self._period_s, self._last_ray_s, self._asked_s = clock, period_s, last_ray_s, asked_s
+    def __init__(self, clock: ScannerClock, *, period_s: float, asked_s: float) -> None:
+        self._clock, self._period_s, self._asked_s = clock, period_s, asked_s
         self._times: list[float] = []
         self._turns = 0
 
@@ -127,8 +126,9 @@ class LineTimes:
         """
         time_s = self._clock.unwrapped(clock_ms, host_s=arrived_s)
         host_s, slack = self._clock.host_s(time_s), self._clock.tolerance_s(arrived_s)
-        # A line may be that of the turn that was going on when it was asked for.
-        early, late = self._asked_s - self._period_s - host_s, host_s + self._last_ray_s - arrived_s
+        # A line may be that of the turn that was going on when it was asked for. The specification has the stamp at
+        # step 0; firmware that has it at the end of the turn is let pass, too.
+        early, late = self._asked_s - self._period_s - host_s, host_s - arrived_s
         if max(early, late) > slack:
             off = f"{early:.2f} s before it was asked for" if early > slack else f"{late:.2f} s after it arrived"
             raise ScipError(

@@ -145,10 +145,7 @@ class ScipScanner:
         parse_status(received, request.sent)
         if self._tells_time and not self._clock.is_fresh(asked_s, for_s=2 * _COMPARED_FOR_S):
             raise ScipNotReadyError("the line scanner was connected anew while it was asked for lines; resume")
-        period, turn = self.identity.line_period_s, self._parameters.steps_a_turn
-        times = LineTimes(
-            self._clock, period_s=period, last_ray_s=self._parameters.last_step / turn * period, asked_s=asked_s
-        )
+        times = LineTimes(self._clock, period_s=self.identity.line_period_s, asked_s=asked_s)
         for left in reversed(range(count)):
             deadline = _FIRST_LINE_S if left == count - 1 else _ANSWER_S
             received = self._link.receive(complete=reply_length, deadline_s=deadline, check=check)

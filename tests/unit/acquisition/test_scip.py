@@ -207,7 +207,7 @@ class TestClock:
 
     @staticmethod
     def times(clock: ScannerClock) -> LineTimes:
-        return LineTimes(clock, period_s=0.025, last_ray_s=0.019, asked_s=101.0)
+        return LineTimes(clock, period_s=0.025, asked_s=101.0)
 
     @given(st.integers(0, CLOCK_MS - 1), st.floats(0, 0.5))
     def test_lines_in_step_are_accepted_wherever_the_clock_wraps(self, offset_ms: int, waited_s: float) -> None:
