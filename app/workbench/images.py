@@ -42,7 +42,7 @@ class Images:
         """Return an image.
 
         Args:
-            path: path below `picture/`: `scan`, `photo/ID`, `overlay/ID` or `registered/ID`.
+            path: path below `picture/`: `scan`, `strip`, `photo/ID`, `overlay/ID` or `registered/ID`.
             query: query parameters, see docs/workbench.md.
 
         Raises:
@@ -52,6 +52,8 @@ class Images:
         document = self._session.document
         if kind == "scan" and not photo_id:
             return self._scan(query)
+        if kind == "strip" and not photo_id:
+            return self._strip(query)
         entry = document.photo(photo_id)
         if entry is None:
             raise OptionError("there is no such photograph")
@@ -150,6 +152,12 @@ class Images:
         return self._sent(
             ("scan", id(view), show, stretch), lambda: scan_picture(view, show, stretch), query, keep=view
         )
+
+    def _strip(self, query: Mapping[str, str]) -> Picture:
+        from ladarreg_core.inspection.panorama import strip_picture
+
+        scan = self._scan_or_raise()
+        return self._sent(("strip", id(scan)), lambda: strip_picture(scan), query, keep=scan)
 
     def _overlay(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> NDArray[np.uint8]:
         from ladarreg_core.inspection.pictures import scan_over_photo

@@ -64,6 +64,7 @@ def history_entry(entry: Entry) -> dict[str, Any]:
 
 def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
     """Return the slice `scan`; with `error` if it can no longer be read, or no view can show it."""
+    from ladarreg_core.inspection.panorama import strip_of
     from ladarreg_core.inspection.pictures import resolution_note
 
     source = document.scan
@@ -79,6 +80,7 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
     assert scan is not None
     rows, columns = scan.shape
     note = resolution_note(scan, views)
+    strip = strip_of(scan) if len(views) > 1 else None
     return {
         "id": f"s{_digest(source)}",
         "name": source.name,
@@ -101,6 +103,7 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
             }
             for named in views
         ],
+        "strip": None if strip is None else {"low": strip.low_rad, "high": strip.high_rad},
     }
 
 
@@ -158,6 +161,31 @@ def photo_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
         current = "accepted" if pose.accepted else "refused" if pose.evidence == "none" else "solved"
         found["state"] = "stale" if found["stale"] else current
     return found
+
+
+def outline_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[str, Any] | None:
+    """Return the slice `outline` of a photograph; None without a pose, or for a scan that one view shows."""
+    from ladarreg_core.frames import Rigid
+    from ladarreg_core.inspection.panorama import photo_outline
+
+    try:
+        scan = loader.scan(document)
+        if scan is None or len(loader.views(document)) < 2:
+            return None
+        if entry.pose is not None and entry.pose.evidence != "none":  # a rejected guess may lie anywhere
+            registration = loader.registration(entry.pose)
+            camera, pose = registration.camera, registration.camera_from_scanner
+        elif entry.stated_pose is not None:
+            camera, pose = loader.photo(entry).camera, Rigid.from_matrix(entry.stated_pose)
+        else:
+            return None
+        rays = photo_outline(scan, camera, pose)
+    except LadarregError:
+        return None
+    return {
+        "rays": [[round(float(value), 5) for value in ray] for ray in rays],
+        "registered": entry.pose is not None and entry.pose.accepted,
+    }
 
 
 def pick_entry(pick: PickEntry) -> dict[str, Any]:

@@ -43,6 +43,7 @@ from .state import (
     history_entry,
     history_slice,
     job_slice,
+    outline_slice,
     photo_slice,
     pick_entry,
     project_slice,
@@ -287,6 +288,7 @@ class Workbench:
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self._pick_entries.get(entry.id, entry.picks)
             found[f"poses:{entry.id}"] = self._poses_slice(entry)
+            found[f"outline:{entry.id}"] = self._outline_slice(entry)
             found[f"solving:{entry.id}"] = self.jobs.solving(entry.id)
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
             found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
@@ -337,6 +339,11 @@ class Workbench:
     def _scan_slice(self) -> dict[str, Any] | None:
         document, loader = self.session.document, self.loader
         return loader.cached("picture", ("scan slice", document.scan), lambda: scan_slice(loader, document))
+
+    def _outline_slice(self, entry: PhotoEntry) -> dict[str, Any] | None:
+        document = self.session.document
+        key = ("outline", document.scan, entry.source, entry.camera, entry.pose)
+        return self._slices.get(key, partial(outline_slice, self.loader, document, entry))
 
     def _slow_slices(self) -> dict[str, Any]:
         document, loader = self.session.document, self.loader

@@ -11,6 +11,7 @@ import { mountPane } from "./pane_setup.js";
 import { readoutOf } from "./readout.js";
 import { listenToReveals } from "./reveal.js";
 import { SimplexPreview } from "./simplex_preview.js";
+import { mountStrip } from "./strip.js";
 import { Tools } from "./tools.js";
 import { keepUnfinished } from "./unfinished.js";
 
@@ -42,6 +43,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
   controller.colleagues.watchPanes();
   listenToKeys(controller, tools, space);
   listenToReveals(controller);
+  mountStrip(scanBody, controller);
 
   keepUnfinished(controller.picking, store);
 
@@ -98,7 +100,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
     if (changed.has("scan") || changed.has("photo")) applyFilters(state);
     if (changed.has("scan") || changed.has("stretching")) {
       if (controller.sides.scan.index !== shownView) {
-        controller.picking.dropStroke("scan");
+        controller.picking.turned("scan", (ray) => controller.sides.scan.toPixel(ray));
         showSlices();
       } else if (state.stretching) built.scan.slots.picture.preview(controller.sides.scan.stretch);
       else loadPicturesSoon();

@@ -19,6 +19,7 @@
 
 export const CLICK_PX = 6;
 const DOUBLE_CLICK_MS = 400;
+const OUT_OF_SIGHT = [-1e6, -1e6];
 
 /** @returns {Side} the other side */
 export const other = (side) => (side === "scan" ? "photo" : "scan");
@@ -192,9 +193,16 @@ export class Picking {
     return true;
   }
 
-  /** Discard the stroke on a side, but not an open side. */
-  dropStroke(side) {
-    if (this.drawing?.side === side) this.drawing = null;
+  /**
+   * Another view is shown on a side: the stroke there goes on from the same directions.
+   * @param {Side} side
+   * @param {(world: number[]) => number[] | null} toPixel in the view that is shown now; null: not in front of it
+   */
+  turned(side, toPixel) {
+    const { drawing } = this;
+    if (drawing?.side !== side) return;
+    const again = (at) => ({ ...at, uv: toPixel(at.world) ?? OUT_OF_SIGHT });
+    Object.assign(drawing, { from: again(drawing.from), to: again(drawing.to) });
   }
 
   /** Discard all that was drawn in a scan that has been replaced. @returns {boolean} whether there was anything */
