@@ -45,6 +45,7 @@ _MOST_STEPS = 5  # with the last gates; planes come and go without end
 _FINISHED = 0.15  # standard deviations of the result; planes that come and go move it by more than rounding does
 _HUBER = 3.0
 _UNDETERMINED = 0.003  # m, and rad at one metre: a wider uncertainty is no measurement of a mount
+_UNDETERMINED_BY_FURNITURE = 0.001  # small patches that are not what they seem add up to a weak and wrong measurement
 _LONGEST_STEP = 0.04  # m, and rad at one metre
 _LOOSE = 2.5e-4  # m, and rad at one metre: from here on furniture is asked, too
 _MUCH_TIGHTER = 1.5
@@ -154,6 +155,8 @@ class _System:
     """Noise of the ranges."""
     points: int
     """Points that count."""
+    weakest_m: float
+    """Largest standard deviation of what counts as determined, m, and rad at one metre."""
 
 
 def calibrate_mount(
@@ -366,7 +369,8 @@ def _fit(
         count = found.count
         if count < _LEAST_PLANES:
             return state, count, None
-        system = _system(returns, state, world, rays, found, scale, level, trimmed=trimmed)
+        weakest_m = _UNDETERMINED if least_points == LEAST_POINTS else _UNDETERMINED_BY_FURNITURE
+        system = _system(returns, state, world, rays, found, scale, level, trimmed=trimmed, weakest_m=weakest_m)
         solved = system, system.points
         step = _step(system, state.since(start, level, len(scale)) / scale)
         state = state.moved(step * scale, level)
@@ -385,6 +389,7 @@ def _system(
     level: FloatArray,
     *,
     trimmed: bool = False,
+    weakest_m: float = _UNDETERMINED,
 ) -> _System:
     """Build the normal equations and eliminate the planes' own unknowns: offset and two inclinations each."""
     at, plane, planes = found.point, found.plane, found.count
@@ -441,7 +446,13 @@ def _system(
         scores, shares, squares, count = scores[agree], shares[agree], squares[agree], count[agree]
     dof = max(1, int(count.sum()) - 3 * len(count) - unknowns)
     return _System(
-        shares.sum(axis=0), scores.sum(axis=0), scores, shares, float(np.sqrt(squares.sum() / dof)), int(count.sum())
+        shares.sum(axis=0),
+        scores.sum(axis=0),
+        scores,
+        shares,
+        float(np.sqrt(squares.sum() / dof)),
+        int(count.sum()),
+        weakest_m,
     )
 
 
@@ -494,7 +505,7 @@ def _seen(system: _System) -> tuple[NDArray[np.float64], NDArray[np.float64], ND
     """Return eigenvalues and eigenvectors of the information, and which of them the sweeps determine."""
     values, axes = np.linalg.eigh(system.information)
     sigma = max(system.sigma_m, 1e-6)
-    return values, axes, values > (sigma / _UNDETERMINED) ** 2
+    return values, axes, values > (sigma / system.weakest_m) ** 2
 
 
 def _step(system: _System, since_start: FloatArray) -> NDArray[np.float64]:
