@@ -214,7 +214,8 @@ def calibrate_mount(
         assert small[2] is not None
         tighter = _covariance(small[2][0], scale)
         more = int(tighter[1].sum()) > int(determined.sum())
-        if more or _LOOSE < _worst(covariance, scale) > _MUCH_TIGHTER * _worst(tighter[0], scale):
+        no_less = bool((tighter[1] | ~determined).all())
+        if more or (no_less and _LOOSE < _worst(covariance, scale) > _MUCH_TIGHTER * _worst(tighter[0], scale)):
             final, planes, solved = small
             covariance, determined = tighter
     assert solved is not None
