@@ -45,7 +45,8 @@ _MOST_STEPS = 5  # with the last gates; planes come and go without end
 _FINISHED = 0.15  # standard deviations of the result; planes that come and go move it by more than rounding does
 _HUBER = 3.0
 _UNDETERMINED = 0.003  # m, and rad at one metre: a wider uncertainty is no measurement of a mount
-_UNDETERMINED_BY_FURNITURE = 0.001  # small patches that are not what they seem add up to a weak and wrong measurement
+_UNDETERMINED_BY_FURNITURE = 0.7  # of the noise of a range: patches that are not what they seem measure as much
+_CERTAIN_M = 1e-6
 _LONGEST_STEP = 0.04  # m, and rad at one metre
 _LOOSE = 2.5e-4  # m, and rad at one metre: from here on furniture is asked, too
 _MUCH_TIGHTER = 1.5
@@ -370,8 +371,8 @@ def _fit(
         count = found.count
         if count < _LEAST_PLANES:
             return state, count, None
-        weakest_m = _UNDETERMINED if least_points == LEAST_POINTS else _UNDETERMINED_BY_FURNITURE
-        system = _system(returns, state, world, rays, found, scale, level, trimmed=trimmed, weakest_m=weakest_m)
+        weakest = np.inf if least_points == LEAST_POINTS else _UNDETERMINED_BY_FURNITURE
+        system = _system(returns, state, world, rays, found, scale, level, trimmed=trimmed, weakest=weakest)
         solved = system, system.points
         step = _step(system, state.since(start, level, len(scale)) / scale)
         state = state.moved(step * scale, level)
@@ -390,7 +391,7 @@ def _system(
     level: FloatArray,
     *,
     trimmed: bool = False,
-    weakest_m: float = _UNDETERMINED,
+    weakest: float = np.inf,
 ) -> _System:
     """Build the normal equations and eliminate the planes' own unknowns: offset and two inclinations each."""
     at, plane, planes = found.point, found.plane, found.count
@@ -446,14 +447,15 @@ def _system(
         agree = _agreeing(scores, shares, squares, count)
         scores, shares, squares, count = scores[agree], shares[agree], squares[agree], count[agree]
     dof = max(1, int(count.sum()) - 3 * len(count) - unknowns)
+    sigma = float(np.sqrt(squares.sum() / dof))
     return _System(
         shares.sum(axis=0),
         scores.sum(axis=0),
         scores,
         shares,
-        float(np.sqrt(squares.sum() / dof)),
+        sigma,
         int(count.sum()),
-        weakest_m,
+        min(_UNDETERMINED, weakest * max(sigma, _CERTAIN_M)),
     )
 
 
@@ -505,7 +507,7 @@ def _from_world(vectors: FloatArray, pan: FloatArray, tilt: FloatArray) -> NDArr
 def _seen(system: _System) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     """Return eigenvalues and eigenvectors of the information, and which of them the sweeps determine."""
     values, axes = np.linalg.eigh(system.information)
-    sigma = max(system.sigma_m, 1e-6)
+    sigma = max(system.sigma_m, _CERTAIN_M)
     return values, axes, values > (sigma / system.weakest_m) ** 2
 
 
