@@ -302,6 +302,7 @@ class Acquisition:
 
         assert self._plan is not None
         devices = self._stack.enter_context(connected(self._plan))
+        self._check()  # whoever stopped it meanwhile does not expect devices that are ready to move
         with self._lock:
             self._devices = devices
         self._at = devices.unit.position()
@@ -322,7 +323,14 @@ class Acquisition:
             self._run = None
             self._draw(now=True)
         if complete:
-            add_to_run(folder.path, compose(folder.path))
+            self._said = "All pieces are kept; the panorama is being composed."
+            self._publish()
+            try:
+                add_to_run(folder.path, compose(folder.path, report=lambda progress: self._check()))
+            except Cancelled:
+                with self._lock:
+                    self._said = "Composing was stopped: all pieces are kept. Go on with the run to compose them."
+                return
         with self._lock:
             self._progress.complete = complete
             self._said = (
@@ -380,7 +388,7 @@ class Acquisition:
             try:
                 work()
             except Cancelled:
-                said = "Stopped."
+                said = "Stopped while connecting: connect again." if self._devices is None else "Stopped."
             except LadarregError as error:
                 said = as_fields(str(error))
             except Exception as error:

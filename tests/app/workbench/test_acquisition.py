@@ -14,6 +14,8 @@ import pytest
 from ladarreg.gateway.protocol import Visitor
 from PIL import Image
 
+from ladarreg_core import panorama
+from ladarreg_core.progress import Report
 from tests.app.workbench_driver import WorkbenchDriver, open_bench
 
 pytestmark = pytest.mark.slow
@@ -127,6 +129,40 @@ def test_stopping_is_for_everybody_and_a_run_goes_on_where_it_was(bench: Workben
     bench.eventually(lambda: bench.slice("acquisition")["complete"])
     bench.eventually(lambda: ready(bench))
     bench.do("acquire_disconnect")
+
+
+def test_stopping_while_devices_are_connected_leaves_none(bench: WorkbenchDriver) -> None:
+    bench.do("acquire_connect", plan=plan_of(bench))
+    bench.do("acquire_stop")
+    bench.eventually(lambda: state(bench) == "off")
+    assert bench.slice("acquisition")["said"] == "Stopped while connecting: connect again."
+    assert bench.slice("acquisition")["driver"] is None
+
+
+def test_composing_that_was_stopped_is_done_when_the_run_goes_on(
+    bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    composed = []
+
+    def stopped_at_first(folder: Path, *, report: Report) -> panorama.Panorama:
+        composed.append(folder)
+        if len(composed) == 1:
+            assert "being composed" in bench.slice("acquisition")["said"]
+            bench.do("acquire_stop")
+        return compose(folder, report=report)
+
+    compose = panorama.compose
+    monkeypatch.setattr(panorama, "compose", stopped_at_first)
+    plan = plan_of(bench, pan_deg=[-4, 4, 4])
+    bench.do("acquire_connect", plan=plan)
+    bench.eventually(lambda: ready(bench))
+    bench.do("acquire_start", plan=plan)
+    bench.eventually(lambda: composed and ready(bench))
+    found = bench.slice("acquisition")
+    assert (found["done"], found["total"], found["complete"]) == (3, 3, False)
+    assert "all pieces are kept" in found["said"]
+    bench.do("acquire_start", plan=plan, resume=found["run"])
+    bench.eventually(lambda: bench.slice("acquisition")["complete"])
 
 
 def test_a_port_that_the_server_does_not_have_is_refused(bench: WorkbenchDriver, tmp_path: Path) -> None:
