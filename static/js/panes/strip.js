@@ -240,7 +240,7 @@ const trace = (context, width, points, colour, dash, thick) => {
 
 /** Shade what none of the photographs covers. */
 const shade = (context, [width, height], covering) => {
-  if (covering.some(({ rays }) => rays.length === 0)) return; // it looks all around
+  if (covering.length === 0 || covering.some(({ rays }) => rays.length === 0)) return; // none yet, or one that looks all around
   const ratio = window.devicePixelRatio || 1;
   const veil = new OffscreenCanvas(Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio)));
   const over = veil.getContext("2d");
