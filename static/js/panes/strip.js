@@ -109,12 +109,12 @@ export const mountStrip = (body, controller) => {
     if (!scan?.strip || !side.lens || pane.size[0] === 0) return;
     const strip = extent();
     aim = [wrapped(angles[0]), Math.min(strip.high, Math.max(strip.low, angles[1]))];
-    aiming = true;
     const ray = rayAt(...aim);
     const index = viewTowards(scan.views, ray, side.index);
     if (index !== side.index) view.set({ scan: { view: index } });
     const uv = side.toPixel(ray);
     if (uv) pane.place(filling(centredOn(uv, pane.viewport.zoom, pane.size), pane.size, pane.extent), "strip");
+    aiming = true; // now: another view moves the pane, too
     changed();
   };
 
