@@ -19,7 +19,7 @@ from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 
-BLUR_CELLS = (6.0, 3.0, 1.5)
+BLUR_CELLS = (6.0, 3.0, 1.5, 0.8)
 """Smoothing of the intensities, in turn: from far off only what is coarse leads to the right place."""
 
 _BAND = 5.0
@@ -36,9 +36,12 @@ _LEAST_SIGMA = 0.01
 _LEAST_CONTRAST = 0.02
 _LEAST_CORRELATION = 0.5
 _FLOOR_SHARE = 0.25
-_CORRELATED = 2.0
-"""Standard deviations are larger than those of independent residuals by this factor: texture is seen through one
-smoothing, and gloss depends on where one stands."""
+_PATCH_CELLS = 24
+_LEAST_PATCHES = 12
+_UNSEEN = 2.0
+"""Variances are larger than the scatter of patches says by this factor: each pair of views is compared in both
+directions, which is little more than once."""
+_WITHIN_REASON = np.diag([np.radians(0.1) ** -2] * 3 + [0.002**-2] * 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,20 +79,31 @@ class IntensityView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """Points of one view that another one sees, too."""
+    """Points of one view that another one sees, too, with what the first one sees there."""
 
     first: int
     second: int
     points: FloatArray
     """(N, 3) m, in the first's frame."""
-    cells: IntArray
-    """(N,) their cells, counted through the first's grid."""
+    light: tuple[FloatArray, ...]
+    """(N,) of each level."""
+    slopes: tuple[FloatArray, ...]
+    """(N, 3) derivatives of the light by the point, in the first's frame, of each level; NaN near edges."""
+    patch: IntArray
+    """(N,) number of the patch of the first's grid in which a point lies."""
 
 
-def links_of(views: Sequence[IntensityView], poses: Sequence[Rigid], *, seed: int = 0) -> list[Link]:
-    """Return the links between all views that overlap at some poses, each pair in both directions."""
+def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], *, seed: int = 0) -> list[Link]:
+    """Return the links between all views that overlap at some poses, each pair in both directions.
+
+    Args:
+        levels: the views, smoothed less and less.
+        poses: `world_from_scan` of each view.
+        seed: of the choice of points.
+    """
     found = []
     rng = np.random.default_rng(seed)
+    views = levels[-1]
     for a, view in enumerate(views):
         stride = max(1, int(np.sqrt(view.scan.ranges.size / 200_000)))
         part = slice(None, None, stride)
@@ -116,33 +130,47 @@ def links_of(views: Sequence[IntensityView], poses: Sequence[Rigid], *, seed: in
                 steep = np.where(np.isfinite(steep), steep, 0) + 1e-9
                 chance = np.minimum(steep, np.quantile(steep, 0.98)) ** 2
                 at = np.sort(rng.choice(at, _POINTS_A_LINK, replace=False, p=chance / chance.sum()))
-            found.append(Link(a, b, points[at].astype(np.float64), cells[at]))
+            found.append(_link(a, b, [level[a] for level in levels], points[at].astype(np.float64), cells[at]))
     return found
 
 
+def _link(first: int, second: int, levels: Sequence[IntensityView], points: FloatArray, cells: IntArray) -> Link:
+    slopes = [
+        _by_point(levels[0].scan, points, np.stack([slope.ravel()[cells] for slope in view.by_cell], axis=-1))
+        for view in levels
+    ]
+    row, column = np.divmod(cells, levels[0].light.shape[1])
+    _, patch = np.unique((row // _PATCH_CELLS) * (1 << 20) + column // _PATCH_CELLS, return_inverse=True)
+    light = [view.light.ravel()[cells].astype(np.float64) for view in levels]
+    return Link(first, second, points, tuple(light), tuple(slopes), patch)
+
+
 def link_equations(
-    links: Sequence[Link], views: Sequence[IntensityView], poses: Sequence[Rigid], *, keep: IntArray | None = None,
-    held_out: int = 4,
+    links: Sequence[Link], levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], *,
+    keep: IntArray | None = None, held_out: int = 4,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
     """Return the information (6 V, 6 V) and the gradient (6 V,) of the views' moves (w, t).
 
+    Noise has slopes, too, and on a surface that is nearly blank more of them than its texture: the slopes of one view
+    are therefore the instruments for those of the other, whose noise is another one. Residuals near each other are
+    alike: what they are worth together is seen by the scatter of patches. Source: generalised moments, Hansen 1982.
+
     Args:
         links: the links.
-        views: the views.
-        poses: `world_from_scan` of each.
+        levels: the first of the levels of which the links were made; of each link the finest counts that shows texture.
+        poses: `world_from_scan` of each view.
         keep: remainders, modulo `held_out`, of the metre-sized blocks of the room to use; None: all of them.
         held_out: see above.
     """
-    count = len(views)
+    count = len(poses)
     blocks, gradient = np.zeros((count, count, 6, 6)), np.zeros((count, 6))
     for link in links:
-        residual, jacobian, light = _residuals(link, views, poses, keep, held_out)
-        if len(residual) < _LEAST_POINTS // 2 or not _textured(light, residual):
+        found = None
+        for level in reversed(range(len(levels))):
+            found = found or _link_equation(link, level, levels[level], poses, keep, held_out)
+        if found is None:
             continue
-        sigma = max(_MAD * float(np.median(np.abs(residual))), _LEAST_SIGMA)
-        weight = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(residual), 1e-12)) / (_CORRELATED * sigma) ** 2
-        H = jacobian.T @ (jacobian * weight[:, None])
-        g = jacobian.T @ (weight * residual)
+        H, g = found
         a, b = link.first, link.second
         blocks[a, a] += H
         blocks[b, b] += H
@@ -153,12 +181,30 @@ def link_equations(
     return blocks.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count), gradient.ravel()
 
 
-def link_residuals(
-    links: Sequence[Link], views: Sequence[IntensityView], poses: Sequence[Rigid], *, keep: IntArray, held_out: int = 4
-) -> NDArray[np.float64]:
-    """Return the residuals (M,) of all links, without their common part: differences of logarithms of intensities."""
-    found = [_residuals(link, views, poses, keep, held_out)[0] for link in links]
-    return np.concatenate([np.zeros(0), *found])
+def _link_equation(
+    link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], keep: IntArray | None, held_out: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return information (6, 6) and gradient (6,) of one link by its first view's move; None if it shows no texture."""
+    seen = _residuals(link, level, views, poses, keep, held_out)
+    if len(seen.residual) < _LEAST_POINTS // 2 or not _textured(seen.light, seen.residual):
+        return None
+    if len(np.unique(seen.patch)) < _LEAST_PATCHES:
+        return None
+    residual, jacobian, own = seen.residual, seen.jacobian, seen.instruments
+    sigma = max(_MAD * float(np.median(np.abs(residual))), _LEAST_SIGMA)
+    weight = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(residual), 1e-12)) / sigma**2
+    weighted = own * weight[:, None]
+    response, moments = weighted.T @ jacobian, weighted.T @ residual
+    alone = weighted.T @ own  # the covariance of the moments, were all residuals independent
+    left = residual
+    for _ in range(2):
+        parts = weighted * left[:, None]
+        sums = np.stack([np.bincount(seen.patch, part) for part in parts.T], axis=-1)
+        weighing = response.T @ np.linalg.inv(alone + sums.T @ sums)
+        information, gradient = weighing @ response / _UNSEEN, weighing @ moments / _UNSEEN
+        # What scatters is what is left where this link alone would move its views to, within reason.
+        left = residual - jacobian @ np.linalg.solve(information + _WITHIN_REASON, gradient)
+    return np.asarray(information), np.asarray(gradient)
 
 
 def common_floor(scans: Sequence[Scan]) -> float:
@@ -204,35 +250,58 @@ def _lookup(view: IntensityView, points: FloatArray) -> _Seen:
     return _Seen(between(view.light), slopes, np.where(inside, nearest, np.nan))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Compared:
+    residual: FloatArray
+    """(M,) less their median."""
+    jacobian: FloatArray
+    """(M, 6) derivatives by the first view's move, from the slopes of the second."""
+    instruments: FloatArray
+    """(M, 6) the same from the slopes of the first."""
+    light: FloatArray
+    """(M,) of the first."""
+    patch: IntArray
+    """(M,)"""
+
+
 def _residuals(
-    link: Link, views: Sequence[IntensityView], poses: Sequence[Rigid], keep: IntArray | None, held_out: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return residuals (M,), less their median, derivatives (M, 6) by the first view's move, and its light (M,)."""
+    link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], keep: IntArray | None, held_out: int
+) -> _Compared:
     other = views[link.second]
-    world = poses[link.first] @ link.points
-    use = np.ones(len(world), np.bool_)
+    pose = poses[link.first]
+    world = pose @ link.points
+    use = np.isfinite(link.light[level]) & np.isfinite(link.slopes[level][:, 0])
     if keep is not None:
         block = np.floor(world).astype(np.int64) @ np.array([1, 3, 2])
-        use = np.isin(block % held_out, keep)
+        use &= np.isin(block % held_out, keep)
     there = poses[link.second].inverse
     local = there @ world
     seen = _lookup(other, local)
-    use &= seen.good(local) & np.isfinite(views[link.first].light.ravel()[link.cells])
+    use &= seen.good(local)
     world, local = world[use], local[use]
-    light = views[link.first].light.ravel()[link.cells[use]].astype(np.float64)
+    light = link.light[level][use]
     residual = seen.light[use] - light
-    if not len(residual):
-        return np.zeros(0), np.zeros((0, 6)), np.zeros(0)
+    by_world = _by_point(other.scan, local, seen.slopes[use]) @ there.rotation
+    own = link.slopes[level][use] @ pose.rotation.T
+    return _Compared(
+        residual - (float(np.median(residual)) if len(residual) else 0.0),
+        np.hstack([np.cross(world, by_world), by_world]),
+        np.hstack([np.cross(world, own), own]),
+        light,
+        link.patch[use],
+    )
+
+
+def _by_point(scan: Scan, local: FloatArray, slopes: FloatArray) -> NDArray[np.float64]:
+    """Return derivatives by the point (N, 3), in the scan's frame, of what has slopes (N, 2) by row and column."""
     small = 1e-4 * np.linalg.norm(local, axis=-1)
-    by_point = np.empty((len(local), 3))
+    out = np.empty((len(local), 3))
     for axis in range(3):
         beside = np.zeros((len(local), 3))
         beside[:, axis] = small
-        cells = np.asarray(other.scan.geometry.cell_of(local + beside)) - other.scan.geometry.cell_of(local - beside)
-        by_point[:, axis] = (cells * seen.slopes[use]).sum(-1) / (2 * small)
-    by_world = by_point @ there.rotation
-    jacobian = np.hstack([np.cross(world, by_world), by_world])
-    return residual - float(np.median(residual)), jacobian, light
+        cells = np.asarray(scan.geometry.cell_of(local + beside)) - scan.geometry.cell_of(local - beside)
+        out[:, axis] = (cells * slopes).sum(-1) / (2 * small)
+    return out
 
 
 def _textured(light: FloatArray, residual: FloatArray) -> bool:

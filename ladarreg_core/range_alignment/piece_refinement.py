@@ -69,7 +69,7 @@ class RefinedPiece:
     shift_mm: float
     """Length of the shift beside it."""
     sigma_deg: tuple[float, float]
-    """Standard deviations of the corrections of pan and tilt."""
+    """Standard deviations of its pan and tilt against all pieces together: what turns all alike is the unit's."""
     points: int
     """Points that it shares with other pieces."""
 
@@ -134,11 +134,10 @@ def refine_pieces(
     gates = _MOUNT_GATES if calibrate_mount else GATES
     if enough.sum() < 2:
         return _kept(pieces, mount, enough, "the pieces do not overlap: each stays where the unit's angles say")
-    links = links_of(light[-1], placed)
+    links = links_of(light, placed)
 
     def printed(poses: Sequence[Rigid], stage: int, keep: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        level = light[min(stage, len(light) - 1)]
-        return link_equations(links, level, poses, keep=keep, held_out=_HELD_OUT)
+        return link_equations(links, light[: stage + 1], poses, keep=keep, held_out=_HELD_OUT)
 
     train = adjust(
         views, common=common, use_blocks=lambda block: ~_held(block),
@@ -308,7 +307,7 @@ def _result(
         lost = [name for name, value in zip(PARAMETERS, np.diag(covariance), strict=True) if not np.isfinite(value)]
         if lost:
             reasons.append(f"not determined, kept as given: {', '.join(lost)} of the mount")
-    out = []
+    out, turns = [], _against_all(found.covariance)
     for k in range(len(pieces)):
         at = positions[k]
         by_unit = pan_tilt_pose(at.pan_rad, at.tilt_rad, unit_from_scanner=new_mount)
@@ -316,8 +315,7 @@ def _result(
         if refine and not held[k] and common is not None:
             pose = found.poses[k]
         move = move_between(by_unit, pose)
-        block = found.covariance[6 * k : 6 * k + 3, 6 * k : 6 * k + 3]
-        sigma = np.degrees(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", _axes(at), block, _axes(at)), 0)))
+        sigma = np.degrees(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", _axes(at), turns[k], _axes(at)), 0)))
         turn = np.degrees(_axes(at) @ move[:3])
         state: State = "refined"
         if held[k]:
@@ -344,6 +342,15 @@ def _result(
         tuple(out), accepted=True, mount=new_mount, mount_covariance=covariance, held_out_before_m=checked[0],
         held_out_after_m=checked[1], noise_m=noise, planes=found.planes, reasons=tuple(reasons),
     )  # fmt: skip
+
+
+def _against_all(covariance: FloatArray) -> NDArray[np.float64]:
+    """Return the covariance (V, 3, 3) of each view's turn less the mean of all turns."""
+    views = len(covariance) // 6
+    turns = covariance.reshape(views, 6, views, 6)[:, :3, :, :3]
+    mixed = turns.mean(axis=2)  # of one view with all
+    own = turns[np.arange(views), :, np.arange(views)]
+    return np.asarray(own - mixed - mixed.transpose(0, 2, 1) + mixed.mean(axis=0))
 
 
 def _new_mount(mount: Rigid, moved: FloatArray, covariance: FloatArray) -> tuple[Rigid, NDArray[np.float64]]:
