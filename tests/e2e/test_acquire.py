@@ -87,6 +87,13 @@ def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
     page.get_by_text("pieces are kept.").first.wait_for()
 
     page.get_by_role("button", name="Go on with the run").click()
+    awaits(page, "state", "running")
+    page.get_by_role("tab", name="Match").click()
+    page.get_by_role("button", name="Stop the unit", exact=True).wait_for()  # whatever step is open
+    page.frame_locator("iframe.model-frame").locator("body").press("F8")  # viser's page has the focus
+    awaits(page, "state", "ready")
+    page.get_by_role("tab", name="Acquire").click()
+    page.get_by_role("button", name="Go on with the run").click()
     page.get_by_role("button", name="Open as the scan").click(timeout=60_000)
     page.locator("#scan-pane canvas").first.wait_for()
     page.wait_for_function("import('./js/net/store.js').then(({ store }) => store.get('scan')?.name === 'run-001.npz')")

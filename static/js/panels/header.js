@@ -2,6 +2,7 @@
 
 import { request, requestForPhoto } from "../net/requests.js";
 import { store } from "../net/store.js";
+import { isActive } from "../state/acquisition.js";
 import { isRunning } from "../state/pipeline.js";
 import { button } from "../ui/controls.js";
 import { element, setAttribute, setChildren, setText } from "../ui/dom.js";
@@ -136,6 +137,22 @@ const themeButton = () => {
   return control;
 };
 
+/** Stop, whatever step is open, while the unit moves or may go on by itself. */
+const stopButton = () => {
+  const stop = button({
+    label: "Stop the unit",
+    text: "Stop  F8",
+    icon: "stop",
+    kind: "small stop-button header-stop edits",
+    title: "Halt the unit and switch the laser off (F8). It is no safety device: a hardware stop must be within reach.",
+    act: () => request("acquire_stop"),
+  });
+  const show = () => (stop.hidden = !isActive());
+  store.watch(["acquisition"], show);
+  show();
+  return stop;
+};
+
 /** @param {HTMLElement} header */
 export const mountHeader = (header) => {
   const history = button({
@@ -164,6 +181,7 @@ export const mountHeader = (header) => {
     element(
       "div",
       { class: "header-tools" },
+      stopButton(),
       ...historyButtons(),
       history,
       autoButton(),

@@ -12,12 +12,15 @@ const showFocus = (frame) => {
   inner.addEventListener("blur", () => frame.classList.remove("focused"));
 };
 
+/** Stops the devices of an acquisition: forwarded whatever has the focus. */
+const STOP = "F8";
+
 /** Forward keys from the frame to the page, except while text is typed. */
 const forwardKeys = (frame) => {
   const inner = frame.contentWindow;
   for (const kind of ["keydown", "keyup"]) {
     inner.addEventListener(kind, (event) => {
-      if (event.defaultPrevented || event.target.closest?.(TYPING)) return;
+      if (event.key !== STOP && (event.defaultPrevented || event.target.closest?.(TYPING))) return;
       const { key, code, ctrlKey, shiftKey, altKey, metaKey, repeat } = event;
       const sent = new KeyboardEvent(
         kind,
