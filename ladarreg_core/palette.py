@@ -20,6 +20,8 @@ _DIVERGING_KNOTS: tuple[Colour, ...] = (
     (253, 219, 199), (244, 165, 130), (214, 96, 77), (178, 24, 43), (103, 0, 31),
 )  # fmt: skip
 _LEAST_END, _MOST_END = 1e-6, 1e8
+_GOLDEN = 0.6180339887498949
+_TONES = ((0.6, 0.92), (0.85, 0.7), (0.35, 0.98), (0.75, 0.5))
 
 BACKGROUND: Colour = (15, 17, 21)
 PANEL: Colour = (22, 26, 33)
@@ -104,3 +106,18 @@ def scale_end(values: NDArray[np.floating]) -> float:
 def as_css(colour: Colour) -> str:
     """Return `#rrggbb`."""
     return f"#{bytes(colour).hex()}"
+
+
+def distinct_colours(count: int) -> NDArray[np.uint8]:
+    """Return colours (N, 3), all different and none black; those of successive numbers are far apart in hue."""
+    number = np.arange(count)
+    tone = np.array(_TONES)[(number // 7) % len(_TONES)].reshape(-1, 2)
+    hsv = np.column_stack([360 * ((0.08 + number * _GOLDEN) % 1), tone]).astype(np.float32)
+    colours: ByteArray = np.rint(255 * cv2.cvtColor(hsv[None], cv2.COLOR_HSV2RGB)[0]).astype(np.uint8).reshape(-1, 3)
+    taken: set[bytes] = set()
+    for colour in colours:
+        while colour.tobytes() in taken:
+            # At most a few of thousands: the next blue that is free is nearly the same colour.
+            colour[2] = (int(colour[2]) + 1) % 256
+        taken.add(colour.tobytes())
+    return np.asarray(colours, np.uint8)

@@ -26,6 +26,12 @@ PANORAMA_IS = (
     "along the pan axis, m"
 )
 """Explanation of a panorama's frame, written into `panorama.json`."""
+PROVENANCE_IS = (
+    "provenance.png has the grid of scan.npz and shows by the color of each piece which one a cell is from; black = no "
+    "return. Up to 255 pieces: an indexed image, its values are the places in pieces, or of a sweep the numbers of the "
+    "sweeps, and 255 = no return"
+)
+"""Explanation of the picture of the pieces, written into `panorama.json`."""
 _VERSION = 1
 _MOST_LISTED = 8
 
@@ -37,7 +43,8 @@ class Panorama:
     scan: Scan
     """The scan, in the world of the unit."""
     piece_of_cell: NDArray[np.int16]
-    """(H, W) the place in `fields["pieces"]` of the piece that each return is from; -1 = no return."""
+    """(H, W) the place in `fields["pieces"]` of the piece that each return is from, or the number of its sweep;
+    -1 = no return."""
     fields: Mapping[str, Any]
     """Contents of `panorama.json`."""
 
@@ -202,18 +209,29 @@ def _document(listed: PieceList, made: Panorama, checksums: Sequence[str], mount
     rows, columns = made.scan.shape
     counts = {"rows": rows, "columns": columns, "returns": int(made.scan.valid.sum()), **own.pop("counts")}
     mount = {"is": MOUNT_IS, "from": mount_from, **own.pop("mount")}
+    numbers = [more.get("sweep", place) for place, more in enumerate(each)]
+    colors = _colours(numbers)
     pieces = [
         {
             "index": piece.index, "file": piece.path.name, "sha256": checksum,
-            "pan_deg": float(np.degrees(piece.at.pan_rad)), "tilt_deg": float(np.degrees(piece.at.tilt_rad)), **more,
+            "pan_deg": float(np.degrees(piece.at.pan_rad)), "tilt_deg": float(np.degrees(piece.at.tilt_rad)),
+            "color": "#" + colors[number].tobytes().hex(), **more,
         }
-        for piece, checksum, more in zip(listed.pieces, checksums, each, strict=True)
+        for piece, checksum, number, more in zip(listed.pieces, checksums, numbers, each, strict=True)
     ]  # fmt: skip
     return {
         "version": _VERSION, "kind": "panorama", "software": {"name": "ladarreg", "version": VERSION},
-        "mode": listed.mode, "scan": "scan.npz", "frame_is": PANORAMA_IS, "counts": counts, "mount": mount, **own,
+        "mode": listed.mode, "scan": "scan.npz", "frame_is": PANORAMA_IS, "provenance": "provenance.png",
+        "provenance_is": PROVENANCE_IS, "counts": counts, "mount": mount, **own,
         "notes": [*made.scan.notes, *own.get("notes", ())], "missing": list(listed.missing), "pieces": pieces,
     }  # fmt: skip
+
+
+def _colours(numbers: Sequence[int]) -> NDArray[np.uint8]:
+    """Return the colours (N, 3) of the pieces, or of the sweeps, with these numbers."""
+    from ladarreg_core.palette import distinct_colours
+
+    return distinct_colours(max(numbers, default=-1) + 1)
 
 
 def write_panorama(
@@ -224,7 +242,7 @@ def write_panorama(
     force: bool = False,
     report: Report | None = None,
 ) -> None:
-    """Write `scan.npz` and `panorama.json` into a new folder, all at once.
+    """Write `scan.npz`, `panorama.json` and `provenance.png` into a new folder, all at once.
 
     Args:
         folder: output folder.
@@ -244,13 +262,14 @@ def write_panorama(
         lambda: [
             ("scan.npz", lambda path: _write_scan(path, panorama)),
             ("panorama.json", lambda path: write_document(path, panorama.fields)),
+            ("provenance.png", lambda path: _write_provenance(path, panorama)),
         ],
         inputs=inputs, force=force, report=report,
     )  # fmt: skip
 
 
 def add_to_run(run_folder: str | Path, panorama: Panorama) -> None:
-    """Write `scan.npz` and `panorama.json` beside the pieces of a run, each whole before it gets its name.
+    """Write `scan.npz`, `panorama.json` and `provenance.png` beside a run's pieces, each whole before it gets its name.
 
     Raises:
         ExportError: if they cannot be written.
@@ -261,6 +280,8 @@ def add_to_run(run_folder: str | Path, panorama: Panorama) -> None:
     home = Path(run_folder)
     with replaced_file(home / "scan.npz") as path:
         _write_scan(path, panorama)
+    with replaced_file(home / "provenance.png") as path:
+        _write_provenance(path, panorama)
     write_document(home / "panorama.json", panorama.fields)
 
 
@@ -272,6 +293,13 @@ def _write_scan(path: Path, panorama: Panorama) -> None:
         write_npz_panorama(path, panorama.scan, piece=panorama.piece_of_cell)
     else:
         write_npz_xyz(path, panorama.scan)
+
+
+def _write_provenance(path: Path, panorama: Panorama) -> None:
+    from ladarreg_core.export.images import write_provenance_png
+
+    numbers = [piece.get("sweep", place) for place, piece in enumerate(panorama.fields["pieces"])]
+    write_provenance_png(path, panorama.piece_of_cell, _colours(numbers))
 
 
 def _some(indices: Sequence[int]) -> str:

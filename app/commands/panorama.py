@@ -53,7 +53,7 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Compose the pieces and write `scan.npz` and `panorama.json`."""
+    """Compose the pieces and write `scan.npz`, `panorama.json` and `provenance.png`."""
     from ladarreg_core.export.folder import check_folder
     from ladarreg_core.formats.panorama_info import panorama_lines
     from ladarreg_core.panorama import compose, write_panorama
@@ -74,7 +74,7 @@ def run(arguments: Arguments) -> ExitCode:
         return ExitCode.ACCEPTED
     for name, value in panorama_lines(made.fields):
         print(f"{name.capitalize():<10} {one_line(value)}")
-    print(f"Wrote      scan.npz, panorama.json in {arguments.out}")
+    print(f"Wrote      scan.npz, panorama.json, provenance.png in {arguments.out}")
     print(f"Took       {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED
 

@@ -312,7 +312,7 @@ def _sync(path: Path) -> None:
 
 def _remove_run(folder: Path) -> None:
     """Remove an earlier run, and nothing else."""
-    for name in (RECORDS, PLAN, "scan.npz", "panorama.json"):
+    for name in (RECORDS, PLAN, "scan.npz", "panorama.json", "provenance.png"):
         (folder / name).unlink(missing_ok=True)
     for name in (PIECES, PHOTOS):
         shutil.rmtree(folder / name, ignore_errors=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from ladarreg_core.validation import require_positive
 _MOST_PX = 1e9
 _BAR_WIDTHS, _BAR_HEIGHT, _MARGIN, _TEXT = (200, 480), 14, 12, 13
 _TICKS = 4
+_NO_PIECE = 255
 
 
 def write_registered_png(path: str | Path, texture: RegisteredTexture, *, mark: str = "") -> None:
@@ -65,6 +67,36 @@ def write_labels_png(path: str | Path, texture: RegisteredTexture, *, mark: str 
     notes.add_text("Legend", ", ".join(f"{label.value} {label.name.lower().replace('_', ' ')}" for label in Label))
     # Eight bits per pixel, so that readers that ignore palettes find one code per byte.
     image.save(stream, format="PNG", bits=8, pnginfo=notes)
+    write_bytes(path, stream.getvalue())
+
+
+def write_provenance_png(path: str | Path, piece_of_cell: NDArray[np.integer[Any]], colours: ByteArray) -> None:
+    """Write which piece each cell of a panorama is from.
+
+    Up to 255 pieces make an indexed PNG: pixel values are the numbers of the pieces, 255 is no return, and the palette
+    gives them their colours. More make an RGB image of the colours, with black for no return.
+
+    Args:
+        path: output file.
+        piece_of_cell: (H, W) number of the piece; negative = no return.
+        colours: (N, 3) uint8 RGB of the pieces.
+
+    Raises:
+        ExportError: if the file cannot be written.
+    """
+    from PIL import Image
+
+    none = np.zeros((1, 3), np.uint8)
+    if len(colours) > _NO_PIECE:
+        # A negative number counts from the end.
+        write_png(path, np.concatenate([colours, none])[np.maximum(piece_of_cell, -1)])
+        return
+    palette = np.zeros((_NO_PIECE + 1, 3), np.uint8)
+    palette[: len(colours)] = colours
+    image = Image.fromarray(np.where(piece_of_cell < 0, _NO_PIECE, piece_of_cell).astype(np.uint8))
+    image.putpalette(palette.tobytes())
+    stream = io.BytesIO()
+    image.save(stream, format="PNG", bits=8)
     write_bytes(path, stream.getvalue())
 
 

@@ -37,7 +37,9 @@ EXPORT_FILE = "export.json"
 _COMPARISON_FILES = ("comparison.json", "table.md", "contact_sheet.png")
 PANORAMA_FILE = "panorama.json"
 """File that describes a panorama."""
-PANORAMA_FILES = (PANORAMA_FILE, "scan.npz")
+PROVENANCE_FILE = "provenance.png"
+"""Picture of which piece each cell of a panorama is from."""
+PANORAMA_FILES = (PANORAMA_FILE, "scan.npz", PROVENANCE_FILE)
 """Files of a panorama."""
 STATIONS_FILE = "stations.json"
 """File that describes stations, beside their scans."""

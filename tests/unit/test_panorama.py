@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ladarreg.cli import main
+from PIL import Image
 
 from ladarreg_core.acquisition.mount_fields import mount_as_fields, mount_from_fields
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
+from ladarreg_core.export.images import write_provenance_png
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.npz import write_npz_xyz
+from ladarreg_core.palette import distinct_colours
 from ladarreg_core.panorama import compose, mount_of_text, write_panorama
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
@@ -68,6 +71,31 @@ def test_a_run_becomes_a_scan_that_is_read_again(run: Path, tmp_path: Path) -> N
     with np.load(out / "scan.npz", allow_pickle=False) as archive:
         piece = archive["piece"]
     assert ((piece < 255) == scan.valid).all()
+
+
+def test_the_picture_of_the_pieces_says_which_one_each_cell_is_from(run: Path, tmp_path: Path) -> None:
+    made = compose(run)
+    write_panorama(tmp_path / "out", made)
+    with Image.open(tmp_path / "out" / "provenance.png") as image:
+        numbers, shown = np.asarray(image), np.asarray(image.convert("RGB"))
+    np.testing.assert_array_equal(numbers, np.where(made.piece_of_cell < 0, 255, made.piece_of_cell))
+    pieces = json.loads((tmp_path / "out" / "panorama.json").read_text())["pieces"]
+    assert len({piece["color"] for piece in pieces}) == len(pieces)
+    for place, piece in enumerate(pieces):
+        assert (shown[made.piece_of_cell == place] == list(bytes.fromhex(piece["color"][1:]))).all()
+        assert (made.piece_of_cell == place).sum() == piece["shown"] > 0
+    assert not shown[made.piece_of_cell < 0].any()
+
+
+def test_a_picture_of_more_pieces_than_a_palette_holds_shows_their_colours(tmp_path: Path) -> None:
+    numbers = np.arange(-1, 3999, dtype=np.int16).reshape(40, 100)
+    colours = distinct_colours(3999)
+    write_provenance_png(tmp_path / "provenance.png", numbers, colours)
+    with Image.open(tmp_path / "provenance.png") as image:
+        shown = np.asarray(image).reshape(-1, 3)
+    assert not shown[0].any()
+    np.testing.assert_array_equal(shown[1:], colours)
+    assert len({colour.tobytes() for colour in colours} | {b"\0\0\0"}) == 4000
 
 
 def test_reading_gives_back_what_was_written(run: Path, tmp_path: Path) -> None:
