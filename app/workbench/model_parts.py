@@ -225,7 +225,7 @@ def surface_or_facets(scan: Scan, most_vertices: int) -> Mesh:
     from ladarreg_core.surface.facets import point_facets
     from ladarreg_core.surface.mesh import scan_mesh
 
-    mesh = scan_mesh(scan, max_vertices=most_vertices)
+    mesh = scan_mesh(scan, max_vertices=most_vertices, closed=True)
     return mesh if len(mesh.faces) else point_facets(scan, max_vertices=most_vertices)
 
 

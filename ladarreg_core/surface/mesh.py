@@ -29,6 +29,8 @@ _LARGEST_GAP_RAD = 0.35
 _NOISE_SAMPLES = 200_000
 _LARGEST_WHOLE_SCAN = 4_000_000  # cells; larger scans are processed in bands of rows
 _BAND_MARGIN = 4
+_SEAM_COLUMNS = 3  # on either side of the seam, which show how the surface goes on
+_LEAST_SEAM_STEP = 0.25  # of the step before: a scanner that turned farther repeats its first columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +42,7 @@ class Mesh:
     faces: IntArray
     """(F, 3) int32, indices of vertices."""
     cells: IntArray
-    """(N, 2) int32, the grid cell (row, column) of each vertex."""
+    """(N, 2) int32, the grid cell (row, column) of each vertex; beyond a full turn's seam, column W is the first."""
     shape: tuple[int, int]
     """(H, W), cells of the full grid."""
 
@@ -50,10 +52,15 @@ class Mesh:
         object.__setattr__(self, "cells", read_only(self.cells, np.int32, (len(self.vertices), 2), "the mesh's cells"))
 
     @property
+    def places(self) -> tuple[IntArray, IntArray]:
+        """The row and the column (N,) of each vertex, within the grid."""
+        return self.cells[:, 0], self.cells[:, 1] % np.int32(self.shape[1])
+
+    @property
     def uv(self) -> NDArray[np.float32]:
         """(N, 2) texture coordinates of a picture on the full grid: u right, v down, (0, 0) its outer top-left corner.
 
-        The centre of cell (row, column) is ((column + .5)/W, (row + .5)/H).
+        The centre of cell (row, column) is ((column + .5)/W, (row + .5)/H); beyond the seam, u is larger than 1.
         """
         size = np.array(self.shape[::-1], dtype=np.float32)
         return np.asarray((self.cells[:, ::-1].astype(np.float32) + np.float32(0.5)) / size)
@@ -112,7 +119,47 @@ def _edges_by_bands(scan: Scan) -> GridEdges:
     return GridEdges(right, down, float(np.median(noise)))
 
 
-def scan_mesh(scan: Scan, *, step: int | tuple[int, int] = 1, max_vertices: int | None = None) -> Mesh:
+def across_seam(scan: Scan, edges: GridEdges, columns: IntArray | None = None) -> BoolArray | None:
+    """Return where the last column of a scan of the full turn lies on one surface with the first.
+
+    Args:
+        scan: the scan.
+        edges: its edges, for their noise.
+        columns: the columns in use, ascending; None: all.
+
+    Returns:
+        (H,) bool; None if that is nowhere so, as with every scan whose ends do not meet.
+    """
+    if columns is None:
+        columns = np.arange(scan.shape[1])
+    if len(columns) < 2 * _SEAM_COLUMNS:
+        return None
+    beside = np.concatenate([columns[-_SEAM_COLUMNS:], columns[:_SEAM_COLUMNS]])
+    row, column = np.meshgrid(np.arange(scan.shape[0]), beside, indexing="ij")
+    rays = scan.geometry.ray_at(np.stack([row, column], axis=-1)).astype(np.float32)
+    before, over = (rays[:, _SEAM_COLUMNS - 1 + k] - rays[:, _SEAM_COLUMNS - 2 + k] for k in (0, 1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        usual = np.square(before).sum(axis=-1)
+        goes_on = (before * over).sum(axis=-1) > _LEAST_SEAM_STEP * usual
+        goes_on &= np.square(over).sum(axis=-1) <= _LARGEST_GAP_STEPS**2 * usual
+        if not goes_on.any():
+            return None
+        q = (1 / scan.ranges[:, beside]).astype(np.float32)
+    planes = np.ascontiguousarray(np.moveaxis(rays, -1, 0))
+    joined: BoolArray = _line_edges(q, planes, 1, edges.noise_m)[:, _SEAM_COLUMNS - 1] & goes_on
+    return joined if joined.any() else None
+
+
+def continued(ranges: FloatArray, edges: GridEdges, seam: BoolArray) -> tuple[FloatArray, GridEdges]:
+    """Return the ranges (H, W + 1) and edges of a grid whose first column follows once more behind the last."""
+    right = np.concatenate([edges.right, seam[:, None]], axis=1)
+    down = np.concatenate([edges.down, edges.down[:, :1]], axis=1)
+    return np.concatenate([ranges, ranges[:, :1]], axis=1), GridEdges(right, down, edges.noise_m)
+
+
+def scan_mesh(
+    scan: Scan, *, step: int | tuple[int, int] = 1, max_vertices: int | None = None, closed: bool = False
+) -> Mesh:
     """Return the surface of a scan, without triangles across depth edges or cells without return.
 
     Args:
@@ -142,6 +189,11 @@ def scan_mesh(scan: Scan, *, step: int | tuple[int, int] = 1, max_vertices: int 
         ranges = scan.ranges[np.ix_(rows, columns)]
         points = scan.points[np.ix_(rows, columns)]
         edges = _surface_edges(ranges, scan.rays[np.ix_(rows, columns)])
+    seam = across_seam(scan, edges, columns) if closed else None
+    if seam is not None:
+        ranges, edges = continued(ranges, edges, seam[rows])
+        points = np.concatenate([points, points[:, :1]], axis=1)
+        columns = np.append(columns, scan.shape[1])
     faces = _faces_toward_scanner(grid_faces(ranges, edges), points)
     used = np.zeros(ranges.size, dtype=np.bool_)
     used[faces] = True

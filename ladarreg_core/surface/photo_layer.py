@@ -47,13 +47,13 @@ def photo_layer(scan: Scan, mesh: Mesh, photo: ModelPhoto, *, shown_px: int, mos
         are those of the photograph. Columns lie beyond the picture where a triangle crosses the seam of a panorama.
         It has no faces if the camera sees no triangle.
     """
-    row, column = mesh.cells[:, 0], mesh.cells[:, 1]
-    labels = photo.labels[row, column]
+    places = mesh.places
+    labels = photo.labels[places]
     seen = np.isin(labels, COLOURED)
     seen_by = SeenBy(photo.camera, photo.camera_from_scanner, seen, labels == Label.OUT_OF_FRAME)
     best = np.where(seen, 0, -1)
     triangles = TexturedTriangles(
-        mesh.vertices, cell_normals(scan, mesh.cells), mesh.cells, mesh.faces, [seen_by], best
+        mesh.vertices, cell_normals(scan, np.stack(places, axis=-1)), mesh.cells, mesh.faces, [seen_by], best
     )
     triangles.cut_at_frames()
     triangles.assign()
@@ -62,5 +62,5 @@ def photo_layer(scan: Scan, mesh: Mesh, photo: ModelPhoto, *, shown_px: int, mos
     scale = max(1.0, max(width, height) / shown_px)
     triangles.refine(UV_ERROR_PX * scale, most_faces=most_faces)
     vertex, pixels, faces = triangles.textured(0)
-    places = np.rint((pixels[:, ::-1] + 0.5) * _STEPS_PER_PX - 0.5).astype(np.int32)
-    return Mesh(triangles.vertices[vertex], faces, places, (height * _STEPS_PER_PX, width * _STEPS_PER_PX))
+    cells = np.rint((pixels[:, ::-1] + 0.5) * _STEPS_PER_PX - 0.5).astype(np.int32)
+    return Mesh(triangles.vertices[vertex], faces, cells, (height * _STEPS_PER_PX, width * _STEPS_PER_PX))

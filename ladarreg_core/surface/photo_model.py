@@ -114,13 +114,18 @@ def photo_model(
     found = _mesh(scan, chosen, full=full, most_faces=most_faces)
     mesh = found.mesh
     say("the photographs' borders")
-    row, column = mesh.cells[:, 0], mesh.cells[:, 1]
+    row, column = mesh.places
     seen_by = [
         SeenBy(photo.camera, photo.camera_from_scanner, *_seen_and_beside(photo.labels[row, column]))
         for photo in photos
     ]
     triangles = TexturedTriangles(
-        mesh.vertices, cell_normals(scan, mesh.cells), mesh.cells, mesh.faces, seen_by, chosen[row, column]
+        mesh.vertices,
+        cell_normals(scan, np.stack(mesh.places, axis=-1)),
+        mesh.cells,
+        mesh.faces,
+        seen_by,
+        chosen[row, column],
     )
     triangles.cut_at_frames()
     triangles.assign()
@@ -160,7 +165,7 @@ def _first_that_sees(photos: Sequence[ModelPhoto], shape: tuple[int, int]) -> In
 
 def _mesh(scan: Scan, groups: IntArray, *, full: bool, most_faces: int) -> ReducedMesh:
     if full:
-        found = ReducedMesh(scan_mesh(scan), 0.0)
+        found = ReducedMesh(scan_mesh(scan, closed=True), 0.0)
     else:
         found = reduced_mesh(scan, most_faces=max(1000, int(_REDUCED_TO * most_faces)), groups=groups)
     if len(found.mesh.faces):

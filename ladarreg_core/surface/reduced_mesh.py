@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.mesh import GridEdges, Mesh, grid_edges, grid_faces, typical_range
+from ladarreg_core.surface.mesh import (
+    GridEdges,
+    Mesh,
+    across_seam,
+    continued,
+    grid_edges,
+    grid_faces,
+    typical_range,
+)
 from ladarreg_core.validation import require_int
 
 MOST_FACES = 4_000_000
@@ -42,7 +50,7 @@ class ReducedMesh:
 def reduced_mesh(
     scan: Scan, *, tolerance_m: float | None = None, most_faces: int = MOST_FACES, groups: IntArray | None = None
 ) -> ReducedMesh:
-    """Return the surface of a scan with as few triangles as a tolerance allows.
+    """Return the surface of a scan, across the seam of a full turn, with as few triangles as a tolerance allows.
 
     Args:
         scan: the scan.
@@ -62,36 +70,43 @@ def reduced_mesh(
         edges = grid_edges(part)
         if tolerance_m is None:
             tolerance_m = max(_NOISE_SIGMAS * edges.noise_m, _LEAST_RELATIVE * typical_range(part.ranges))
+        ranges, grouped = part.ranges, None if groups is None else groups[::stride, ::stride]
+        seam = across_seam(part, edges)
+        if seam is not None:
+            ranges, edges = continued(ranges, edges, seam)
+            grouped = None if grouped is None else np.concatenate([grouped, grouped[:, :1]], axis=1)
         for _ in range(_MOST_ROUNDS):
-            grouped = None if groups is None else groups[::stride, ::stride]
-            blocks = _Blocks(part.ranges, edges, tolerance_m, grouped)
+            blocks = _Blocks(ranges, edges, tolerance_m, grouped)
             if blocks.least_faces > most_faces:
                 break  # the rest is not flat at any tolerance: only thinning helps
             faces = blocks.faces()
             if len(faces) <= most_faces:
-                return ReducedMesh(_mesh_of(part, faces, stride, scan.shape), tolerance_m)
+                return ReducedMesh(_mesh_of(part, faces, stride, scan.shape, columns=ranges.shape[1]), tolerance_m)
             tolerance_m *= _COARSER
         stride += 1
         part = scan.window(slice(None, None, stride), slice(None, None, stride))
 
 
-def _mesh_of(scan: Scan, faces: IntArray, stride: int, shape: tuple[int, int]) -> Mesh:
-    used = np.zeros(scan.ranges.size, np.bool_)
+def _mesh_of(scan: Scan, faces: IntArray, stride: int, shape: tuple[int, int], *, columns: int) -> Mesh:
+    """Return the mesh of triangles on a grid of so many columns, which has one more than the scan across a seam."""
+    used = np.zeros(scan.shape[0] * columns, np.bool_)
     used[faces] = True
     kept = np.flatnonzero(used)
-    index = np.zeros(scan.ranges.size, np.int32)
+    index = np.zeros(len(used), np.int32)
     index[kept] = np.arange(len(kept), dtype=np.int32)
     faces = index[faces]
     del used, index
-    row, column = np.divmod(kept, scan.shape[1])
+    row, column = np.divmod(kept, columns)
     vertices = np.empty((len(kept), 3), np.float32)
     starts = np.searchsorted(row, np.arange(0, scan.shape[0] + _ROWS_AT_ONCE, _ROWS_AT_ONCE))
     for k, (first, last) in enumerate(pairwise(starts)):
         top = k * _ROWS_AT_ONCE
         points = scan.points_at(slice(top, top + _ROWS_AT_ONCE), slice(None))
-        vertices[first:last] = points[row[first:last] - top, column[first:last]]
+        vertices[first:last] = points[row[first:last] - top, column[first:last] % scan.shape[1]]
     faces = _toward_scanner(faces, vertices)
     cells = np.stack([row, column], axis=-1).astype(np.int32) * np.int32(stride)
+    if columns > scan.shape[1]:
+        np.minimum(cells[:, 1], shape[1], out=cells[:, 1])
     for array in (vertices, faces, cells):
         array.flags.writeable = False  # handed over, not copied
     return Mesh(vertices, faces, cells, shape)
