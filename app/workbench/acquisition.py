@@ -22,6 +22,7 @@ from ladarreg_core.errors import Cancelled, LadarregError, OptionError
 from ..argument_names import as_fields
 from ..gateway.protocol import Picture
 from .clients import Client
+from .runs import Runs
 
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.connected import Connected
@@ -67,7 +68,8 @@ class Acquisition:
         self, folder: Path, publish: Callable[[], None], open_scan: Callable[[Path, Client], None],
         present: Callable[[str], bool], scene: Callable[[], Scene3D | None],
     ) -> None:  # fmt: skip
-        self._home, self._publish, self._open_scan, self._present = folder, publish, open_scan, present
+        self._publish, self._open_scan, self._present = publish, open_scan, present
+        self._runs = Runs(folder / RUNS)
         self._scene = scene
         self._lock = threading.RLock()
         self._state = "off"
@@ -175,8 +177,8 @@ class Acquisition:
 
         Args:
             client: who drives.
-            fields: the plan.
-            resume: name of the run to go on with.
+            fields: the plan of a new run.
+            resume: name of the run to go on with, by its own plan.
 
         Raises:
             OptionError: if another client drives, the plan has faults, or the devices cannot run it.
@@ -186,13 +188,11 @@ class Acquisition:
         from ladarreg_core.acquisition.run_folder import RunWriter
 
         self._require_driver(client)
-        plan = plan_from_fields(fields)
+        plan = plan_from_fields(fields) if resume is None else self._runs.plan(resume)
         with self._lock:
             devices = self._require_ready()
-            name = resume or self._new_name()
-            if Path(name).name != name:
-                raise OptionError("the run has no such name")
-            folder = RunWriter.begin(self._home / RUNS / name, plan, resume=resume is not None)
+            name = resume or self._runs.new_name()
+            folder = RunWriter.begin(self._runs.path(name), plan, resume=resume is not None)
             try:
                 run = devices.run(plan, folder, self._see)
             except BaseException:
@@ -202,7 +202,11 @@ class Acquisition:
                 plan.mount, pieces=run.total, step_deg=plan.pan.step_deg if plan.mode == "sweep" else 0.0
             )
             self._forget_points()
-            self._run, self._plan, self._preview, self._picture = run, plan, preview, None
+            self._run, self._plan, self._preview = (
+                run,
+                plan,
+                preview,
+            )  # the earlier picture stays until there is another
             self._progress = _Progress(len(folder.records), run.total, 0.0, False, name)
             self._state, self._said = "running", ""
             self._begin(lambda: self._go(run, folder), "run")
@@ -235,18 +239,26 @@ class Acquisition:
             self._driver = client.id, client.name
         self._publish()
 
-    def open_panorama(self, client: Client) -> None:
-        """Open the panorama of the finished run as the project's scan.
+    def open_panorama(self, client: Client, name: str | None = None) -> None:
+        """Open the panorama of a finished run as the project's scan; by default of the latest.
 
         Raises:
-            OptionError: if no run has finished.
+            OptionError: if the run has not been finished.
         """
-        path = self._home / RUNS / self._progress.folder / "scan.npz"
-        if not (self._progress.complete and path.is_file()):
+        name = name or self._progress.folder
+        if not name:
             raise OptionError("no run has finished; run a plan to its end first")
-        self._open_scan(path, client)
+        self._open_scan(self._runs.panorama(name), client)
         self._forget_points()
         self._publish()
+
+    def photos(self, name: str) -> list[tuple[Path, str]]:
+        """Return the photographs of a run, with names for display.
+
+        Raises:
+            LadarregError: if there is no such run, or it has none.
+        """
+        return self._runs.photos(name)
 
     def left(self, client: Client) -> None:
         """A client is gone: a jog of its is halted, a run goes on and may be taken over."""
@@ -282,6 +294,7 @@ class Acquisition:
                 "run": progress.folder,
                 "picture": None if self._picture is None else self._picture.etag,
                 "points": self._points,
+                "runs": self._runs.slice,
             }
 
     def picture(self) -> Picture:
@@ -359,7 +372,9 @@ class Acquisition:
 
     def _draw(self, *, now: bool = False) -> None:
         """Draw the picture again, not too often."""
-        if self._preview is None or not (now or time.monotonic() - self._pictured_s > _PICTURE_EVERY_S):
+        if self._preview is None or self._preview.is_empty:
+            return
+        if not (now or time.monotonic() - self._pictured_s > _PICTURE_EVERY_S):
             return
         from PIL import Image
 
@@ -398,6 +413,7 @@ class Acquisition:
                 if self._devices is None:
                     after = "off"
                     self._disconnect()
+                self._runs.refresh()
                 self._state = after
                 self._said = said or self._said
             self._publish()
@@ -439,14 +455,6 @@ class Acquisition:
         if self._state != "ready":
             raise OptionError("the unit is busy; wait for it, or stop it")
         return self._devices
-
-    def _new_name(self) -> str:
-        runs = self._home / RUNS
-        taken = {path.name for path in runs.iterdir()} if runs.is_dir() else set()
-        number = 1
-        while f"run-{number:03d}" in taken:
-            number += 1
-        return f"run-{number:03d}"
 
 
 def _described(devices: Connected) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from ladarreg_core.project import edits
 
 from .acquisition import Acquisition
 from .clients import Client
+from .files import Files
 
 Fields = Mapping[str, Any]
 Reply = dict[str, Any]
@@ -19,6 +20,7 @@ class Acquiring(Protocol):
     """The parts of the workbench that these commands use."""
 
     acquisition: Acquisition
+    files: Files
 
 
 def acquire_ports(context: Acquiring, client: Client, fields: Fields) -> Reply:
@@ -57,7 +59,7 @@ def acquire_start(context: Acquiring, client: Client, fields: Fields) -> Reply:
     resume = fields.get("resume")
     if resume is not None and not isinstance(resume, str):
         raise OptionError("the run to go on with is the name of one")
-    context.acquisition.start(client, _plan(fields), resume=resume)
+    context.acquisition.start(client, {} if resume is not None else _plan(fields), resume=resume)
     return {}
 
 
@@ -86,14 +88,26 @@ def acquire_take_over(context: Acquiring, client: Client, fields: Fields) -> Rep
 
 
 def acquire_open(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Open the panorama of the finished run as the project's scan."""
-    context.acquisition.open_panorama(client)
+    """Open the panorama of a finished run as the project's scan."""
+    run = fields.get("run")
+    context.acquisition.open_panorama(client, run if isinstance(run, str) else None)
     return {}
+
+
+def acquire_photos(context: Acquiring, client: Client, fields: Fields) -> Reply:
+    """Add the photographs of a run to the project."""
+    run = fields.get("run")
+    if not isinstance(run, str):
+        raise OptionError("say whose photographs are wanted: give the name of a run")
+    found = context.acquisition.photos(run)
+    for path, name in found:
+        context.files.open(path, name, "photo", None, client)
+    return {"photos": len(found)}
 
 
 ACQUISITION_COMMANDS = (
     acquire_ports, acquire_check, acquire_connect, acquire_disconnect, acquire_jog, acquire_start, acquire_pause,
-    acquire_resume, acquire_stop, acquire_take_over, acquire_open,
+    acquire_resume, acquire_stop, acquire_take_over, acquire_open, acquire_photos,
 )  # fmt: skip
 
 

@@ -41,6 +41,11 @@ class RunPreview:
         self._share = max(1, _MOST_POINTS // max(1, pieces))
         self._taken = 0
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing has been seen yet."""
+        return not self._points
+
     def add(self, piece: LineSweep | ScanPiece) -> None:
         """Add a piece."""
         points, light = self._points_of(piece)

@@ -144,6 +144,46 @@ class RunFolder:
             self.records[record.index] = record
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RunSummary:
+    """What a run has, by its records alone."""
+
+    plan: Plan
+    done: int
+    """Pieces that are recorded and whose files are there."""
+    total: int
+    photos: tuple[tuple[Path, tuple[float, float]], ...]
+    """Photographs, each with pan and tilt in degrees."""
+
+
+def summary(path: str | Path) -> RunSummary:
+    """Return what a run has, without looking into its pieces.
+
+    Raises:
+        FormatError: if the folder is none of a run.
+    """
+    from ladarreg_core.acquisition.stops import stops_of
+
+    folder = Path(path)
+    if not (folder / PLAN).is_file():
+        raise FormatError(f"{shown_name(folder)}: there is no {PLAN}; give the folder of a run")
+    plan = _plan_of(folder / PLAN)
+    records: dict[int, Record] = {}
+    for line in (folder / RECORDS).read_bytes().splitlines() if (folder / RECORDS).is_file() else []:
+        try:
+            record = _record_of(json.loads(line))
+        except (ValueError, KeyError, TypeError, RecursionError):
+            continue
+        if (folder / record.file).is_file():
+            records[record.index] = record
+    kept = [records[index] for index in sorted(records)]
+    photos = [(folder / one.photo, one.read) for one in kept if one.photo is not None]
+    return RunSummary(
+        plan, len(kept), len(stops_of(plan)),
+        tuple((file, (_degrees(at)[0], _degrees(at)[1])) for file, at in photos if file.is_file()),
+    )  # fmt: skip
+
+
 class RunWriter(RunFolder):
     """The folder of a run that is under way; use `begin`, and close it."""
 

@@ -80,7 +80,8 @@ SOUND: dict[str, list[dict[str, Any]]] = {
     "acquire_resume": [{}],
     "acquire_stop": [{}],
     "acquire_take_over": [{}],
-    "acquire_open": [{}],
+    "acquire_open": [{"run": "run-001"}],
+    "acquire_photos": [{"run": "run-001"}],
     "add_pick": [
         {"photo": "p1", "kind": "line", **LINE},
         {"photo": "p1", "kind": "point", "scan": [[1, 0, 0]], "photo_uv": [[300.25, 200.5]]},

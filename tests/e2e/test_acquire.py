@@ -52,6 +52,7 @@ def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
     page.get_by_role("button", name="Left", exact=True).click()
     page.locator(".dial output").first.filter(has_text="5.0").wait_for()
 
+    assert page.get_by_role("button", name="Quick overview").is_enabled()
     overview = page.locator(".run-overview").bounding_box()
     assert overview is not None
     x, y = overview["x"] + overview["width"] / 2, overview["y"] + overview["height"] / 2
@@ -94,7 +95,10 @@ def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
     awaits(page, "state", "ready")
     page.get_by_role("tab", name="Acquire").click()
     page.get_by_role("button", name="Go on with the run").click()
-    page.get_by_role("button", name="Open as the scan").click(timeout=60_000)
+    page.get_by_role("button", name="Open as the scan").wait_for(timeout=60_000)
+    listed = page.get_by_role("list", name="Runs of this project").get_by_role("listitem")
+    listed.filter(has_text="run-001").get_by_role("button", name="Open").wait_for()
+    page.get_by_role("button", name="Open as the scan").click()
     page.locator("#scan-pane canvas").first.wait_for()
     page.wait_for_function("import('./js/net/store.js').then(({ store }) => store.get('scan')?.name === 'run-001.npz')")
     until = time.monotonic() + 5

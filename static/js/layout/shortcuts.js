@@ -3,6 +3,7 @@
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
 import { stopAcquisition } from "../panels/acquire/run.js";
+import { canBeStopped } from "../state/acquisition.js";
 import { openKeys } from "../panels/key_reference.js";
 import { toggleMarks } from "../panels/model_pane.js";
 import { view } from "../state/view.js";
@@ -58,7 +59,7 @@ const plain = (event) => {
 /** Listen to the keyboard. */
 export const listenToShortcuts = () => {
   addEventListener("keydown", (event) => {
-    if (event.key === STOP && store.get("acquisition")?.devices) {
+    if (event.key === STOP && canBeStopped()) {
       event.preventDefault();
       stopAcquisition(); // whatever has the focus
       return;

@@ -2,7 +2,7 @@
 
 import { request, requestForPhoto } from "../net/requests.js";
 import { store } from "../net/store.js";
-import { isActive } from "../state/acquisition.js";
+import { isActive, isConnecting } from "../state/acquisition.js";
 import { isRunning } from "../state/pipeline.js";
 import { button } from "../ui/controls.js";
 import { element, setAttribute, setChildren, setText } from "../ui/dom.js";
@@ -147,7 +147,7 @@ const stopButton = () => {
     title: "Halt the unit and switch the laser off (F8). It is no safety device: a hardware stop must be within reach.",
     act: () => request("acquire_stop"),
   });
-  const show = () => (stop.hidden = !isActive());
+  const show = () => (stop.hidden = !isActive() && !isConnecting());
   store.watch(["acquisition"], show);
   show();
   return stop;

@@ -47,6 +47,27 @@ export const othersDrive = () => {
 /** @returns {boolean} whether something moves or measures */
 export const isActive = () => ["jogging", "running", "paused", "fault"].includes(store.get("acquisition")?.state);
 
+/** @returns {boolean} whether devices are being connected */
+export const isConnecting = () => store.get("acquisition")?.state === "connecting";
+
+/** @returns {boolean} whether there is anything that Stop could stop */
+export const canBeStopped = () => !["off", undefined].includes(store.get("acquisition")?.state);
+
+const OVERVIEW_STEP_DEG = 6;
+
+/**
+ * @returns {any} a coarse plan over all that the unit can turn to and a line scanner sees, by which one chooses what is
+ *   scanned; null for a scanner with a field of view of its own
+ */
+export const overviewPlan = () => {
+  const { lowest_deg: low, highest_deg: high } = store.get("acquisition")?.devices ?? {};
+  if (!planNow() || planNow().mode !== "sweep" || !low || !high) return null;
+  // A line beyond the zenith shows what lies behind: half a turn is a panorama, and more would be seen twice.
+  const widest = Math.min(90, -Math.ceil(low[0]), Math.floor(high[0]));
+  const end = OVERVIEW_STEP_DEG * Math.floor(widest / OVERVIEW_STEP_DEG);
+  return { ...planNow(), pan_deg: [-end, end, OVERVIEW_STEP_DEG], tilt_deg: [0, 0, 0], settle_s: 0, continuous: false, passes: 1, camera: null };
+};
+
 /** @returns {WorkStep} the tab's state */
 export const acquireStep = () => {
   const now = store.get("acquisition");

@@ -103,6 +103,45 @@ def test_what_an_operator_does(bench: WorkbenchDriver) -> None:
     assert state(bench) == "off"
 
 
+def test_runs_are_found_again_and_go_on_by_their_own_plan(tmp_path: Path) -> None:
+    first = open_bench(tmp_path / "project")
+    plan = plan_of(first, camera={"folder": "twin:camera?seed=11"}, pan_deg=[-20, 20, 20])
+    try:
+        first.do("acquire_connect", plan=plan)
+        first.eventually(lambda: ready(first))
+        first.do("acquire_start", plan=plan)
+        first.eventually(lambda: kept(first) >= 1)
+        first.do("acquire_stop")
+        first.eventually(lambda: ready(first))
+    finally:
+        first.workbench.close()
+    again = open_bench(tmp_path / "project")
+    try:
+        (run,) = again.slice("acquisition")["runs"]
+        assert run["name"] == "run-001"
+        assert 1 <= run["done"] < run["total"] == 3
+        assert run["photos"] == run["done"]
+        assert "not been finished" in again.refused("acquire_open", run="run-001")
+        assert "no such name" in again.refused("acquire_photos", run="../run-001")
+        again.do("acquire_connect", plan=plan)
+        again.eventually(lambda: ready(again))
+        again.do("acquire_start", resume="run-001")
+        again.eventually(lambda: again.slice("acquisition")["complete"])
+        again.eventually(lambda: ready(again))
+        (run,) = again.slice("acquisition")["runs"]
+        assert run == {"name": "run-001", "done": 3, "total": 3, "complete": True, "photos": 3}
+        assert again.do("acquire_photos", run="run-001")["photos"] == 3
+        assert [photo["name"][:14] for photo in again.slice("photos")] == [
+            "run-001 pan -2",
+            "run-001 pan 0 ",
+            "run-001 pan 20",
+        ]
+        again.do("acquire_open", run="run-001")
+        assert again.slice("scan")["name"] == "run-001.npz"
+    finally:
+        again.workbench.close()
+
+
 def test_stopping_is_for_everybody_and_a_run_goes_on_where_it_was(bench: WorkbenchDriver) -> None:
     plan = plan_of(bench, pan_deg=[-60, 60, 20])
     other = bench.workbench.join(Visitor("test"))

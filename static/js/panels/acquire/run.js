@@ -2,9 +2,9 @@
 
 import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
-import { changePlan, isActive, onPlan, othersDrive, planNow } from "../../state/acquisition.js";
+import { changePlan, isActive, onPlan, othersDrive, overviewPlan, planNow } from "../../state/acquisition.js";
 import { button } from "../../ui/controls.js";
-import { element, setText } from "../../ui/dom.js";
+import { element, setChildren, setText } from "../../ui/dom.js";
 
 const [WIDTH, HEIGHT] = [720, 360];
 const LEAST_DRAG_PX = 6;
@@ -34,6 +34,13 @@ export const mountRun = () => {
   const said = element("p", { class: "acquire-said", role: "status" });
   const start = button({ label: "Start", icon: "play", kind: "primary small", act: () => begin(null) });
   const goOn = button({ label: "Go on with the run", text: "Go on", icon: "play", kind: "small", act: () => begin(now().run) });
+  const look = button({
+    label: "Quick overview",
+    text: "Overview",
+    kind: "small",
+    title: "A coarse sweep, over whose picture you drag what is to be scanned",
+    act: () => request("acquire_start", { plan: overviewPlan() }),
+  });
   const pause = button({ label: "Pause", icon: "pause", kind: "small", act: () => request("acquire_pause") });
   const resume = button({ label: "Resume", icon: "play", kind: "primary small", act: () => request("acquire_resume") });
   const stop = button({
@@ -45,6 +52,7 @@ export const mountRun = () => {
     act: stopAcquisition,
   });
   const open = button({ label: "Open as the scan", kind: "primary small", act: () => request("acquire_open") });
+  const runs = element("ul", { class: "run-list", "aria-label": "Runs of this project" });
   const part = element(
     "section",
     { class: "dock-part acquire-run", "aria-label": "Run" },
@@ -52,7 +60,7 @@ export const mountRun = () => {
       "div",
       { class: "part-head" },
       element("h2", {}, "Run"),
-      element("div", { class: "end edits" }, start, goOn, pause, resume, stop, open),
+      element("div", { class: "end edits" }, look, start, goOn, pause, resume, stop, open),
     ),
     element(
       "div",
@@ -60,11 +68,12 @@ export const mountRun = () => {
       overview,
       element("div", { class: "run-line" }, bar, counted),
       said,
+      runs,
     ),
   );
 
   const now = () => store.get("acquisition") ?? { state: "off" };
-  const begin = (run) => request("acquire_start", { plan: planNow(), ...(run ? { resume: run } : {}) });
+  const begin = (run) => request("acquire_start", run ? { resume: run } : { plan: planNow() });
 
   /** Show the range of the plan over the picture. */
   const showRange = () => {
@@ -112,6 +121,30 @@ export const mountRun = () => {
     from = null;
   });
 
+  let listed = "";
+  const showRuns = (list, active, ready) => {
+    runs.hidden = active || !list.length;
+    const text = JSON.stringify([list, ready, store.readOnly]);
+    if (text === listed) return;
+    listed = text;
+    setChildren(runs, ...list.map((run) => {
+      const small = (label, verb, act, title, disabled = false) =>
+        button({ label: `${label} ${run.name}`, text: verb, kind: "small", title, act, disabled: disabled || store.readOnly });
+      const photos = run.photos === 1 ? "1 photograph" : `${run.photos} photographs`;
+      return element(
+        "li",
+        {},
+        element("span", { class: "run-name" }, run.name),
+        element("span", { class: "dim figures" }, `${run.done} of ${run.total}`),
+        run.complete
+          ? small("Open", "Open", () => request("acquire_open", { run: run.name }), "Open its panorama as the scan")
+          : small("Go on with", "Go on", () => begin(run.name), ready ? "Measure what is missing" : "Connect the devices first", !ready),
+        run.photos > 0 &&
+          small("Add photographs of", photos, () => request("acquire_photos", { run: run.name }), "Add them to the project"),
+      );
+    }));
+  };
+
   let shown = null;
   const showPicture = (rev) => {
     if (rev === shown) return;
@@ -126,6 +159,8 @@ export const mountRun = () => {
     const theirs = othersDrive();
     const unfinished = state.state === "ready" && state.run && !state.complete;
     start.hidden = active;
+    look.hidden = active || !overviewPlan();
+    look.disabled = state.state !== "ready" || theirs;
     start.disabled = state.state !== "ready" || theirs;
     goOn.hidden = !unfinished;
     goOn.disabled = theirs;
@@ -136,9 +171,10 @@ export const mountRun = () => {
     open.hidden = !state.complete || active;
     bar.value = state.total ? state.done / state.total : 0;
     setText(counted, state.total ? [`${state.done} of ${state.total}`, leftText(active ? state.seconds_left : 0)].filter(Boolean).join(", ") : "");
-    setText(said, active || state.run ? state.said ?? "" : "Connect the devices, choose what is scanned, and start.");
+    setText(said, active || state.run || state.said ? state.said ?? "" : "Connect the devices, choose what is scanned, and start.");
     said.classList.toggle("bad", state.state === "fault");
     overview.classList.toggle("idle", !active && !store.readOnly);
+    showRuns(state.runs ?? [], active, state.state === "ready" && !theirs);
     showPicture(state.picture);
     showRange();
   };
