@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial as bound
@@ -151,8 +152,9 @@ def _state_refinement(fields: dict[str, Any], found: Refinement, *, calibrated: 
 
     for each, one in zip(fields["each"], found.pieces, strict=True):
         each["refinement"] = {
-            "state": one.state, "pan_tilt_roll_deg": list(one.turn_deg), "shift_mm": one.shift_mm,
-            "sigma_pan_tilt_deg": list(one.sigma_deg), "points": one.points,
+            "state": one.state, "pan_tilt_roll_deg": list(one.turn_deg), "shift_mm": math.hypot(*one.shift_scanner_mm),
+            "sigma_pan_tilt_deg": list(one.sigma_deg), "weak": list(one.weak), "knocked": one.knocked,
+            "points": one.points,
         }  # fmt: skip
     fields["refinement"] = {
         "accepted": found.accepted, "planes": found.planes, "noise_mm": 1000 * found.noise_m,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ladarreg_core.acquisition.mosaic_piece import PlacedPiece
+from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, ScanGeometry
@@ -18,14 +19,21 @@ PIECE = AzimuthElevation(71, 101, STEP_RAD, STEP_RAD)
 MOUNT = Rigid.from_rotvec([0.01, -0.02, 0.015], [0.06, -0.03, 0.08])
 
 
-def piece_scan(pose: Rigid, geometry: ScanGeometry = PIECE, *, sigma_m: float = 0.0, seed: int = 0) -> Scan:
-    """Return what a scanner at a pose measures; the intensity says where: 300 + x + 10 y + 100 z."""
+def where(points: FloatArray) -> FloatArray:
+    """Return an intensity that says where: 300 + x + 10 y + 100 z."""
+    return np.asarray(300 + points @ [1.0, 10.0, 100.0])
+
+
+def piece_scan(
+    pose: Rigid, geometry: ScanGeometry = PIECE, *, sigma_m: float = 0.0, seed: int = 0,
+    light: Callable[[FloatArray], FloatArray] = where,
+) -> Scan:  # fmt: skip
+    """Return what a scanner at a pose measures; the intensity is that of the places (..., 3) in the world."""
     rays = geometry.rays @ pose.rotation.T
     true = distances(pose.translation, rays)
     points = pose.translation + rays * true[..., None]
     noise = sigma_m * np.random.default_rng(seed).standard_normal(true.shape)
-    light = 300 + points @ [1.0, 10.0, 100.0]
-    return Scan(geometry, (true + noise).astype(np.float32), light.astype(np.float32))
+    return Scan(geometry, (true + noise).astype(np.float32), light(points).astype(np.float32))
 
 
 def placed(scan: Scan, pose: Rigid, name: str = "piece") -> PlacedPiece:

@@ -50,7 +50,11 @@ class Adjustment:
     """`world_from_scan` of each view."""
     covariance: NDArray[np.float64]
     """(6 V, 6 V) of the errors (w, t) of all views, with their priors."""
+    moved: NDArray[np.float64]
+    """(V, 6) how far each view's pose is from where its prior has it, less what the common parameters did."""
     data: NDArray[np.float64]
+    """(6 V, 6 V) information of the planes and of what else was given, without the priors."""
+    planes_data: NDArray[np.float64]
     """(6 V, 6 V) information of the planes alone."""
     common: FloatArray | None
     """(C,) common parameters, if there are any."""
@@ -81,6 +85,7 @@ def adjust(
     use_blocks: Callable[[IntArray], BoolArray] | None = None,
     more: Callable[[Sequence[Rigid], int], tuple[FloatArray, FloatArray]] | None = None,
     gates: Sequence[tuple[float, float]] = GATES,
+    start: Adjustment | None = None,
     report: Report | None = None,
 ) -> Adjustment:
     """Adjust the poses of all views by the planes that they share.
@@ -92,20 +97,22 @@ def adjust(
         more: returns further information (6 V, 6 V) and its gradient (6 V,), such as that of intensities, at some
             poses and with the number of the gate.
         gates: as `GATES`.
+        start: an earlier adjustment of the same views, to begin with its result.
         report: receives the progress; may raise `Cancelled`.
 
     Source: planes eliminated as in bundle adjustment; Triggs et al. 2000, section 6.1.
     """
-    poses = [view.world_from_scan for view in views]
     count, extra = len(views), 0 if common is None else len(common.information)
-    moved = np.zeros((count, 6))
-    shared: NDArray[np.float64] = np.zeros(extra)
+    poses = [view.world_from_scan for view in views] if start is None else list(start.poses)
+    moved = np.zeros((count, 6)) if start is None else start.moved.copy()
+    shared = np.zeros(extra) if start is None or start.common is None else np.array(start.common, np.float64)
     owner = np.repeat(np.arange(count), [len(view.points) for view in views])
     prior = np.zeros((6 * count, 6 * count))
     for k, view in enumerate(views):
         prior[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = view.information
     done, total = 0, len(gates) * _STEPS_A_GATE
     equations = _Equations.none(count)
+    of_planes = equations.information
     jacobian = np.zeros((6 * count, extra))
     for stage, (apart, angle) in enumerate(gates):
         world, rays = _in_world(views, poses)
@@ -117,6 +124,7 @@ def adjust(
                 report(Progress(done, total, "aligning the pieces"))
             done += 1
             equations = _equations(found, world, rays, owner, count)
+            of_planes = equations.information
             if more is not None:
                 added, slope = more(poses, stage)
                 equations = replace(
@@ -135,7 +143,7 @@ def adjust(
     spread = np.hstack([np.eye(6 * count), jacobian])
     used = np.bincount(owner[found.point], minlength=count)
     return Adjustment(
-        tuple(poses), spread @ covariance @ spread.T, equations.information,
+        tuple(poses), spread @ covariance @ spread.T, moved, equations.information, of_planes,
         np.asarray(shared, np.float64) if extra else None, covariance[6 * count :, 6 * count :] if extra else None,
         used, found.count, equations.sigma_m,
     )  # fmt: skip

@@ -19,11 +19,11 @@ from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 
-BLUR_CELLS = (6.0, 3.0, 1.5, 0.8)
+BLUR_CELLS = (6.0, 3.0, 1.5)
 """Smoothing of the intensities, in turn: from far off only what is coarse leads to the right place."""
 
 _BAND = 5.0
-_BORDER = 1.0
+_BORDER = 2.0
 _STEEPEST = 6.0  # relative change of the range over a cell, in steps: beyond it, a depth edge
 _EDGE_CELLS = 5
 _POINTS_A_LINK = 5_000
@@ -34,14 +34,21 @@ _HUBER = 1.5
 _MAD = 1.4826
 _LEAST_SIGMA = 0.01
 _LEAST_CONTRAST = 0.02
-_LEAST_CORRELATION = 0.5
+_LEAST_CORRELATION = 0.6
 _FLOOR_SHARE = 0.25
-_PATCH_CELLS = 24
-_LEAST_PATCHES = 12
+_PATCH_CELLS, _PATCH_BLURS = 24, 8.0
+_LEAST_OF_PATCH = 8
+_MISFIT_BLURS = 0.2
+"""How far the texture of a patch may seem shifted beside its noise, standard deviation in blurs: by interpolation, by
+the border of a scan, by gloss. However strong its edges, no patch is more exact than that."""
+_PATCH_HUBER = 2.5
+_CHI2_MEDIAN = 1.386  # of two degrees of freedom
+_SAMPLES_A_PATCH = 8
+_MOST_SQUARE = 9.0
+_SHOWN_SIGMAS = 2.0
 _UNSEEN = 2.0
-"""Variances are larger than the scatter of patches says by this factor: each pair of views is compared in both
-directions, which is little more than once."""
-_WITHIN_REASON = np.diag([np.radians(0.1) ** -2] * 3 + [0.002**-2] * 3)
+"""Variances are larger than patches say by this factor: each pair of views is compared in both directions, which is
+little more than once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,10 +56,13 @@ class IntensityView:
     """One scan, prepared for the comparison of its intensities."""
 
     scan: Scan
-    light: NDArray[np.float32]
-    """(H, W) smoothed logarithm of the intensity; NaN near depth edges and holes."""
-    by_cell: tuple[NDArray[np.float32], NDArray[np.float32]]
+    light: NDArray[np.float16]
+    """(H, W) smoothed logarithm of the intensity; NaN near depth edges and holes. In half precision, a thousandth of
+    the values: many scans are held at several levels."""
+    by_cell: tuple[NDArray[np.float16], NDArray[np.float16]]
     """Its derivatives by row and by column."""
+    blur_cells: float
+    """Standard deviation of the smoothing."""
 
     @staticmethod
     def of(scan: Scan, floor: float, blur_cells: float) -> IntensityView:
@@ -74,7 +84,7 @@ class IntensityView:
         margin = int(np.ceil(_BORDER * _BAND * blur_cells))
         for border in (smooth[:margin], smooth[-margin:], smooth[:, :margin], smooth[:, -margin:]):
             border[...] = np.nan
-        return IntensityView(scan, smooth, (_slope(smooth, 0), _slope(smooth, 1)))
+        return IntensityView(scan, smooth.astype(np.float16), (_slope(smooth, 0), _slope(smooth, 1)), blur_cells)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,8 +99,15 @@ class Link:
     """(N,) of each level."""
     slopes: tuple[FloatArray, ...]
     """(N, 3) derivatives of the light by the point, in the first's frame, of each level; NaN near edges."""
-    patch: IntArray
-    """(N,) number of the patch of the first's grid in which a point lies."""
+    patch: tuple[IntArray, ...]
+    """(N,) number of the patch of the first's grid in which a point lies, of each level."""
+
+    def every(self, stride: int) -> Link:
+        """Return the link of every n-th point."""
+        thin = slice(None, None, stride)
+        light, slopes = (tuple(one[thin] for one in each) for each in (self.light, self.slopes))
+        patch = tuple(one[thin] for one in self.patch)
+        return Link(self.first, self.second, self.points[thin], light, slopes, patch)
 
 
 def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], *, seed: int = 0) -> list[Link]:
@@ -126,7 +143,7 @@ def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], 
                 continue
             if len(at) > _POINTS_A_LINK:
                 # Blank surfaces say nothing, and their many small residuals would make texture look like outliers.
-                steep = np.hypot(*(slope.ravel()[cells[at]] for slope in view.by_cell))
+                steep = np.hypot(*(slope.ravel()[cells[at]].astype(np.float32) for slope in view.by_cell))
                 steep = np.where(np.isfinite(steep), steep, 0) + 1e-9
                 chance = np.minimum(steep, np.quantile(steep, 0.98)) ** 2
                 at = np.sort(rng.choice(at, _POINTS_A_LINK, replace=False, p=chance / chance.sum()))
@@ -136,13 +153,18 @@ def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], 
 
 def _link(first: int, second: int, levels: Sequence[IntensityView], points: FloatArray, cells: IntArray) -> Link:
     slopes = [
-        _by_point(levels[0].scan, points, np.stack([slope.ravel()[cells] for slope in view.by_cell], axis=-1))
+        _by_point(
+            levels[0].scan, points, np.stack([slope.ravel()[cells] for slope in view.by_cell], axis=-1).astype(float)
+        )
         for view in levels
     ]
     row, column = np.divmod(cells, levels[0].light.shape[1])
-    _, patch = np.unique((row // _PATCH_CELLS) * (1 << 20) + column // _PATCH_CELLS, return_inverse=True)
+    patch = []
+    for view in levels:
+        size = _patch_cells(view)
+        patch.append(np.unique((row // size) * (1 << 20) + column // size, return_inverse=True)[1])
     light = [view.light.ravel()[cells].astype(np.float64) for view in levels]
-    return Link(first, second, points, tuple(light), tuple(slopes), patch)
+    return Link(first, second, points, tuple(light), tuple(slopes), tuple(patch))
 
 
 def link_equations(
@@ -151,9 +173,11 @@ def link_equations(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
     """Return the information (6 V, 6 V) and the gradient (6 V,) of the views' moves (w, t).
 
-    Noise has slopes, too, and on a surface that is nearly blank more of them than its texture: the slopes of one view
-    are therefore the instruments for those of the other, whose noise is another one. Residuals near each other are
-    alike: what they are worth together is seen by the scatter of patches. Source: generalised moments, Hansen 1982.
+    Each patch that shows texture measures its shift in two directions. Noise has slopes, too, and on a surface that is
+    nearly blank more of them than its texture: the slopes of one view are therefore the instruments for those of the
+    other, whose noise is another one. What a patch is worth is known beforehand, by its texture, the noise and
+    `_MISFIT_BLURS`, and not by how well it fits: else a few that are wrong could argue away the one that is right.
+    Source: instrumental variables, Reiersol 1941; robust weights, Huber 1964.
 
     Args:
         links: the links.
@@ -164,13 +188,15 @@ def link_equations(
     """
     count = len(poses)
     blocks, gradient = np.zeros((count, count, 6, 6)), np.zeros((count, 6))
+    off: list[FloatArray] = []
     for link in links:
         found = None
         for level in reversed(range(len(levels))):
             found = found or _link_equation(link, level, levels[level], poses, keep, held_out)
         if found is None:
             continue
-        H, g = found
+        H, g, chi2 = found
+        off.append(chi2)
         a, b = link.first, link.second
         blocks[a, a] += H
         blocks[b, b] += H
@@ -178,33 +204,131 @@ def link_equations(
         blocks[b, a] -= H
         gradient[a] += g
         gradient[b] -= g
-    return blocks.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count), gradient.ravel()
+    inflated = _UNSEEN * (max(1.0, float(np.median(np.concatenate(off))) / _CHI2_MEDIAN) if off else 1.0)
+    return blocks.transpose(0, 2, 1, 3).reshape(6 * count, 6 * count) / inflated, gradient.ravel() / inflated
 
 
 def _link_equation(
     link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], keep: IntArray | None, held_out: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return information (6, 6) and gradient (6,) of one link by its first view's move; None if it shows no texture."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return information (6, 6) and gradient (6,) of one link by its first view's move, and the chi^2 (P,) of its
+    patches; None if it shows no texture.
+    """
     seen = _residuals(link, level, views, poses, keep, held_out)
-    if len(seen.residual) < _LEAST_POINTS // 2 or not _textured(seen.light, seen.residual):
+    if len(seen.residual) < _LEAST_OF_PATCH:
         return None
-    if len(np.unique(seen.patch)) < _LEAST_PATCHES:
+    view, centre = views[link.first], poses[link.first].translation
+    sigma = max(_MAD * float(np.median(np.abs(seen.residual))), _LEAST_SIGMA)
+    _, patch, count = np.unique(seen.patch, return_inverse=True, return_counts=True)
+
+    def summed(values: FloatArray) -> NDArray[np.float64]:
+        return sums_of(values, patch, len(count))
+
+    # Two directions across the rays to each patch, a cell long.
+    place = summed(seen.world) / count[:, None]
+    ray = place - centre
+    far = np.linalg.norm(ray, axis=-1, keepdims=True)
+    ray /= far
+    aside = np.cross(ray, np.where(np.abs(ray[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]]))
+    aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
+    cell = far[..., None] * float(np.mean(view.scan.geometry.step_rad))
+    across = np.stack([aside, np.cross(ray, aside)], axis=1) * cell  # (P, 2, 3)
+    other, own = (np.einsum("nij,nj->ni", across[patch], slopes) for slopes in (seen.slopes, seen.instruments))
+
+    alike, variance = likeness(seen.light, seen.light + seen.residual, patch, count)
+    textured = (count >= _LEAST_OF_PATCH) & (variance > _LEAST_CONTRAST**2) & (alike > _LEAST_CORRELATION)
+    if not textured.any():
         return None
-    residual, jacobian, own = seen.residual, seen.jacobian, seen.instruments
-    sigma = max(_MAD * float(np.median(np.abs(residual))), _LEAST_SIGMA)
-    weight = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(residual), 1e-12)) / sigma**2
-    weighted = own * weight[:, None]
-    response, moments = weighted.T @ jacobian, weighted.T @ residual
-    alone = weighted.T @ own  # the covariance of the moments, were all residuals independent
-    left = residual
-    for _ in range(2):
-        parts = weighted * left[:, None]
-        sums = np.stack([np.bincount(seen.patch, part) for part in parts.T], axis=-1)
-        weighing = response.T @ np.linalg.inv(alone + sums.T @ sums)
-        information, gradient = weighing @ response / _UNSEEN, weighing @ moments / _UNSEEN
-        # What scatters is what is left where this link alone would move its views to, within reason.
-        left = residual - jacobian @ np.linalg.solve(information + _WITHIN_REASON, gradient)
-    return np.asarray(information), np.asarray(gradient)
+
+    # Noise is smoothed with the light: samples nearer than that are no news.
+    density = np.maximum(1.0, 4 * np.pi * view.blur_cells**2 * count / _patch_cells(view) ** 2)
+    response = summed(own[:, :, None] * other[:, None, :])
+    noise = summed(own[:, :, None] * own[:, None, :]) * (sigma**2 * density)[:, None, None]
+    moments = summed(own * seen.residual[:, None])
+    misfit = (_MISFIT_BLURS * view.blur_cells) ** 2
+    transposed = response.transpose(0, 2, 1)
+    floor = 1e-9 * (1e-12 + np.trace(noise, axis1=1, axis2=2))[:, None, None] * np.eye(2)
+    scatter = noise + misfit * response @ transposed + floor
+    scatter, response, moments = scatter[textured], response[textured], moments[textured]
+    weighing = np.linalg.solve(scatter, np.concatenate([response, moments[..., None]], axis=-1))
+    chi2 = (moments * weighing[..., 2]).sum(axis=-1)
+    weight = np.minimum(1.0, _PATCH_HUBER / np.sqrt(np.maximum(chi2, 1e-12)))
+    # Cells by which a patch moves with the first view: (P, 2, 6).
+    along = across[textured] / cell[textured] ** 2
+    at = place[textured]
+    moves = np.concatenate([np.cross(at[:, None], along), along], axis=-1)
+    turned = np.einsum("pij,pjk->pik", response, moves)
+    information = np.einsum("p,pji,pjk->ik", weight, turned, np.linalg.solve(scatter, turned))
+    gradient = np.einsum("p,pji,pj->i", weight, turned, weighing[..., 2])
+    return np.asarray(information), np.asarray(gradient), np.asarray(chi2, np.float64)
+
+
+def sums_of(values: FloatArray, group: IntArray, groups: int) -> NDArray[np.float64]:
+    """Return the sums (G, ...) of values (N, ...) by their group (N,)."""
+    flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
+    sums = np.stack([np.bincount(group, column, groups) for column in flat.T], axis=-1)
+    return np.asarray(sums.reshape(groups, *values.shape[1:]), np.float64)
+
+
+def likeness(
+    first: FloatArray, second: FloatArray, patch: IntArray, count: IntArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the correlation (P,) of two lights (M,) in each patch, and the smaller of their variances there (P,)."""
+    n = np.maximum(count, 1)
+    both = np.stack([first, second], axis=-1)
+    mean = sums_of(both, patch, len(count)) / n[:, None]
+    variance = np.maximum(sums_of(np.square(both), patch, len(count)) / n[:, None] - np.square(mean), 0)
+    mixed = sums_of(first * second, patch, len(count)) / n - mean.prod(axis=-1)
+    return mixed / np.maximum(np.sqrt(variance.prod(axis=-1)), 1e-12), variance.min(axis=-1)
+
+
+def _patch_cells(view: IntensityView) -> int:
+    """Return the side of the patches of a level."""
+    return max(_PATCH_CELLS, round(_PATCH_BLURS * view.blur_cells))
+
+
+def disagreement(link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], sigma: float) -> float:
+    """Return how badly both views of a link agree where the first shows texture, at some poses, however far off.
+
+    It is a sum of squares in units of what noise and `_MISFIT_BLURS` explain, each limited, and of each patch no more
+    than a few: one long edge, which says little along itself, must not outweigh the end of another.
+
+    Args:
+        link: the link.
+        level: its level to compare.
+        views: the views, of that level.
+        poses: `world_from_scan` of each.
+        sigma: standard deviation of the noise of a difference.
+    """
+    view, other = views[link.first], views[link.second]
+    local = poses[link.second].inverse @ (poses[link.first] @ link.points)
+    light, own = link.light[level], link.slopes[level]
+    cell = np.linalg.norm(link.points, axis=-1) * float(np.mean(view.scan.geometry.step_rad))
+    steep = np.linalg.norm(own, axis=-1) * cell
+    seen = _lookup(other, local)
+    use = np.isfinite(light) & np.isfinite(steep) & seen.good(local)
+    if not use.any():
+        return 0.0
+    _, patch, count = np.unique(link.patch[level][use], return_inverse=True, return_counts=True)
+    light, steep = light[use], steep[use]
+    contrast = sums_of(np.square(light)[:, None], patch, len(count))[:, 0] / count
+    contrast -= np.square(sums_of(light[:, None], patch, len(count))[:, 0] / count)
+    textured = (contrast > max(_LEAST_CONTRAST, _SHOWN_SIGMAS * sigma) ** 2) & (count >= _LEAST_OF_PATCH)
+    steep_there = np.linalg.norm(seen.slopes[use], axis=-1)
+    residual = seen.light[use] - light
+    residual -= float(np.median(residual))
+    misfit = _MISFIT_BLURS * view.blur_cells
+    squares = np.square(residual) / (sigma**2 + misfit**2 * (np.square(steep) + np.square(steep_there)) / 2)
+    # What is seen no more counts as what fits.
+    excess = np.minimum(squares, _MOST_SQUARE) - 1
+    sums = sums_of(excess[:, None], patch, len(count))[:, 0]
+    return float((sums * np.minimum(1.0, _SAMPLES_A_PATCH / count))[textured].sum())
+
+
+def noise_of(link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid]) -> float:
+    """Return the standard deviation of what differs between the views of a link."""
+    residual = _residuals(link, level, views, poses, None, 1).residual
+    return max(_MAD * float(np.median(np.abs(residual))), _LEAST_SIGMA) if len(residual) else _LEAST_SIGMA
 
 
 def common_floor(scans: Sequence[Scan]) -> float:
@@ -254,10 +378,12 @@ def _lookup(view: IntensityView, points: FloatArray) -> _Seen:
 class _Compared:
     residual: FloatArray
     """(M,) less their median."""
-    jacobian: FloatArray
-    """(M, 6) derivatives by the first view's move, from the slopes of the second."""
+    world: FloatArray
+    """(M, 3) the points."""
+    slopes: FloatArray
+    """(M, 3) derivatives by the point, in the world, from the slopes of the second."""
     instruments: FloatArray
-    """(M, 6) the same from the slopes of the first."""
+    """(M, 3) the same from the slopes of the first."""
     light: FloatArray
     """(M,) of the first."""
     patch: IntArray
@@ -285,10 +411,11 @@ def _residuals(
     own = link.slopes[level][use] @ pose.rotation.T
     return _Compared(
         residual - (float(np.median(residual)) if len(residual) else 0.0),
-        np.hstack([np.cross(world, by_world), by_world]),
-        np.hstack([np.cross(world, own), own]),
+        world,
+        by_world,
+        own,
         light,
-        link.patch[use],
+        link.patch[level][use],
     )
 
 
@@ -304,24 +431,13 @@ def _by_point(scan: Scan, local: FloatArray, slopes: FloatArray) -> NDArray[np.f
     return out
 
 
-def _textured(light: FloatArray, residual: FloatArray) -> bool:
-    """Return whether two scans see the same texture; of blank surfaces only noise would be aligned."""
-    contrast = float(np.std(light))
-    if contrast < _LEAST_CONTRAST:
-        return False
-    other = light + residual
-    spread = contrast * float(np.std(other))
-    covariance = float(np.mean((light - light.mean()) * (other - other.mean())))
-    return bool(spread > 0 and covariance > _LEAST_CORRELATION * spread)
-
-
 def _blurred(light: FloatArray, there: BoolArray, size: tuple[int, int], cells: float) -> NDArray[np.float32]:
     share = cv2.GaussianBlur(there.astype(np.float32), size, cells)
     return np.asarray(cv2.GaussianBlur(light, size, cells) / np.maximum(share, 1e-6), np.float32)
 
 
-def _slope(field: FloatArray, axis: int) -> NDArray[np.float32]:
-    out = np.full(field.shape, np.nan, np.float32)
+def _slope(field: FloatArray, axis: int) -> NDArray[np.float16]:
+    out = np.full(field.shape, np.nan, np.float16)
     if axis == 0:
         out[1:-1] = (field[2:] - field[:-2]) / 2
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -28,11 +28,16 @@ from ladarreg_core.range_alignment.adjustment import (
 from ladarreg_core.range_alignment.intensity_links import (
     BLUR_CELLS,
     IntensityView,
+    Link,
     common_floor,
     link_equations,
     links_of,
 )
+from ladarreg_core.range_alignment.light_search import search_turn, turned
+from ladarreg_core.range_alignment.piece_findings import WEAK_DEG, knocked_pieces, knocked_reason, weak_reasons
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.grid_window import GridWindow
+from ladarreg_core.scanner.grids import TabulatedGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 
 PARAMETERS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -42,11 +47,19 @@ _SIGMA_ANGLE_RAD = float(np.radians(0.3))
 _SIGMA_ROLL_RAD = float(np.radians(0.005))
 _SIGMA_SHIFT_M = 1e-4
 _SIGMA_MOUNT = (0.1, float(np.radians(5.0)))
+_SIGMA_KNOCKED = (0.02, float(np.radians(1.0)))
 _SIGMA_FIXED_RAD = float(np.radians(0.01))
 _POINTS_A_PIECE = 60_000
+_MOST_POINTS = 2_000_000
+_MOST_CELLS = 10_000_000
+_LEAST_CELLS = 40_000  # of a piece
 _LEAST_POINTS = 300
-_UNDETERMINED_RAD = float(np.radians(0.02))
+_UNDETERMINED_RAD = float(np.radians(0.1))
 _UNDETERMINED_MOUNT = (0.005, float(np.radians(0.1)))
+_HELD_BY_RANGES_RAD = float(np.radians(0.015))
+_SEARCHED_LEVEL = 2
+_SEARCHES = 4
+_CLEARLY_BETTER = 1.5
 _HELD_OUT = 4
 _WORSE = 1.02
 _MOUNT_GATES = ((0.25, 12.0), (0.2, 10.0), (0.12, 6.0), (0.06, 4.0), (0.04, 3.0), (0.04, 3.0))
@@ -66,12 +79,16 @@ class RefinedPiece:
     """Whether it was refined."""
     turn_deg: tuple[float, float, float]
     """Correction about the pan axis, about the tilt axis, and about the axis ahead, degrees."""
-    shift_mm: float
-    """Length of the shift beside it."""
+    shift_scanner_mm: tuple[float, float, float]
+    """The shift beside it, in the scanner's own frame."""
     sigma_deg: tuple[float, float]
     """Standard deviations of its pan and tilt against all pieces together: what turns all alike is the unit's."""
     points: int
     """Points that it shares with other pieces."""
+    weak: tuple[str, ...] = ()
+    """`pan`, `tilt`: which of its angles are held only weakly."""
+    knocked: bool = False
+    """It does not lie where the unit carries the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,13 +169,32 @@ def refine_pieces(
         )
         return _kept(pieces, mount, enough, f"nothing was refined: {why}", before, after)
     found = adjust(views, common=common, more=printed, report=report, gates=gates)
+    spread = np.zeros((len(pieces), 2))
+    if refine:
+        loose = knocked_pieces(*_corrections(found, positions), enough)
+        if loose.any() and not loose.all():
+            # What was knocked is no longer held by the unit; what only gave way to it comes back.
+            views = [_loosened(view) if free else view for view, free in zip(views, loose, strict=True)]
+            found = adjust(views, common=common, more=printed, report=report, gates=gates, start=found)
+        for _ in range(_SEARCHES):
+            aside, spread = _searched(found, views, positions, links, light, report)
+            if aside is None:
+                break
+            found = adjust(
+                views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report,
+                gates=gates[-2:], start=aside,
+            )  # fmt: skip
     held = _weak(found, positions, enough)
+    if refine and held.all():
+        why = "nothing was refined: too little in the overlaps shows how the pieces lie; the unit's angles stay"
+        return _kept(pieces, mount, enough, why, before, after)
     if refine and held.any():
         # What the surfaces do not hold is put back; the others are adjusted without it.
         fixed = [_fixed(view) if hold else view for view, hold in zip(views, held, strict=True)]
         links = [link for link in links if not (held[link.first] or held[link.second])]
         found = adjust(fixed, common=common, more=printed, report=report, gates=gates)
-    return _result(pieces, positions, views, found, mount, held, (before, after), common, refine=refine)
+    made = _result(pieces, positions, views, found, mount, held, (before, after), common, refine=refine)
+    return _judged(made, spread) if refine else made
 
 
 def overlap_points(scans: Sequence[Scan], poses: Sequence[Rigid], number: int, *, most: int) -> NDArray[np.float32]:
@@ -200,17 +236,29 @@ def _views(
     pieces: Sequence[PlacedPiece], positions: Sequence[PanTilt], *, exact: bool, report: Report | None
 ) -> tuple[list[RangeView], list[list[IntensityView]]]:
     scans = []
+    most_cells = max(_MOST_CELLS // max(len(pieces), 1), _LEAST_CELLS)
+    most_points = min(_POINTS_A_PIECE, _MOST_POINTS // max(len(pieces), 1))
     for number, piece in enumerate(pieces):
         if report is not None:
             report(Progress(number, len(pieces), "reading the pieces"))
-        scans.append(piece.load())
+        scans.append(_small(piece.load(), most_cells))
     poses = [piece.world_from_scanner for piece in pieces]
     floor = common_floor(scans)
     views = [
-        RangeView(overlap_points(scans, poses, k, most=_POINTS_A_PIECE), poses[k], _prior(positions[k], exact=exact))
+        RangeView(overlap_points(scans, poses, k, most=most_points), poses[k], _prior(positions[k], exact=exact))
         for k in range(len(pieces))
     ]
     return views, [[IntensityView.of(scan, floor, blur) for scan in scans] for blur in BLUR_CELLS]
+
+
+def _small(scan: Scan, most_cells: int) -> Scan:
+    """Return every n-th row and column of a scan, holding nothing of the rest."""
+    thin, stride = scan.thinned(most_cells)
+    geometry, whole = thin.geometry, scan.geometry
+    if stride > 1 and isinstance(whole, TabulatedGrid):
+        law = None if whole.law is None else GridWindow(whole.law, (0, 0), thin.shape, (stride, stride))
+        geometry = TabulatedGrid(whole.table[::stride, ::stride], law)
+    return replace(thin, geometry=geometry, ranges=thin.ranges.copy(), intensity=thin.intensity.copy(), color=None)
 
 
 def _axes(at: PanTilt) -> NDArray[np.float64]:
@@ -232,6 +280,22 @@ def _prior(at: PanTilt, *, exact: bool = False) -> NDArray[np.float64]:
 def _fixed(view: RangeView) -> RangeView:
     """Return a view without points, which its prior holds where it is."""
     return RangeView(view.points[:0], view.world_from_scan, view.information)
+
+
+def _loosened(view: RangeView) -> RangeView:
+    """Return a view whose pose is hardly held by the unit."""
+    return RangeView(
+        view.points, view.world_from_scan, np.diag([_SIGMA_KNOCKED[1] ** -2] * 3 + [_SIGMA_KNOCKED[0] ** -2] * 3)
+    )
+
+
+def _corrections(found: Adjustment, positions: Sequence[PanTilt]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what each pose was moved from where its prior has it: turns (V, 3), deg, and shifts (V, 3), mm, in the
+    scanner's frame.
+    """
+    turns = [np.degrees(_axes(at) @ move[:3]) for at, move in zip(positions, found.moved, strict=True)]
+    shifts = [1000 * pose.rotation.T @ move[3:] for pose, move in zip(found.poses, found.moved, strict=True)]
+    return np.array(turns), np.array(shifts)
 
 
 def _mount_moves() -> Common:
@@ -271,20 +335,62 @@ def _clipped(distances: FloatArray) -> FloatArray:
     return np.clip(distances, -limit, limit)
 
 
+def _searched(
+    found: Adjustment,
+    views: Sequence[RangeView],
+    positions: Sequence[PanTilt],
+    links: Sequence[Link],
+    light: Sequence[Sequence[IntensityView]],
+    report: Report | None,
+) -> tuple[Adjustment | None, NDArray[np.float64]]:
+    """Return an adjustment with the pieces that belong elsewhere put there, None if all are where they belong; and how
+    far each piece may be off in pan and tilt (V, 2), rad, as far as this was searched, one sigma.
+    """
+    spread = np.zeros((len(positions), 2))
+    poses, moved = list(found.poses), found.moved.copy()
+    any_moved = False
+    for k, at in enumerate(positions):
+        if report is not None:
+            report(Progress(k, len(positions), "searching for weak pieces"))
+        variance, along = np.linalg.eigh(np.linalg.inv(_pan_tilt(found.planes_data, k, at) + _angles_prior()))
+        open_ = variance > _HELD_BY_RANGES_RAD**2
+        if not open_.any() or len(views[k].points) < _LEAST_POINTS:
+            continue
+        directions = along.T[open_] @ _axes(at)[:2]
+        best = search_turn(
+            k, links, light[_SEARCHED_LEVEL], _SEARCHED_LEVEL, poses, directions, np.sqrt(variance[open_])
+        )  # fmt: skip
+        spread[k] = np.sqrt(np.square(best.spread[:, None] * along.T[open_]).sum(axis=0))
+        if best.gain > _CLEARLY_BETTER:
+            turn = best.turn @ directions
+            poses[k] = turned(poses[k], turn)
+            moved[k, :3] += turn
+            any_moved = True
+    return (replace(found, poses=tuple(poses), moved=moved) if any_moved else None), spread
+
+
+def _pan_tilt(data: FloatArray, k: int, at: PanTilt) -> NDArray[np.float64]:
+    """Return the information (2, 2) of a piece's pan and tilt, the other pieces fixed and the rest of it unknown."""
+    own = data[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+    angles = np.zeros((6, 2))
+    angles[:3] = _axes(at)[:2].T
+    others = np.zeros((6, 4))
+    others[:3, 0] = _axes(at)[2]
+    others[3:, 1:] = np.eye(3)
+    full = others.T @ (own + _prior(at)) @ others
+    mixed = angles.T @ own @ others
+    return np.asarray(angles.T @ own @ angles - mixed @ np.linalg.solve(full, mixed.T))
+
+
+def _angles_prior() -> NDArray[np.float64]:
+    return np.eye(2) / _SIGMA_ANGLE_RAD**2
+
+
 def _weak(found: Adjustment, positions: Sequence[PanTilt], enough: BoolArray) -> BoolArray:
     """Return the pieces whose pan or tilt the surfaces do not hold, each with the others fixed."""
     weak = ~enough
     for k, at in enumerate(positions):
-        own = found.data[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
-        rest = _prior(at)
-        angles = np.zeros((6, 2))
-        angles[:3] = _axes(at)[:2].T
-        others = np.zeros((6, 4))
-        others[:3, 0] = _axes(at)[2]
-        others[3:, 1:] = np.eye(3)
-        full = others.T @ (own + rest) @ others
-        mixed = angles.T @ own @ others
-        seen = angles.T @ own @ angles - mixed @ np.linalg.solve(full, mixed.T)
+        seen = _pan_tilt(found.data, k, at)
         weak[k] |= bool(np.linalg.eigvalsh(seen)[0] < _UNDETERMINED_RAD**-2)
     return weak
 
@@ -325,7 +431,7 @@ def _result(
         out.append(
             RefinedPiece(
                 pose, state, (float(turn[0]), float(turn[1]), float(turn[2])),
-                float(1000 * np.linalg.norm(move[3:])), (float(sigma[0]), float(sigma[1])), int(found.points[k]),
+                tuple(1000 * (pose.rotation.T @ move[3:])), (float(sigma[0]), float(sigma[1])), int(found.points[k]),
             )
         )  # fmt: skip
     unheld = [str(k) for k in np.flatnonzero(held)]
@@ -342,6 +448,27 @@ def _result(
         tuple(out), accepted=True, mount=new_mount, mount_covariance=covariance, held_out_before_m=checked[0],
         held_out_after_m=checked[1], noise_m=noise, planes=found.planes, reasons=tuple(reasons),
     )  # fmt: skip
+
+
+def _judged(made: Refinement, spread_rad: FloatArray) -> Refinement:
+    """Return a refinement with what is to be said about its pieces."""
+    known = np.array([one.state == "refined" for one in made.pieces])
+    sigma = np.maximum([one.sigma_deg for one in made.pieces], np.degrees(spread_rad))
+    turns = np.array([one.turn_deg for one in made.pieces])
+    shifts = np.array([one.shift_scanner_mm for one in made.pieces])
+    knocked = knocked_pieces(turns, shifts, known)
+    weak = [
+        tuple(name for name, value in zip(("pan", "tilt"), of, strict=True) if there and value > WEAK_DEG)
+        for of, there in zip(sigma, known, strict=True)
+    ]
+    reasons = [*made.reasons, *weak_reasons(weak, sigma)]
+    if knocked.any():
+        reasons.append(knocked_reason(knocked, turns, shifts))
+    pieces = tuple(
+        replace(one, sigma_deg=(float(of[0]), float(of[1])), weak=names, knocked=bool(off))
+        for one, of, names, off in zip(made.pieces, sigma, weak, knocked, strict=True)
+    )
+    return replace(made, pieces=pieces, reasons=tuple(reasons))
 
 
 def _against_all(covariance: FloatArray) -> NDArray[np.float64]:
@@ -383,7 +510,7 @@ def _kept(
     nan = float("nan")
     return Refinement(
         tuple(
-            RefinedPiece(one.world_from_scanner, "kept" if there else "no overlap", nothing, 0.0, (nan, nan), 0)
+            RefinedPiece(one.world_from_scanner, "kept" if there else "no overlap", nothing, nothing, (nan, nan), 0)
             for one, there in zip(pieces, enough, strict=True)
         ),
         accepted=False, mount=mount, mount_covariance=None, held_out_before_m=before, held_out_after_m=after,

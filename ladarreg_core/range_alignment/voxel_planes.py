@@ -93,8 +93,8 @@ def shared_planes(
         )
         found.append(replace(level, point=left[level.point]))
         left = left[~used]
-    first = np.cumsum([0] + [planes.count for planes in found[:-1]])
-    first_patch = np.cumsum([0] + [int(planes.patch.max(initial=-1)) + 1 for planes in found[:-1]])
+    first = np.cumsum([0] + [planes.count for planes in found])[: len(found)]
+    first_patch = np.cumsum([0] + [int(planes.patch.max(initial=-1)) + 1 for planes in found])[: len(found)]
     return SharedPlanes(
         np.concatenate([planes.point for planes in found] or [np.zeros(0, np.intp)]),
         np.concatenate(

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.range_alignment.adjustment import off_planes, planes_of
 from ladarreg_core.range_alignment.piece_refinement import Refinement, _views, refine_pieces
 from ladarreg_core.scanner.grids import AzimuthElevation
-from tests.mosaic_pieces import MOUNT, mosaic
+from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
+from tests.mosaic_pieces import MOUNT, mosaic, piece_scan, placed
 
 FINE = AzimuthElevation(160, 220, np.radians(0.25), np.radians(0.25))
 PANS, TILTS = (-66.0, -22.0, 22.0, 66.0), (-14.0, 14.0)
@@ -64,3 +68,52 @@ def test_pieces_without_overlap_stay_where_the_unit_says() -> None:
     assert "do not overlap" in found.reasons[0]
     for piece, one in zip(pieces, found.pieces, strict=True):
         assert one.world_from_scanner is piece.world_from_scanner
+
+
+def test_a_piece_that_was_knocked_is_found_and_said() -> None:
+    pieces, truth = mosaic(PANS, TILTS, geometry=FINE, sigma_m=0.002, off_rad=OFF_RAD)
+    elsewhere = truth[5] @ Rigid.from_rotvec([0.004, 0, 0], [0.0, 0.006, 0.002])
+    pieces[5] = replace(pieces[5], load=lambda: piece_scan(elsewhere, FINE, sigma_m=0.002, seed=5))
+    found = refine_pieces(pieces, POSITIONS, mount=MOUNT)
+    assert [k for k, piece in enumerate(found.pieces) if piece.knocked] == [5]
+    assert any("piece 5 does not lie where" in reason for reason in found.reasons)
+    assert np.linalg.norm(found.pieces[5].shift_scanner_mm) == pytest.approx(6.3, abs=1.5)
+    others = [piece for piece in found.pieces if not piece.knocked]
+    assert max(np.linalg.norm(piece.shift_scanner_mm) for piece in others) < 2
+
+
+def lamp(points: FloatArray) -> FloatArray:
+    """A blank room with a short lamp on its ceiling."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    return np.where((z > 1.4) & (np.abs(x - 0.85) < 0.06) & (np.abs(y - 0.05) < 0.14), 900.0, 300.0)
+
+
+@pytest.mark.parametrize("lit", [True, False])
+def test_a_blank_ceiling_is_held_by_a_lamp_and_without_one_by_the_unit(lit: bool) -> None:
+    at = [PanTilt(np.radians(pan), np.radians(60.0)) for pan in (-20.0, 20.0)]
+    truth = [pan_tilt_pose(one.pan_rad, one.tilt_rad, unit_from_scanner=MOUNT) for one in at]
+    noise = np.random.default_rng(4)
+
+    def light(points: FloatArray) -> FloatArray:
+        bright = lamp(points) if lit else np.full(points.shape[:-1], 300.0)
+        return bright * (1 + 0.02 * noise.standard_normal(bright.shape))
+
+    said, pieces = [], []
+    for k, (one, pose) in enumerate(zip(at, truth, strict=True)):
+        off = PanTilt(one.pan_rad + np.radians(0.35 - 0.7 * k), one.tilt_rad + np.radians(0.2 * k))
+        scan = piece_scan(pose, FINE, sigma_m=0.002, seed=k, light=light)
+        said.append(off)
+        pieces.append(placed(scan, pan_tilt_pose(off.pan_rad, off.tilt_rad, unit_from_scanner=MOUNT)))
+    found = refine_pieces(pieces, said, mount=MOUNT)
+    relative = [one.world_from_scanner for one in found.pieces]
+    off_deg = (relative[0].inverse @ relative[1]).angle_to(truth[0].inverse @ truth[1])
+    if lit:
+        assert np.degrees(off_deg) < 0.06  # a fourth of a cell, of .7 deg before
+        assert {piece.state for piece in found.pieces} == {"refined"}
+        assert all(piece.weak == ("pan",) for piece in found.pieces)
+        assert any("held weakly in pan" in reason for reason in found.reasons)
+        assert 0.5 * np.degrees(off_deg) / 3 < max(piece.sigma_deg[0] for piece in found.pieces) < 0.1
+    else:
+        assert {piece.state for piece in found.pieces} <= {"not determined", "kept"}
+        for one, start in zip(found.pieces, pieces, strict=True):
+            assert one.world_from_scanner.angle_to(start.world_from_scanner) == 0
