@@ -27,7 +27,7 @@ class Bench:
         return FlirUnit.connect(self.ports, UnitPlan(address, baud=self.twin.baud, **plan))  # type: ignore[arg-type]
 
     def await_halt(self) -> bool:
-        until = time.monotonic() + 1
+        until = time.monotonic() + 5
         while self.twin.moving(self.server.now_s()) and time.monotonic() < until:
             time.sleep(0.005)
         return not self.twin.moving(self.server.now_s())

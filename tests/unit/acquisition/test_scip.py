@@ -311,7 +311,7 @@ class Bench:
         return ScipScanner.connect(self.ports, ScannerPlan("scip2", self.server.addresses["scip2"]))
 
     def await_darkness(self) -> bool:
-        until = time.monotonic() + 1
+        until = time.monotonic() + 5
         while self.twin.laser_on and time.monotonic() < until:
             time.sleep(0.005)
         return not self.twin.laser_on
