@@ -47,15 +47,19 @@ def at_truth(case, *, keep=None, pose=None, camera=None, covariance=None):
     )  # fmt: skip
 
 
-@given(seed=SEEDS, count=st.integers(48, 200), baseline=st.floats(0, 1), stated=st.booleans())
-@settings(max_examples=15, derandomize=True)  # by chance one in some hundred good poses has suspiciously many outliers
-def test_a_good_pose_has_no_poor_finding(seed, count, baseline, stated):
-    case = room_case(seed, count=count, baseline_m=baseline)
-    found = findings(solved(case) if stated else solved(case, seed=1))
-    names = [finding.name for finding in found]
-    assert len(set(names)) == len(names) == 11
-    assert not [finding for finding in found if finding.level == "poor"]
-    assert [finding.name for finding in found if finding.level == "fair"] in ([], ["conditioning"])
+def test_a_good_pose_has_no_poor_finding():
+    rng = np.random.default_rng(5)
+    unlucky = 0  # one good pose in some hundred has, by chance, suspiciously many outliers
+    for seed in range(20):
+        case = room_case(seed, count=int(rng.integers(48, 201)), baseline_m=rng.uniform(0, 1))
+        found = findings(solved(case) if seed % 2 else solved(case, seed=1))
+        names = [finding.name for finding in found]
+        assert len(set(names)) == len(names) == 11
+        assert not [finding for finding in found if finding.level == "poor"]
+        fair = {finding.name for finding in found if finding.level == "fair"}
+        assert fair <= {"conditioning", "inliers"}
+        unlucky += "inliers" in fair
+    assert unlucky <= 1
 
 
 def anywhere(pose, camera, count, reach, rng):
