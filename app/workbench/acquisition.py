@@ -11,7 +11,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,7 @@ from .runs import Runs
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.connected import Connected
     from ladarreg_core.acquisition.devices import PanTilt
-    from ladarreg_core.acquisition.plan import Plan
+    from ladarreg_core.acquisition.plan import Plan, PlanFault
     from ladarreg_core.acquisition.preview import RunPreview
     from ladarreg_core.acquisition.run_folder import RunWriter
     from ladarreg_core.acquisition.runner import Run, RunEvent
@@ -98,17 +98,26 @@ class Acquisition:
         from ladarreg_core.acquisition.serial_port import described_ports
 
         ports = [{"port": port, "said": said} for port, said in described_ports()]
-        return {"ports": ports, "example": example_plan().as_fields()}
+        return {"ports": ports, "example": example_plan().as_fields(), "draft": self._runs.draft}
+
+    def keep(self, fields: Mapping[str, Any]) -> None:
+        """Keep a plan that is being edited, right or not, in the project's folder.
+
+        Raises:
+            OptionError: if it is too large for a plan.
+            ExportError: if it cannot be written.
+        """
+        self._runs.keep_draft(fields)
 
     def check(self, fields: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the faults of a plan, as far as they are known, and what its run will be."""
-        from ladarreg_core.acquisition.plan import plan_from_fields
+        """Return the faults of a plan, each with its field, as far as they are known, and what its run will be."""
+        from ladarreg_core.acquisition.plan import PlanError, plan_from_fields
         from ladarreg_core.acquisition.stops import device_faults, forecast
 
         try:
             plan = plan_from_fields(fields)
-        except OptionError as error:
-            return {"fault": as_fields(str(error)), "forecast": None}
+        except PlanError as error:
+            return {"faults": _faults_slice(error.faults), "forecast": None}
         devices = self._devices
         scanner = None if devices is None or devices.line_scanner is None else devices.line_scanner.identity
         faults = [] if devices is None else device_faults(plan, devices.unit.identity, scanner)
@@ -117,7 +126,7 @@ class Acquisition:
             "stops": ahead.stops, "pieces": ahead.pieces, "cells": ahead.cells, "seconds": round(ahead.seconds),
             "overlap": None if ahead.overlap is None else list(ahead.overlap),
         }  # fmt: skip
-        return {"fault": "; ".join(faults), "forecast": said}
+        return {"faults": _faults_slice(faults), "forecast": said}
 
     def connect(self, client: Client, fields: Mapping[str, Any]) -> None:
         """Connect to the devices of a plan.
@@ -130,6 +139,8 @@ class Acquisition:
         plan = plan_from_fields(fields)
         _require_own_ports(plan)
         with self._lock:
+            if self._state == "disconnecting":
+                raise OptionError("devices are still being disconnected; wait for it")
             if self._state != "off":
                 raise OptionError("devices are connected already; disconnect them first")
             self._state, self._said, self._plan = "connecting", "", plan
@@ -138,17 +149,19 @@ class Acquisition:
         self._publish()
 
     def disconnect(self, client: Client) -> None:
-        """Stop everything and disconnect.
+        """Stop everything at once, and disconnect as soon as what was asked of the devices has ended.
 
         Raises:
             OptionError: if another client drives.
         """
         self._require_driver(client)
         self.stop()
-        self._join()
         with self._lock:
-            self._disconnect()
+            if self._state == "disconnecting":
+                return
+            self._state = "disconnecting"
         self._publish()
+        threading.Thread(target=self._leave, name="disconnecting devices", daemon=True).start()
 
     def jog(self, client: Client, pan_deg: float, tilt_deg: float) -> None:
         """Move the unit by some degrees.
@@ -399,7 +412,7 @@ class Acquisition:
         self._stopping.clear()
 
         def guarded() -> None:
-            said, after = "", "ready"
+            said = ""
             try:
                 work()
             except Cancelled:
@@ -410,16 +423,24 @@ class Acquisition:
                 log.exception("%s failed", name)
                 said = f"Internal error ({type(error).__name__})."
             with self._lock:
-                if self._devices is None:
-                    after = "off"
-                    self._disconnect()
                 self._runs.refresh()
-                self._state = after
+                if self._state == "disconnecting":
+                    pass  # the thread that disconnects waits for this one
+                elif self._devices is None:
+                    self._disconnect()
+                else:
+                    self._state = "ready"
                 self._said = said or self._said
             self._publish()
 
         self._thread = threading.Thread(target=guarded, name=name, daemon=True)
         self._thread.start()
+
+    def _leave(self) -> None:
+        self._join()
+        with self._lock:
+            self._disconnect()
+        self._publish()
 
     def _check(self) -> None:
         if self._stopping.is_set():
@@ -467,6 +488,10 @@ def _described(devices: Connected) -> dict[str, Any]:
         "scanner": None if scanner is None else scanner.identity.model,
         "has_intensity": scanner is None or scanner.identity.has_intensity,
     }
+
+
+def _faults_slice(faults: Sequence[PlanFault]) -> list[dict[str, str]]:
+    return [{"field": fault.field, "said": as_fields(fault.text)} for fault in faults]
 
 
 def _require_own_ports(plan: Plan) -> None:

@@ -33,6 +33,12 @@ def acquire_check(context: Acquiring, client: Client, fields: Fields) -> Reply:
     return context.acquisition.check(_plan(fields))
 
 
+def acquire_keep(context: Acquiring, client: Client, fields: Fields) -> Reply:
+    """Keep a plan that is being edited in the project."""
+    context.acquisition.keep(_plan(fields))
+    return {}
+
+
 def acquire_connect(context: Acquiring, client: Client, fields: Fields) -> Reply:
     """Connect to the devices of a plan."""
     context.acquisition.connect(client, _plan(fields))
@@ -106,8 +112,8 @@ def acquire_photos(context: Acquiring, client: Client, fields: Fields) -> Reply:
 
 
 ACQUISITION_COMMANDS = (
-    acquire_ports, acquire_check, acquire_connect, acquire_disconnect, acquire_jog, acquire_start, acquire_pause,
-    acquire_resume, acquire_stop, acquire_take_over, acquire_open, acquire_photos,
+    acquire_ports, acquire_check, acquire_keep, acquire_connect, acquire_disconnect, acquire_jog, acquire_start,
+    acquire_pause, acquire_resume, acquire_stop, acquire_take_over, acquire_open, acquire_photos,
 )  # fmt: skip
 
 

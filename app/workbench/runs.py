@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ladarreg_core.atomic_write import replaced_file, write_bytes
 from ladarreg_core.errors import LadarregError, OptionError
 
 if TYPE_CHECKING:
@@ -13,6 +16,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 PANORAMA = "scan.npz"
+DRAFT = "draft.json"
+_MOST_BYTES_OF_A_PLAN = 100_000
 
 
 class Runs:
@@ -45,6 +50,29 @@ class Runs:
         while f"run-{number:03d}" in taken:
             number += 1
         return f"run-{number:03d}"
+
+    @property
+    def draft(self) -> dict[str, Any] | None:
+        """The plan that was being edited last, right or not; None if there is none."""
+        try:
+            found = json.loads((self._folder / DRAFT).read_bytes())
+        except (OSError, ValueError):
+            return None  # nobody has edited one, or something else has damaged it: editing begins anew
+        return found if isinstance(found, dict) else None
+
+    def keep_draft(self, fields: Mapping[str, Any]) -> None:
+        """Keep a plan that is being edited, right or not.
+
+        Raises:
+            OptionError: if it is too large for a plan.
+            ExportError: if it cannot be written.
+        """
+        data = json.dumps(fields, indent=1).encode()
+        if len(data) > _MOST_BYTES_OF_A_PLAN:
+            raise OptionError(f"the plan has {len(data):,} bytes; a plan has at most {_MOST_BYTES_OF_A_PLAN:,}")
+        self._folder.mkdir(parents=True, exist_ok=True)
+        with replaced_file(self._folder / DRAFT) as new:
+            write_bytes(new, data)
 
     def refresh(self) -> None:
         """Look at the folder again."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -181,6 +181,23 @@ def write_plan(path: str | Path, plan: Plan) -> None:
         write_bytes(new, (json.dumps(plan.as_fields(), indent=1) + "\n").encode())
 
 
+@dataclass(frozen=True, slots=True)
+class PlanFault:
+    """A fault of a plan."""
+
+    field: str
+    """Where it is, such as `pan_deg` or `scanner.folder`; a part's name, or empty, if it is no single field."""
+    text: str
+
+
+class PlanError(OptionError):
+    """A plan that cannot be used; its text lists all faults."""
+
+    def __init__(self, faults: Sequence[PlanFault]) -> None:
+        super().__init__(f"the plan has {listed_faults(faults)}")
+        self.faults = tuple(faults)
+
+
 def plan_from_fields(fields: Mapping[str, Any], *, folders_exist: bool = True) -> Plan:
     """Return the plan of the content of `plan.json`.
 
@@ -189,27 +206,27 @@ def plan_from_fields(fields: Mapping[str, Any], *, folders_exist: bool = True) -
         folders_exist: whether the watched folders must be there; not for a run that is only read.
 
     Raises:
-        OptionError: if it has faults; the text lists them all.
+        PlanError: if it has faults, all of them.
     """
     reader = _Reader(folders_exist=folders_exist)
     plan = reader.plan(fields)
     if plan is None or reader.faults:
-        raise OptionError(f"the plan has {listed_faults(reader.faults)}")
+        raise PlanError(reader.faults)
     return plan
 
 
-def listed_faults(faults: list[str]) -> str:
+def listed_faults(faults: Sequence[PlanFault]) -> str:
     """Return faults as one text: `a fault: ...`, or `2 faults: (1) ...; (2) ...`."""
     if len(faults) == 1:
-        return f"a fault: {faults[0]}"
-    return f"{len(faults)} faults: " + "; ".join(f"({k}) {fault}" for k, fault in enumerate(faults, 1))
+        return f"a fault: {faults[0].text}"
+    return f"{len(faults)} faults: " + "; ".join(f"({k}) {fault.text}" for k, fault in enumerate(faults, 1))
 
 
 class _Reader:
     """Reads a plan and collects its faults."""
 
     def __init__(self, *, folders_exist: bool) -> None:
-        self.faults: list[str] = []
+        self.faults: list[PlanFault] = []
         self._folders_exist = folders_exist
 
     def plan(self, fields: Mapping[str, Any]) -> Plan | None:
@@ -217,7 +234,7 @@ class _Reader:
                  "passes", "mount")  # fmt: skip
         self._refuse_unknown(fields, known, "the plan")
         if fields.get("version") != VERSION:
-            self.faults.append(f"'version' is {_shown(fields.get('version'))}; it must be {VERSION}")
+            self._fault("version", f"'version' is {_shown(fields.get('version'))}; it must be {VERSION}")
         mode = self._choice(fields, "mode", get_args(Mode), None, "the plan")
         continuous = self._flag(fields, "continuous")
         unit, scanner = self._unit(fields.get("unit")), self._scanner(fields.get("scanner"))
@@ -235,25 +252,32 @@ class _Reader:
         self._check_whole(plan)
         return plan
 
+    def _fault(self, field: str, text: str) -> None:
+        self.faults.append(PlanFault(field, text))
+
     def _check_whole(self, plan: Plan) -> None:
         """Note what is wrong with parts that are right by themselves."""
         if plan.mode == "sweep" and plan.scanner.kind != "scip2":
-            self.faults.append("'mode' is 'sweep', which needs a scanner of kind 'scip2'; use 'mosaic' for a folder")
+            self._fault(
+                "scanner.kind", "'mode' is 'sweep', which needs a scanner of kind 'scip2'; use 'mosaic' for a folder"
+            )
         if plan.mode == "mosaic" and plan.scanner.kind == "scip2":
-            self.faults.append("'mode' is 'mosaic', which needs a scanner of kind 'folder'; use 'sweep' for this one")
+            self._fault(
+                "scanner.kind", "'mode' is 'mosaic', which needs a scanner of kind 'folder'; use 'sweep' for this one"
+            )
         if plan.mode == "mosaic" and plan.continuous:
-            self.faults.append("'continuous' is for sweeps; leave it out of a mosaic")
+            self._fault("continuous", "'continuous' is for sweeps; leave it out of a mosaic")
         if plan.continuous and plan.camera is not None:
-            self.faults.append("'camera' takes photographs at stops, and a continuous sweep has none; leave it out")
+            self._fault("camera", "'camera' takes photographs at stops, and a continuous sweep has none; leave it out")
         if plan.continuous and plan.pan.step_deg == 0:
-            self.faults.append("'continuous' needs a range of pan angles; 'pan_deg' has one")
+            self._fault("pan_deg", "'continuous' needs a range of pan angles; 'pan_deg' has one")
         if plan.scanner.kind == "scip2" and plan.scanner.port == plan.unit.port:
-            self.faults.append(f"unit and scanner have the same port {plan.unit.port!r}; each needs its own")
+            self._fault("scanner.port", f"unit and scanner have the same port {plan.unit.port!r}; each needs its own")
         if plan.camera is not None and plan.camera.folder and plan.camera.folder == plan.scanner.folder:
-            self.faults.append("scanner and camera have the same folder; each needs its own")
+            self._fault("camera.folder", "scanner and camera have the same folder; each needs its own")
         stops = len(plan.pan.stops_deg) * len(plan.tilt.stops_deg) * plan.passes
         if stops > MOST_STOPS:
-            self.faults.append(f"the plan has {stops:,} stops; at most {MOST_STOPS:,} are made: take larger steps")
+            self._fault("pan_deg", f"the plan has {stops:,} stops; at most {MOST_STOPS:,} are made: take larger steps")
         if plan.mode == "mosaic" and plan.scanner.fov_deg is not None:
             self.faults += overlap_faults(plan, plan.scanner.fov_deg)
 
@@ -267,7 +291,9 @@ class _Reader:
         baud = self._whole(fields, "baud", 9600, *_BAUDS, "'unit'")
         signs = fields.get("signs", [1, 1])
         if not (isinstance(signs, list) and len(signs) == 2 and all(type(s) is int and s in (-1, 1) for s in signs)):
-            self.faults.append(f"'signs' of 'unit' is {_shown(signs)}; it must be two of 1 and -1, for pan and tilt")
+            self._fault(
+                "unit.signs", f"'signs' of 'unit' is {_shown(signs)}; it must be two of 1 and -1, for pan and tilt"
+            )
             signs = None
         speed = self._number(fields, "speed_deg_s", math.nan, 1e-3, 1000.0, "'unit'")
         if kind is None or port is None or baud is None or signs is None or speed is None:
@@ -294,7 +320,9 @@ class _Reader:
         timeout = self._number(fields, "timeout_s", 600.0, 1.0, 1e5, "'scanner'")
         fov = fields.get("fov_deg")
         if fov is not None and not _numbers(fov, 2, 0.1, 360.0):
-            self.faults.append(f"'fov_deg' of 'scanner' is {_shown(fov)}; it must be two angles, across and down")
+            self._fault(
+                "scanner.fov_deg", f"'fov_deg' of 'scanner' is {_shown(fov)}; it must be two angles, across and down"
+            )
             fov = None
         if folder is None or timeout is None:
             return None
@@ -309,7 +337,7 @@ class _Reader:
             return None
         self._refuse_unknown(fields, ("folder", "device", "mount"), "'camera'")
         if ("folder" in fields) == ("device" in fields):
-            self.faults.append("'camera' needs either 'folder' or 'device', the number of a video device")
+            self._fault("camera", "'camera' needs either 'folder' or 'device', the number of a video device")
             return None
         mount = None
         if fields.get("mount") is not None:
@@ -323,26 +351,25 @@ class _Reader:
     def _axis(self, fields: Mapping[str, Any], name: str, most: float) -> Axis | None:
         value = fields.get(name, [0.0, 0.0, 0.0] if name == "tilt_deg" else None)
         if not _numbers(value, 3, -3 * most, 3 * most):
-            self.faults.append(f"{name!r} is {_shown(value)}; it must be three angles: from, to and step")
+            self._fault(name, f"{name!r} is {_shown(value)}; it must be three angles: from, to and step")
             return None
         first, last, step = (float(v) for v in value)
         if abs(first) > most or abs(last) > most:
-            self.faults.append(
-                f"{name!r} goes from {first:g} to {last:g} deg; angles lie within {most:g} to both sides"
-            )
+            self._fault(name, f"{name!r} goes from {first:g} to {last:g} deg; angles lie within {most:g} to both sides")
             return None
         if abs(last - first) < _SAME_DEG:
             return Axis(first, first, 0.0)
         if step == 0:
-            self.faults.append(f"{name!r} goes from {first:g} to {last:g} deg by steps of 0; give a step")
+            self._fault(name, f"{name!r} goes from {first:g} to {last:g} deg by steps of 0; give a step")
             return None
         if (last - first) * step < 0:
-            self.faults.append(
-                f"{name!r} goes from {first:g} to {last:g} deg by steps of {step:g}, which lead away; change the sign"
+            self._fault(
+                name,
+                f"{name!r} goes from {first:g} to {last:g} deg by steps of {step:g}, which lead away; change the sign",
             )
             return None
         if abs(step) > abs(last - first) + _SAME_DEG:
-            self.faults.append(f"{name!r} goes from {first:g} to {last:g} deg by steps of {step:g}, beyond its end")
+            self._fault(name, f"{name!r} goes from {first:g} to {last:g} deg by steps of {step:g}, beyond its end")
             return None
         return Axis(first, last, step)
 
@@ -354,10 +381,12 @@ class _Reader:
         xyz, rpy = fields.get("xyz_m"), fields.get("rpy_deg")
         good = True
         if not _numbers(xyz, 3, -_LARGEST_LEVER_M, _LARGEST_LEVER_M):
-            self.faults.append(f"'xyz_m' of 'mount' is {_shown(xyz)}; it must be three lengths within 5 m")
+            self._fault("mount.xyz_m", f"'xyz_m' of 'mount' is {_shown(xyz)}; it must be three lengths within 5 m")
             good = False
         if not _numbers(rpy, 3, -360.0, 360.0):
-            self.faults.append(f"'rpy_deg' of 'mount' is {_shown(rpy)}; it must be roll, pitch and yaw in degrees")
+            self._fault(
+                "mount.rpy_deg", f"'rpy_deg' of 'mount' is {_shown(rpy)}; it must be roll, pitch and yaw in degrees"
+            )
             good = False
         if not good:
             return None
@@ -367,13 +396,15 @@ class _Reader:
         try:
             return Rigid.from_matrix(np.array(value, np.float64))
         except (LadarregError, ValueError, TypeError) as error:
-            self.faults.append(f"'mount' of 'camera' is no pose ({str(error)[:120]}); it must be 4 x 4, or null")
+            self._fault(
+                "camera.mount", f"'mount' of 'camera' is no pose ({str(error)[:120]}); it must be 4 x 4, or null"
+            )
             return None
 
     def _object(self, value: Any, name: str) -> Mapping[str, Any] | None:
         if isinstance(value, Mapping):
             return value
-        self.faults.append(f"{name!r} is {'missing' if value is None else _shown(value)}; it must be an object")
+        self._fault(name, f"{name!r} is {'missing' if value is None else _shown(value)}; it must be an object")
         return None
 
     def _refuse_unknown(self, fields: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
@@ -381,7 +412,7 @@ class _Reader:
             if key not in known:
                 near = get_close_matches(str(key), known, n=1)
                 wanted = f"did you mean {near[0]!r}?" if near else f"use {', '.join(known)}"
-                self.faults.append(f"{where} has an unknown key {_shown(key)}; {wanted}")
+                self._fault(_field(where), f"{where} has an unknown key {_shown(key)}; {wanted}")
 
     def _choice(
         self, fields: Mapping[str, Any], name: str, choices: tuple[str, ...], default: str | None, where: str
@@ -390,14 +421,19 @@ class _Reader:
         if isinstance(value, str) and value in choices:
             return value
         found = "missing" if value is None else _shown(value)
-        self.faults.append(f"{name!r} of {where} is {found}; it must be {' or '.join(map(repr, choices))}")
+        self._fault(
+            _field(where, name), f"{name!r} of {where} is {found}; it must be {' or '.join(map(repr, choices))}"
+        )
         return None
 
     def _text(self, fields: Mapping[str, Any], name: str, where: str, example: str) -> str | None:
         value = fields.get(name)
         if isinstance(value, str) and value.strip():
             return value.strip()
-        self.faults.append(f"{name!r} of {where} is {'missing' if value is None else _shown(value)}; give {example}")
+        self._fault(
+            _field(where, name),
+            f"{name!r} of {where} is {'missing' if value is None else _shown(value)}; give {example}",
+        )
         return None
 
     def _folder(self, fields: Mapping[str, Any], where: str) -> str | None:
@@ -406,15 +442,18 @@ class _Reader:
             try:
                 check_twin(folder)
             except DeviceError as error:
-                self.faults.append(f"'folder' of {where}: {error}")
+                self._fault(_field(where, "folder"), f"'folder' of {where}: {error}")
         elif folder is not None and self._folders_exist and not Path(folder).expanduser().is_dir():
-            self.faults.append(f"'folder' of {where} is {_shown(folder)}, which does not exist; create or correct it")
+            self._fault(
+                _field(where, "folder"),
+                f"'folder' of {where} is {_shown(folder)}, which does not exist; create or correct it",
+            )
         return folder
 
     def _flag(self, fields: Mapping[str, Any], name: str) -> bool:
         value = fields.get(name, False)
         if not isinstance(value, bool):
-            self.faults.append(f"{name!r} is {_shown(value)}; it must be true or false")
+            self._fault(name, f"{name!r} is {_shown(value)}; it must be true or false")
             return False
         return value
 
@@ -424,7 +463,10 @@ class _Reader:
         value = fields.get(name, default)
         if type(value) is int and least <= value <= most:
             return value
-        self.faults.append(f"{name!r} of {where} is {_shown(value)}; it must be a whole number from {least} to {most}")
+        self._fault(
+            _field(where, name),
+            f"{name!r} of {where} is {_shown(value)}; it must be a whole number from {least} to {most}",
+        )
         return None
 
     def _number(
@@ -435,19 +477,29 @@ class _Reader:
         value = fields[name]
         if type(value) in (int, float) and least <= value <= most:  # NaN is neither
             return float(value)
-        self.faults.append(f"{name!r} of {where} is {_shown(value)}; it must be a number from {least:g} to {most:g}")
+        self._fault(
+            _field(where, name),
+            f"{name!r} of {where} is {_shown(value)}; it must be a number from {least:g} to {most:g}",
+        )
         return None
 
 
-def overlap_faults(plan: Plan, fov_deg: tuple[float, float]) -> list[str]:
+def _field(where: str, name: str = "") -> str:
+    """Return the field that `where` means in messages: `the plan`, `'unit'` or `'scanner' of kind ...`, and its key."""
+    part = where.split("'")[1] if "'" in where else ""
+    return ".".join(filter(None, (part, name)))
+
+
+def overlap_faults(plan: Plan, fov_deg: tuple[float, float]) -> list[PlanFault]:
     """Return what is wrong with the steps of a mosaic, given the field of view of its pieces, across and down."""
     faults = []
     for name, axis, fov in (("pan_deg", plan.pan, fov_deg[0]), ("tilt_deg", plan.tilt, fov_deg[1])):
         if abs(axis.step_deg) >= fov:
-            faults.append(
+            text = (
                 f"{name!r} has steps of {abs(axis.step_deg):g} deg, and a piece is {fov:.3g} deg wide: pieces do not "
                 f"overlap; take steps of {0.85 * fov:.3g} deg or less"
             )
+            faults.append(PlanFault(name, text))
     return faults
 
 
@@ -461,5 +513,5 @@ def _numbers(value: Any, count: int, least: float, most: float) -> bool:
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
+    text = repr(value) if isinstance(value, str) else json.dumps(value, default=repr)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from ladarreg_core.acquisition.devices import LineScannerIdentity, PanTilt, UnitIdentity
-from ladarreg_core.acquisition.plan import Plan, listed_faults, overlap_faults
+from ladarreg_core.acquisition.plan import Plan, PlanFault, listed_faults, overlap_faults
 from ladarreg_core.errors import OptionError
 
 _USUAL_SPEED_DEG_S = 30.0
@@ -49,9 +49,9 @@ def stops_of(plan: Plan) -> list[Stop]:
     return stops
 
 
-def device_faults(plan: Plan, unit: UnitIdentity, line_scanner: LineScannerIdentity | None = None) -> list[str]:
+def device_faults(plan: Plan, unit: UnitIdentity, line_scanner: LineScannerIdentity | None = None) -> list[PlanFault]:
     """Return what the devices cannot do of a plan, found before anything moves."""
-    faults = []
+    faults: list[PlanFault] = []
     axes = (
         ("pan_deg", plan.pan, unit.lowest.pan_rad, unit.highest.pan_rad, unit.resolution_rad.pan_rad),
         ("tilt_deg", plan.tilt, unit.lowest.tilt_rad, unit.highest.tilt_rad, unit.resolution_rad.tilt_rad),
@@ -60,21 +60,24 @@ def device_faults(plan: Plan, unit: UnitIdentity, line_scanner: LineScannerIdent
         least, most = math.degrees(low) - _PARTING_DEG, math.degrees(high) + _PARTING_DEG
         ends = (axis.first_deg, axis.last_deg)
         if min(ends) < least or max(ends) > most:
-            faults.append(
+            text = (
                 f"{name!r} goes from {axis.first_deg:g} to {axis.last_deg:g} deg, and the unit's limits are "
                 f"{math.degrees(low):.2f} to {math.degrees(high):.2f}; stay within them"
             )
+            faults.append(PlanFault(name, text))
         if 0 < abs(axis.step_deg) < math.degrees(step) * 0.999:
-            faults.append(
+            text = (
                 f"{name!r} has steps of {axis.step_deg:g} deg, finer than the unit's {math.degrees(step):.4f}; take "
                 "larger steps"
             )
+            faults.append(PlanFault(name, text))
     if plan.mode == "mosaic" and plan.scanner.fov_deg is not None:
         faults += overlap_faults(plan, plan.scanner.fov_deg)
     if plan.continuous and line_scanner is not None:
         speed = abs(math.radians(plan.pan.step_deg)) / line_scanner.line_period_s
         if speed < 2 * unit.resolution_rad.pan_rad:
-            faults.append("'pan_deg' has steps so fine that the unit cannot turn slowly enough; take larger steps")
+            text = "'pan_deg' has steps so fine that the unit cannot turn slowly enough; take larger steps"
+            faults.append(PlanFault("pan_deg", text))
     return faults
 
 

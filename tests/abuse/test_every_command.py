@@ -72,6 +72,7 @@ PLAN = {
 SOUND: dict[str, list[dict[str, Any]]] = {
     "acquire_ports": [{}],
     "acquire_check": [{"plan": PLAN}],
+    "acquire_keep": [{"plan": PLAN}, {"plan": {"half": "a plan"}}],
     "acquire_connect": [{"plan": PLAN}],
     "acquire_disconnect": [{}],
     "acquire_jog": [{"pan_deg": 1, "tilt_deg": 0}],

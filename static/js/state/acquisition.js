@@ -1,40 +1,50 @@
-/** The acquisition as this page sees it: the plan that is being edited, kept over a reload, and who drives. No DOM here. */
+/** The acquisition as this page sees it: the plan that is being edited, which the project keeps, and who drives. No DOM here. */
 
+import { ask } from "../net/connection.js";
 import { store } from "../net/store.js";
+import { throttled } from "../ui/throttle.js";
 
-const KEY = "ladarreg-plan";
+const KEPT_EVERY_MS = 500;
 
 /** @typedef {{name: string, label: string, done: boolean, missing: string, status: string}} WorkStep */
 
+/** @typedef {{field: string, said: string}} PlanFault */
+
 let plan = null;
 const listeners = new Set();
-
-const stored = () => {
-  try {
-    return JSON.parse(localStorage.getItem(KEY) ?? "null");
-  } catch {
-    return null; // storage is disabled, or was written by another version
-  }
-};
+const faultListeners = new Set();
 
 /** @returns {any} the plan that is being edited, as plan.json; null before there is one */
-export const planNow = () => (plan ??= store.get("acquisition")?.plan ?? stored());
+export const planNow = () => (plan ??= store.get("acquisition")?.plan ?? null);
 
-/** Replace the plan; every listener is called. */
-export const setPlan = (next) => {
+const keep = throttled(() => ask("acquire_keep", { plan }), KEPT_EVERY_MS);
+
+const show = (next) => {
   plan = next;
-  try {
-    localStorage.setItem(KEY, JSON.stringify(next));
-  } catch {
-    // storage is disabled: it has to be made again after a reload
-  }
   for (const listen of listeners) listen(plan);
 };
+
+/** Replace the plan; every listener is called, and the project keeps it. */
+export const setPlan = (next) => {
+  show(next);
+  keep();
+};
+
+/** Begin with a plan, if none is being edited. */
+export const offerPlan = (begun) => planNow() || show(begun);
 
 /** Change parts of the plan. */
 export const changePlan = (patch) => plan && setPlan({ ...plan, ...patch });
 
 export const onPlan = (listen) => listeners.add(listen);
+
+/** Tell what is wrong with the plan. @param {PlanFault[]} faults */
+export const setFaults = (faults) => {
+  for (const listen of faultListeners) listen(faults);
+};
+
+/** @param {(faults: PlanFault[]) => void} listen */
+export const onFaults = (listen) => faultListeners.add(listen);
 
 /** @returns {boolean} whether somebody else, who is still connected, drives the devices */
 export const othersDrive = () => {
@@ -74,6 +84,7 @@ export const acquireStep = () => {
   const said = {
     off: "Scan all around with a pan/tilt unit.",
     connecting: "Connecting.",
+    disconnecting: "Disconnecting.",
     ready: "Connected.",
     jogging: "The unit moves.",
     running: `${now?.done} of ${now?.total} pieces.`,

@@ -34,7 +34,12 @@ def disconnected(bench: WorkbenchDriver) -> Iterator[None]:
     yield
     if state(bench) != "off":
         bench.do("acquire_take_over")
-        bench.do("acquire_disconnect")
+        disconnect(bench)
+
+
+def disconnect(bench: WorkbenchDriver) -> None:
+    bench.do("acquire_disconnect")
+    bench.eventually(lambda: state(bench) == "off")
 
 
 def state(bench: WorkbenchDriver) -> str:
@@ -62,17 +67,36 @@ def plan_of(bench: WorkbenchDriver, **changes: Any) -> dict[str, Any]:
     return {**plan, "pan_deg": [-6, 6, 2], "settle_s": 0, **changes}
 
 
+def test_a_plan_is_kept_as_it_is_edited_and_its_faults_are_said_with_their_fields(bench: WorkbenchDriver) -> None:
+    assert bench.do("acquire_ports")["draft"] is None
+    wrong = plan_of(bench, mode="mosaic", tilt_deg=[0, 10], camera={"folder": "no-such-folder"}, colour="red")
+    wrong["mount"] = {"xyz_m": [0, 0, 99], "rpy_deg": [0, 0, 0]}
+    wrong["scanner"] = {"kind": "folder", "folder": "twin:scanner?seed=11", "fov_deg": [55]}
+    bench.do("acquire_keep", plan=wrong)
+    assert bench.do("acquire_ports")["draft"] == wrong
+    found = bench.do("acquire_check", plan=wrong)
+    assert found["forecast"] is None
+    fields = {fault["field"] for fault in found["faults"]}
+    assert fields == {"", "tilt_deg", "mount.xyz_m", "scanner.fov_deg", "camera.folder"}
+    assert "100,000" in bench.refused("acquire_keep", plan={"long": "x" * 100_000})
+    assert bench.do("acquire_ports")["draft"] == wrong
+
+
 def test_what_an_operator_does(bench: WorkbenchDriver) -> None:
     plan = plan_of(bench)
     assert bench.do("acquire_check", plan=plan)["forecast"]["pieces"] == 7
-    assert "beyond its end" in bench.do("acquire_check", plan={**plan, "pan_deg": [0, 1, 5]})["fault"]
+    (fault,) = bench.do("acquire_check", plan={**plan, "pan_deg": [0, 1, 5]})["faults"]
+    assert fault["field"] == "pan_deg"
+    assert "beyond its end" in fault["said"]
     assert "no devices are connected" in bench.refused("acquire_jog", pan_deg=1, tilt_deg=0).lower()
     bench.do("acquire_connect", plan=plan)
     bench.eventually(lambda: ready(bench))
     found = bench.slice("acquisition")
     assert "FLIR" in found["devices"]["unit"]
     assert found["devices"]["has_intensity"]
-    assert "limits are -46.54 to 30.99" in bench.do("acquire_check", plan={**plan, "tilt_deg": [0, 40, 20]})["fault"]
+    (fault,) = bench.do("acquire_check", plan={**plan, "tilt_deg": [0, 40, 20]})["faults"]
+    assert fault["field"] == "tilt_deg"
+    assert "limits are -46.54 to 30.99" in fault["said"]
 
     bench.do("acquire_jog", pan_deg=3, tilt_deg=-2)
     assert "busy" in bench.refused("acquire_start", plan=plan)
@@ -99,8 +123,7 @@ def test_what_an_operator_does(bench: WorkbenchDriver) -> None:
     bench.eventually(lambda: ready(bench))
     bench.do("acquire_open")
     assert bench.slice("scan")["name"] == "run-001.npz"
-    bench.do("acquire_disconnect")
-    assert state(bench) == "off"
+    disconnect(bench)
 
 
 def test_runs_are_found_again_and_go_on_by_their_own_plan(tmp_path: Path) -> None:

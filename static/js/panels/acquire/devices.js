@@ -3,10 +3,11 @@
 import { ask } from "../../net/connection.js";
 import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
-import { changePlan, onPlan, othersDrive, planNow, setPlan } from "../../state/acquisition.js";
+import { changePlan, offerPlan, onPlan, othersDrive, planNow } from "../../state/acquisition.js";
 import { view } from "../../state/view.js";
 import { button, fill } from "../../ui/controls.js";
 import { element, setText } from "../../ui/dom.js";
+import { makeDeviceChoice } from "./device_choice.js";
 import { makeDial } from "./dial.js";
 
 const STEPS_DEG = [["0.1", "0.1°"], ["1", "1°"], ["5", "5°"], ["20", "20°"]];
@@ -17,10 +18,9 @@ const ARROWS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowD
 export const mountDevices = () => {
   let ports = [];
   let example = null;
-  let asked = false; // the direction of the first movement has been confirmed
+  const confirmed = [false, false]; // whether somebody was asked which way pan and tilt turn
 
-  const unitPort = element("select", { class: "select small", "aria-label": "Port of the pan/tilt unit" });
-  const scannerPort = element("select", { class: "select small", "aria-label": "Port of the scanner" });
+  const choice = makeDeviceChoice();
   const refresh = button({ label: "Look for ports again", icon: "redo", kind: "plain small", bare: true, act: () => load() });
   const connect = button({ label: "Connect", kind: "primary small", act: () => begin() });
   const leave = button({ label: "Disconnect", kind: "small", act: () => request("acquire_disconnect") });
@@ -55,12 +55,6 @@ export const mountDevices = () => {
     button({ label: "No, the other way", kind: "small", act: () => reverse() }),
   );
   const stands = element("div", { class: "acquire-stands", hidden: true }, dial.element, jogs);
-  const choose = element(
-    "div",
-    { class: "acquire-ports" },
-    element("label", {}, element("span", {}, "Pan/tilt unit"), unitPort),
-    element("label", {}, element("span", {}, "Scanner"), scannerPort),
-  );
   const part = element(
     "section",
     { class: "dock-part acquire-devices", "aria-label": "Devices" },
@@ -70,36 +64,20 @@ export const mountDevices = () => {
       element("h2", {}, "Devices"),
       element("div", { class: "end edits" }, driver, take, refresh, connect, leave),
     ),
-    element("div", { class: "part-body edits" }, choose, models, said, stands, direction),
+    element("div", { class: "part-body edits" }, choice.element, models, said, stands, direction),
   );
 
   const load = async () => {
     if (store.readOnly) return;
     try {
-      ({ ports, example } = await ask("acquire_ports"));
+      let draft;
+      ({ ports, example, draft } = await ask("acquire_ports"));
+      offerPlan(draft ?? example);
     } catch {
       return; // not connected: it is asked again when the step is opened
     }
-    if (!planNow()) setPlan(example);
     show();
   };
-
-  const options = (part) => {
-    const plan = planNow();
-    const twin = example?.[part]?.port ?? "";
-    const known = [[twin, "simulated"], ...ports.map(({ port, said: what }) => [port, `${port}: ${what}`])];
-    const now = plan?.[part]?.port ?? twin;
-    return [known.some(([port]) => port === now) || !now ? known : [...known, [now, now]], now];
-  };
-
-  const choosePort = (part, port) => {
-    const plan = planNow();
-    // A real unit speaks 9600 baud as delivered; the simulated one what its plan says.
-    const own = part === "unit" ? { baud: port.startsWith(TWIN) ? example.unit.baud : 9600 } : {};
-    if (plan) changePlan({ [part]: { ...plan[part], port, ...own } });
-  };
-  unitPort.addEventListener("change", () => choosePort("unit", unitPort.value));
-  scannerPort.addEventListener("change", () => choosePort("scanner", scannerPort.value));
 
   const begin = () => request("acquire_connect", { plan: planNow() });
 
@@ -108,10 +86,10 @@ export const mountDevices = () => {
     if (now?.state !== "ready" || othersDrive()) return;
     const size = Number(step.value);
     if (!(await request("acquire_jog", { pan_deg: pan * size, tilt_deg: tilt * size }))) return;
-    if (asked || planNow()?.unit.port.startsWith(TWIN)) return;
-    asked = true;
-    setText(question, `Did the unit turn ${pan ? `to the ${pan > 0 ? "left" : "right"}` : tilt > 0 ? "up" : "down"}?`);
     turned = pan ? 0 : 1;
+    if (confirmed[turned] || planNow()?.unit.port.startsWith(TWIN)) return;
+    confirmed[turned] = true;
+    setText(question, `Did the unit turn ${pan ? `to the ${pan > 0 ? "left" : "right"}` : tilt > 0 ? "up" : "down"}?`);
     direction.hidden = false;
   };
 
@@ -129,20 +107,17 @@ export const mountDevices = () => {
     const now = store.get("acquisition") ?? { state: "off" };
     const off = now.state === "off";
     const connected = Boolean(now.devices);
-    for (const [select, name] of [[unitPort, "unit"], [scannerPort, "scanner"]]) {
-      const [known, chosen] = options(name);
-      fill(select, known, chosen);
-      select.disabled = !off;
-    }
+    choice.show(planNow(), ports, example, !off);
     connect.hidden = refresh.hidden = !off;
-    choose.hidden = connected;
+    choice.element.hidden = connected;
     connect.disabled = !planNow();
     leave.hidden = off;
-    leave.disabled = now.state === "connecting";
+    leave.disabled = now.state === "connecting" || now.state === "disconnecting";
     take.hidden = !othersDrive();
     setText(driver, now.driver && !off ? (othersDrive() ? `${now.driver.name} drives` : "You drive") : "");
     // What a run has to say stands beside its picture.
-    setText(said, now.state === "connecting" ? "Connecting …" : now.run && connected ? "" : now.said ?? "");
+    const passing = { connecting: "Connecting …", disconnecting: "Disconnecting …" }[now.state];
+    setText(said, passing ?? (now.run && connected ? "" : now.said ?? ""));
     said.classList.toggle("bad", off && Boolean(now.said));
     setText(models, connected ? [now.devices.unit, now.devices.scanner].filter(Boolean).join(" · ") : "");
     stands.hidden = !connected;

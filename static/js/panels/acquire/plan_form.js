@@ -2,15 +2,18 @@
 
 import { ask } from "../../net/connection.js";
 import { store } from "../../net/store.js";
-import { changePlan, isActive, onPlan, planNow, setPlan } from "../../state/acquisition.js";
+import { changePlan, isActive, onPlan, planNow, setFaults, setPlan } from "../../state/acquisition.js";
 import { view } from "../../state/view.js";
 import { button } from "../../ui/controls.js";
-import { element, newId, setText } from "../../ui/dom.js";
+import { element, setText } from "../../ui/dom.js";
 import { notice } from "../../ui/notices.js";
 import { throttled } from "../../ui/throttle.js";
+import { numbersRow, withFaults } from "./plan_rows.js";
 
 const EVERY_MS = 250;
 const FILE = "plan.json";
+const PLACED = /^(pan_deg|tilt_deg|settle_s|continuous|passes|mount\.(xyz_m|rpy_deg)|unit(\..+)?|scanner\.(?!$).+|camera(\..+)?)$/;
+/** Fields whose faults stand beside them, here or among the devices; all others are said below the form. */
 
 const duration = (seconds) =>
   seconds < 90 ? `${seconds} s` : seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;
@@ -26,45 +29,41 @@ export const forecastText = (ahead) => {
   return `${parts.join(", ")}, about ${duration(ahead.seconds)}.`;
 };
 
-/** A row of numbers of one list in the plan. */
-const numbersRow = (label, unit, names, read, write) => {
-  const id = newId("plan");
-  const inputs = names.map((name, k) => {
-    const input = element("input", { type: "number", class: "number short", step: "any", "aria-label": `${label}, ${name}` });
-    if (k === 0) input.id = id;
-    input.addEventListener("change", () => {
-      const values = [...(read(planNow()) ?? [])];
-      values[k] = input.value.trim() === "" ? null : input.valueAsNumber;
-      write(values);
-    });
-    return element("label", { class: "plan-number" }, element("span", { class: "dim" }, name), input);
-  });
-  const show = (plan) => {
-    const values = read(plan) ?? [];
-    for (const [k, each] of inputs.entries()) {
-      const input = each.querySelector("input");
-      if (document.activeElement !== input) input.value = values[k] ?? "";
-    }
-  };
-  return { row: element("div", { class: "plan-row" }, element("label", { for: id }, label), ...inputs, element("span", { class: "dim" }, unit)), show };
-};
-
 /** @returns {HTMLElement} the panel */
 export const mountPlanForm = () => {
   const rows = [
-    numbersRow("Pan", "°", ["from", "to", "step"], (plan) => plan?.pan_deg, (pan_deg) => changePlan({ pan_deg })),
-    numbersRow("Tilt", "°", ["from", "to", "step"], (plan) => plan?.tilt_deg, (tilt_deg) => changePlan({ tilt_deg })),
-    numbersRow("Rest", "s", ["after a move"], (plan) => [plan?.settle_s], ([settle_s]) => changePlan({ settle_s })),
+    numbersRow({
+      label: "Pan", unit: "°", names: ["from", "to", "step"], fields: ["pan_deg"],
+      read: (plan) => plan?.pan_deg, write: (pan_deg) => changePlan({ pan_deg }),
+    }),
+    numbersRow({
+      label: "Tilt", unit: "°", names: ["from", "to", "step"], fields: ["tilt_deg"],
+      read: (plan) => plan?.tilt_deg, write: (tilt_deg) => changePlan({ tilt_deg }),
+    }),
+    numbersRow({
+      label: "Rest", unit: "s", names: ["after a move"], fields: ["settle_s"],
+      read: (plan) => [plan?.settle_s], write: ([settle_s]) => changePlan({ settle_s }),
+    }),
   ];
   const mountRows = [
-    numbersRow("Position", "m", ["forward", "left", "up"], (plan) => plan?.mount?.xyz_m, (xyz_m) =>
-      changePlan({ mount: { ...planNow().mount, xyz_m } })),
-    numbersRow("Angles", "°", ["roll", "pitch", "yaw"], (plan) => plan?.mount?.rpy_deg, (rpy_deg) =>
-      changePlan({ mount: { ...planNow().mount, rpy_deg } })),
+    numbersRow({
+      label: "Position", unit: "m", names: ["forward", "left", "up"], fields: ["mount.xyz_m"],
+      read: (plan) => plan?.mount?.xyz_m, write: (xyz_m) => changePlan({ mount: { ...planNow().mount, xyz_m } }),
+    }),
+    numbersRow({
+      label: "Angles", unit: "°", names: ["roll", "pitch", "yaw"], fields: ["mount.rpy_deg"],
+      read: (plan) => plan?.mount?.rpy_deg, write: (rpy_deg) => changePlan({ mount: { ...planNow().mount, rpy_deg } }),
+    }),
   ];
   const steadily = element("input", { type: "checkbox" });
   steadily.addEventListener("change", () =>
     changePlan({ continuous: steadily.checked, passes: steadily.checked ? 2 : 1 }));
+  const mountPart = element(
+    "details",
+    { class: "plan-mount" },
+    element("summary", {}, "Where the scanner is on the unit"),
+    ...mountRows.map(({ row }) => row),
+  );
   const ahead = element("p", { class: "plan-ahead", role: "status" });
   const fault = element("p", { class: "form-wrong", role: "alert", hidden: true });
   const file = element("input", { type: "file", accept: ".json,application/json", hidden: true });
@@ -85,18 +84,19 @@ export const mountPlanForm = () => {
     element("a", { href: url, download: FILE }).click();
     setTimeout(() => URL.revokeObjectURL(url), 1000);
   };
+  const sweeping = element(
+    "label",
+    { class: "inline", title: "The unit turns steadily while lines are measured" },
+    steadily,
+    "turn without stopping",
+  );
   const form = element(
     "fieldset",
     { class: "plan-form" },
     element("legend", { class: "visually-hidden" }, "Plan"),
     ...rows.map(({ row }) => row),
-    element("label", { class: "inline", title: "The unit turns steadily while lines are measured" }, steadily, "turn without stopping"),
-    element(
-      "details",
-      { class: "plan-mount" },
-      element("summary", {}, "Where the scanner is on the unit"),
-      ...mountRows.map(({ row }) => row),
-    ),
+    withFaults(sweeping, ["continuous", "passes"]),
+    mountPart,
   );
   const part = element(
     "section",
@@ -122,10 +122,13 @@ export const mountPlanForm = () => {
     try {
       found = await ask("acquire_check", { plan: planNow() });
     } catch (error) {
-      found = { fault: error.message, forecast: null };
+      found = { faults: [{ field: "", said: error.message }], forecast: null };
     }
-    fault.hidden = !found.fault;
-    setText(fault, found.fault);
+    setFaults(found.faults);
+    const elsewhere = found.faults.filter(({ field }) => !PLACED.test(field));
+    fault.hidden = elsewhere.length === 0;
+    setText(fault, elsewhere.map(({ said }) => said).join("; "));
+    mountPart.open ||= found.faults.some(({ field }) => field.startsWith("mount."));
     setText(ahead, forecastText(found.forecast));
   }, EVERY_MS);
 
@@ -133,6 +136,7 @@ export const mountPlanForm = () => {
     const plan = planNow();
     for (const each of [...rows, ...mountRows]) each.show(plan);
     steadily.checked = Boolean(plan?.continuous);
+    sweeping.hidden = plan?.mode === "mosaic";
     form.disabled = !plan || isActive() || store.readOnly;
     check();
   };

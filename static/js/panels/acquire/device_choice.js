@@ -1,0 +1,145 @@
+/** Which devices a plan drives: the unit's port, the scanner's port or folder, and the camera. */
+
+import { changePlan, planNow } from "../../state/acquisition.js";
+import { fill } from "../../ui/controls.js";
+import { element } from "../../ui/dom.js";
+import { numbersRow, textRow, withFaults } from "./plan_rows.js";
+
+const TWIN = "twin:";
+const TWIN_SCANNER = "twin:scanner";
+const TWIN_CAMERA = "twin:camera";
+const FOLDER = "folder";
+const VIDEO_DEVICES = 4;
+const UNIT_BAUD = 9600; // as a real unit is delivered
+const PIECES = {
+  mode: "mosaic",
+  pan_deg: [-90, 90, 45],
+  tilt_deg: [0, 0, 0],
+  settle_s: 0.3,
+  continuous: false,
+  passes: 1,
+  mount: { xyz_m: [0.05, 0, 0.1], rpy_deg: [0, 0, 0] },
+};
+/** What a plan for a scanner with a field of view of its own begins with: its pieces overlap at 55 degrees across. */
+
+/** @returns {string} the address of a simulated device in the same room as the simulated unit */
+const beside = (twin, plan) => {
+  const [, query = "seed=1"] = (plan?.unit?.port.startsWith(TWIN) ? plan.unit.port : "").split("?");
+  return `${twin}?${query}`;
+};
+
+/** @returns {{element: HTMLElement, show: (plan: any, ports: any[], example: any, fixed: boolean) => void}} */
+export const makeDeviceChoice = () => {
+  const select = (label) => element("select", { class: "select small", "aria-label": label });
+  const unit = select("Port of the pan/tilt unit");
+  const scanner = select("Scanner");
+  const camera = select("Camera");
+  let example = null;
+  let other = null; // of a plan whose scanner was exchanged: what it said before, for when it is exchanged back
+
+  const change = (part, patch) => changePlan({ [part]: { ...planNow()?.[part], ...patch } });
+  const withRow = (label, control, fields) =>
+    withFaults(element("label", { class: "plan-choice" }, element("span", {}, label), control), fields);
+
+  const folder = textRow({
+    label: "Its folder", hint: "the folder that its software writes to", fields: ["scanner.folder"],
+    read: (plan) => plan?.scanner?.folder,
+    write: (path) => change("scanner", { folder: path }),
+  });
+  const fov = numbersRow({
+    label: "It sees", unit: "°, if you know it", names: ["across", "down"], fields: ["scanner.fov_deg"],
+    read: (plan) => plan?.scanner?.fov_deg,
+    write: (values) => change("scanner", { fov_deg: values.every((each) => each === null) ? undefined : values }),
+  });
+  const pictures = textRow({
+    label: "Its folder", hint: "the folder that its photographs come to", fields: ["camera.folder"],
+    read: (plan) => plan?.camera?.folder,
+    write: (path) => change("camera", { folder: path }),
+  });
+
+  unit.addEventListener("change", () => {
+    const port = unit.value;
+    change("unit", { port, baud: port.startsWith(TWIN) ? example.unit.baud : UNIT_BAUD });
+  });
+
+  /** Exchange the scanner: a line scanner sweeps, one with a folder makes pieces, and each begins with a fitting plan. */
+  scanner.addEventListener("change", () => {
+    const plan = planNow();
+    const pieces = scanner.value === FOLDER || scanner.value === TWIN_SCANNER;
+    if (pieces === (plan.mode === "mosaic")) {
+      change("scanner", pieces ? { folder: scanner.value === FOLDER ? "" : beside(TWIN_SCANNER, plan) } : { port: scanner.value });
+      return;
+    }
+    const before = other?.mode === (pieces ? "mosaic" : "sweep") ? other : pieces ? PIECES : example;
+    other = plan;
+    const device = pieces
+      ? { kind: "folder", folder: scanner.value === FOLDER ? "" : beside(TWIN_SCANNER, plan) }
+      : { ...example.scanner, port: scanner.value };
+    const { mode, pan_deg, tilt_deg, settle_s, continuous, passes, mount } = before;
+    changePlan({ scanner: device, mode, pan_deg, tilt_deg, settle_s, continuous, passes, mount });
+  });
+
+  camera.addEventListener("change", () => {
+    const chosen = camera.value;
+    const mount = planNow()?.camera?.mount ?? null;
+    if (chosen === "") changePlan({ camera: null });
+    else if (chosen === FOLDER) changePlan({ camera: { folder: "", mount } });
+    else if (chosen === TWIN_CAMERA) changePlan({ camera: { folder: beside(TWIN_CAMERA, planNow()), mount: null } });
+    else changePlan({ camera: { device: Number(chosen), mount } });
+  });
+
+  const body = element(
+    "div",
+    { class: "acquire-ports" },
+    withRow("Pan/tilt unit", unit, ["unit"]),
+    withRow("Scanner", scanner, ["scanner.kind", "scanner.port", "scanner.baud", "scanner.lines", "scanner.timeout_s"]),
+    folder.row,
+    fov.row,
+    withRow("Camera", camera, ["camera"]),
+    pictures.row,
+  );
+
+  const show = (plan, ports, given, fixed) => {
+    example = given;
+    const real = ports.map(({ port, said }) => [port, `${port}: ${said}`]);
+    const fillWith = (control, options, now) => {
+      fill(control, options.some(([value]) => value === now) ? options : [...options, [now, now]], now);
+      control.disabled = fixed || !plan;
+    };
+    const simulated = (part) => (example ? [[example[part].port, "simulated"]] : []);
+    fillWith(unit, [...simulated("unit"), ...real], plan?.unit?.port ?? "");
+    const path = plan?.scanner?.kind === "folder" ? plan.scanner.folder ?? "" : null;
+    const isTwin = path?.startsWith(TWIN_SCANNER) ?? false;
+    fillWith(
+      scanner,
+      [
+        ...simulated("scanner").map(([port]) => [port, "simulated line scanner"]),
+        [TWIN_SCANNER, "simulated scanner with a field of view"],
+        ...real,
+        [FOLDER, "one with software of its own: watch its folder"],
+      ],
+      path === null ? plan?.scanner?.port ?? "" : isTwin ? TWIN_SCANNER : FOLDER,
+    );
+    folder.row.hidden = path === null || isTwin;
+    fov.row.hidden = path === null;
+    const shots = plan?.camera;
+    const isVideo = shots && shots.folder === undefined;
+    const isTwinCamera = Boolean(shots?.folder?.startsWith(TWIN_CAMERA));
+    fillWith(
+      camera,
+      [
+        ["", "none"],
+        [TWIN_CAMERA, "simulated"],
+        ...Array.from({ length: VIDEO_DEVICES }, (_, k) => [String(k), `video device ${k}`]),
+        [FOLDER, "one with software of its own: watch its folder"],
+      ],
+      !shots ? "" : isVideo ? String(shots.device) : isTwinCamera ? TWIN_CAMERA : FOLDER,
+    );
+    pictures.row.hidden = !shots || isVideo || isTwinCamera;
+    for (const each of [folder, fov, pictures]) {
+      each.show(plan);
+      for (const input of each.row.querySelectorAll("input")) input.disabled = fixed;
+    }
+  };
+  return { element: body, show };
+};
