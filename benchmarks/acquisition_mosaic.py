@@ -1,5 +1,8 @@
 """Mosaics: pieces refined against each other, and a panorama of 28 million cells composed, registered and textured.
 
+A double wall is measured where two pieces overlap: the distance between the surfaces that both show in patches of the
+panorama's cells, each flat within one piece. Errors of pan and tilt are counted in their stated standard deviations.
+
 Run it as `python -m benchmarks.acquisition_mosaic [mosaic] [large] [--seeds N] [--cells M]`.
 """
 
@@ -14,16 +17,19 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.bars import Row
-from ladarreg_core.acquisition.mosaic_piece import PlacedPiece
+from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.acquisition.mosaic_piece import LoadedPiece, PlacedPiece
+from ladarreg_core.acquisition.panorama_grid import footprint_of, grid_around
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.frames import Rigid
-from ladarreg_core.range_alignment.piece_refinement import refine_pieces
+from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
+from ladarreg_core.range_alignment.piece_refinement import Refinement, refine_pieces
 from ladarreg_core.scanner.grids import SphericalGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 from ladarreg_core.twins.recordings import simulate_mosaic
@@ -32,6 +38,8 @@ _PIECES = (7, 4)
 """Columns and rows of the large mosaic."""
 _OVERLAP = 0.08
 _SEEDS, _QUICK_SEEDS = 20, 2
+_PATCHES, _PATCH_CELLS = 3000, 16
+_FLAT_M, _SAME_M = 0.006, 0.05
 
 
 def mosaic(*, seeds: Sequence[int] = range(3), scene: str = "office") -> list[dict[str, Any]]:
@@ -54,14 +62,60 @@ def mosaic(*, seeds: Sequence[int] = range(3), scene: str = "office") -> list[di
         seconds = time.perf_counter() - started
         before = errors([piece.world_from_scanner for piece in pieces], truth)
         after = errors([piece.world_from_scanner for piece in found.pieces], truth)
+        moved = [
+            replace(piece, world_from_scanner=one.world_from_scanner)
+            for piece, one in zip(pieces, found.pieces, strict=True)
+        ]
         rows.append({
             "scene": scene, "seed": seed, "seconds": seconds, "accepted": found.accepted,
             "refined": sum(piece.state == "refined" for piece in found.pieces),
             "before_deg": before[0], "after_deg_median": after[1], "after_deg": after[0], "after_mm": after[2],
             "held_out_before_mm": 1000 * found.held_out_before_m, "held_out_after_mm": 1000 * found.held_out_after_m,
-            "noise_mm": 1000 * found.noise_m,
+            "noise_mm": 1000 * found.noise_m, "weak": [k for k, piece in enumerate(found.pieces) if piece.weak],
+            "rms_in_sigmas": in_sigmas(found, truth, [piece.read for piece in made.pieces]),
+            "walls_before_mm": double_walls(pieces), "walls_after_mm": double_walls(moved),
         })  # fmt: skip
     return rows
+
+
+def in_sigmas(found: Refinement, truth: Sequence[Rigid], read: Sequence[PanTilt]) -> float:
+    """Return the RMS error of pan and tilt of the refined pieces in their stated standard deviations."""
+    poses = _without_gauge([piece.world_from_scanner for piece in found.pieces], truth)
+    shares = []
+    for piece, pose, true, at in zip(found.pieces, poses, truth, read, strict=True):
+        if piece.state != "refined":
+            continue
+        turn = np.degrees(rotvec_from_rotation(pose.rotation @ true.rotation.T))
+        tilt_axis = rotation_about("z", at.pan_rad) @ [0.0, -1.0, 0.0]
+        shares += [turn[2] / piece.sigma_deg[0], tilt_axis @ turn / piece.sigma_deg[1]]
+    return float(np.sqrt(np.mean(np.square(shares)))) if shares else float("nan")
+
+
+def double_walls(pieces: Sequence[PlacedPiece], *, seed: int = 0) -> float:
+    """Return how far apart (mm) the surfaces of two pieces are in 95 % of the flat patches that both show."""
+    footprints = [footprint_of(piece.load(), piece.world_from_scanner) for piece in pieces]
+    grid = grid_around(footprints)
+    loaded = [LoadedPiece(piece.load(), piece.world_from_scanner, grid) for piece in pieces]
+    rng = np.random.default_rng(seed)
+    side = np.arange(_PATCH_CELLS)
+    apart = []
+    for first in rng.integers(0, np.array(grid.shape) - _PATCH_CELLS, (_PATCHES, 2)):
+        cells = np.stack(np.meshgrid(*(start + side for start in first), indexing="ij"), axis=-1).reshape(-1, 2)
+        rays = grid.ray_at(cells)
+        seen = []
+        for piece, footprint in zip(loaded, footprints, strict=True):
+            if footprint.may_show(rays.astype(np.float32)):
+                ranges = piece.seen(rays.astype(np.float32), cells.astype(np.float32)).ranges
+                if np.isfinite(ranges).all():
+                    seen.append(rays * ranges[:, None])
+        for k, points in enumerate(seen):
+            centre = points.mean(axis=0)
+            spread, axes = np.linalg.eigh(np.cov((points - centre).T))
+            if spread[0] > _FLAT_M**2:
+                continue
+            gaps = [float(np.mean((other - centre) @ axes[:, 0])) for other in seen[k + 1 :]]
+            apart += [abs(gap) for gap in gaps if abs(gap) < _SAME_M]
+    return 1000 * float(np.quantile(apart, 0.95)) if apart else float("nan")
 
 
 def errors(poses: Sequence[Rigid], truth: Sequence[Rigid]) -> tuple[float, float, float]:
@@ -69,12 +123,16 @@ def errors(poses: Sequence[Rigid], truth: Sequence[Rigid]) -> tuple[float, float
 
     What turns all pieces alike is no error of a mosaic: it is the gauge, and removed.
     """
-    together = np.sum([true.rotation @ pose.rotation.T for pose, true in zip(poses, truth, strict=True)], axis=0)
-    u, _, vt = np.linalg.svd(together)
-    turned = [Rigid(u @ vt, np.zeros(3)) @ pose for pose in poses]
+    turned = _without_gauge(poses, truth)
     angles: FloatArray = np.degrees([one.angle_to(true) for one, true in zip(turned, truth, strict=True)])
     apart = max(float(np.linalg.norm(a.translation - b.translation)) for a, b in zip(turned, truth, strict=True))
     return float(angles.max()), float(np.median(angles)), 1000 * apart
+
+
+def _without_gauge(poses: Sequence[Rigid], truth: Sequence[Rigid]) -> list[Rigid]:
+    together = np.sum([true.rotation @ pose.rotation.T for pose, true in zip(poses, truth, strict=True)], axis=0)
+    u, _, vt = np.linalg.svd(together)
+    return [Rigid(u @ vt, np.zeros(3)) @ pose for pose in poses]
 
 
 def large(*, cells_millions: Sequence[float] = (2.0, 7.0, 28.0)) -> list[dict[str, Any]]:
@@ -194,9 +252,14 @@ def mosaic_rows(quick: bool, show: Callable[[str], None]) -> list[Row]:
         show(json.dumps(found[-1]))
     deg, mm = max(row["after_deg"] for row in found), max(row["after_mm"] for row in found)
     before = min(row["before_deg"] for row in found)
+    walls, double = max(row["walls_after_mm"] for row in found), min(row["walls_before_mm"] for row in found)
+    sigmas = float(np.sqrt(np.mean([row["rms_in_sigmas"] ** 2 for row in found])))
     return [
         Row("mosaic: direction of a piece, worst", "<= .01 deg", f"{deg:.4f} deg", deg <= 0.01),
         Row("mosaic: place of a piece, worst", "<= 2 mm", f"{mm:.2f} mm", mm <= 2),
+        Row("mosaic: surfaces of two pieces apart, 95 %, worst seed", "<= 1 mm", f"{walls:.2f} mm", walls <= 1),
+        Row("mosaic, control: the same without refinement, best seed", "> 1 mm", f"{double:.2f} mm", double > 1),
+        Row("mosaic: error of pan and tilt, RMS in sigmas", ".9 to 1.1", f"{sigmas:.2f}", 0.9 <= sigmas <= 1.1),
         Row("mosaic, control: direction without refinement, least", "> .01 deg", f"{before:.3f} deg", before > 0.01),
     ]
 
