@@ -10,17 +10,19 @@ import numpy as np
 from benchmarks.matching_sets import WITH_PEERS
 from benchmarks.pose_report import NOTHING, Bar, Section, as_markdown, number, table
 from benchmarks.register import METHODS, Row
+from benchmarks.sparse_report import sparse_sections
 
 RIGHT_PX = 2.0
 """Error beyond which an accepted pose counts as wrong."""
-_BEGIN, _END = "<!-- matching: begin -->", "<!-- matching: end -->"
+_MARKERS = ("<!-- matching: begin -->", "<!-- matching: end -->")
+_SPARSE_MARKERS = ("<!-- sparse: begin -->", "<!-- sparse: end -->")
 _NO_RIGHT_ANSWER = ("wrong", "near", "blank", "thermal wrong")
 
 
 def sections(rows: Sequence[Row]) -> list[Section]:
     """Return the sections for these rows."""
     asks = (_peers_section, _intrinsics_section, _thermal_section, _refusals_section, _real_section, _times_section)
-    return [section for ask in asks if (section := ask(rows)) is not None]
+    return [*(section for ask in asks if (section := ask(rows)) is not None), *sparse_sections(rows)]
 
 
 def seeds_of(section: Section, rows: Sequence[Row]) -> list[int]:
@@ -29,13 +31,20 @@ def seeds_of(section: Section, rows: Sequence[Row]) -> list[int]:
 
 
 def write_page(path: Path, rows: Sequence[Row]) -> None:
-    """Replace the sections between the two markers of a page; everything else stays."""
-    before, begin, rest = path.read_text(encoding="utf-8").partition(_BEGIN)
-    _, end, after = rest.partition(_END)
-    if not (begin and end):
-        raise SystemExit(f"{path} has no {_BEGIN} and {_END}: put them where the tables belong")
-    blocks = [as_markdown(section, seeds=seeds_of(section, rows)) for section in sections(rows)]
-    path.write_text("\n".join([f"{before}{begin}", *blocks, f"{end}{after}"]), encoding="utf-8")
+    """Replace the sections between the markers of a page; everything else stays, and so do sets that were not run."""
+    text = path.read_text(encoding="utf-8")
+    sparse = {section.key for section in sparse_sections(rows)}
+    for (first, last), of_sparse in ((_MARKERS, False), (_SPARSE_MARKERS, True)):
+        mine = [section for section in sections(rows) if (section.key in sparse) is of_sparse]
+        if not mine:
+            continue
+        before, begin, rest = text.partition(first)
+        _, end, after = rest.partition(last)
+        if not (begin and end):
+            raise SystemExit(f"{path} has no {first} and {last}: put them where the tables belong")
+        blocks = [as_markdown(section, seeds=seeds_of(section, rows)) for section in mine]
+        text = "\n".join([f"{before}{begin}", *blocks, f"{end}{after}"])
+    path.write_text(text, encoding="utf-8")
 
 
 def _of(rows: Iterable[Row], *names: str, method: str = "auto") -> list[Row]:

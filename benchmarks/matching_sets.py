@@ -12,6 +12,7 @@ import numpy as np
 
 import ladarreg_core as lr
 from benchmarks.register import Row, by_default, by_peers, timed
+from benchmarks.sparse_sets import SPARSE_SETS
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.registration import RegisterOptions
@@ -154,7 +155,8 @@ SETS: dict[str, tuple[Callable[[range], Iterator[Row]], int]] = {
     "blank": (blank_rows, 1),
     "thermal wrong": (thermal_wrong_rows, 8),
     "real": (real_rows, 1),
+    **SPARSE_SETS,
 }
-"""Sets by name, with the number of seeds for each of the four scenes."""
+"""Sets by name, with the number of seeds for each of the scenes."""
 WITH_PEERS = ("standard", "hard", "wide", "rotated", "identical")
 """Sets on which other methods are run too."""

@@ -1,0 +1,88 @@
+"""Report on sparse lidars: what was found, what was accepted, what was wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmarks.pose_report import Bar, Section, number, table
+from benchmarks.register import Row
+from benchmarks.sparse_sets import NONE, REAL_LIMITS_PX, RIGHT_PX, ROUGH, SPARSE_LIDARS
+
+_LEAST = {ROUGH: 80, NONE: 60}
+_HEADS = ("cases", "found", "right", "wrong", "median px", "s", "worst s")
+_NOTE = (
+    "Streets and courtyards with buildings, poles, cars and trees to 120 m, seen by a lidar that fills petals (70 "
+    "degrees, no intensity), one that is narrower than the photo (38 degrees against 73), and spinning ones of 64 and "
+    "128 lines, half of them unevenly spaced; in half of the places colour and laser albedo are unrelated. The photo "
+    "has 960 x 640 pixels. Found: the best pose lies within 6 px of the truth, accepted or not; right: accepted too; "
+    "wrong: accepted, but farther off. The rough guess is 5 degrees and .3 m off. Median px: of what is right."
+)
+
+
+def is_right(row: Row) -> bool:
+    """Return whether the best pose of a row lies within its limit of the truth."""
+    limit = REAL_LIMITS_PX[row.what.split(",")[0]] if row.set_name == "sparse real" else RIGHT_PX
+    return bool(row.error_px <= limit)
+
+
+def sparse_sections(rows: Sequence[Row]) -> list[Section]:
+    """Return the sections for these rows."""
+    asks = (_lidars_section, _shuffled_section, _real_section)
+    return [section for ask in asks if (section := ask(rows)) is not None]
+
+
+def _cells(rows: Sequence[Row]) -> tuple[str, ...]:
+    found = [row for row in rows if is_right(row)]
+    right = [row for row in found if row.accepted]
+    median = float(np.median([row.error_px for row in right])) if right else float("nan")
+    return (
+        str(len(rows)), str(len(found)), str(len(right)), str(_wrong(rows)), number(median),
+        number(float(np.median([row.seconds for row in rows]))), number(max(row.seconds for row in rows)),
+    )  # fmt: skip
+
+
+def _wrong(rows: Sequence[Row]) -> int:
+    return sum(row.accepted and not is_right(row) for row in rows)
+
+
+def _lidars_section(rows: Sequence[Row]) -> Section | None:
+    cells, bars, there = [], [], []
+    for lidar in SPARSE_LIDARS:
+        for how in (ROUGH, NONE):
+            mine = [row for row in rows if row.set_name == lidar and row.what.endswith(how)]
+            if mine:
+                there.append(lidar)
+                cells.append((f"{lidar}, {how}", *_cells(mine)))
+                share = 100 * sum(row.accepted and is_right(row) for row in mine) / len(mine)
+                bars.append(Bar(f"{lidar}, {how}: right, %", share, least=_LEAST[how]))
+    if not cells:
+        return None
+    bars.append(Bar("accepted and wrong", _wrong([row for row in rows if row.set_name in there]), most=0, digits=0))
+    return Section("sparse", "Sparse lidars outdoors", _NOTE, (("", table(_HEADS, cells)),), tuple(bars),
+                   {"sets": list(dict.fromkeys(there))})  # fmt: skip
+
+
+def _shuffled_section(rows: Sequence[Row]) -> Section | None:
+    mine = [row for row in rows if row.set_name == "sparse shuffled"]
+    if not mine:
+        return None
+    cells = [("shuffled", str(len(mine)), str(_wrong(mine)), number(float(np.median([row.seconds for row in mine]))))]
+    bar = Bar("photo of another place: accepted", _wrong(mine), most=0, digits=0)
+    note = "The scan of one place with the photo of another, alternately from a rough guess and from none."
+    of_cells = table(("cases", "accepted", "s"), cells)
+    return Section("shuffled", "Sparse lidars with the photo of another place", note, (("", of_cells),), (bar,),
+                   {"sets": ["sparse shuffled"]})  # fmt: skip
+
+
+def _real_section(rows: Sequence[Row]) -> Section | None:
+    mine = [row for row in rows if row.set_name == "sparse real"]
+    if not mine:
+        return None
+    cells = [(what, *_cells([row for row in mine if row.what == what])) for what in dict.fromkeys(r.what for r in mine)]
+    bar = Bar("real: accepted and wrong", _wrong(mine), most=0, digits=0)
+    limits = ", ".join(f"{name} {limit:g} px" for name, limit in REAL_LIMITS_PX.items())
+    note = f"Captures of robots' lidars. Found and right: within what is known of their poses ({limits})."
+    return Section("sparse real", "Real captures of sparse lidars", note, (("", table(_HEADS, cells)),), (bar,),
+                   {"sets": ["sparse real"]})  # fmt: skip
