@@ -34,6 +34,8 @@ _MAX_EVENTS = 200
 _MAX_WAITING = 32
 """Commands of a page that wait for their turn; it is not read any further then."""
 _MAX_URGENT_CHARACTERS = 1000
+_TOGETHER_S = 0.01
+"""How long the changes by a page's command wait for its reply: a page that gets both at once paints once."""
 _URGENT_THREADS = 4
 _SECRET = re.compile(r"[A-Za-z0-9_-]{16,64}")
 _MAX_FIELD = 100
@@ -131,7 +133,10 @@ class DocumentSocket:
         while True:
             command = await waiting.get()
             if command is None or isinstance(command, str):
+                outbox.hold()
+                late = asyncio.get_running_loop().call_later(_TOGETHER_S, outbox.release)
                 outbox.reply(await run_in_threadpool(self._answer, client, command))
+                late.cancel()
             else:
                 outbox.reply(await asyncio.shield(command))
             await replied.wait()  # of a page that sends commands without reading the replies, few wait
@@ -201,6 +206,20 @@ class Outbox:
         self._latest: dict[str, Message] = {}
         self._events: deque[Message] = deque(maxlen=_MAX_EVENTS)
         self._reply: str | None = None
+        self._held = False
+
+    def hold(self) -> None:
+        """Let what is added wait until there is a reply, or until `release`."""
+        with self._lock:
+            self._held = True
+
+    def release(self) -> None:
+        """Let what has been added be sent."""
+        with self._lock:
+            waits = self._held and not self._is_empty()
+            self._held = False
+        if waits:
+            self._wake()
 
     def put(self, message: Message) -> None:
         """Add slices, which replace waiting ones of the same name, or an event."""
@@ -213,15 +232,16 @@ class Outbox:
                 self._latest[f"{message['event']} {message.get('client')} {message.get('side')}"] = message
             else:
                 self._events.append(message)
-        if idle:
+            wakes = idle and not self._held
+        if wakes:
             self._wake()
 
     def reply(self, text: str) -> None:
         """Add the reply to a command; it is sent after all changes that precede it."""
         with self._lock:
-            idle = self._is_empty()
-            self._reply = text
-        if idle:
+            wakes = self._held or self._is_empty()
+            self._reply, self._held = text, False
+        if wakes:
             self._wake()
 
     def take(self) -> tuple[list[Message], str | None]:

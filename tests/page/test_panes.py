@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -215,6 +217,91 @@ def test_a_line_drawn_in_both_panes_is_one_match_at_the_mouses_own_pixels(panes:
     np.testing.assert_allclose(pick["photo"], PHOTO_LINE, atol=0.01)
     np.testing.assert_allclose(np.linalg.norm(pick["scan"], axis=1), 1, atol=1e-12)
     np.testing.assert_allclose(pixels(pick["scan"]), SCAN_LINE, atol=0.01)
+
+
+def matches_layers(page: Page) -> dict[str, np.ndarray]:
+    """Return what is drawn of the matches in each pane, (h, w, 4) uint8."""
+    found = page.evaluate(
+        """() => Object.fromEntries(["scan", "photo"].map((side) => {
+        const canvas = document.querySelector(`#${side}-pane canvas.pane-matches`);
+        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        let text = "";
+        for (let k = 0; k < data.length; k += 8192) text += String.fromCharCode(...data.subarray(k, k + 8192));
+        return [side, [canvas.height, canvas.width, btoa(text)]];
+        }))"""
+    )
+    return {
+        side: np.frombuffer(base64.b64decode(text), np.uint8).reshape(height, width, 4)
+        for side, (height, width, text) in found.items()
+    }
+
+
+def difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Return how much two layers differ over 5 x 5 pixels: a clipped stroke has other edges, but is not elsewhere."""
+    over = [layer[..., :3].astype(np.float32) * layer[..., 3:] / 255 for layer in (a, b)]
+    return float(np.abs(cv2.blur(over[0], (5, 5)) - cv2.blur(over[1], (5, 5))).max())
+
+
+def test_changes_are_painted_as_a_whole_layer_would_be(panes: Page) -> None:
+    rng = np.random.default_rng(8)
+
+    def random_match(number: int) -> dict[str, Any]:
+        count = int(rng.integers(1, 3))
+        scan = rays(rng.uniform([5, 5], [395, 255], (count, 2)))
+        photo = rng.uniform([5, 5], [295, 195], (count, 2))
+        return {
+            "id": f"m{number}", "number": number, "kind": "line" if count == 2 else "point", "scan": scan.tolist(),
+            "photo": photo.tolist(), "on": bool(rng.random() < 0.8), "weight": 1, "origin": "manual",
+        }  # fmt: skip
+
+    def show(picks: list[dict[str, Any]]) -> dict[str, Any]:
+        judged = {
+            "by_pick": {pick["id"]: {"inlier": bool(rng.random() < 0.7)} for pick in picks},
+            "predicted": {pick["id"]: [[u + 6, v - 4] for u, v in pick["photo"]] for pick in picks[::3]},
+        }
+        panes.evaluate(
+            """async ([picks, judged]) => {
+            store.take({ slices: { 'picks:p1': picks, ...(judged ? { 'judged:p1': judged } : {}) } });
+            await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))); }""",
+            [picks, judged if rng.random() < 0.2 else None],
+        )
+
+    picks = [random_match(number) for number in range(1, 61)]
+    show(picks)
+    panes.evaluate("""() => {
+      const { clip } = CanvasRenderingContext2D.prototype;
+      window.clipped = 0;
+      CanvasRenderingContext2D.prototype.clip = function () { window.clipped += 1; return clip.call(this); };
+    }""")
+    size = panes.viewport_size
+    assert size is not None
+    for _ in range(3):
+        for _ in range(8):
+            k = int(rng.integers(len(picks)))
+            match int(rng.integers(4)):
+                case 0:
+                    picks[k] = random_match(picks[k]["number"])
+                case 1:
+                    picks = picks[:k] + picks[k + 1 :]
+                case 2:
+                    picks = [*picks, random_match(max(pick["number"] for pick in picks) + 1)]
+                case _:
+                    picks[k] = {**picks[k], "on": not picks[k]["on"]}
+            show(picks)
+        piecewise = matches_layers(panes)
+        for width in (size["width"] - 100, size["width"]):  # a pane of another size is painted anew
+            panes.set_viewport_size({**size, "width": width})
+            panes.wait_for_function(
+                "(w) => document.querySelector('#scan-pane canvas.pane-matches').width === w", arg=width // 2
+            )
+        whole = matches_layers(panes)
+        for side in ("scan", "photo"):
+            assert difference(piecewise[side], whole[side]) < 25
+        panes.evaluate("store.take({ slices: { 'picks:p1': store.picksOf().slice(1) } })")
+        panes.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        assert difference(matches_layers(panes)["photo"], whole["photo"]) > 50  # one match that is missing is seen
+        show(picks)
+    assert panes.evaluate("clipped") >= 24
 
 
 def test_points_snap_only_to_a_corner_that_is_near_on_the_screen(panes: Page) -> None:

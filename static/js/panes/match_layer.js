@@ -1,10 +1,11 @@
 /**
  * Drawing of matches over a picture. Strokes have the same width at every zoom, on a dark halo, so that they are
- * legible on any picture. There is one path for each style and colour: 500 matches cost a dozen strokes.
+ * legible on any picture. There is one path for each style and colour: 500 matches cost a dozen strokes. They are laid
+ * out first, so that a change can be drawn alone: see `changedBoxes`.
  */
 
 import { colourOf } from "./colors.js";
-import { drawLabels, drawNumber, stamp, strokeHaloed } from "./symbols.js";
+import { drawLabels, drawNumber, labelBox, placeLabels, stamp, strokeHaloed } from "./symbols.js";
 import { toPixel, toScreen } from "./viewport.js";
 
 /**
@@ -19,6 +20,9 @@ const MARGIN_PX = 24;
 const LEAST_SAMPLE_SPACING_PX = 7;
 const LEAST_RESIDUAL_PX = 3;
 const CROSS_PX = 5;
+const REACH_PX = 14; // of symbols and strokes around a position
+const LABEL_REACH_PX = 5; // of a number around its box
+const MOST_CHANGED = 40;
 const WIDTHS = { enabled: 2, disabled: 1.25, outlier: 4 };
 const DASHES = { enabled: [], disabled: [4, 4], outlier: [] };
 const DOTS = { line: 1, point: 1.25 };
@@ -71,7 +75,76 @@ const onScreen = (mark, viewport) => ({
   mark,
   ends: mark.ends.map((uv) => uv && toScreen(viewport, uv)),
   line: mark.line && mark.line.map((uv) => toScreen(viewport, uv)),
+  predicted: mark.predicted.map((uv) => uv && toScreen(viewport, uv)),
+  samples: mark.samples.map(({ uv, has_range }) => ({ at: toScreen(viewport, uv), has_range })),
 });
+
+/**
+ * Lay out matches and their numbers.
+ * @param {Viewport} viewport
+ * @param {readonly number[]} size of the pane
+ * @param {Mark[]} marks
+ * @param {ReturnType<typeof import("./colors.js").readLook>} look
+ * @returns {LaidOut[]} those that are visible
+ *
+ * @typedef {ReturnType<typeof onScreen> & {label: number[] | null}} LaidOut
+ */
+export const layOut = (viewport, size, marks, look) => {
+  const box = visibleBox(viewport, size);
+  const shown = marks.filter((mark) => isVisible(mark.line ?? mark.ends, box)).map((mark) => onScreen(mark, viewport));
+  const labels = placeLabels(shown, look);
+  return shown.map((entry, k) => ({ ...entry, label: labels[k] }));
+};
+
+/** @returns {number[]} left, top, right, bottom of all that is drawn of a match */
+const boxOf = ({ mark, ends, line, predicted, samples, label }, { scale }) => {
+  const box = [Infinity, Infinity, -Infinity, -Infinity];
+  const cover = (x, y, reach) => {
+    box[0] = Math.min(box[0], x - reach);
+    box[1] = Math.min(box[1], y - reach);
+    box[2] = Math.max(box[2], x + reach);
+    box[3] = Math.max(box[3], y + reach);
+  };
+  for (const at of [...ends, ...(line ?? []), ...predicted, ...samples.map(({ at }) => at)]) if (at) cover(at[0], at[1], REACH_PX * scale);
+  if (label) {
+    const [left, top, right, bottom] = labelBox(mark.number, label, scale);
+    cover(left, top, LABEL_REACH_PX * scale);
+    cover(right, bottom, LABEL_REACH_PX * scale);
+  }
+  return box;
+};
+
+const samePlace = (a, b) => a === b || (a && b && a[0] === b[0] && a[1] === b[1]);
+const samePlaces = (a, b) => a === b || (a && b && a.length === b.length && a.every((at, k) => samePlace(at, b[k])));
+
+const looksSame = (a, b) =>
+  a.mark.number === b.mark.number && a.mark.kind === b.mark.kind && a.mark.state === b.mark.state &&
+  samePlaces(a.ends, b.ends) && samePlaces(a.line, b.line) && samePlaces(a.predicted, b.predicted) &&
+  samePlace(a.label, b.label) && a.samples.length === b.samples.length &&
+  a.samples.every(({ at, has_range }, k) => has_range === b.samples[k].has_range && samePlace(at, b.samples[k].at));
+
+/**
+ * @param {LaidOut[]} before
+ * @param {LaidOut[]} now
+ * @returns {number[][] | null} left, top, right, bottom of each place that looks different; null if there are many
+ */
+export const changedBoxes = (before, now, look) => {
+  const gone = new Map(before.map((entry) => [entry.mark.id, entry]));
+  const boxes = [];
+  for (const entry of now) {
+    const other = gone.get(entry.mark.id);
+    gone.delete(entry.mark.id);
+    if (other && looksSame(other, entry)) continue;
+    if (boxes.length > MOST_CHANGED) return null;
+    boxes.push(boxOf(entry, look));
+    if (other) boxes.push(boxOf(other, look));
+  }
+  if (gone.size + boxes.length > MOST_CHANGED) return null;
+  for (const entry of gone.values()) boxes.push(boxOf(entry, look));
+  return boxes;
+};
+
+const touches = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
 
 /** @returns {number[] | null} position of an outlier's cross */
 const crossPosition = ({ ends, line }) => (line ? [(line[0][0] + line[1][0]) / 2, (line[0][1] + line[1][1]) / 2] : ends[0]);
@@ -88,9 +161,9 @@ const trace = ({ mark, ends, line }, { scale }, strokes, rings, dots) => {
 };
 
 /** Draw the samples along a line; those without a range are crossed circles. */
-export const drawSamples = (context, viewport, samples, look, colour) => {
+export const drawSamples = (context, samples, look, colour) => {
   if (samples.length < 2) return;
-  const places = samples.map(({ uv }) => toScreen(viewport, uv));
+  const places = samples.map(({ at }) => at);
   const [first, last] = [places[0], places.at(-1)];
   const apart = Math.hypot(last[0] - first[0], last[1] - first[1]) / (samples.length - 1);
   if (apart < LEAST_SAMPLE_SPACING_PX * look.scale) return;
@@ -99,10 +172,9 @@ export const drawSamples = (context, viewport, samples, look, colour) => {
 };
 
 /** Trace hairlines from the picked to the predicted positions, where they are far enough apart to be seen. */
-const traceResidual = (path, tips, viewport, predicted, ends) => {
-  predicted.forEach((uv, k) => {
-    if (!uv || !ends[k]) return;
-    const at = toScreen(viewport, uv);
+const traceResidual = (path, tips, { predicted, ends }) => {
+  predicted.forEach((at, k) => {
+    if (!at || !ends[k]) return;
     if (Math.hypot(at[0] - ends[k][0], at[1] - ends[k][1]) < LEAST_RESIDUAL_PX) return;
     path.moveTo(...ends[k]);
     path.lineTo(...at);
@@ -113,15 +185,13 @@ const traceResidual = (path, tips, viewport, predicted, ends) => {
 /**
  * Draw matches with their numbers.
  * @param {Context} context in CSS pixels of the pane
- * @param {Viewport} viewport
- * @param {readonly number[]} size of the pane
- * @param {Mark[]} marks
+ * @param {LaidOut[]} laidOut
  * @param {ReturnType<typeof import("./colors.js").readLook>} look
- * @param {{residuals?: boolean}} [options] `residuals`: draw predicted positions, too
+ * @param {{residuals?: boolean, boxes?: number[][] | null}} [options] `residuals`: draw predicted positions, too;
+ *   `boxes`: the places outside of which nothing has to be drawn
  */
-export const drawMatches = (context, viewport, size, marks, look, { residuals = true } = {}) => {
-  const box = visibleBox(viewport, size);
-  const shown = marks.filter((mark) => isVisible(mark.line ?? mark.ends, box)).map((mark) => onScreen(mark, viewport));
+export const drawMatches = (context, laidOut, look, { residuals = true, boxes = null } = {}) => {
+  const shown = boxes ? laidOut.filter((entry) => boxes.some((box) => touches(box, boxOf(entry, look)))) : laidOut;
   const buckets = new Map();
   for (const entry of shown) {
     const { number, state, kind } = entry.mark;
@@ -135,7 +205,8 @@ export const drawMatches = (context, viewport, size, marks, look, { residuals = 
     if (state === "outlier") bucket.crosses.push(crossPosition(entry));
   }
   context.lineCap = "round";
-  for (const { state, kind, colour, strokes, ends, crosses } of buckets.values()) {
+  // In an order that does not depend on which of them are drawn: they overlap.
+  for (const [, { state, kind, colour, strokes, ends, crosses }] of [...buckets].sort(([a], [b]) => (a < b ? -1 : 1))) {
     context.globalAlpha = state === "disabled" ? 0.75 : 1;
     if (kind === "line") strokeHaloed(context, strokes, look, { colour, width: WIDTHS[state], dash: DASHES[state] });
     if (kind === "line" && state === "outlier") {
@@ -148,10 +219,10 @@ export const drawMatches = (context, viewport, size, marks, look, { residuals = 
     stamp(context, look, crosses.filter(Boolean), { colour, halo: look.halo, radius: 0, width: 1.5, cross: CROSS_PX + 1 });
   }
   context.globalAlpha = 1;
-  for (const { mark } of shown) if (mark.state !== "disabled") drawSamples(context, viewport, mark.samples, look, colourOf(look, mark.number));
+  for (const { mark, samples } of shown) if (mark.state !== "disabled") drawSamples(context, samples, look, colourOf(look, mark.number));
   if (residuals) {
     const [hairs, tips] = [new Path2D(), []];
-    for (const { mark, ends } of shown) traceResidual(hairs, tips, viewport, mark.predicted, ends);
+    for (const entry of shown) traceResidual(hairs, tips, entry);
     strokeHaloed(context, hairs, look, { colour: look.ink, width: 1 });
     stamp(context, look, tips, { colour: look.ink, halo: look.halo, radius: 2.5, width: 1 });
   }
@@ -177,7 +248,7 @@ export const drawMark = (context, viewport, mark, look, { hovered = false, selec
   }
   strokeHaloed(context, strokes, look, { colour, width: WIDTHS[mark.state] + (hovered ? 0.75 : 0), dash: DASHES[mark.state] });
   strokeHaloed(context, rings, look, { colour, width: 2 });
-  drawSamples(context, viewport, mark.samples, look, colour);
+  drawSamples(context, entry.samples, look, colour);
   if (selected || hovered) for (const at of entry.ends) if (at) ring(outer, at, (RING_PX + 3.5) * look.scale);
   strokeHaloed(context, outer, look, { colour: look.ink, width: 1.25 });
   context.fillStyle = colour;
@@ -193,7 +264,7 @@ export const drawMark = (context, viewport, mark, look, { hovered = false, selec
     strokeHaloed(context, handle, look, { colour: look.ink, width: 2 });
   }
   const [hairs, tips] = [new Path2D(), []];
-  traceResidual(hairs, tips, viewport, mark.predicted, entry.ends);
+  traceResidual(hairs, tips, entry);
   strokeHaloed(context, hairs, look, { colour: look.ink, width: 1, dash: [3, 2] });
   stamp(context, look, tips, { colour: look.ink, halo: look.halo, radius: 2.5, width: 1.25 });
   drawNumber(context, entry, look);

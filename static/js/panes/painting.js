@@ -20,6 +20,7 @@ export class Painting {
   #slots;
   #tools;
   #preview;
+  #shown = null;
   /**
    * @param {{controller: any, side: "scan" | "photo", slots: {picture: any, compare: any}, tools: any, preview: any}}
    *   parts
@@ -62,14 +63,47 @@ export class Painting {
     return true;
   }
 
-  /** The matches, without the one being dragged. */
-  matches(context, viewport, size) {
+  /** What the layer of matches consists of: they are laid out, without the one being dragged. */
+  #matchesIn(viewport, size) {
     const controller = this.#controller;
-    if (!this.#sideOf.extent) return;
-    if (controller.showsCorners) drawCorners(context, viewport, size, controller.corners(this.#side), this.look);
+    const { look } = this;
     const draggedId = this.#tools.dragged?.id;
-    const residuals = !this.#preview.predicted;
-    overlay.drawMatches(context, viewport, size, controller.marks(this.#side).filter(({ id }) => id !== draggedId), this.look, { residuals });
+    const marks = this.#sideOf.extent ? controller.marks(this.#side).filter(({ id }) => id !== draggedId) : [];
+    return {
+      viewport: { ...viewport }, size, look,
+      corners: this.#sideOf.extent && controller.showsCorners ? controller.corners(this.#side) : [],
+      residuals: !this.#preview.predicted,
+      laidOut: overlay.layOut(viewport, size, marks, look),
+    };
+  }
+
+  /**
+   * Look at the matches again, for `matches` of the pane.
+   * @returns {number[][] | null} the places, CSS pixels, that look different from the time before; null: any
+   */
+  changedMatches(viewport, size) {
+    const [before, now] = [this.#shown, this.#matchesIn(viewport, size)];
+    this.#shown = now;
+    const sameView = before && ["zoom", "x", "y"].every((name) => before.viewport[name] === viewport[name]);
+    if (!sameView || before.look !== now.look || before.residuals !== now.residuals) return null;
+    if (before.size[0] !== size[0] || before.size[1] !== size[1] || before.corners.length !== now.corners.length) return null;
+    if (before.corners.some(([u, v], k) => u !== now.corners[k][0] || v !== now.corners[k][1])) return null;
+    return overlay.changedBoxes(before.laidOut, now.laidOut, now.look);
+  }
+
+  /** The matches that `changedMatches` has looked at; `boxes`: the places that are drawn; null: all. */
+  matches(context, boxes) {
+    this.#drawMatches(context, this.#shown, boxes);
+  }
+
+  /** The matches as another part of the picture shows them. */
+  matchesIn(context, viewport, size) {
+    this.#drawMatches(context, this.#matchesIn(viewport, size));
+  }
+
+  #drawMatches(context, { viewport, size, look, corners, residuals, laidOut }, boxes = null) {
+    if (corners.length) drawCorners(context, viewport, size, corners, look);
+    overlay.drawMatches(context, laidOut, look, { residuals, boxes });
   }
 
   /**
@@ -125,6 +159,7 @@ export class Painting {
     const known = this.#controller.openSamples;
     if (known?.open !== drawn || this.#side !== "scan") return;
     const samples = known.samples.map(([ray, has_range]) => ({ uv: this.#sideOf.toPixel(ray), has_range })).filter(({ uv }) => uv);
-    overlay.drawSamples(context, viewport, samples, this.look, this.look.ink);
+    const placed = samples.map(({ uv, has_range }) => ({ at: toScreen(viewport, uv), has_range }));
+    overlay.drawSamples(context, placed, this.look, this.look.ink);
   }
 }

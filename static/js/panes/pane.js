@@ -15,6 +15,16 @@ const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)");
 /** @returns {boolean} whether animations are allowed */
 export const motionAllowed = () => !reducedMotion.matches;
 
+/** Let only boxes be drawn to, in whole pixels of the canvas: parts of one would be drawn over what is there. */
+const clipTo = (context, boxes, ratio) => {
+  context.beginPath();
+  for (const [left, top, right, bottom] of boxes) {
+    const [x, y] = [Math.floor(left * ratio), Math.floor(top * ratio)];
+    context.rect(x, y, Math.ceil(right * ratio) - x, Math.ceil(bottom * ratio) - y);
+  }
+  context.clip();
+};
+
 /** @typedef {"hand" | "link" | "page"} Mover who moved the picture: the operator, the linked pane, or the page */
 
 /** A pane and its layers. */
@@ -27,6 +37,7 @@ export class Pane {
   extent = null;
   #contexts = new Map();
   #dirty = new Set();
+  #emptied = new Set(LAYERS);
   #frame = 0;
   #fits = true;
   #glide = null;
@@ -37,8 +48,12 @@ export class Pane {
   /**
    * @param {HTMLElement} body
    * @param {"scan" | "photo"} side
-   * @param {Record<string, (context: CanvasRenderingContext2D) => boolean | void>} paint one painter for each layer;
-   *   false: the layer is empty
+   * @param {Record<string, Painter | {changed: () => number[][] | null, draw: Painter}>} paint one painter for each
+   *   layer, or one that states which places have changed since it was asked before: left, top, right, bottom, CSS
+   *   pixels; null: all of it
+   *
+   * @typedef {(context: CanvasRenderingContext2D, boxes?: number[][] | null) => boolean | void} Painter false: the
+   *   layer is empty
    */
   constructor(body, side, paint) {
     this.body = body;
@@ -68,11 +83,12 @@ export class Pane {
     const ratio = window.devicePixelRatio || 1;
     for (const { canvas } of this.#contexts.values()) {
       canvas.width = Math.max(1, Math.round(size[0] * ratio));
-      canvas.height = Math.max(1, Math.round(size[1] * ratio));
+      canvas.height = Math.max(1, Math.round(size[1] * ratio)); // which empties it
       // not 100 %: a body of fractional width would stretch the picture under the pointer
       canvas.style.setProperty("width", `${canvas.width / ratio}px`);
       canvas.style.setProperty("height", `${canvas.height / ratio}px`);
     }
+    for (const layer of LAYERS) this.#emptied.add(layer);
     const before = this.size;
     this.size = size;
     if (this.extent && size[0] > 0 && size[1] > 0) {
@@ -113,11 +129,18 @@ export class Pane {
     for (const layer of LAYERS) {
       if (!this.#dirty.delete(layer)) continue;
       const context = this.#contexts.get(layer);
+      const paint = this.#paint[layer];
+      const changed = paint.changed?.() ?? null;
+      const boxes = this.#emptied.delete(layer) ? null : changed;
+      if (boxes?.length === 0) continue;
+      context.save();
       context.setTransform(1, 0, 0, 1, 0, 0);
+      if (boxes) clipTo(context, boxes, ratio);
       context.clearRect(0, 0, context.canvas.width, context.canvas.height);
       context.setTransform(ratio, 0, 0, ratio, 0, 0);
       // an empty layer is hidden: compositing it costs time in each frame
-      context.canvas.hidden = this.#paint[layer](context) === false;
+      context.canvas.hidden = (paint.draw ?? paint)(context, boxes) === false;
+      context.restore();
     }
     if (this.#measured.began) {
       const spent = this.#measured.spent_ms + performance.now() - began;

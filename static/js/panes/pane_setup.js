@@ -47,7 +47,10 @@ export const mountPane = (body, side, { controller, tools, preview, readout, spa
       if (slots.picture.picture) first?.remove();
     },
     compare: (context) => painting.compare(context, pane.viewport, pane.size, swipe_x()),
-    matches: (context) => painting.matches(context, pane.viewport, pane.size),
+    matches: {
+      changed: () => painting.changedMatches(pane.viewport, pane.size),
+      draw: (context, boxes) => painting.matches(context, boxes),
+    },
     live: (context) => layer.paint(context),
   });
   controller.panes[side] = pane;
@@ -58,7 +61,7 @@ export const mountPane = (body, side, { controller, tools, preview, readout, spa
       painting.compare(context, viewport, size, swipeInLoupe(pane, swipe_x(), viewport));
     },
     (context, viewport, size) => {
-      painting.matches(context, viewport, size);
+      painting.matchesIn(context, viewport, size);
       painting.live(context, viewport, size, 0, false);
     },
   );

@@ -56,12 +56,12 @@ const stampOf = (symbol, scale) => {
   const ratio = 2 * scale * (window.devicePixelRatio || 1);
   const key = `${ratio} ${Object.values(symbol).join(" ")}`;
   if (!stamps.has(key)) {
-    const canvas = document.createElement("canvas");
-    canvas.width = canvas.height = Math.ceil(SIDE_PX * ratio);
+    const side = Math.ceil(SIDE_PX * ratio);
+    const canvas = new OffscreenCanvas(side, side);
     const context = canvas.getContext("2d", { willReadFrequently: true });
     context.scale(ratio, ratio);
     drawStamp(context, symbol);
-    stamps.set(key, canvas);
+    stamps.set(key, canvas.transferToImageBitmap()); // a canvas would be copied each time that it is drawn
   }
   return stamps.get(key);
 };
@@ -75,10 +75,10 @@ const stampOf = (symbol, scale) => {
  */
 export const stamp = (context, look, positions, symbol) => {
   if (positions.length === 0) return;
-  const canvas = stampOf(symbol, look.scale);
+  const image = stampOf(symbol, look.scale);
   const side = SIDE_PX * look.scale;
   context.imageSmoothingEnabled = true;
-  for (const [x, y] of positions) context.drawImage(canvas, x - side / 2, y - side / 2, side, side);
+  for (const [x, y] of positions) context.drawImage(image, x - side / 2, y - side / 2, side, side);
 };
 
 const LABEL = { width: 24, dx: 8, dy: -8 };
@@ -102,8 +102,14 @@ const labelPosition = ({ ends, line }, scale) => {
   return [at[0] + (rightwards ? -LABEL.dx - 9 : LABEL.dx) * scale, at[1] + LABEL.dy * scale];
 };
 
-/** Draw numbers where there is room: not over each other, nor over the end of another match. */
-export const drawLabels = (context, shown, look) => {
+/** @returns {number[]} left, top, right, bottom of a match's number */
+export const labelBox = (number, [x, y], scale) => [x, y - 10 * scale, x + 8 * scale * String(number).length, y];
+
+/**
+ * Place numbers where there is room: not over each other, nor over the end of another match.
+ * @returns {(number[] | null)[]} the position of each; null where there is no room
+ */
+export const placeLabels = (shown, look) => {
   const { scale } = look;
   const cell = LABEL.width * scale;
   const taken = new Map();
@@ -130,18 +136,30 @@ export const drawLabels = (context, shown, look) => {
   for (const { mark, ends } of shown) {
     for (const [x, y] of ends.filter(Boolean)) take([x - reach, y - reach, x + reach, y + reach], mark.id);
   }
+  const places = shown.map(() => null);
+  const place = (kind) =>
+    shown.forEach((entry, k) => {
+      const at = entry.mark.kind === kind ? labelPosition(entry, scale) : null;
+      if (!at) return;
+      const box = labelBox(entry.mark.number, at, scale);
+      if (kind === "point" && !isFree(box, entry.mark.id)) return;
+      take(box, entry.mark.id);
+      places[k] = at;
+    });
+  place("line");
+  place("point");
+  return places;
+};
+
+/** Draw the numbers of matches that `placeLabels` has found room for. */
+export const drawLabels = (context, labelled, look) => {
   context.font = look.font;
   context.textBaseline = "alphabetic";
   context.lineJoin = "round";
-  const linesFirst = [...shown].sort((a, b) => a.mark.kind.localeCompare(b.mark.kind));
-  for (const entry of linesFirst) {
-    const at = labelPosition(entry, scale);
-    if (!at) continue;
-    const text = String(entry.mark.number);
-    const box = [at[0], at[1] - 10 * scale, at[0] + 8 * scale * text.length, at[1]];
-    if (entry.mark.kind === "point" && !isFree(box, entry.mark.id)) continue;
-    take(box, entry.mark.id);
-    drawLabel(context, look, colourOf(look, entry.mark.number), text, at);
+  for (const kind of ["line", "point"]) {
+    for (const { mark, label } of labelled) {
+      if (label && mark.kind === kind) drawLabel(context, look, colourOf(look, mark.number), String(mark.number), label);
+    }
   }
 };
 

@@ -248,6 +248,30 @@ def test_emptying_the_outbox_yields_the_latest_state(messages: list[dict[str, An
         assert last.get(name) == (of_name[-1] if of_name else None)
 
 
+def test_the_changes_by_a_command_leave_together_with_its_reply() -> None:
+    woken: list[int] = []
+    outbox = Outbox(lambda: woken.append(1))
+    outbox.hold()
+    outbox.put({"slices": {"scan": 1}})
+    assert not woken
+    outbox.reply("done")
+    assert len(woken) == 1
+    assert outbox.take() == ([{"slices": {"scan": 1}}], "done")
+    outbox.put({"slices": {"scan": 2}})  # nothing holds it any more
+    assert len(woken) == 2
+    outbox.take()
+
+    outbox.hold()  # of a command that takes long, the changes do not wait
+    outbox.put({"slices": {"scan": 3}})
+    outbox.release()
+    assert len(woken) == 3
+    assert outbox.take() == ([{"slices": {"scan": 3}}], None)
+    outbox.put({"slices": {"scan": 4}})
+    assert len(woken) == 4
+    outbox.release()
+    assert len(woken) == 4
+
+
 def test_the_outbox_keeps_only_the_last_events() -> None:
     outbox = Outbox(lambda: None)
     for n in range(10_000):
