@@ -61,7 +61,8 @@ def mosaic(*, seeds: Sequence[int] = range(3), scene: str = "office") -> list[di
         found = refine_pieces(pieces, [piece.read for piece in made.pieces], mount=mount)
         seconds = time.perf_counter() - started
         before = errors([piece.world_from_scanner for piece in pieces], truth)
-        after = errors([piece.world_from_scanner for piece in found.pieces], truth)
+        strong = [not piece.weak for piece in found.pieces]
+        after = errors([piece.world_from_scanner for piece in found.pieces], truth, strong)
         moved = [
             replace(piece, world_from_scanner=one.world_from_scanner)
             for piece, one in zip(pieces, found.pieces, strict=True)
@@ -80,7 +81,8 @@ def mosaic(*, seeds: Sequence[int] = range(3), scene: str = "office") -> list[di
 
 def in_sigmas(found: Refinement, truth: Sequence[Rigid], read: Sequence[PanTilt]) -> float:
     """Return the RMS error of pan and tilt of the refined pieces in their stated standard deviations."""
-    poses = _without_gauge([piece.world_from_scanner for piece in found.pieces], truth)
+    strong = [not piece.weak for piece in found.pieces]
+    poses = _without_gauge([piece.world_from_scanner for piece in found.pieces], truth, strong)
     shares = []
     for piece, pose, true, at in zip(found.pieces, poses, truth, read, strict=True):
         if piece.state != "refined":
@@ -118,20 +120,24 @@ def double_walls(pieces: Sequence[PlacedPiece], *, seed: int = 0) -> float:
     return 1000 * float(np.quantile(apart, 0.95)) if apart else float("nan")
 
 
-def errors(poses: Sequence[Rigid], truth: Sequence[Rigid]) -> tuple[float, float, float]:
+def errors(
+    poses: Sequence[Rigid], truth: Sequence[Rigid], strong: Sequence[bool] | None = None
+) -> tuple[float, float, float]:
     """Return the largest and the median angle (deg) and the largest distance (mm) of poses from the truth.
 
-    What turns all pieces alike is no error of a mosaic: it is the gauge, and removed.
+    What turns all pieces alike is no error of a mosaic: it is the gauge, and removed, as those show it that are held
+    well.
     """
-    turned = _without_gauge(poses, truth)
+    turned = _without_gauge(poses, truth, strong)
     angles: FloatArray = np.degrees([one.angle_to(true) for one, true in zip(turned, truth, strict=True)])
     apart = max(float(np.linalg.norm(a.translation - b.translation)) for a, b in zip(turned, truth, strict=True))
     return float(angles.max()), float(np.median(angles)), 1000 * apart
 
 
-def _without_gauge(poses: Sequence[Rigid], truth: Sequence[Rigid]) -> list[Rigid]:
-    together = np.sum([true.rotation @ pose.rotation.T for pose, true in zip(poses, truth, strict=True)], axis=0)
-    u, _, vt = np.linalg.svd(together)
+def _without_gauge(poses: Sequence[Rigid], truth: Sequence[Rigid], strong: Sequence[bool] | None = None) -> list[Rigid]:
+    use = np.ones(len(poses), bool) if strong is None or not any(strong) else np.array(strong)
+    turns = [true.rotation @ pose.rotation.T for pose, true, good in zip(poses, truth, use, strict=True) if good]
+    u, _, vt = np.linalg.svd(np.sum(turns, axis=0))
     return [Rigid(u @ vt, np.zeros(3)) @ pose for pose in poses]
 
 

@@ -27,6 +27,7 @@ _MAD = 1.4826
 _LEAST_SIGMA_M = 2e-4
 _STEPS_A_GATE = 3
 _LEAST_OF_PLANE = 24
+_TILE_M = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,11 +120,12 @@ def adjust(
         found = shared_planes(world, rays, owner, farthest_apart_m=apart, largest_angle_rad=float(np.radians(angle)))
         if use_blocks is not None:
             found = found.select(use_blocks(found.block))
+        relief = _relief(found, world, owner, count)
         for _ in range(_STEPS_A_GATE):
             if report is not None:
                 report(Progress(done, total, "aligning the pieces"))
             done += 1
-            equations = _equations(found, world, rays, owner, count)
+            equations = _equations(found, world, rays, owner, count, relief)
             of_planes = equations.information
             if more is not None:
                 added, slope = more(poses, stage)
@@ -207,16 +209,30 @@ class _Equations:
         return _Equations(np.zeros((6 * views, 6 * views)), np.zeros(6 * views), _LEAST_SIGMA_M)
 
 
-def _equations(found: SharedPlanes, world: FloatArray, rays: FloatArray, owner: IntArray, views: int) -> _Equations:
+def _equations(
+    found: SharedPlanes,
+    world: FloatArray,
+    rays: FloatArray,
+    owner: IntArray,
+    views: int,
+    relief: FloatArray,
+) -> _Equations:
+    """Return the normal equations of the planes.
+
+    Args:
+        found: the planes.
+        world: (N, 3) m, points of all views.
+        rays: (N, 3) their directions.
+        owner: (N,) view of each point.
+        views: V.
+        relief: (G,) as `_relief` returns it.
+    """
     if not found.count:
         return _Equations.none(views)
     point, plane = found.point, found.plane
     normal, centre = found.normals, found.centres
-    helper = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    u = np.cross(helper, normal)
-    u /= np.linalg.norm(u, axis=-1, keepdims=True)
-    v = np.cross(normal, u)
     off = world[point] - centre[plane]
+    u, v = _along(normal)
     across = (rays[point] * normal[plane]).sum(-1)
     spread = np.sqrt(across**2 + LEAST_ACROSS**2)
     # Robust weights from what is left when each plane has fitted itself.
@@ -229,6 +245,7 @@ def _equations(found: SharedPlanes, world: FloatArray, rays: FloatArray, owner: 
     names, group = np.unique(plane * views + owner[point], return_inverse=True)
     of_plane, of_view = names // views, names % views
     S = _second_moments(off, weight, group, len(names))
+    S /= (1 + S[:, 3, 3] * relief / sigma**2)[:, None, None]
     A = np.zeros((len(names), 6, 4))
     n, c = normal[of_plane], centre[of_plane]
     for axis in range(3):
@@ -273,6 +290,42 @@ def _scatter(
     mean = np.einsum("gj,gj->g", left, S[:, :, 3]) / np.maximum(weight, 1e-12)
     typical = float(np.median(mean**2 * weight)) / 0.2275  # the median of half a chi^2, two views sharing a mean
     return max(sigma**2, typical)
+
+
+def _along(normal: FloatArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return two unit vectors (K, 3) along each plane."""
+    helper = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    u = np.cross(helper, normal)
+    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    return np.asarray(u), np.asarray(np.cross(normal, u))
+
+
+def _relief(found: SharedPlanes, world: FloatArray, owner: IntArray, views: int) -> NDArray[np.float64]:
+    """Return the variance (G,), m^2, of how far each view's part of a plane is from the whole because it is not flat.
+
+    Views see different parts, and however many points they have, none shows the plane better than its panels and
+    ledges let it. Relief is what the means of small tiles scatter by beyond the noise of their points.
+    """
+    if not found.count:
+        return np.zeros(0)
+    point, plane = found.point, found.plane
+    names, group = np.unique(plane * views + owner[point], return_inverse=True)
+    u, v = _along(found.normals)
+    off = world[point] - found.centres[plane]
+    value = (off * found.normals[plane]).sum(-1)
+    value = value - _own_fit(group, len(names), value, off, u[names // views], v[names // views])
+    tile = np.stack([group, *(np.floor((off * axis[plane]).sum(-1) / _TILE_M) for axis in (u, v))], axis=-1)
+    code = (tile[:, 0] * 4096 + tile[:, 1] + 2048) * 4096 + tile[:, 2] + 2048
+    _, first, tile_of, count = np.unique(code, return_index=True, return_inverse=True, return_counts=True)
+    mean = np.bincount(tile_of, value) / count
+    within = np.maximum(np.bincount(tile_of, value**2) - count * mean**2, 0)
+    owner_of_tile = group[first]
+    tiles = np.bincount(owner_of_tile, minlength=len(names))
+    points = np.bincount(owner_of_tile, count, len(names))
+    noise = np.bincount(owner_of_tile, within, len(names)) / np.maximum(points - tiles, 1)
+    between = np.bincount(owner_of_tile, count * mean**2, len(names))
+    relief = np.maximum(between - np.maximum(tiles - 3, 0) * noise, 0) / np.maximum(points, 1)
+    return np.asarray(relief / np.maximum(tiles, 1))
 
 
 def _own_fit(

@@ -24,8 +24,14 @@ BLUR_CELLS = (6.0, 3.0, 1.5)
 
 _BAND = 5.0
 _BORDER = 2.0
+"""How far smoothing reaches, in standard deviations."""
+_ONE_SIDED = 0.055
+"""Centre of what is smoothed, in standard deviations of the smoothing: as near a straight border, `_BORDER` from it."""
 _STEEPEST = 6.0  # relative change of the range over a cell, in steps: beyond it, a depth edge
+_MOST_PARALLAX_BLURS = 0.5
+_FARTHEST = 1e6
 _EDGE_CELLS = 5
+_EDGE_WINDOWS = (3, 7)  # an edge may be hidden in a gap of a few cells without returns
 _POINTS_A_LINK = 5_000
 _LEAST_POINTS = 200
 _PROBED = 97  # of so many points one is looked up first
@@ -41,9 +47,12 @@ _LEAST_OF_PATCH = 8
 _MISFIT_BLURS = 0.2
 """How far the texture of a patch may seem shifted beside its noise, standard deviation in blurs: by interpolation, by
 the border of a scan, by gloss. However strong its edges, no patch is more exact than that."""
+_LINK_MISFIT_BLURS = 0.04
+"""The same, common to all patches of a link: many are parts of one long edge, or of one glossy wall."""
 _PATCH_HUBER = 2.5
 _CHI2_MEDIAN = 1.386  # of two degrees of freedom
 _SAMPLES_A_PATCH = 8
+_ALIKE = 3.0  # of them, those that a misfit shifts alike
 _MOST_SQUARE = 9.0
 _SHOWN_SIGMAS = 2.0
 _UNSEEN = 2.0
@@ -57,12 +66,20 @@ class IntensityView:
 
     scan: Scan
     light: NDArray[np.float16]
-    """(H, W) smoothed logarithm of the intensity; NaN near depth edges and holes. In half precision, a thousandth of
-    the values: many scans are held at several levels."""
+    """(H, W) smoothed logarithm of the intensity; NaN as near edges and the borders of holes as smoothing reaches.
+    In half precision, a thousandth of the values: many scans are held at several levels."""
     by_cell: tuple[NDArray[np.float16], NDArray[np.float16]]
     """Its derivatives by row and by column."""
+    gap: NDArray[np.float16]
+    """(H, W) largest step of the inverse range (1/m) at a depth edge as near as smoothing reaches. What lies beyond the
+    edge is in the smoothing, too, and for a scanner elsewhere it lies elsewhere: by this times the distance."""
     blur_cells: float
     """Standard deviation of the smoothing."""
+
+    def most_gap(self, apart_m: float) -> float:
+        """Return the largest `gap` at which this may be compared with a scan from a centre so far away."""
+        step = float(np.mean(self.scan.geometry.step_rad))
+        return _MOST_PARALLAX_BLURS * self.blur_cells * step / max(apart_m, 1e-6)
 
     @staticmethod
     def of(scan: Scan, floor: float, blur_cells: float) -> IntensityView:
@@ -77,14 +94,24 @@ class IntensityView:
         size = (0, 0)
         light = np.where(there, np.log(np.maximum(scan.intensity, 0) + floor), 0).astype(np.float32)
         # Gloss moves with the scanner's centre, and is smooth: only what is finer is compared.
-        smooth, wide = (_blurred(light, there, size, cells) for cells in (blur_cells, _BAND * blur_cells))
+        blurs = blur_cells, _BAND * blur_cells
+        shares = [np.asarray(cv2.GaussianBlur(there.astype(np.float32), size, cells), np.float32) for cells in blurs]
+        smooth, wide = (
+            cv2.GaussianBlur(light, size, cells) / np.maximum(share, 1e-6)
+            for cells, share in zip(blurs, shares, strict=True)
+        )
         smooth -= wide
-        smooth[_near_edges(scan)] = np.nan
+        # Where returns are missing on one side, smoothing is one-sided, and on the other side in another scan.
+        gap = _gaps(scan)
+        smooth[_widened(gap, _EDGE_CELLS // 2) > 0] = np.nan
+        smooth[_one_sided(shares[1], _BAND * blur_cells) | ~there] = np.nan
+        gap = _widened(gap, int(np.ceil(_BORDER * _BAND * blur_cells)))
         # At the border the smoothing is one-sided, and on the other side in the scan beside it.
         margin = int(np.ceil(_BORDER * _BAND * blur_cells))
         for border in (smooth[:margin], smooth[-margin:], smooth[:, :margin], smooth[:, -margin:]):
             border[...] = np.nan
-        return IntensityView(scan, smooth.astype(np.float16), (_slope(smooth, 0), _slope(smooth, 1)), blur_cells)
+        slopes = _slope(smooth, 0), _slope(smooth, 1)
+        return IntensityView(scan, smooth.astype(np.float16), slopes, gap.astype(np.float16), blur_cells)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,13 +128,16 @@ class Link:
     """(N, 3) derivatives of the light by the point, in the first's frame, of each level; NaN near edges."""
     patch: tuple[IntArray, ...]
     """(N,) number of the patch of the first's grid in which a point lies, of each level."""
+    gap: tuple[FloatArray, ...]
+    """(N,) the first's `IntensityView.gap` there, of each level."""
 
     def every(self, stride: int) -> Link:
         """Return the link of every n-th point."""
         thin = slice(None, None, stride)
         light, slopes = (tuple(one[thin] for one in each) for each in (self.light, self.slopes))
         patch = tuple(one[thin] for one in self.patch)
-        return Link(self.first, self.second, self.points[thin], light, slopes, patch)
+        gap = tuple(one[thin] for one in self.gap)
+        return Link(self.first, self.second, self.points[thin], light, slopes, patch, gap)
 
 
 def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], *, seed: int = 0) -> list[Link]:
@@ -133,12 +163,12 @@ def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], 
         for b, other in enumerate(views):
             if a == b or axis @ poses[b].rotation @ other.scan.mean_direction < -0.9:
                 continue
-            there = poses[b].inverse
+            there, most = poses[b].inverse, _most_gap(view, other, poses[a], poses[b])
             few = there @ world[::_PROBED]
-            if not _lookup(other, few).good(few).any():
+            if not _lookup(other, few).good(few, most).any():
                 continue
             local = there @ world
-            at = np.flatnonzero(_lookup(other, local).good(local))
+            at = np.flatnonzero(_lookup(other, local).good(local, most) & (view.gap.ravel()[cells] <= most))
             if len(at) < _LEAST_POINTS:
                 continue
             if len(at) > _POINTS_A_LINK:
@@ -164,12 +194,18 @@ def _link(first: int, second: int, levels: Sequence[IntensityView], points: Floa
         size = _patch_cells(view)
         patch.append(np.unique((row // size) * (1 << 20) + column // size, return_inverse=True)[1])
     light = [view.light.ravel()[cells].astype(np.float64) for view in levels]
-    return Link(first, second, points, tuple(light), tuple(slopes), tuple(patch))
+    gap = tuple(view.gap.ravel()[cells].astype(np.float64) for view in levels)
+    return Link(first, second, points, tuple(light), tuple(slopes), tuple(patch), gap)
+
+
+def _most_gap(first: IntensityView, second: IntensityView, of_first: Rigid, of_second: Rigid) -> float:
+    apart = float(np.linalg.norm(of_first.translation - of_second.translation))
+    return min(first.most_gap(apart), second.most_gap(apart))
 
 
 def link_equations(
     links: Sequence[Link], levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], *,
-    keep: IntArray | None = None, held_out: int = 4,
+    keep: IntArray | None = None, held_out: int = 4, worth: FloatArray | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
     """Return the information (6 V, 6 V) and the gradient (6 V,) of the views' moves (w, t).
 
@@ -185,6 +221,7 @@ def link_equations(
         poses: `world_from_scan` of each view.
         keep: remainders, modulo `held_out`, of the metre-sized blocks of the room to use; None: all of them.
         held_out: see above.
+        worth: (V,) of each view, 0 to 1: variances of its links are larger by as much as it is less than 1.
     """
     count = len(poses)
     blocks, gradient = np.zeros((count, count, 6, 6)), np.zeros((count, 6))
@@ -198,6 +235,8 @@ def link_equations(
         H, g, chi2 = found
         off.append(chi2)
         a, b = link.first, link.second
+        if worth is not None:
+            H, g = min(worth[a], worth[b]) * H, min(worth[a], worth[b]) * g
         blocks[a, a] += H
         blocks[b, b] += H
         blocks[a, b] -= H
@@ -260,6 +299,13 @@ def _link_equation(
     turned = np.einsum("pij,pjk->pik", response, moves)
     information = np.einsum("p,pji,pjk->ik", weight, turned, np.linalg.solve(scatter, turned))
     gradient = np.einsum("p,pji,pj->i", weight, turned, weighing[..., 2])
+    # The misfit that is common to the link is an unknown shift, and eliminated.
+    of_shift = np.einsum("p,pji,pjk->ik", weight, response, weighing[..., :2])
+    mixed = np.einsum("p,pji,pjk->ik", weight, turned, weighing[..., :2])
+    of_shift += np.eye(2) / (_LINK_MISFIT_BLURS * view.blur_cells) ** 2
+    gain = np.linalg.solve(of_shift, mixed.T).T
+    information -= gain @ mixed.T
+    gradient -= gain @ np.einsum("p,pji,pj->i", weight, response, weighing[..., 2])
     return np.asarray(information), np.asarray(gradient), np.asarray(chi2, np.float64)
 
 
@@ -287,7 +333,24 @@ def _patch_cells(view: IntensityView) -> int:
     return max(_PATCH_CELLS, round(_PATCH_BLURS * view.blur_cells))
 
 
-def disagreement(link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], sigma: float) -> float:
+def seen_points(link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid]) -> BoolArray:
+    """Return which points (N,) of a link can be compared at some poses."""
+    local = poses[link.second].inverse @ (poses[link.first] @ link.points)
+    return _comparable(link, level, views, poses, local, _lookup(views[link.second], local))
+
+
+def _comparable(
+    link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], local: FloatArray, seen: _Seen
+) -> BoolArray:
+    a, b = link.first, link.second
+    most = _most_gap(views[a], views[b], poses[a], poses[b])
+    own = np.isfinite(link.light[level]) & np.isfinite(link.slopes[level][:, 0]) & (link.gap[level] <= most)
+    return np.asarray(own & seen.good(local, most))
+
+
+def disagreement(
+    link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], sigma: float, among: BoolArray
+) -> float:
     """Return how badly both views of a link agree where the first shows texture, at some poses, however far off.
 
     It is a sum of squares in units of what noise and `_MISFIT_BLURS` explain, each limited, and of each patch no more
@@ -299,6 +362,8 @@ def disagreement(link: Link, level: int, views: Sequence[IntensityView], poses: 
         views: the views, of that level.
         poses: `world_from_scan` of each.
         sigma: standard deviation of the noise of a difference.
+        among: (N,) the points to compare. Between poses whose disagreements are compared, they should be seen at all of
+            them: a pose is not better for what comes into view.
     """
     view, other = views[link.first], views[link.second]
     local = poses[link.second].inverse @ (poses[link.first] @ link.points)
@@ -306,7 +371,7 @@ def disagreement(link: Link, level: int, views: Sequence[IntensityView], poses: 
     cell = np.linalg.norm(link.points, axis=-1) * float(np.mean(view.scan.geometry.step_rad))
     steep = np.linalg.norm(own, axis=-1) * cell
     seen = _lookup(other, local)
-    use = np.isfinite(light) & np.isfinite(steep) & seen.good(local)
+    use = _comparable(link, level, views, poses, local, seen) & among
     if not use.any():
         return 0.0
     _, patch, count = np.unique(link.patch[level][use], return_inverse=True, return_counts=True)
@@ -317,8 +382,10 @@ def disagreement(link: Link, level: int, views: Sequence[IntensityView], poses: 
     steep_there = np.linalg.norm(seen.slopes[use], axis=-1)
     residual = seen.light[use] - light
     residual -= float(np.median(residual))
-    misfit = _MISFIT_BLURS * view.blur_cells
-    squares = np.square(residual) / (sigma**2 + misfit**2 * (np.square(steep) + np.square(steep_there)) / 2)
+    # Noise is each sample's own; a misfit is common to those of a patch, and some of it to all patches of a link.
+    common = _MISFIT_BLURS**2 + _LINK_MISFIT_BLURS**2 * float(textured.sum())
+    misfit = _ALIKE * common * view.blur_cells**2
+    squares = np.square(residual) / (sigma**2 + misfit * (np.square(steep) + np.square(steep_there)) / 2)
     # What is seen no more counts as what fits.
     excess = np.minimum(squares, _MOST_SQUARE) - 1
     sums = sums_of(excess[:, None], patch, len(count))[:, 0]
@@ -343,12 +410,13 @@ class _Seen:
     slopes: FloatArray
     """(N, 2)"""
     ranges: FloatArray
+    gap: FloatArray
 
-    def good(self, points: FloatArray) -> BoolArray:
-        """Return which points (N, 3), in this view's frame, lie on the surface that it sees."""
+    def good(self, points: FloatArray, most_gap: float) -> BoolArray:
+        """Return which points (N, 3), in this view's frame, lie on the surface that it sees, with no larger gap."""
         apart = np.abs(np.linalg.norm(points, axis=-1) - self.ranges)
         with np.errstate(invalid="ignore"):
-            same = apart < _SAME_SURFACE[0] + _SAME_SURFACE[1] * self.ranges
+            same = (apart < _SAME_SURFACE[0] + _SAME_SURFACE[1] * self.ranges) & (self.gap <= most_gap)
         return np.asarray(same & np.isfinite(self.light) & np.isfinite(self.slopes).all(axis=-1))
 
 
@@ -370,8 +438,9 @@ def _lookup(view: IntensityView, points: FloatArray) -> _Seen:
         return np.asarray(np.where(inside, (1 - down) * upper + down * lower, np.nan))
 
     slopes = np.stack([between(view.by_cell[0]), between(view.by_cell[1])], axis=-1)
-    nearest = view.scan.ranges[np.rint(cell[:, 0]).astype(int), np.rint(cell[:, 1]).astype(int)]
-    return _Seen(between(view.light), slopes, np.where(inside, nearest, np.nan))
+    nearest = np.rint(cell[:, 0]).astype(int), np.rint(cell[:, 1]).astype(int)
+    ranges = np.where(inside, view.scan.ranges[nearest], np.nan)
+    return _Seen(between(view.light), slopes, ranges, view.gap[nearest])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -396,14 +465,13 @@ def _residuals(
     other = views[link.second]
     pose = poses[link.first]
     world = pose @ link.points
-    use = np.isfinite(link.light[level]) & np.isfinite(link.slopes[level][:, 0])
-    if keep is not None:
-        block = np.floor(world).astype(np.int64) @ np.array([1, 3, 2])
-        use &= np.isin(block % held_out, keep)
     there = poses[link.second].inverse
     local = there @ world
     seen = _lookup(other, local)
-    use &= seen.good(local)
+    use = _comparable(link, level, views, poses, local, seen)
+    if keep is not None:
+        block = np.floor(world).astype(np.int64) @ np.array([1, 3, 2])
+        use &= np.isin(block % held_out, keep)
     world, local = world[use], local[use]
     light = link.light[level][use]
     residual = seen.light[use] - light
@@ -431,11 +499,6 @@ def _by_point(scan: Scan, local: FloatArray, slopes: FloatArray) -> NDArray[np.f
     return out
 
 
-def _blurred(light: FloatArray, there: BoolArray, size: tuple[int, int], cells: float) -> NDArray[np.float32]:
-    share = cv2.GaussianBlur(there.astype(np.float32), size, cells)
-    return np.asarray(cv2.GaussianBlur(light, size, cells) / np.maximum(share, 1e-6), np.float32)
-
-
 def _slope(field: FloatArray, axis: int) -> NDArray[np.float16]:
     out = np.full(field.shape, np.nan, np.float16)
     if axis == 0:
@@ -445,12 +508,26 @@ def _slope(field: FloatArray, axis: int) -> NDArray[np.float16]:
     return out
 
 
-def _near_edges(scan: Scan) -> BoolArray:
-    """Return the cells (H, W) near a depth edge, a hole or a grazing surface."""
-    ranges = np.where(scan.valid, scan.ranges, 0).astype(np.float32)
-    square = np.ones((3, 3), np.uint8)
-    far, near = cv2.dilate(ranges, square), cv2.erode(ranges, square)
+def _gaps(scan: Scan) -> NDArray[np.float32]:
+    """Return (H, W) the step of the inverse range (1/m) at depth edges and grazing surfaces, and zero elsewhere."""
+    ranges = np.asarray(scan.ranges, np.float32)
     step = 2 * float(np.hypot(*scan.geometry.step_rad))
-    edge = (far > near * (1 + _STEEPEST * step) + 0.02) | ~scan.valid
-    wide = np.ones((_EDGE_CELLS, _EDGE_CELLS), np.uint8)
-    return np.asarray(cv2.dilate(edge.astype(np.uint8), wide) > 0)
+    gap = np.zeros(scan.shape, np.float32)
+    for window in _EDGE_WINDOWS:
+        square = np.ones((window, window), np.uint8)
+        far = cv2.dilate(np.where(scan.valid, ranges, 0), square)
+        near = np.minimum(cv2.erode(np.where(scan.valid, ranges, _FARTHEST).astype(np.float32), square), _FARTHEST)
+        edge = far > near * (1 + _STEEPEST * step * (window - 1) / 2) + 0.02
+        gap[edge] = np.maximum(gap[edge], 1 / near[edge] - 1 / far[edge])
+    return gap
+
+
+def _widened(field: NDArray[np.float32], cells: int) -> NDArray[np.float32]:
+    """Return the largest value within so many cells, up or down and to the sides."""
+    return np.asarray(cv2.dilate(field, np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)), np.float32)
+
+
+def _one_sided(share: FloatArray, cells: float) -> BoolArray:
+    """Return the cells (H, W) where smoothing has more to smooth on one side, by the share of cells with returns."""
+    slope = np.hypot(cv2.Sobel(share, cv2.CV_32F, 1, 0, ksize=1), cv2.Sobel(share, cv2.CV_32F, 0, 1, ksize=1)) / 2
+    return np.asarray(cells * slope > _ONE_SIDED * np.maximum(share, 1e-6))

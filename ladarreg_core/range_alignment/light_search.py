@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.range_alignment.intensity_links import IntensityView, Link, disagreement, noise_of
+from ladarreg_core.range_alignment.intensity_links import IntensityView, Link, disagreement, noise_of, seen_points
 
 _STEP_CELLS = 0.5
 _MOST_STEPS = 15
@@ -53,11 +53,18 @@ def search_turn(
         directions: (D, 3) unit rotation vectors about the world's origin, in which it may be off; D is 1 or 2.
         sigma_rad: (D,) standard deviation of its turn about each, by all that is known without intensities.
     """
-    mine = [(link, noise_of(link, level, views, poses)) for link in links if number in (link.first, link.second)]
     step = _STEP_CELLS * min(views[number].scan.geometry.step_rad)
     counts = [int(np.clip(np.ceil(3 * sigma / step), 1, _MOST_STEPS)) for sigma in sigma_rad]
     axes = [step * np.arange(-count, count + 1) for count in counts]
     turns = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    outermost = np.stack(np.meshgrid(*(axis[[0, len(axis) // 2, -1]] for axis in axes), indexing="ij"), axis=-1)
+    mine = []
+    for link in links:
+        if number in (link.first, link.second):
+            among = np.ones(len(link.points), np.bool_)
+            for turn in outermost.reshape(-1, len(axes)):
+                among &= seen_points(link, level, views, _with_turn(poses, number, turn @ directions))
+            mine.append((link, noise_of(link, level, views, poses), among))
     scores = np.array([_agreement(number, mine, views, level, poses, turn @ directions) for turn in turns])
     scores -= (np.square(turns / sigma_rad).sum(axis=-1)) / 2
     best = int(scores.argmax())
@@ -74,14 +81,19 @@ def turned(pose: Rigid, turn: FloatArray) -> Rigid:
 
 def _agreement(
     number: int,
-    links: Sequence[tuple[Link, float]],
+    links: Sequence[tuple[Link, float, BoolArray]],
     views: Sequence[IntensityView],
     level: int,
     poses: Sequence[Rigid],
     turn: FloatArray,
 ) -> float:
     """Return the logarithm of how likely a turn is."""
+    moved = _with_turn(poses, number, turn)
+    # Both directions of a pair are nearly the same comparison: each counts half.
+    return -sum(disagreement(link, level, views, moved, sigma, among) for link, sigma, among in links) / 4
+
+
+def _with_turn(poses: Sequence[Rigid], number: int, turn: FloatArray) -> list[Rigid]:
     moved = list(poses)
     moved[number] = turned(poses[number], turn)
-    # Both directions of a pair are nearly the same comparison: each counts half.
-    return -sum(disagreement(link, level, views, moved, sigma) for link, sigma in links) / 4
+    return moved

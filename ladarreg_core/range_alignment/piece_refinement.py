@@ -59,7 +59,9 @@ _UNDETERMINED_MOUNT = (0.005, float(np.radians(0.1)))
 _HELD_BY_RANGES_RAD = float(np.radians(0.015))
 _SEARCHED_LEVEL = 2
 _SEARCHES = 4
-_CLEARLY_BETTER = 1.5
+_CLEARLY_BETTER = 4.0
+_LEAST_WORTH = 0.01
+_HELD_WELL = 2.0  # median standard deviations
 _HELD_OUT = 4
 _WORSE = 1.02
 _MOUNT_GATES = ((0.25, 12.0), (0.2, 10.0), (0.12, 6.0), (0.06, 4.0), (0.04, 3.0), (0.04, 3.0))
@@ -82,7 +84,8 @@ class RefinedPiece:
     shift_scanner_mm: tuple[float, float, float]
     """The shift beside it, in the scanner's own frame."""
     sigma_deg: tuple[float, float]
-    """Standard deviations of its pan and tilt against all pieces together: what turns all alike is the unit's."""
+    """Standard deviations of its pan and tilt against the pieces that are held well: what turns all alike is the
+    unit's."""
     points: int
     """Points that it shares with other pieces."""
     weak: tuple[str, ...] = ()
@@ -153,8 +156,10 @@ def refine_pieces(
         return _kept(pieces, mount, enough, "the pieces do not overlap: each stays where the unit's angles say")
     links = links_of(light, placed)
 
+    worth = np.ones(len(pieces))
+
     def printed(poses: Sequence[Rigid], stage: int, keep: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        return link_equations(links, light[: stage + 1], poses, keep=keep, held_out=_HELD_OUT)
+        return link_equations(links, light[: stage + 1], poses, keep=keep, held_out=_HELD_OUT, worth=worth)
 
     train = adjust(
         views, common=common, use_blocks=lambda block: ~_held(block),
@@ -177,13 +182,21 @@ def refine_pieces(
             views = [_loosened(view) if free else view for view, free in zip(views, loose, strict=True)]
             found = adjust(views, common=common, more=printed, report=report, gates=gates, start=found)
         for _ in range(_SEARCHES):
-            aside, spread = _searched(found, views, positions, links, light, report)
+            aside, spread, likely = _searched(found, views, positions, links, light, report)
             if aside is None:
+                worth = likely
                 break
             found = adjust(
                 views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report,
                 gates=gates[-2:], start=aside,
             )  # fmt: skip
+        if worth.min() < 1:
+            # The likelihood of all turns says less than the curvature at the best one promises.
+            doubted = adjust(
+                views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report,
+                gates=gates[-1:], start=found,
+            )  # fmt: skip
+            found = replace(found, covariance=doubted.covariance)
     held = _weak(found, positions, enough)
     if refine and held.all():
         why = "nothing was refined: too little in the overlaps shows how the pieces lie; the unit's angles stay"
@@ -342,11 +355,12 @@ def _searched(
     links: Sequence[Link],
     light: Sequence[Sequence[IntensityView]],
     report: Report | None,
-) -> tuple[Adjustment | None, NDArray[np.float64]]:
-    """Return an adjustment with the pieces that belong elsewhere put there, None if all are where they belong; and how
-    far each piece may be off in pan and tilt (V, 2), rad, as far as this was searched, one sigma.
+) -> tuple[Adjustment | None, NDArray[np.float64], NDArray[np.float64]]:
+    """Return an adjustment with the pieces that belong elsewhere put there, None if all are where they belong; how far
+    each piece may be off in pan and tilt (V, 2), rad, as far as this was searched, one sigma; and the share (V,) of the
+    information of its intensities that the search confirms.
     """
-    spread = np.zeros((len(positions), 2))
+    spread, worth = np.zeros((len(positions), 2)), np.ones(len(positions))
     poses, moved = list(found.poses), found.moved.copy()
     any_moved = False
     for k, at in enumerate(positions):
@@ -357,16 +371,20 @@ def _searched(
         if not open_.any() or len(views[k].points) < _LEAST_POINTS:
             continue
         directions = along.T[open_] @ _axes(at)[:2]
+        with_light = np.linalg.inv(_pan_tilt(found.data, k, at) + _angles_prior())
+        stated = np.einsum("ia,ij,ja->a", along, with_light, along)[open_]
         best = search_turn(
             k, links, light[_SEARCHED_LEVEL], _SEARCHED_LEVEL, poses, directions, np.sqrt(variance[open_])
         )  # fmt: skip
         spread[k] = np.sqrt(np.square(best.spread[:, None] * along.T[open_]).sum(axis=0))
+        promised, shown = (1 / one - 1 / variance[open_] for one in (stated, np.maximum(best.spread**2, stated)))
+        worth[k] = np.clip(np.min(shown / np.maximum(promised, 1e-9)), _LEAST_WORTH, 1.0)
         if best.gain > _CLEARLY_BETTER:
             turn = best.turn @ directions
             poses[k] = turned(poses[k], turn)
             moved[k, :3] += turn
             any_moved = True
-    return (replace(found, poses=tuple(poses), moved=moved) if any_moved else None), spread
+    return (replace(found, poses=tuple(poses), moved=moved) if any_moved else None), spread, worth
 
 
 def _pan_tilt(data: FloatArray, k: int, at: PanTilt) -> NDArray[np.float64]:
@@ -472,12 +490,22 @@ def _judged(made: Refinement, spread_rad: FloatArray) -> Refinement:
 
 
 def _against_all(covariance: FloatArray) -> NDArray[np.float64]:
-    """Return the covariance (V, 3, 3) of each view's turn less the mean of all turns."""
+    """Return the covariance (V, 3, 3) of each view's turn less the mean turn of those that are held well.
+
+    One that is held by nothing would else make all the others uncertain.
+    """
     views = len(covariance) // 6
     turns = covariance.reshape(views, 6, views, 6)[:, :3, :, :3]
-    mixed = turns.mean(axis=2)  # of one view with all
-    own = turns[np.arange(views), :, np.arange(views)]
-    return np.asarray(own - mixed - mixed.transpose(0, 2, 1) + mixed.mean(axis=0))
+    each = np.arange(views)
+    share = np.full(views, 1 / views)
+    for _ in range(2):
+        mixed = np.einsum("aibj,b->aij", turns, share)  # of one view with all
+        mean = np.einsum("aij,a->ij", mixed, share)
+        own = turns[each, :, each] - mixed - mixed.transpose(0, 2, 1) + mean
+        size = np.trace(own, axis1=1, axis2=2)
+        strong = size <= _HELD_WELL**2 * np.median(size)
+        share = strong / strong.sum()
+    return np.asarray(own)
 
 
 def _new_mount(mount: Rigid, moved: FloatArray, covariance: FloatArray) -> tuple[Rigid, NDArray[np.float64]]:
