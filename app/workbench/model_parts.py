@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.errors import LadarregError, OptionError, ShapeError
 from ladarreg_core.inspection.model_textures import (
     ModelTexture,
     model_texture,
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry
     from ladarreg_core.results import PoseResult
     from ladarreg_core.scan import Scan
+    from ladarreg_core.surface.grid_block import GridBlock
     from ladarreg_core.surface.mesh import Mesh
     from ladarreg_core.surface.texture import RegisteredTexture
 
@@ -47,6 +48,9 @@ _OF_CODES = ("label",)
 _NEED_VISIBILITY = ("resolution", "label")
 _LOSSY_QUALITY = 84
 _PHOTO_QUALITY = 90
+BLOCK_VERTICES = 37_500
+"""Most vertices of a block of the mesh; the page shows at most four, so that there are 400,000 with the dense mesh."""
+_LONGEST_BLOCK = 20
 _FACES_PER_VERTEX = 4  # of a photo layer; a surface has two before it is divided
 
 
@@ -77,7 +81,8 @@ class ModelParts:
 
         Args:
             name: `mesh`, `texture`, `layer` or `photo`.
-            query: `detail`, of all but a mesh `photo`, and of a texture `kind` and `z_buffer`; see docs/workbench.md.
+            query: `detail`, or of a mesh `block`; of all but a mesh `photo`; of a texture `kind` and `z_buffer`; see
+                docs/workbench.md.
 
         Raises:
             LadarregError: if there is no such part, or it needs an accepted pose.
@@ -89,6 +94,9 @@ class ModelParts:
         detail = query.get("detail", DETAILS[1])
         if detail not in LEVELS:
             raise OptionError(f"there is no detail {detail[:20]!r}; it is one of {', '.join(LEVELS)}")
+        if name == "mesh" and "block" in query:
+            block = _block_of(query["block"])
+            return self._loader.cached("model", ("mesh", block), lambda: _block_part(scan, block))
         if name == "mesh":
             return self._loader.cached("model", ("mesh", detail), lambda: _mesh_part(scan, LEVELS[detail].vertices))
         if name == "texture":
@@ -189,6 +197,28 @@ def _mesh_part(scan: Scan, most_vertices: int) -> Picture:
     from ladarreg_core.export.packed_mesh import packed_mesh
 
     return _packed(packed_mesh(surface_or_facets(scan, most_vertices)))
+
+
+def _block_of(text: str) -> GridBlock:
+    from ladarreg_core.surface.grid_block import GridBlock
+
+    try:
+        level, row, column = (int(number) for number in text[:_LONGEST_BLOCK].split("."))
+    except ValueError:
+        raise OptionError(f"a block of the mesh is LEVEL.ROW.COLUMN, not {text[:_LONGEST_BLOCK]!r}") from None
+    return GridBlock(level, row, column)
+
+
+def _block_part(scan: Scan, block: GridBlock) -> Picture:
+    """Return the surface of a block; without data if it has none."""
+    from ladarreg_core.export.packed_mesh import packed_mesh
+    from ladarreg_core.surface.grid_block import block_mesh
+
+    try:
+        mesh = block_mesh(scan, block, max_vertices=BLOCK_VERTICES)
+    except ShapeError:  # no returns at all
+        return _packed(b"")
+    return _packed(packed_mesh(mesh) if len(mesh.faces) else b"")
 
 
 def _layer_part(scan: Scan, photo: Photo, result: PoseResult, labels: ByteArray, level: Detail) -> Picture:

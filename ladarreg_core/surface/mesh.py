@@ -186,9 +186,11 @@ def scan_mesh(
         edges = grid_edges(scan)
         ranges, points = scan.ranges, scan.points
     else:
-        ranges = scan.ranges[np.ix_(rows, columns)]
-        points = scan.points[np.ix_(rows, columns)]
-        edges = _surface_edges(ranges, scan.rays[np.ix_(rows, columns)])
+        every = tuple(slice(None, None, int(chosen[1]) if len(chosen) > 1 else None) for chosen in (rows, columns))
+        ranges = scan.ranges[every]
+        rays = grid_rays(scan.geometry, *every)  # of these cells alone: those of all might not fit into memory
+        points = rays.astype(np.float32) * ranges[..., None]
+        edges = _surface_edges(ranges, rays)
     seam = across_seam(scan, edges, columns) if closed else None
     if seam is not None:
         ranges, edges = continued(ranges, edges, seam[rows])

@@ -3,11 +3,14 @@
 import { store } from "../net/store.js";
 import { isRunning } from "../state/pipeline.js";
 import { whenFirstPicturesArrived } from "../ui/first_pictures.js";
-import { layerAddress, meshAddress, ModelParts, textureAddress } from "./model_parts.js";
+import { blockAddress, layerAddress, meshAddress, ModelParts, textureAddress } from "./model_parts.js";
 import { ModelSurface } from "./model_surface.js";
+import { blocksAt } from "./model_view.js";
 
 const LOOK_MS = 250;
 const RETRY_MS = 3000;
+const COARSEST = "coarse";
+const LEAST_CELLS = 1e6; // of a scan whose surface the dense mesh shows only coarsely
 const MOVING = ["simplex", "reject_outliers", "thesis"];
 
 /** @returns {string} the kind of texture that can be shown: the chosen one, or the intensity */
@@ -24,6 +27,9 @@ export class ModelLoader {
   #running = null;
   #scan = null;
   #retryAt = 0;
+  #viewpoint = "";
+  #looked = "";
+  #closer = null;
   #drawn = null;
   #meter = new Map();
   /** @type {ModelState} */
@@ -74,13 +80,43 @@ export class ModelLoader {
       this.#running.abort.abort();
       this.#running = null;
     }
-    if (same(this.#drawn, goal) && this.#surface.intact) return;
+    if (same(this.#drawn, goal) && this.#surface.intact) {
+      this.#lookCloser(scan, model);
+      return;
+    }
     if (performance.now() < this.#retryAt && this.#state.error) return;
     this.#load(stages, goal);
   }
 
+  /** Once the camera rests, draw finer what it looks at; not below the photograph's own pixels. */
+  async #lookCloser(scan, model) {
+    const { viewpoint } = this.#surface;
+    const rests = viewpoint === this.#viewpoint;
+    this.#viewpoint = viewpoint;
+    if (!rests || viewpoint === this.#looked || model.detail === COARSEST || this.#surface.hasLayer) return;
+    this.#looked = viewpoint;
+    const seen = this.#surface.inView();
+    if (!seen || seen.shape[0] * seen.shape[1] < LEAST_CELLS) return;
+    const names = blocksAt(seen.cells, seen.shape, seen.vertices, Boolean(store.get("scan")?.strip));
+    this.#closer?.abort();
+    const abort = new AbortController();
+    this.#closer = abort;
+    try {
+      const options = { signal: abort.signal, progress: () => {} };
+      const blocks = await Promise.all(
+        names.map(async (name) => ({ name, arrays: await this.#parts.block(blockAddress(scan, name), options) })),
+      );
+      if (abort.signal.aborted || !same(this.#drawn, this.#stages(scan, model).at(-1)) || this.#surface.hasLayer) return;
+      this.#surface.setBlocks(blocks.filter(({ arrays }) => arrays));
+    } catch {
+      // the whole surface stays; the next movement tries again
+    }
+  }
+
   #reset(scan) {
     this.#running?.abort.abort();
+    this.#closer?.abort();
+    this.#looked = "";
     this.#running = this.#drawn = null;
     this.#scan = scan;
     this.#parts.clear();
@@ -133,6 +169,7 @@ export class ModelLoader {
           continue;
         }
         if (!still() || !(await this.#surface.draw(arrays, blob, still))) return;
+        this.#looked = "";
         this.#drawn = { mesh, texture };
         this.#meter.clear();
         this.#tell({ state: "drawn", error: "", legend });

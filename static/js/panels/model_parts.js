@@ -1,14 +1,21 @@
 /** The parts of the 3-D model, as the workbench sends them: meshes and textures (docs/workbench.md, pictures and files). */
 
 const RECENT = 4; // textures that are shown again without a transfer, the one in use included
+const RECENT_BLOCKS = 12; // of the surface, those in use included
 const HEADER_BYTES = 28;
 
-/** @typedef {{positions: Float32Array, uv: Float32Array, faces: Uint32Array}} MeshArrays */
+/**
+ * @typedef {{positions: Float32Array, uv: Float32Array, faces: Uint32Array, rows: Int32Array, columns: Int32Array,
+ *   shape: number[]}} MeshArrays `rows` and `columns` of the vertices in the scan's grid, which has `shape`
+ */
 
 const addressOf = (part, fields) => `picture/model/${part}?${new URLSearchParams(fields)}`;
 
 /** @returns {string} */
 export const meshAddress = (scan, detail) => addressOf("mesh", { detail, rev: scan });
+
+/** @returns {string} the surface of a block of the scan's grid, LEVEL.ROW.COLUMN */
+export const blockAddress = (scan, block) => addressOf("mesh", { block, rev: scan });
 
 /** @returns {string} */
 export const textureAddress = (photo, kind, { z_buffer, rev }, detail) =>
@@ -85,7 +92,7 @@ export const decodeMesh = (buffer) => {
   }
   const faces = new Uint32Array(3 * triangles);
   for (let k = 0; k < triangles; k += 1) faces.set([first[k], first[k] + second[k], first[k] + third[k]], 3 * k);
-  return { positions, uv, faces };
+  return { positions, uv, faces, rows: row, columns: column, shape: [rows, columns] };
 };
 
 const decompressed = (blob) => new Response(blob.stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
@@ -99,6 +106,7 @@ const legendOf = (headers) => {
 export class ModelParts {
   #meshes = new Map();
   #textures = new Map();
+  #blocks = new Map();
   #layer = null; // the latest: the largest that the page keeps
 
   /** @returns {Promise<MeshArrays>} */
@@ -108,6 +116,19 @@ export class ModelParts {
       this.#meshes.set(address, decodeMesh(await decompressed(blob)));
     }
     return this.#meshes.get(address);
+  }
+
+  /** @returns {Promise<MeshArrays | null>} the surface of a block; null where it has none */
+  async block(address, options) {
+    let arrays = this.#blocks.get(address);
+    if (arrays === undefined) {
+      const { blob } = await download(address, options);
+      arrays = blob.size ? decodeMesh(await decompressed(blob)) : null;
+    }
+    this.#blocks.delete(address);
+    this.#blocks.set(address, arrays); // the newest last
+    while (this.#blocks.size > RECENT_BLOCKS) this.#blocks.delete(this.#blocks.keys().next().value);
+    return arrays;
   }
 
   /** @returns {Promise<{blob: Blob, legend: any}>} */
@@ -140,6 +161,7 @@ export class ModelParts {
   clear() {
     this.#layer = null;
     this.#meshes.clear();
+    this.#blocks.clear();
     this.#textures.clear();
   }
 

@@ -4,10 +4,12 @@
  * viser's page exposes for tests; the version of viser is fixed, and tests/e2e/test_model.py notices if they change.
  */
 
+import { cellsInView, facesBeside } from "./model_view.js";
 import { largestTexture } from "./software_drawing.js";
 
 const NODE = "/model";
 const LAYER = "photo layer";
+const BLOCK = "block";
 const [REPEAT, TRILINEAR] = [1000, 1008]; // of three.js: RepeatWrapping, LinearMipmapLinearFilter
 const MARKS = ["/matches/points", "/highlight/halo", "/highlight/point"];
 
@@ -55,6 +57,7 @@ export class ModelSurface {
   #mesh = null;
   #own = null;
   #layer = null;
+  #blocks = [];
 
   /** @param {HTMLIFrameElement} frame */
   constructor(frame) {
@@ -84,6 +87,7 @@ export class ModelSurface {
     const mesh = this.#find();
     if (!mesh || !still()) return false;
     this.#dropLayer();
+    if (this.#own?.arrays !== arrays || this.#mesh !== mesh) this.#dropBlocks();
     this.#setTexture(mesh, bitmap);
     if (this.#own?.arrays !== arrays || this.#mesh !== mesh) this.#setGeometry(mesh, arrays, inner);
     this.#mesh = mesh;
@@ -104,6 +108,7 @@ export class ModelSurface {
     const mesh = this.#find();
     if (!mesh || mesh !== this.#mesh || !still()) return false;
     this.#dropLayer();
+    this.setBlocks([]); // it lies on the surface of the whole scan
     if (!found) return true;
     const material = mesh.material.clone();
     material.map = mesh.material.map.clone();
@@ -125,9 +130,53 @@ export class ModelSurface {
     return true;
   }
 
+  /** @returns {string} a text that changes when the camera moves; empty if nothing is drawn */
+  get viewpoint() {
+    const camera = this.#viewer?.camera;
+    return this.intact && camera ? [...camera.matrixWorld.elements, ...camera.projectionMatrix.elements].map((n) => n.toFixed(4)).join() : "";
+  }
+
+  /** @returns {boolean} whether the photograph's own pixels are drawn */
+  get hasLayer() {
+    return this.#layer !== null;
+  }
+
+  /** @returns {{cells: number[][], shape: number[], vertices: number} | null} what of the scan's grid is in view */
+  inView() {
+    const camera = this.#viewer?.camera;
+    const arrays = this.#own?.arrays;
+    if (!camera || !this.intact || !arrays) return null;
+    const cells = cellsInView(arrays, {
+      world: camera.matrixWorld.elements,
+      projectionInverse: camera.projectionMatrixInverse.elements,
+      meshInverse: this.#mesh.matrixWorld.clone().invert().elements,
+    });
+    return { cells, shape: arrays.shape, vertices: arrays.positions.length / 3 };
+  }
+
+  /**
+   * Draw blocks of the surface in place of what the whole surface shows there.
+   * @param {{name: string, arrays: import("./model_parts.js").MeshArrays}[]} blocks
+   */
+  setBlocks(blocks) {
+    if (!this.intact || (blocks.length === 0 && this.#blocks.length === 0)) return;
+    this.#dropBlocks();
+    const inner = this.#frame.contentWindow;
+    const mesh = this.#mesh;
+    for (const { arrays } of blocks) {
+      const block = new mesh.constructor(geometryOf(mesh.geometry, arrays, inner), mesh.material); // its texture, too
+      block.name = BLOCK;
+      mesh.add(block);
+      this.#blocks.push(block);
+    }
+    this.#setFaces(facesBeside(this.#own.arrays, blocks.map(({ name }) => name)));
+    this.#viewer.requestRender();
+  }
+
   /** Show nothing. */
   clear() {
     this.#dropLayer();
+    this.#dropBlocks();
     const mesh = this.#find();
     if (mesh && this.#own) mesh.visible = false;
     this.#mesh = null;
@@ -189,6 +238,22 @@ export class ModelSurface {
     mesh.visible = true;
     this.#own = { arrays };
     before.dispose();
+  }
+
+  #setFaces(faces) {
+    const { geometry } = this.#mesh;
+    const { index } = geometry;
+    geometry.setIndex(new index.constructor(new (this.#frame.contentWindow.Uint32Array)(faces), 1));
+  }
+
+  #dropBlocks() {
+    if (!this.#blocks.length) return;
+    for (const block of this.#blocks) {
+      block.removeFromParent();
+      block.geometry.dispose();
+    }
+    this.#blocks = [];
+    if (this.intact && this.#own) this.#setFaces(this.#own.arrays.faces);
   }
 
   #dropLayer() {

@@ -1,0 +1,96 @@
+"""The surface of a large scan in the 3-D view: coarse everywhere, finer where somebody looks, never too much of it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from ladarreg_core.formats.npz import write_npz_panorama
+from tests.unit.surface.test_grid_block import room_scan
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the server is ended by a signal")]
+MOST_VERTICES = 400_000
+SURFACES = """() => {
+  const { scene } = document.querySelector("iframe.model-frame").contentWindow.__viserMutable;
+  const found = { block: [], whole: [] };
+  scene.traverse((o) => {
+    const { position, uv } = o.geometry?.attributes ?? {};
+    if (!o.isMesh || !uv || position.count < 1000) return;
+    const [u, v] = [0, 1].map((k) => Array.from({ length: uv.count }, (_, n) => uv.array[2 * n + k]));
+    const ends = (values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
+    found[o.name === "block" ? "block" : "whole"].push([position.count, o.geometry.index.count / 3, ends(u), ends(v)]);
+  });
+  return found;
+}"""
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    folder = tmp_path_factory.mktemp("finer")
+    write_npz_panorama(folder / "scan.npz", room_scan((1000, 2000)))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ladarreg", "serve", str(folder / "scan.npz"), "--project", str(folder / "project"),
+         "--port", "0", "--no-browser"],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    yield next(word for word in process.stdout.readline().split() if "://" in word)
+    process.terminate()
+    process.wait(60)
+
+
+def surfaces(page: Page, wanted: Any) -> dict[str, list[Any]]:
+    """Return the surfaces that are drawn, once they are as wanted."""
+    end = time.monotonic() + 60
+    while True:
+        found: dict[str, list[Any]] = page.evaluate(SURFACES)
+        if wanted(found):
+            return found
+        assert time.monotonic() < end, found
+        page.wait_for_timeout(200)
+
+
+def test_the_surface_is_finer_where_somebody_looks(browser: Browser, address: str) -> None:
+    page = browser.new_context(viewport={"width": 1280, "height": 720}, bypass_csp=True).new_page()
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(address)
+    page.locator("#model-pane [data-model=drawn]").wait_for(timeout=60_000)
+    page.get_by_role("button", name="Scanner", exact=True).click()
+    first = surfaces(page, lambda found: found["block"])
+    ((vertices, faces, _, _),) = first["whole"]
+    whole = sum(count for count, *_ in first["block"]) + vertices
+    assert whole <= MOST_VERTICES
+    for count, _, (left, right), (top, bottom) in first["block"]:
+        density = count / ((right - left) * (bottom - top))  # vertices over the whole grid
+        assert density > 3 * vertices
+
+    frame = page.locator("iframe.model-frame").bounding_box()
+    assert frame is not None
+    x, y = frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 200, y, steps=6)
+    page.mouse.up()
+
+    def moved(found: dict[str, list[Any]]) -> bool:
+        return bool(found["block"]) and found["block"] != first["block"]
+
+    second = surfaces(page, moved)
+    assert sum(count for kind in second.values() for count, *_ in kind) <= MOST_VERTICES
+
+    page.get_by_role("button", name="Display", exact=True).click()
+    page.get_by_label("Detail").select_option("coarse")
+    last = surfaces(page, lambda found: found["whole"] and found["whole"][0][0] < vertices / 2)
+    assert not last["block"]  # a computer without a graphics card draws as little as possible
+    assert last["whole"][0][1] < faces
+    assert not errors
+    page.context.close()

@@ -1,0 +1,92 @@
+"""Which blocks of the surface the 3-D view asks for, and what of the whole surface they replace."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from tests.page.test_panes import blank, run
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+__all__ = ["blank"]
+SHAPE = [4000, 7000]
+
+
+def blocks(
+    page: Page, cells: Any, shape: Any = SHAPE, *, vertices: int = 60_000, turns: bool = True
+) -> list[list[int]]:
+    found = run(
+        page, "panels/model_view", "return m.blocksAt(...a)", [np.asarray(cells).tolist(), shape, vertices, turns]
+    )
+    return [[int(number) for number in name.split(".")] for name in found]
+
+
+def test_the_finest_blocks_that_show_all_in_view_are_chosen(blank: Page) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        size = rng.uniform(20, 1500, 2)
+        corner = rng.uniform(0, np.array(SHAPE) - size * [1, 0])
+        cells = np.floor(corner + size * rng.uniform(size=(25, 2))).astype(int)
+        cells[:, 1] %= SHAPE[1]  # also across the seam
+        found = blocks(blank, cells)
+        assert 1 <= len(found) <= 4
+        (level,) = {each[0] for each in found}
+        count = 2**level
+        inside = [[r, c] in [each[1:] for each in found] for r, c in (cells * count // np.array(SHAPE)).tolist()]
+        assert np.mean(inside) == 1 or level <= 2, (level, found)
+        assert level >= 3 or size.max() > 400
+
+
+def test_where_the_whole_surface_is_fine_enough_there_are_none(blank: Page) -> None:
+    cells = [[500, 500], [510, 520], [505, 490]]
+    assert blocks(blank, cells, [1000, 1000], vertices=900_000) == []
+    assert blocks(blank, cells[:2]) == []  # too little is in view
+    assert blocks(blank, []) == []
+    assert len(blocks(blank, cells, [1000, 1000], turns=False)) in (1, 2, 4)
+
+
+def test_a_scan_that_does_not_turn_has_no_blocks_beyond_its_border(blank: Page) -> None:
+    cells = [[0, 0], [3, 2], [1, 5]]
+    for level, row, column in blocks(blank, cells, turns=False):
+        assert 0 <= row < 2**level
+        assert 0 <= column < 2**level
+
+
+@pytest.mark.parametrize("names", [[], ["2.1.2"], ["3.2.3", "3.2.4", "3.3.3", "3.3.4"]])
+def test_blocks_replace_the_faces_within_them_and_those_across_their_borders_stay(
+    blank: Page, names: list[str]
+) -> None:
+    rows, columns = 41, 83
+    r, c = np.divmod(np.arange(rows * columns), columns)
+    corner = np.arange(rows * columns).reshape(rows, columns)[:-1, :-1].reshape(-1)
+    faces = np.concatenate([corner[:, None] + [0, columns, 1], corner[:, None] + [1, columns, columns + 1]])
+    body = """const arrays = { faces: new Uint32Array(a.faces), rows: new Int32Array(a.rows),
+        columns: new Int32Array(a.columns), shape: a.shape };
+        return [...m.facesBeside(arrays, a.names)]"""
+    given = {
+        "faces": faces.reshape(-1).tolist(),
+        "rows": r.tolist(),
+        "columns": c.tolist(),
+        "shape": [rows, columns],
+        "names": names,
+    }
+    kept = np.array(run(blank, "panels/model_view", body, given)).reshape(-1, 3)
+    owner = np.full(rows * columns, -1)
+    for number, name in enumerate(names):
+        level, row, column = map(int, name.split("."))
+        n = 2**level
+        inside = (
+            (r >= row * rows // n)
+            & (r < (row + 1) * rows // n)
+            & (c >= column * columns // n)
+            & (c < (column + 1) * columns // n)
+        )
+        owner[inside] = number
+    of = owner[faces]
+    replaced = (of[:, 0] >= 0) & (of[:, 0] == of[:, 1]) & (of[:, 1] == of[:, 2])
+    np.testing.assert_array_equal(kept, faces[~replaced])
+    assert bool(names) == replaced.any()
