@@ -20,6 +20,7 @@ IntensityKind = Literal["raw", "range_normalised"]
 _SMALLEST_SIDE = 2
 _DIRECTION_SAMPLES = 20_000
 _ROWS_AT_ONCE = 256
+_LARGEST_WITH_RAYS = 4_000_000
 LUMA_NOTE = "the intensity is the luminance of the colours (Rec. 709), not the laser's"
 """Note of a scan whose intensity is the luminance of its colours."""
 NO_INTENSITY_NOTE = "the scan has no intensity: only its shape can be compared with a photo"
@@ -206,10 +207,12 @@ class Scan:
     def points(self) -> FloatArray:
         """(H, W, 3) float32, scanner frame, m; NaN = no return. Source: thesis Eq 2.1."""
         points = np.empty((*self.shape, 3), np.float32)
-        rays = self.rays
         for first in range(0, len(points), _ROWS_AT_ONCE):
             part = slice(first, first + _ROWS_AT_ONCE)
-            np.multiply(rays[part].astype(np.float32), self.ranges[part, :, None], out=points[part])
+            if self.ranges.size > _LARGEST_WITH_RAYS:  # the grid would keep its rays, twice the size of the points
+                points[part] = self.points_at(part, slice(None))
+            else:
+                np.multiply(self.rays[part].astype(np.float32), self.ranges[part, :, None], out=points[part])
         points.flags.writeable = False
         return points
 

@@ -56,6 +56,8 @@ class Arguments(CameraArguments):
     """Private key of the certificate, PEM."""
     upload_limit_mb: int = 2048
     """Largest upload, MB."""
+    cache_mb: int = 640
+    """Memory for views, pictures, photos and parts of the model that are kept for reuse, MB; the scan takes its own."""
     behind_proxy: bool = False
     """Trust the X-Forwarded headers of a reverse proxy."""
     allow_host: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME")] = ()
@@ -87,8 +89,9 @@ def run(arguments: Arguments) -> ExitCode:
     check_certificate(options)
     chosen = arguments.token if arguments.token is not None else os.environ.get(_TOKEN_VARIABLE)
     token = checked_token(chosen) if chosen is not None else None
-    if arguments.upload_limit_mb < 1:
-        raise OptionError(f"--upload-limit-mb is {arguments.upload_limit_mb}; it must be at least 1")
+    for name in ("upload_limit_mb", "cache_mb"):
+        if getattr(arguments, name) < 1:
+            raise OptionError(f"--{name.replace('_', '-')} is {getattr(arguments, name)}; it must be at least 1")
     if arguments.folder is not None and not arguments.folder.is_dir():
         raise OptionError(f"{arguments.folder}: folder not found; give another with --folder")
     _serve(arguments, token, options)
@@ -138,6 +141,7 @@ def _serve(arguments: Arguments, token: str | None, options: GatewayOptions) -> 
         reading=_reading(arguments),
         folder=arguments.folder,
         upload_bytes=arguments.upload_limit_mb << 20,
+        cache_bytes=arguments.cache_mb * 1_000_000,
         check=stop.check,
     )
     tokens = TokenChoice(chosen=token, renew=arguments.new_token)

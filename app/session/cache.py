@@ -7,6 +7,7 @@ import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from itertools import count
 from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
@@ -24,13 +25,22 @@ class BoundedCache(Generic[T]):
         max_bytes: the largest total size.
         size_of: returns the size of a value, bytes.
         values_grow: whether values compute and keep more later; all are then measured again at each `put`.
+        clock: returns rising numbers; caches that share one can be compared by `oldest_use`.
     """
 
     def __init__(
-        self, max_count: int, max_bytes: int, size_of: Callable[[T], int], *, values_grow: bool = False
+        self,
+        max_count: int,
+        max_bytes: int,
+        size_of: Callable[[T], int],
+        *,
+        values_grow: bool = False,
+        clock: Callable[[], int] | None = None,
     ) -> None:
         self._max_count, self._max_bytes, self._size_of, self._values_grow = max_count, max_bytes, size_of, values_grow
         self._entries: OrderedDict[Hashable, tuple[T, int]] = OrderedDict()
+        self._used_at: dict[Hashable, int] = {}
+        self._clock = clock or count().__next__
         self._lock = threading.Lock()
 
     def __contains__(self, key: Hashable) -> bool:
@@ -51,6 +61,7 @@ class BoundedCache(Generic[T]):
             if key not in self._entries:
                 return None
             self._entries.move_to_end(key)
+            self._used_at[key] = self._clock()
             return self._entries[key][0]
 
     def put(self, key: Hashable, value: T) -> None:
@@ -61,14 +72,32 @@ class BoundedCache(Generic[T]):
                     self._entries[name] = one, self._size_of(one)
             self._entries[key] = value, self._size_of(value)
             self._entries.move_to_end(key)
+            self._used_at[key] = self._clock()
             total = sum(size for _, size in self._entries.values())
             while len(self._entries) > 1 and (len(self._entries) > self._max_count or total > self._max_bytes):
-                total -= self._entries.popitem(last=False)[1][1]
+                total -= self._drop_oldest()
 
     def clear(self) -> None:
         """Drop everything."""
         with self._lock:
             self._entries.clear()
+            self._used_at.clear()
+
+    @property
+    def oldest_use(self) -> int | None:
+        """When the least recently used value was used last, by the clock; None if there is no value."""
+        with self._lock:
+            return self._used_at[next(iter(self._entries))] if self._entries else None
+
+    def drop_oldest(self) -> int:
+        """Drop the least recently used value, if there is one, and return its size."""
+        with self._lock:
+            return self._drop_oldest() if self._entries else 0
+
+    def _drop_oldest(self) -> int:
+        key, (_, size) = self._entries.popitem(last=False)
+        del self._used_at[key]
+        return size
 
 
 class GroupedCache:
@@ -77,15 +106,27 @@ class GroupedCache:
     Args:
         limits: the largest number of values and the largest total size, bytes, of each group.
         derived: for a group, the groups that are emptied when it gets a new value.
+        max_bytes: the largest total size of all groups besides the newest value; None: only the groups' own limits.
+        uncounted: groups that do not count.
     """
 
     def __init__(
-        self, limits: Mapping[str, tuple[int, int]], *, derived: Mapping[str, Sequence[str]] | None = None
+        self,
+        limits: Mapping[str, tuple[int, int]],
+        *,
+        derived: Mapping[str, Sequence[str]] | None = None,
+        max_bytes: int | None = None,
+        uncounted: Sequence[str] = (),
     ) -> None:
+        clock = count().__next__
         self._groups: dict[str, BoundedCache[tuple[Any]]] = {
-            name: BoundedCache(count, size, lambda entry: array_bytes(entry[0]), values_grow=count < _GROWING_BELOW)
-            for name, (count, size) in limits.items()
+            name: BoundedCache(
+                most, size, lambda entry: array_bytes(entry[0]), values_grow=most < _GROWING_BELOW, clock=clock
+            )
+            for name, (most, size) in limits.items()
         }
+        self._counted = [group for name, group in self._groups.items() if name not in uncounted]
+        self._max_bytes, self._total_lock = max_bytes, threading.Lock()
         self._derived = dict(derived or {})
         self._locks = {name: threading.RLock() for name in limits}
 
@@ -102,7 +143,25 @@ class GroupedCache:
                 self._groups[group].put(key, entry)
                 for name in self._derived.get(group, ()):
                     self._groups[name].clear()
+                self._shrink()
             return entry[0]
+
+    @property
+    def bytes(self) -> int:
+        """Total size of the values that count, when they were last measured."""
+        return sum(group.bytes for group in self._counted)
+
+    def _shrink(self) -> None:
+        """Drop the least recently used values of all groups until the rest fits; the newest one stays."""
+        if self._max_bytes is None:
+            return
+        with self._total_lock:
+            total = self.bytes
+            while total > self._max_bytes:
+                ages = [(age, group) for group in self._counted if (age := group.oldest_use) is not None]
+                if sum(len(group) for group in self._counted) <= 1:
+                    break
+                total -= min(ages, key=lambda each: each[0])[1].drop_oldest()
 
 
 class IdentityCache:
@@ -157,24 +216,22 @@ class ListCache(Generic[T, S]):
 def array_bytes(value: object) -> int:
     """Return the size of the arrays and byte strings that an object holds, each counted once.
 
-    Scans, photographs and views inside it are not counted: they have caches of their own.
+    Scans and photographs inside it are not counted: they have caches of their own.
     """
-    from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
-    from ladarreg_core.surface.perspective import View
 
     seen: set[int] = set()
 
-    def count(one: Any, *, inner: bool) -> int:
-        if id(one) in seen or (inner and isinstance(one, Scan | Photo | View | NamedView)):
+    def size_of(one: Any, *, inner: bool) -> int:
+        if id(one) in seen or (inner and isinstance(one, Scan | Photo)):
             return 0
         seen.add(id(one))
         if isinstance(one, bytes):
             return len(one)
         if hasattr(one, "nbytes") and hasattr(one, "base"):
             shared = hasattr(one.base, "nbytes") or isinstance(one.base, bytes)
-            return count(one.base, inner=True) if shared else int(one.nbytes)
+            return size_of(one.base, inner=True) if shared else int(one.nbytes)
         if isinstance(one, Mapping):
             parts: Any = one.values()
         elif isinstance(one, tuple | list):
@@ -183,11 +240,11 @@ def array_bytes(value: object) -> int:
             parts = list(getattr(one, "__dict__", {}).values())
             if dataclasses.is_dataclass(one):
                 parts += [getattr(one, field.name, None) for field in dataclasses.fields(one)]
-        return sum(count(part, inner=True) for part in parts)
+        return sum(size_of(part, inner=True) for part in parts)
 
     if isinstance(value, tuple):  # (object that the key identifies, value made of it)
         value = value[-1]
-    return count(value, inner=False)
+    return size_of(value, inner=False)
 
 
 def rough_bytes(value: object) -> int:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
 
+from ..process_resources import keep_heap_small
 from .cache import GroupedCache, ListCache
 from .isolated_readers import READERS
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
+    from ladarreg_core.surface.perspective import View
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -31,6 +33,7 @@ _LIMITS = {
     "scan": (1, 1),
     "photo": (8, 600_000_000),
     "views": (1, 1),
+    "view": (16, 300_000_000),
     "registration": (64, 100_000_000),
     "solved_on": (64, 50_000_000),
     "stale": (128, 1_000_000),
@@ -44,17 +47,35 @@ _LIMITS = {
 }
 """The largest number of values of each kind, and their largest total size besides the newest, bytes."""
 
-_DERIVED_FROM_SCAN = ("views", "assessment", "partners", "measured", "picture", "model", "line")
+DEFAULT_CACHE_BYTES = 640_000_000
+"""Largest total size of everything that is kept besides the scan and the newest value."""
+
+_LARGE_SCAN_CELLS = 4_000_000
+
+_DERIVED_FROM_SCAN = ("views", "view", "assessment", "partners", "measured", "picture", "model", "line")
 """Kinds whose values would keep the previous scan in memory."""
 
 
 class Loader:
-    """Loads what a document refers to and caches it; safe for several threads."""
+    """Loads what a document refers to and caches it; safe for several threads.
 
-    def __init__(self, folder: ProjectFolder) -> None:
+    Args:
+        folder: the project's folder.
+        cache_bytes: the largest size of all that is kept for reuse, besides the scan and the newest value.
+    """
+
+    def __init__(self, folder: ProjectFolder, *, cache_bytes: int = DEFAULT_CACHE_BYTES) -> None:
         self._folder = folder
-        self._cache = GroupedCache(_LIMITS, derived={"scan": _DERIVED_FROM_SCAN})
+        self.cache_bytes = cache_bytes
+        self._cache = GroupedCache(
+            _LIMITS, derived={"scan": _DERIVED_FROM_SCAN}, max_bytes=cache_bytes, uncounted=("scan",)
+        )
         self._picks: ListCache[PickEntry, Pick] = ListCache(lambda pick: pick.as_pick())
+
+    @property
+    def cached_bytes(self) -> int:
+        """Size of what is kept for reuse, besides the scan, when it was last measured."""
+        return self._cache.bytes
 
     def cached(self, kind: str, key: Hashable, make: Callable[[], T]) -> T:
         """Return the cached value of a key, or make it; other callers that need the same kind wait."""
@@ -84,7 +105,10 @@ class Loader:
         """Read a scan's file."""
         from ladarreg_core.formats import read_scan
 
-        return READERS.run(read_scan, self._folder.source_path(source.path), **source.scan_options)
+        scan = READERS.run(read_scan, self._folder.source_path(source.path), **source.scan_options)
+        if scan.ranges.size > _LARGE_SCAN_CELLS:
+            keep_heap_small()
+        return scan
 
     def read_matches(self, path: Path, scan: Scan) -> list[Pick]:
         """Read a matches file."""
@@ -173,6 +197,15 @@ class Loader:
         """
         scan = self.scan(document)
         return () if scan is None else self.cached("views", document.scan, lambda: _views_of(scan))
+
+    def view(self, document: Document, number: int) -> View:
+        """Return one of the views, with its pixels; the most recently used ones are kept.
+
+        Raises:
+            LadarregError: as `views`.
+        """
+        named = self.views(document)[number]
+        return self.cached("view", (document.scan, number), lambda: named.view)
 
     def preload_scan(self, source: Source) -> None:
         """Read a scan, compute its views and cache both; nothing is cached of a scan that is refused.

@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ladarreg_core.inspection.picture_forms import EncodedPicture
-    from ladarreg_core.project.document import PhotoEntry, PoseEntry
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
     from ladarreg_core.scan import Scan
-    from ladarreg_core.surface.perspective import View
 
 log = logging.getLogger(__name__)
 _OF_NO_PIXEL = frozenset(("rev", "stage", "form", "part"))
@@ -142,16 +141,16 @@ class Images:
     def _scan(self, query: Mapping[str, str]) -> Picture:
         from ladarreg_core.inspection.pictures import Stretch, scan_picture
 
-        view, show = self._view(query), query.get("show", "intensity")
+        document = self._session.document
+        index, show = self._view_number(document, query), query.get("show", "intensity")
         stretch = Stretch(
             low=_number(query, "low", 1.0),
             high=_number(query, "high", 99.5),
             gamma=_number(query, "gamma", 0.6),
             equalise=query.get("equalise") == "1",
         )
-        return self._sent(
-            ("scan", id(view), show, stretch), lambda: scan_picture(view, show, stretch), query, keep=view
-        )
+        key = ("scan", document.scan, index, show, stretch)
+        return self._sent(key, lambda: scan_picture(self._loader.view(document, index), show, stretch), query)
 
     def _strip(self, query: Mapping[str, str]) -> Picture:
         from ladarreg_core.inspection.panorama import strip_picture
@@ -176,7 +175,8 @@ class Images:
             texture = texture_without_z_buffer(scan, photo, result)
         else:
             texture = texture_scan(scan, photo, result.camera_from_scanner, camera=result.camera)
-        return photo_over_scan(self._view(query), texture)
+        document = self._session.document
+        return photo_over_scan(self._loader.view(document, self._view_number(document, query)), texture)
 
     def _scan_or_raise(self) -> Scan:
         scan = self._loader.scan(self._session.document)
@@ -184,14 +184,14 @@ class Images:
             raise OptionError("there is no scan; open one")
         return scan
 
-    def _view(self, query: Mapping[str, str]) -> View:
-        views = self._loader.views(self._session.document)
+    def _view_number(self, document: Document, query: Mapping[str, str]) -> int:
+        views = self._loader.views(document)
         if not views:
             raise OptionError("there is no scan; open one")
         index = query.get("view", "0")
         if not index.isdecimal() or len(index) > _MAX_DIGITS or int(index) >= len(views):
             raise OptionError(f"there is no view {index[:20]!r}; the scan has {len(views)}")
-        return views[int(index)].view
+        return int(index)
 
 
 def _number(query: Mapping[str, str], name: str, otherwise: float) -> float:

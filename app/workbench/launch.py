@@ -21,7 +21,7 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ..exit_codes import ExitCode
 from ..process_resources import freeze_loaded_objects
 from ..session.isolated_readers import READERS
-from ..session.loader import Loader
+from ..session.loader import DEFAULT_CACHE_BYTES, Loader
 from ..session.session import Session, now
 from ..stop_signals import StopSignals, exit_now, print_error
 from .given_files import Reading, add_files
@@ -49,6 +49,7 @@ def open_workbench(
     project: Path | None = None,
     folder: Path | None = None,
     upload_bytes: int = 2 << 30,
+    cache_bytes: int = DEFAULT_CACHE_BYTES,
     name: str = "",
     reading: Reading | None = None,
     clients: Clients | None = None,
@@ -62,6 +63,7 @@ def open_workbench(
         project: folder of the project; None: a folder in the user's data.
         folder: folder whose files clients may open.
         upload_bytes: the largest upload.
+        cache_bytes: the largest size of what is kept for reuse, besides the scan.
         name: name of a project that is started with a scan and photographs; empty: that of the scan.
         reading: what is known about the scan and the photographs, beyond their files; None: nothing.
         clients: the clients of the workbench that this one replaces; None: it is the first.
@@ -106,7 +108,7 @@ def open_workbench(
         session = Session(kept, history, elsewhere=_fallback_folders(kept.path))
         workbench = Workbench(
             session,
-            Loader(kept),
+            Loader(kept, cache_bytes=cache_bytes),
             upload_bytes=upload_bytes,
             served=folder,
             clients=clients,
@@ -170,7 +172,12 @@ def serve_and_close(
     scenes = _SceneServers()
     desk = Desk(
         workbench,
-        open_workbench=partial(open_workbench, folder=folder, upload_bytes=workbench.limits.upload_bytes),
+        open_workbench=partial(
+            open_workbench,
+            folder=folder,
+            upload_bytes=workbench.limits.upload_bytes,
+            cache_bytes=workbench.loader.cache_bytes,
+        ),
         data=data_folder(),
         anywhere=options.on_loopback and not options.behind_proxy,
         on_open=scenes.open_soon,

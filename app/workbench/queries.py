@@ -57,11 +57,11 @@ class Queries:
 
         snapper: ViewSnapper | PhotoSnapper
         if side == "scan":
-            views = self._loader.views(self._session.document)
-            if not 0 <= view < len(views):
+            document = self._session.document
+            if not 0 <= view < len(self._loader.views(document)):
                 return None
-            shown = views[view].view
-            snapper = self._loader.cached("picture", ("snapper", id(shown)), lambda: ViewSnapper.of(shown))
+            key = ("snapper", document.scan, view)
+            snapper = self._loader.cached("picture", key, lambda: ViewSnapper.of(self._loader.view(document, view)))
         else:
             viewed = self._loader.viewable_photo(require_photo(self._session.document, photo))
             snapper = self._loader.cached("picture", ("snapper", id(viewed)), lambda: PhotoSnapper.of(viewed))

@@ -132,7 +132,7 @@ class SceneSync:
             self._scan_shown = None
         elif self._scan_shown is None or self._scan_shown.scan is not scan:
             views = self._loader.views(document)
-            axis = views[0].view.view_from_scanner.rotation[2] if views else scan.mean_direction
+            axis = views[0].view_from_scanner.rotation[2] if views else scan.mean_direction
             self._scan_shown = ScanShown(scan, axis)
             self._subjects.clear()
             self._picks.clear()

@@ -94,12 +94,12 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
         "views": [
             {
                 "label": named.label,
-                "width": named.view.camera.width,
-                "height": named.view.camera.height,
-                "f": named.view.camera.fx,
-                "cx": named.view.camera.cx,
-                "cy": named.view.camera.cy,
-                "rotation": named.view.view_from_scanner.rotation.reshape(-1).tolist(),
+                "width": named.camera.width,
+                "height": named.camera.height,
+                "f": named.camera.fx,
+                "cx": named.camera.cx,
+                "cy": named.camera.cy,
+                "rotation": named.view_from_scanner.rotation.reshape(-1).tolist(),
             }
             for named in views
         ],

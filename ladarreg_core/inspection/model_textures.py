@@ -26,6 +26,7 @@ from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.texture import Label, RegisteredTexture, intensity_picture, model_picture, texture_scan
 from ladarreg_core.surface.uncertainty import picture_sigma
+from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN
 
 TextureKind = Literal["colour", "intensity", "range", "residual", "depth_error", "uncertainty", "resolution", "label"]
 
@@ -47,6 +48,9 @@ _KINDS: dict[TextureKind, tuple[str, str]] = {
     "resolution": ("Resolution", "size of the photograph's pixels on the surface"),
     "label": ("Visibility class", "how reliable each colour is"),
 }
+_SHOWN_CELL_BY_CELL = ("colour", "intensity", "range", "label")
+"""Of a large scan; other kinds are smooth, and shown by every n-th of its rows and columns."""
+_ROWS_AT_ONCE = 256
 _NEED_POSE = ("colour", "residual", "depth_error", "uncertainty", "resolution", "label")
 _RAMP = 17
 _SHARE_SHOWN = (1.0, 99.0)  # per cent; a few far cells must not compress the scale for all others
@@ -176,6 +180,10 @@ def model_texture(
         ShapeError: if the registered texture is not on the scan's grid.
     """
     known = _checked_kind(kind)
+    if scan.ranges.size > LARGEST_WHOLE_SCAN and not (
+        known in _SHOWN_CELL_BY_CELL and z_buffer and (scan.has_intensity or known != "intensity")
+    ):
+        return _of_thinned(scan, known, photo, result, registered, z_buffer=z_buffer)
     if known == "intensity":
         if not scan.has_intensity:
             return ModelTexture(
@@ -212,6 +220,30 @@ def model_texture(
     if known == "resolution":
         return _of_resolution(resolution_field(scan, result, registered.coloured))
     return visibility_texture(registered.labels)
+
+
+def _of_thinned(
+    scan: Scan,
+    kind: TextureKind,
+    photo: Photo | None,
+    result: PoseResult | None,
+    registered: RegisteredTexture | None,
+    *,
+    z_buffer: bool,
+) -> ModelTexture:
+    """Return the texture of every n-th row and column of a large scan, each repeated n times."""
+    thin, n = scan.thinned(LARGEST_WHOLE_SCAN)
+    if registered is not None and registered.labels.shape == scan.shape:
+        registered = RegisteredTexture(registered.image[::n, ::n], registered.labels[::n, ::n])
+    found = model_texture(thin, kind, photo=photo, result=result, z_buffer=z_buffer, registered=registered)
+    whole = np.empty((*scan.shape, 3), np.uint8)
+    for k in range(n):
+        rows = whole[k::n]
+        for m in range(n):
+            part = rows[:, m::n]
+            part[:] = found.image[: part.shape[0], : part.shape[1]]
+    whole.flags.writeable = False
+    return ModelTexture(whole, found.legend)
 
 
 def registered_texture(scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
@@ -303,11 +335,17 @@ def _colour_legend(elsewhere: str) -> Legend:
 
 
 def _of_range(scan: Scan) -> ModelTexture:
-    low, high = (float(v) for v in np.percentile(scan.ranges[scan.valid].astype(np.float64), _SHARE_SHOWN))
+    seen = scan.ranges[scan.valid]
+    seen = seen[:: max(1, len(seen) // LARGEST_WHOLE_SCAN)].astype(np.float64)
+    low, high = (float(v) for v in np.percentile(seen, _SHARE_SHOWN))
     span = np.float32(max(high - low, 1e-6 * high))
-    level = (np.nan_to_num(scan.ranges, nan=low) - np.float32(low)) / span
+    picture = np.empty((*scan.shape, 3), np.uint8)
+    for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        picture[rows] = ramp_colours((np.nan_to_num(scan.ranges[rows], nan=low) - np.float32(low)) / span)
+    picture.flags.writeable = False
     legend = Legend("Range from the scanner, m", ramp=_VIRIDIS, least=_number(low), most=_number(high))
-    return ModelTexture(ramp_colours(level), legend)
+    return ModelTexture(picture, legend)
 
 
 def _of_pixels(values: FloatArray, title: str) -> ModelTexture:

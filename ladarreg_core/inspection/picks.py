@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
@@ -23,7 +23,7 @@ from ladarreg_core.quality.influence import influence
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import measured_ranges
-from ladarreg_core.surface.visibility import ScanProjection, project_scan
+from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, ScanProjection, project_scan, projected_tiles
 
 _MOST_CACHED = 4_000  # some kilobytes each
 _REACH_PX = 6
@@ -229,6 +229,8 @@ class PickPredictor:
     @cached_property
     def _nearest_cell(self) -> NDArray[np.int32]:
         """Flat index of the nearest visible cell in each photo pixel; -1: none."""
+        if self._is_large:
+            return self._nearest_of_tiles()
         projection = self._projection
         seen = np.flatnonzero(projection.visible)
         seen = seen[np.argsort(-projection.depth_m.reshape(-1)[seen], kind="stable")]  # the nearest is written last
@@ -237,6 +239,35 @@ class PickPredictor:
         u, v = np.clip(at[:, 0], 0, self._camera.width - 1), np.clip(at[:, 1], 0, self._camera.height - 1)
         grid[v, u] = seen
         return grid
+
+    @property
+    def _is_large(self) -> bool:
+        return self._scan.ranges.size > LARGEST_WHOLE_SCAN
+
+    def _nearest_of_tiles(self) -> NDArray[np.int32]:
+        """Return `_nearest_cell`, tile by tile, in memory that does not grow with the scan."""
+        size = self._camera.height * self._camera.width
+        found, depth = np.full(size, -1, np.int32), np.full(size, np.inf, np.float32)
+        for tile in projected_tiles(self._scan, self._camera, self._pose):
+            part = tile.projection.of_cells(*tile.inner)
+            row, column = np.nonzero(part.visible)
+            z = part.depth_m[row, column]
+            order = np.argsort(-z, kind="stable")  # the nearest is written last
+            row, column, z = row[order], column[order], z[order]
+            at = np.rint(part.uv[row, column]).astype(np.intp)
+            u, v = np.clip(at[:, 0], 0, self._camera.width - 1), np.clip(at[:, 1], 0, self._camera.height - 1)
+            pixel = v * self._camera.width + u
+            nearer = z < depth[pixel]
+            cells = (row + tile.rows.start) * self._scan.shape[1] + column + tile.columns.start
+            found[pixel[nearer]], depth[pixel[nearer]] = cells[nearer], z[nearer]
+        return found.reshape(self._camera.height, self._camera.width)
+
+    def _uv_of(self, rows: IntArray, columns: IntArray) -> FloatArray:
+        """Return the photo pixels (N, 2) of cells (N,)."""
+        if not self._is_large:
+            return self._projection.uv[rows, columns]
+        rays = self._scan.geometry.ray_at(np.stack([rows, columns], axis=-1))
+        return self._camera.project(self._pose @ (rays * self._scan.ranges[rows, columns, None]))
 
     def _ray_at(self, at: FloatArray) -> FloatArray:
         nowhere = np.full(3, np.nan)
@@ -249,7 +280,7 @@ class PickPredictor:
         cells = np.unique(around[around >= 0])
         if not len(cells):
             return nowhere
-        uv = self._projection.uv.reshape(-1, 2)[cells].astype(np.float64)
+        uv = self._uv_of(*np.divmod(cells, self._scan.shape[1])).astype(np.float64)
         distance = np.linalg.norm(uv - at, axis=1)
         best = int(np.argmin(distance))
         if distance[best] > _REACH_PX:
@@ -262,9 +293,9 @@ class PickPredictor:
         it."""
         row, column = cell.astype(int)
         height, width = self._scan.shape
-        uv = self._projection.uv
         r0, r1, c0, c1 = max(row - 1, 0), min(row + 1, height - 1), max(column - 1, 0), min(column + 1, width - 1)
-        J = np.stack([(uv[r1, column] - uv[r0, column]) / (r1 - r0), (uv[row, c1] - uv[row, c0]) / (c1 - c0)], axis=1)
+        uv = self._uv_of(np.array([r0, r1, row, row]), np.array([column, column, c0, c1]))
+        J = np.stack([(uv[1] - uv[0]) / (r1 - r0), (uv[3] - uv[2]) / (c1 - c0)], axis=1)
         if not np.isfinite(J).all() or abs(np.linalg.det(J.astype(np.float64))) < 1e-6:
             return np.zeros(2)
         offset = np.linalg.solve(J.astype(np.float64), offset_px)

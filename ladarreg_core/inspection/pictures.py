@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
+from weakref import ReferenceType, ref
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.palette import ACCENT
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
-from ladarreg_core.surface.render import render_scan_colors
+from ladarreg_core.surface.render import LARGEST_DRAWN_SCAN, render_scan_colors
 from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture
 from ladarreg_core.validation import require_choice
 
@@ -38,14 +39,28 @@ _BINS = 4096
 _MOST_GAMMA = 10.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class NamedView:
-    """A view with its name."""
+    """A view of a scan with its name; the view itself, some 12 bytes a pixel, is made when it is asked for."""
 
-    view: View
-    """The view."""
+    scan: Scan
+    """The scan shown."""
+    camera: Camera
+    """The view's camera."""
+    view_from_scanner: Rigid
+    """Its rotation."""
     label: str
     """Its viewing direction, in words."""
+    _latest: list[ReferenceType[View]] = field(default_factory=list, repr=False)
+
+    @property
+    def view(self) -> View:
+        """The view: the same object for as long as anybody holds it."""
+        found = self._latest[-1]() if self._latest else None
+        if found is None:
+            found = perspective_view(self.scan, self.camera, view_from_scanner=self.view_from_scanner)
+            self._latest[:] = [ref(found)]
+        return found
 
 
 def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
@@ -62,7 +77,8 @@ def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
     rays = scan.sampled_directions
     away = np.arccos(np.clip(rays @ scan.mean_direction, -1, 1))
     if float(np.percentile(away, 99)) <= _ONE_VIEW_HALF_RAD:
-        return (NamedView(perspective_view(scan, most_pixels=_MOST_PIXELS), "the whole scan"),)
+        whole = perspective_view(scan, most_pixels=_MOST_PIXELS)
+        return (NamedView(scan, whole.camera, whole.view_from_scanner, "the whole scan"),)
     focal = native_focal_px(scan)
     side = 2 * focal * math.tan(_FIELD_RAD / 2)
     share = min(1.0, math.sqrt(min(_MOST_PIXELS, most_view_pixels(scan))) / side)
@@ -70,14 +86,13 @@ def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
         check_viewable(scan, focal * share)
     camera = Camera.from_focal(max(2, round(side * share)), max(2, round(side * share)), focal * share)
     directions = sorted(viewing_directions(scan, camera), key=lambda d: -_azimuth(d.rotation[2]))
-    views = [perspective_view(scan, camera, view_from_scanner=d) for d in directions]
-    azimuths = [_azimuth(d.rotation[2]) for d in directions]
+    views = [NamedView(scan, camera, d, _direction_name(_azimuth(d.rotation[2]))) for d in directions]
     if is_all_around(scan):
-        filled = [_returns_in(view) for view in views]
+        filled = [_returns_in(view.view) for view in views]
         good = [k for k in range(len(views)) if filled[k] >= _WELL_FILLED * max(filled)]
-        first = min(good, key=lambda k: abs(azimuths[k]))
-        views, azimuths = views[first:] + views[:first], azimuths[first:] + azimuths[:first]
-    return tuple(NamedView(view, _direction_name(azimuth)) for view, azimuth in zip(views, azimuths, strict=True))
+        first = min(good, key=lambda k: abs(_azimuth(directions[k].rotation[2])))
+        views = views[first:] + views[:first]
+    return tuple(views)
 
 
 def _returns_in(view: View) -> int:
@@ -88,7 +103,7 @@ def _returns_in(view: View) -> int:
 
 def resolution_note(scan: Scan, views: Sequence[NamedView]) -> str | None:
     """Return a note where the views have fewer pixels than the scan has cells in its finer direction."""
-    cells = max((native_focal_px(scan) / named.view.camera.fx for named in views), default=1.0)
+    cells = max((native_focal_px(scan) / named.camera.fx for named in views), default=1.0)
     if cells < _NOTABLE:
         return None
     return f"shown at one pixel per {cells:.2g} cells of its finer direction, the finest resolution of a view"
@@ -210,6 +225,7 @@ def scan_over_photo(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid,
     require_choice(show, get_args(OverlayShow), "the overlay")
     if camera.width > _WIDEST_PX:
         camera = camera.resized(_WIDEST_PX, max(1, round(camera.height * _WIDEST_PX / camera.width)))
+    scan, _ = scan.thinned(LARGEST_DRAWN_SCAN)
     picture = _range_picture(scan) if show == "range" else intensity_picture(scan)
     colour, covered = render_scan_colors(scan, camera, camera_from_scanner, picture=picture, supersample=1)
     if show != "edges":

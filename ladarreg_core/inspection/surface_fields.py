@@ -85,15 +85,23 @@ def without_pepper(picture: NDArray[np.uint8], known: BoolArray, fillable: BoolA
         known: (H, W) cells whose colour is known.
         fillable: (H, W) other cells that may take a colour.
     """
+    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return picture
+    box = tuple(slice(max(0, at[0] - _LARGEST_GAP - 1), at[-1] + _LARGEST_GAP + 2) for at in (rows, columns))
+    if known[box].size < known.size:  # what is far from all known cells has no gap
+        result = np.array(picture)
+        result[box] = without_pepper(picture[box], known[box], fillable[box])
+        return result
     count, labels, stats, _ = cv2.connectedComponentsWithStats((~known).astype(np.uint8), connectivity=4)
     small = stats[:count, cv2.CC_STAT_AREA] <= _LARGEST_GAP
     small[0] = False  # the known cells
     gaps = small[labels] & fillable
     if not gaps.any():
         return picture
-    box = (_GAP_REACH, _GAP_REACH)
-    weight = cv2.blur(known.astype(np.float32), box, borderType=cv2.BORDER_CONSTANT)
-    mean = cv2.blur(picture.astype(np.float32) * known[..., None], box, borderType=cv2.BORDER_CONSTANT)
+    reach = (_GAP_REACH, _GAP_REACH)
+    weight = cv2.blur(known.astype(np.float32), reach, borderType=cv2.BORDER_CONSTANT)
+    mean = cv2.blur(picture.astype(np.float32) * known[..., None], reach, borderType=cv2.BORDER_CONSTANT)
     result = np.array(picture)
     fill = gaps & (weight > 0.3)  # most of the cells around are known
     result[fill] = np.rint(mean[fill] / weight[fill][:, None])
@@ -126,7 +134,8 @@ def _interpolated(
         return np.full(scan.shape, np.nan, dtype=np.float32)
     width = _typical_spacing(rays)
     rows, columns = (_nodes(n) for n in scan.shape)
-    directions = np.asarray(scan.rays[np.ix_(rows, columns)]).reshape(-1, 3)
+    nodes = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
+    directions = np.asarray(scan.geometry.ray_at(nodes)).reshape(-1, 3)
     mean, nearest = np.empty(len(directions)), np.empty(len(directions))
     for first in range(0, len(directions), _CHUNK):
         part = slice(first, first + _CHUNK)

@@ -134,8 +134,10 @@ def _centred(across: FloatArray, depth: FloatArray) -> float:
 
 def _central_points(scan: Scan) -> FloatArray:
     """Return a sample of the points (N, 3) of a scan without the outermost ones, which may be spurious."""
-    points = scan.points[scan.valid].astype(np.float64)
-    points = points[:: max(1, len(points) // _SAMPLES)]
+    seen = np.flatnonzero(scan.valid)
+    at = np.divmod(seen[:: max(1, len(seen) // _SAMPLES)], scan.shape[1])
+    rays = scan.geometry.ray_at(np.stack(at, axis=-1)).astype(np.float32)
+    points = (rays * scan.ranges[at][:, None]).astype(np.float64)
     low, high = np.percentile(points, _PERCENTILES, axis=0)
     kept = points[((points >= low) & (points <= high)).all(axis=1)]
     return kept if len(kept) else points

@@ -16,7 +16,9 @@ def point_facets(scan: Scan, *, max_vertices: int) -> Mesh:
     """Return a triangle facing the scanner at each of the returns, evenly thinned out to at most `max_vertices`."""
     cells = np.flatnonzero(scan.valid)
     cells = cells[:: max(1, -(-3 * len(cells) // max(max_vertices, 3)))]
-    centres = scan.points.reshape(-1, 3)[cells].astype(np.float64)
+    at = np.divmod(cells, scan.shape[1])
+    rays = scan.geometry.ray_at(np.stack(at, axis=-1)).astype(np.float32)
+    centres = (rays * scan.ranges[at][:, None]).astype(np.float64)
     ranges = np.linalg.norm(centres, axis=1, keepdims=True)
     toward = centres / np.maximum(ranges, 1e-12)
     aside = np.cross(toward, np.where(np.abs(toward[:, 2:]) < 0.9, [[0.0, 0, 1]], [[1.0, 0, 0]]))

@@ -15,6 +15,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.grid_window import grid_rays
 from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.validation import require_type
@@ -22,6 +23,8 @@ from ladarreg_core.validation import require_type
 WIDEST_VIEW_RAD = np.deg2rad(120.0)
 """Largest field of view of a perspective image."""
 _NODE_PX = 8
+_ROWS_AT_ONCE = 256
+_LARGEST_WHOLE_SCAN = 4_000_000
 _OUTSIDE = -1e4
 _LONGEST_SIDE = 32_000
 _MOST_PIXELS = 100_000_000
@@ -63,12 +66,13 @@ class View:
         Bilinear inside a surface; the nearest cell at depth edges and beside holes, so that no ranges between
         foreground and background arise.
         """
-        valid = np.isfinite(ranges)
-        filled = np.where(valid, ranges, 0).astype(np.float32)
-        corners = filled[:-1, :-1], filled[:-1, 1:], filled[1:, :-1], filled[1:, 1:]
-        low, high = reduce(np.minimum, corners), reduce(np.maximum, corners)
+        filled = np.where(np.isfinite(ranges), ranges, np.float32(0)).astype(np.float32, copy=False)
         smooth = np.zeros(filled.shape, np.uint8)
-        smooth[:-1, :-1] = (low > 0) & (high - low < EDGE_FRACTION * low)
+        for first in range(0, len(filled) - 1, _ROWS_AT_ONCE):
+            band = filled[first : first + _ROWS_AT_ONCE + 1]
+            corners = band[:-1, :-1], band[:-1, 1:], band[1:, :-1], band[1:, 1:]
+            low, high = reduce(np.minimum, corners), reduce(np.maximum, corners)
+            smooth[first : first + len(low), :-1] = (low > 0) & (high - low < EDGE_FRACTION * low)
         linear, nearest = self.resample(filled), _values_at(filled, self.cells, cv2.INTER_NEAREST)
         # A quad is identified by its upper left cell: floor, not round.
         quad = _values_at(smooth, np.floor(self.cells), cv2.INTER_NEAREST)
@@ -219,11 +223,17 @@ def _native_camera(scan: Scan, view_from_scanner: Rigid, most_pixels: int) -> Ca
 
 def _extent(scan: Scan, view_from_scanner: Rigid) -> tuple[float, float]:
     """Return the horizontal and vertical extent of the returns in front, as tangents, within 120 degrees."""
-    rays = scan.rays[scan.valid] @ view_from_scanner.rotation.T
-    rays = rays[rays[:, 2] > np.cos(WIDEST_VIEW_RAD / 2) * 0.5]
     limit = float(np.tan(WIDEST_VIEW_RAD / 2))
-    across, down = (min(float(np.abs(rays[:, k] / rays[:, 2]).max(initial=0.0)), limit) for k in (0, 1))
-    return across, down
+    most = [0.0, 0.0]
+    height = scan.shape[0] if scan.ranges.size <= _LARGEST_WHOLE_SCAN else _ROWS_AT_ONCE
+    for first in range(0, scan.shape[0], height):
+        band = slice(first, first + height)
+        whole = height == scan.shape[0]
+        rays = scan.rays if whole else grid_rays(scan.geometry, band, slice(None))
+        rays = rays[scan.valid[band]] @ view_from_scanner.rotation.T
+        rays = rays[rays[:, 2] > np.cos(WIDEST_VIEW_RAD / 2) * 0.5]
+        most = [max(most[k], float(np.abs(rays[:, k] / rays[:, 2]).max(initial=0.0))) for k in (0, 1)]
+    return min(most[0], limit), min(most[1], limit)
 
 
 def _widened(camera: Camera, extent: tuple[float, float]) -> Camera:

@@ -16,7 +16,8 @@ from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_values
 from ladarreg_core.validation import require_int
 
 _MAP_BLOCK_PX = 4
-_LARGEST_WHOLE_SCAN = 2_000_000  # cells; larger scans are thinned
+LARGEST_DRAWN_SCAN = 2_000_000
+"""Cells; larger scans are thinned."""
 _LARGEST_SUPERSAMPLE = 8
 
 
@@ -54,8 +55,8 @@ def render_scan_colors(
         raise ShapeError("the scan has no colour of its own; give an image on its grid, or a scan with colour")
     texture = read_only(own, np.uint8, (*scan.shape, 3), "the image on the scan's grid")
     require_int(supersample, "supersample", least=1, most=_LARGEST_SUPERSAMPLE)
-    if scan.ranges.size > _LARGEST_WHOLE_SCAN:
-        scan, stride = scan.thinned(_LARGEST_WHOLE_SCAN)
+    if scan.ranges.size > LARGEST_DRAWN_SCAN:
+        scan, stride = scan.thinned(LARGEST_DRAWN_SCAN)
         texture = texture[::stride, ::stride]
     mesh = scan_mesh(scan)
     values = texture[mesh.cells[:, 0], mesh.cells[:, 1]].astype(np.float32) / 255

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from ladarreg.gateway.protocol import Picture
-from ladarreg.session.cache import BoundedCache, ListCache, array_bytes, rough_bytes
+from ladarreg.session.cache import BoundedCache, GroupedCache, ListCache, array_bytes, rough_bytes
 from ladarreg.session.loader import Loader
 
 from ladarreg_core.camera import Camera
@@ -89,3 +89,31 @@ def test_the_number_of_cached_lists_is_bounded() -> None:
     made.clear()
     assert each.get(999, things) == [1, 2, 3]
     assert made == []
+
+
+def test_all_groups_together_stay_within_the_budget() -> None:
+    """Whatever is asked for, and in whichever order: the least recently used values go first, of any group."""
+    cache = GroupedCache({"a": (50, 10_000), "b": (500, 10_000), "scan": (1, 1)}, max_bytes=5_000, uncounted=("scan",))
+    cache.get("scan", 0, lambda: np.zeros(100_000, np.uint8))
+    for k in range(40):
+        cache.get("ab"[k % 2], k, lambda: np.zeros(1_000, np.uint8))
+        cache.get("a", 0, lambda: np.zeros(1_000, np.uint8))  # in use all the time
+        assert cache.bytes <= 5_000
+    assert 0 in cache["a"] and 39 in cache["b"] and 37 in cache["b"] and 2 not in cache["a"]
+    assert len(cache["scan"]) == 1
+    cache.get("b", "large", lambda: np.zeros(9_000, np.uint8))
+    assert cache.bytes == 9_000, "the newest stays, and alone"
+
+
+def test_no_client_outgrows_the_budget_by_looking_around(tmp_path: Path) -> None:
+    from ladarreg.session.loader import DEFAULT_CACHE_BYTES
+
+    limit = 4_000_000
+    assert limit < DEFAULT_CACHE_BYTES
+    loader = Loader(ProjectFolder(tmp_path / "project"), cache_bytes=limit)
+    rng = np.random.default_rng(0)
+    for k in range(300):
+        kind = ("picture", "view", "model", "photo")[rng.integers(4)]
+        size = int(rng.integers(10_000, 900_000))
+        loader.cached(kind, k, lambda size=size: (None, np.zeros(size, np.uint8)))  # type: ignore[misc]
+        assert loader.cached_bytes <= limit
