@@ -6,6 +6,7 @@ import re
 
 _NAMED = re.compile(r"`(\w+)(?:=([^`]*))?`")
 _FLAGS = {
+    "calibrate_mount": "--calibrate-mount",
     "camera": "--camera FILE",
     "camera_model": "--camera-model",
     "camera_name": "--camera-name",
@@ -26,6 +27,7 @@ _FLAGS = {
     "topic": "--topic",
 }
 _FIELDS = {
+    "calibrate_mount": "ladarreg panorama --calibrate-mount",
     "camera": "a camera file",
     "camera_model": "'It is a panorama'",
     "camera_name": "'Camera'",

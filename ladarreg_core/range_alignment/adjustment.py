@@ -98,7 +98,7 @@ def adjust(
         more: returns further information (6 V, 6 V) and its gradient (6 V,), such as that of intensities, at some
             poses and with the number of the gate.
         gates: as `GATES`.
-        start: an earlier adjustment of the same views, to begin with its result.
+        start: an earlier adjustment of the same views, to begin with its result; by the first of the common parameters.
         report: receives the progress; may raise `Cancelled`.
 
     Source: planes eliminated as in bundle adjustment; Triggs et al. 2000, section 6.1.
@@ -106,7 +106,9 @@ def adjust(
     count, extra = len(views), 0 if common is None else len(common.information)
     poses = [view.world_from_scan for view in views] if start is None else list(start.poses)
     moved = np.zeros((count, 6)) if start is None else start.moved.copy()
-    shared = np.zeros(extra) if start is None or start.common is None else np.array(start.common, np.float64)
+    shared = np.zeros(extra)
+    if start is not None and start.common is not None:
+        shared[: len(start.common)] = start.common
     owner = np.repeat(np.arange(count), [len(view.points) for view in views])
     prior = np.zeros((6 * count, 6 * count))
     for k, view in enumerate(views):

@@ -35,6 +35,7 @@ from ladarreg_core.range_alignment.intensity_links import (
 )
 from ladarreg_core.range_alignment.light_search import search_turn, turned
 from ladarreg_core.range_alignment.piece_findings import WEAK_DEG, knocked_pieces, knocked_reason, weak_reasons
+from ladarreg_core.range_alignment.run_faults import RunFault, blow, fault_of_run, together
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_window import GridWindow
 from ladarreg_core.scanner.grids import TabulatedGrid
@@ -175,6 +176,13 @@ def refine_pieces(
         return _kept(pieces, mount, enough, f"nothing was refined: {why}", before, after)
     found = adjust(views, common=common, more=printed, report=report, gates=gates)
     spread = np.zeros((len(pieces), 2))
+    fault = fault_of_run(found, views, common) if refine else None
+    notes = () if fault is None else (fault.sentence,)
+    if fault is not None and fault.kind == "mount" and fault.is_large:
+        return _kept(pieces, mount, enough, f"nothing was refined: {fault.sentence}", before, after)
+    if fault is not None and fault.kind != "mount":
+        common = together(common, blow(fault.first, fault.kind))
+        found = adjust(views, common=common, more=printed, report=report, gates=gates[-3:], start=found)
     if refine:
         loose = knocked_pieces(*_corrections(found, positions), enough)
         if loose.any() and not loose.all():
@@ -206,8 +214,11 @@ def refine_pieces(
         fixed = [_fixed(view) if hold else view for view, hold in zip(views, held, strict=True)]
         links = [link for link in links if not (held[link.first] or held[link.second])]
         found = adjust(fixed, common=common, more=printed, report=report, gates=gates)
-    made = _result(pieces, positions, views, found, mount, held, (before, after), common, refine=refine)
-    return _judged(made, spread) if refine else made
+    made = _result(
+        pieces, positions, views, found, mount, held, (before, after), refine=refine, calibrated=calibrate_mount
+    )
+    made = replace(made, reasons=(*notes, *made.reasons))
+    return _judged(made, spread, fault) if refine else made
 
 
 def overlap_points(scans: Sequence[Scan], poses: Sequence[Rigid], number: int, *, most: int) -> NDArray[np.float32]:
@@ -421,13 +432,13 @@ def _result(
     mount: Rigid,
     held: BoolArray,
     checked: tuple[float, float],
-    common: Common | None,
     *,
     refine: bool,
+    calibrated: bool,
 ) -> Refinement:
     new_mount, covariance, reasons = mount, None, []
-    if common is not None and found.common is not None and found.common_covariance is not None:
-        new_mount, covariance = _new_mount(mount, found.common, found.common_covariance)
+    if calibrated and found.common is not None and found.common_covariance is not None:
+        new_mount, covariance = _new_mount(mount, found.common[:6], found.common_covariance[:6, :6])
         lost = [name for name, value in zip(PARAMETERS, np.diag(covariance), strict=True) if not np.isfinite(value)]
         if lost:
             reasons.append(f"not determined, kept as given: {', '.join(lost)} of the mount")
@@ -436,8 +447,6 @@ def _result(
         at = positions[k]
         by_unit = pan_tilt_pose(at.pan_rad, at.tilt_rad, unit_from_scanner=new_mount)
         pose = by_unit if held[k] or not refine else found.poses[k]
-        if refine and not held[k] and common is not None:
-            pose = found.poses[k]
         move = move_between(by_unit, pose)
         sigma = np.degrees(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", _axes(at), turns[k], _axes(at)), 0)))
         turn = np.degrees(_axes(at) @ move[:3])
@@ -468,13 +477,15 @@ def _result(
     )  # fmt: skip
 
 
-def _judged(made: Refinement, spread_rad: FloatArray) -> Refinement:
+def _judged(made: Refinement, spread_rad: FloatArray, fault: RunFault | None) -> Refinement:
     """Return a refinement with what is to be said about its pieces."""
     known = np.array([one.state == "refined" for one in made.pieces])
     sigma = np.maximum([one.sigma_deg for one in made.pieces], np.degrees(spread_rad))
     turns = np.array([one.turn_deg for one in made.pieces])
     shifts = np.array([one.shift_scanner_mm for one in made.pieces])
-    knocked = knocked_pieces(turns, shifts, known)
+    first = fault.first if fault is not None and fault.kind != "mount" else len(known)
+    before = np.arange(len(known)) < first
+    knocked = knocked_pieces(turns, shifts, known & before)
     weak = [
         tuple(name for name, value in zip(("pan", "tilt"), of, strict=True) if there and value > WEAK_DEG)
         for of, there in zip(sigma, known, strict=True)
@@ -482,6 +493,7 @@ def _judged(made: Refinement, spread_rad: FloatArray) -> Refinement:
     reasons = [*made.reasons, *weak_reasons(weak, sigma)]
     if knocked.any():
         reasons.append(knocked_reason(knocked, turns, shifts))
+    knocked |= known & ~before
     pieces = tuple(
         replace(one, sigma_deg=(float(of[0]), float(of[1])), weak=names, knocked=bool(off))
         for one, of, names, off in zip(made.pieces, sigma, weak, knocked, strict=True)

@@ -82,6 +82,39 @@ def test_a_piece_that_was_knocked_is_found_and_said() -> None:
     assert max(np.linalg.norm(piece.shift_scanner_mm) for piece in others) < 2
 
 
+def run_of_six(blow: Rigid, first: int, mount: Rigid = MOUNT) -> tuple[Refinement, list[Rigid]]:
+    """Return six pieces refined with a mount as given, the scanner moved before one of them; the truth."""
+    at = [one for one in POSITIONS if one.pan_rad < 1]
+    truth = [pan_tilt_pose(one.pan_rad, one.tilt_rad, unit_from_scanner=MOUNT) for one in at]
+    truth = [pose @ blow if k >= first else pose for k, pose in enumerate(truth)]
+    off = OFF_RAD * np.random.default_rng(3).standard_normal((6, 2))
+    said = [PanTilt(one.pan_rad + pan, one.tilt_rad + tilt) for one, (pan, tilt) in zip(at, off, strict=True)]
+    pieces = [
+        placed(
+            piece_scan(pose, FINE, sigma_m=0.002, seed=k),
+            pan_tilt_pose(one.pan_rad, one.tilt_rad, unit_from_scanner=mount),
+        )
+        for k, (one, pose) in enumerate(zip(said, truth, strict=True))
+    ]
+    return refine_pieces(pieces, said, mount=mount), truth
+
+
+def test_a_blow_between_two_pieces_is_found_and_said() -> None:
+    found, truth = run_of_six(Rigid.from_rotvec([0.004, 0, 0.003], [0.004, 0.006, 0.002]), 3)
+    assert "between pieces 2 and 3 the scanner was moved on its unit" in found.reasons[0]
+    assert [piece.knocked for piece in found.pieces] == [False] * 3 + [True] * 3
+    apart = [one.world_from_scanner.distance_to(true) for one, true in zip(found.pieces, truth, strict=True)]
+    assert max(apart) < 0.004  # little shows a shift upward
+
+
+def test_a_wrong_mount_is_said_and_nothing_refined_with_it() -> None:
+    found, _ = run_of_six(Rigid.identity(), 6, MOUNT @ Rigid.from_rotvec([0, 0, 0], [0.013, 0.0176, 0]))
+    assert not found.accepted
+    assert {piece.state for piece in found.pieces} == {"kept"}
+    assert "the mount to be off by about" in found.reasons[0]
+    assert "`calibrate_mount`" in found.reasons[0]
+
+
 def lamp(points: FloatArray) -> FloatArray:
     """A blank room with a short lamp on its ceiling."""
     x, y, z = np.moveaxis(points, -1, 0)
