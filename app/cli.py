@@ -108,7 +108,8 @@ def _explain(error: BaseException) -> tuple[str, ExitCode]:
     if _stems_from_interrupt(error):
         return _INTERRUPTED, ExitCode.INTERRUPTED
     what = f"internal error ({type(error).__name__}: {error})"
-    return f"{what}; run again with --debug for a traceback", ExitCode.FAILED
+    report = "run again with --debug and report the traceback with the command"
+    return f"{what}: a fault of this program, not of your files; {report}", ExitCode.FAILED
 
 
 def _stems_from_interrupt(error: BaseException | None) -> bool:

@@ -35,6 +35,14 @@ def one_line(text: str) -> str:
     return "".join(c if unicodedata.category(c)[0] != "C" else c.encode("unicode_escape").decode() for c in words)
 
 
+def internal_error(error: BaseException, *, go_on: str) -> str:
+    """Return what the page says of a fault of the program itself: what to keep, to report and to do, `go_on`."""
+    return (
+        f"Internal error ({type(error).__name__}), a fault of this program: {go_on}; if it comes again, save the "
+        "project and report what you did, with what the terminal of the workbench says."
+    )
+
+
 def verdict(result: PoseResult) -> str:
     """Return whether a pose is accepted, and on what evidence."""
     from ladarreg_core.results import verdict_words

@@ -46,14 +46,16 @@ def run(arguments: Arguments) -> ExitCode:
             for port, device in found:
                 print("\n".join(_lines(port, device)))
         return ExitCode.ACCEPTED
-    from ladarreg_core.acquisition.serial_port import described_ports
+    from ladarreg_core.acquisition.serial_port import described_ports, why_shut
 
-    ports = described_ports()
+    ports = [(port, said, why_shut(port)) for port, said in described_ports()]
     if arguments.json:
-        print(json.dumps({"ports": [{"port": port, "is": said} for port, said in ports]}))
+        print(json.dumps({"ports": [{"port": port, "is": said, "shut": shut or None} for port, said, shut in ports]}))
         return ExitCode.ACCEPTED
-    for port, said in ports:
+    for port, said, shut in ports:
         print(f"{port}  {one_line(said)}")
+        if shut:
+            print(f"  {one_line(shut)}")
     if not ports:
         print("No serial port is connected. Without devices, try simulated ones:")
         print("  ladarreg devices twin:flir-ptu?seed=1 twin:scip2?seed=1")

@@ -15,6 +15,7 @@ from ladarreg_core.progress import Progress, Step
 from ladarreg_core.project.history import Author
 
 from ..argument_names import as_fields
+from ..messages import internal_error
 
 log = logging.getLogger(__name__)
 State = Literal["running", "paused", "done", "failed", "stopped"]
@@ -234,7 +235,7 @@ class JobRunner:
         except Exception as error:
             log.exception("job %s", job.kind)
             job.state = "failed"
-            job.message = f"Internal error ({type(error).__name__}: {error}); nothing was changed."
+            job.message = internal_error(error, go_on="nothing was changed, try again")
         context.publish(now=True)
 
 

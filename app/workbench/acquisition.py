@@ -21,6 +21,7 @@ from ladarreg_core.errors import Cancelled, LadarregError, OptionError
 
 from ..argument_names import as_fields
 from ..gateway.protocol import Picture
+from ..messages import internal_error
 from .clients import Client
 from .runs import Runs
 
@@ -421,7 +422,7 @@ class Acquisition:
                 said = as_fields(str(error))
             except Exception as error:
                 log.exception("%s failed", name)
-                said = f"Internal error ({type(error).__name__})."
+                said = internal_error(error, go_on="the pieces so far are kept, connect again and resume")
             with self._lock:
                 self._runs.refresh()
                 if self._state == "disconnecting":

@@ -19,6 +19,7 @@ from ..argument_names import as_fields
 from ..gateway.protocol import READ_ONLY
 from ..jobs.registry import JobRegistry
 from ..jobs.runner import JobRunner
+from ..messages import internal_error
 from ..scene.person import VIEWPOINTS
 from ..session.loader import Loader
 from ..session.session import Session
@@ -121,7 +122,7 @@ def reply_to(message: Fields, execute: Callable[[], Reply]) -> Reply:
         }
     except Exception as error:
         log.exception("the command %s failed", do)
-        return {"reply": number, "ok": False, "error": f"Internal error ({type(error).__name__})."}
+        return {"reply": number, "ok": False, "error": internal_error(error, go_on="nothing else is lost, try again")}
 
 
 def add_pick(context: Context, client: Client, fields: Fields) -> Reply:

@@ -48,7 +48,7 @@ class Ports:
     def __init__(self, *, guarded: bool = True) -> None:
         self._guarded = guarded
         self._guard: GuardProcess | None = None
-        self._open: list[tuple[Port, bytes]] = []
+        self._open: list[tuple[GuardedPort | SerialPort, bytes]] = []
         self._opening = threading.RLock()
 
     def __enter__(self) -> Ports:
@@ -73,9 +73,11 @@ class Ports:
         """
         found = resolved_twin(address) if is_twin(address) else address
         with self._opening:
+            # What was closed, such as after a device that did not answer, is free again.
+            self._open = [each for each in self._open if not each[0].closed]
             if any(_is_same(port.address, found) for port, _ in self._open):
                 raise DeviceError(f"the port {address} of the {name} is already used by another device of this run")
-            port: Port = GuardedPort(self, found, baud, stop) if self._guarded else SerialPort(found, baud)
+            port = GuardedPort(self, found, baud, stop) if self._guarded else SerialPort(found, baud)
             self._open.append((port, stop))
         return port
 
@@ -119,6 +121,8 @@ class GuardedPort:
         self._ports, self._baud, self._stop = ports, baud, stop
         self._guard = ports.guard()
         self._channel = self._guard.open(address, baud, stop)
+        self.closed = False
+        """Whether it was closed and is free to be opened again."""
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has come, or b'' if nothing comes in time; raises `GuardEndedError`, too."""
@@ -133,9 +137,11 @@ class GuardedPort:
         self.close()
         self._guard = self._ports.guard()
         self._channel = self._guard.open(self.address, self._baud, self._stop)
+        self.closed = False
 
     def close(self) -> None:
         """Stop the device and close the port."""
+        self.closed = True
         self._guard.close_channel(self._channel)
 
 

@@ -60,7 +60,8 @@ class SerialPort:
     def __init__(self, address: str, baud: int) -> None:
         self.address, self._baud = address, baud
         self._writing, self._reading = threading.Lock(), threading.Lock()
-        self._closed = False
+        self.closed = False
+        """Whether it was closed and is free to be opened again."""
         self._serial: Any = _opened(address, baud)
 
     def read(self, timeout_s: float) -> bytes:
@@ -69,8 +70,8 @@ class SerialPort:
         try:
             while True:
                 with self._reading:
-                    found = b"" if self._closed else self._read_some()
-                if self._closed:
+                    found = b"" if self.closed else self._read_some()
+                if self.closed:
                     raise PortLostError(f"the port {self.address} has been closed")
                 if found or time.monotonic() >= until:
                     return found
@@ -98,11 +99,11 @@ class SerialPort:
         """Close the port and open it again."""
         self.close()
         self._serial = _opened(self.address, self._baud)
-        self._closed = False
+        self.closed = False
 
     def close(self) -> None:
         """Close the port."""
-        self._closed = True
+        self.closed = True
         # While another thread awaits bytes the system keeps the port, and with it the lock on it.
         free = self._reading.acquire(timeout=_LOCK_S)
         with contextlib.suppress(*_FAILURES):
@@ -137,6 +138,27 @@ def described_ports() -> list[tuple[str, str]]:
         said = ", ".join(dict.fromkeys(str(part) for part in parts if part and part != "n/a"))
         found.append((str(port.device), said or "no description"))
     return found
+
+
+def why_shut(name: str) -> str:
+    """Return why a serial port of this machine cannot be opened at present; '' if it can. Nothing is sent.
+
+    Args:
+        name: as `described_ports` lists it.
+    """
+    import serial
+
+    port = serial.Serial()
+    port.port, port.dtr, port.rts = name, False, False  # some devices start anew when these lines change
+    try:
+        if sys.platform != "win32":
+            port.exclusive = True
+        port.open()
+    except _FAILURES as error:
+        return _refusal(name, error)
+    with contextlib.suppress(*_FAILURES):
+        port.close()
+    return ""
 
 
 def _opened(address: str, baud: int) -> Any:

@@ -6,17 +6,27 @@ JSON object that maps their names to addresses, and ends when its standard input
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
 import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import IO
 from urllib.parse import parse_qsl
 
 from ladarreg_core.errors import DeviceError
 
 PREFIX = "twin:"
 _ARGUMENTS = {"seed": "a whole number", "scene": "the name of a scene"}
+
+_START_S = 60.0
+"""Longest start of a simulation; on a machine that is busy a few seconds."""
+_KEPT_LINES = 20
+_LOOK_S = 0.5
 
 _running: dict[tuple[tuple[str, str], ...], tuple[subprocess.Popen[str], dict[str, str]]] = {}
 _starting = threading.Lock()
@@ -67,15 +77,37 @@ def _started(arguments: tuple[tuple[str, str], ...]) -> tuple[subprocess.Popen[s
         [sys.executable, "-P", "-m", "ladarreg_core.twins", json.dumps(dict(arguments))], start_new_session=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=_environment(),
     )  # fmt: skip
-    assert process.stdout is not None
-    assert process.stderr is not None
-    line = process.stdout.readline()
+    said: deque[str] = deque(maxlen=_KEPT_LINES)
+    complaining = _read_aside(process.stderr, said.append)
+    first: list[str] = []
+    starting = _read_aside(process.stdout, first.append)
+    until = time.monotonic() + _START_S
+    while not first and starting.is_alive() and time.monotonic() < until:
+        starting.join(_LOOK_S)
     try:
-        return process, {str(name): str(where) for name, where in json.loads(line)["devices"].items()}
+        return process, {str(name): str(where) for name, where in json.loads("".join(first[:1]))["devices"].items()}
     except (ValueError, KeyError, TypeError):
+        late = starting.is_alive() and not first
         process.kill()
-        said = " ".join(process.stderr.read().split())[-200:]
-        raise DeviceError(f"the simulated devices could not be started ({said or 'no reason was given'})") from None
+        complaining.join(_LOOK_S)
+        why = " ".join("".join(said).split())[-200:] or "no reason was given"
+        if late:
+            why = f"they did not answer within {_START_S:.0f} s; try again when the machine is less busy"
+        raise DeviceError(f"the simulated devices could not be started ({why})") from None
+
+
+def _read_aside(stream: IO[str] | None, use: Callable[[str], None]) -> threading.Thread:
+    """Read the lines of a stream on a thread until it ends, so that its other end never waits."""
+
+    def read() -> None:
+        assert stream is not None
+        with contextlib.suppress(OSError, ValueError):
+            for line in stream:
+                use(line)
+
+    thread = threading.Thread(target=read, daemon=True, name="simulated devices")
+    thread.start()
+    return thread
 
 
 def _environment() -> dict[str, str]:

@@ -16,10 +16,11 @@ from pathlib import Path
 
 import pytest
 
+from ladarreg_core.acquisition import twin_address
 from ladarreg_core.acquisition.guard import LONGEST_SILENCE_S
 from ladarreg_core.acquisition.link import Link
 from ladarreg_core.acquisition.ports import GuardEndedError, Ports
-from ladarreg_core.acquisition.serial_port import PortLostError
+from ladarreg_core.acquisition.serial_port import PortLostError, SerialPort, why_shut
 from ladarreg_core.acquisition.twin_address import check_twin
 from ladarreg_core.errors import Cancelled, DeviceError
 
@@ -364,3 +365,37 @@ def test_addresses_of_simulated_devices_are_checked() -> None:
     for address, said in (("twin:", "names no device"), ("twin:a?sed=1", "'sed'"), ("twin:a?seed=-1", "whole number")):
         with pytest.raises(DeviceError, match=said):
             check_twin(address)
+
+
+@pytest.mark.parametrize("guarded", [False, True])
+def test_a_port_whose_device_did_not_answer_can_be_used_again(tmp_path: Path, guarded: bool) -> None:
+    terminal = Terminal(tmp_path / "port", lambda data: b"")
+    try:
+        with Ports(guarded=guarded) as ports:
+            first = ports.open(terminal.address, 9600, stop=STOP, name="unit")
+            with pytest.raises(DeviceError, match="already used by another device"):
+                ports.open(terminal.address, 9600, stop=STOP, name="scanner")
+            first.close()
+            again = ports.open(terminal.address, 9600, stop=STOP, name="scanner")
+            again.write(b"hello")
+            terminal.await_bytes(b"hello", LONGEST_S)
+    finally:
+        terminal.unplug()
+
+
+def test_a_port_that_another_program_uses_is_said_to_be_in_use(tmp_path: Path) -> None:
+    terminal = Terminal(tmp_path / "port", lambda data: b"")
+    try:
+        assert why_shut(terminal.address) == ""
+        port = SerialPort(terminal.address, 9600)
+        assert "in use by another program" in why_shut(terminal.address)
+        port.close()
+        assert why_shut(terminal.address) == ""
+    finally:
+        terminal.unplug()
+
+
+def test_simulated_devices_that_do_not_start_in_time_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(twin_address, "_START_S", 0.0)
+    with pytest.raises(DeviceError, match="did not answer within 0 s"):
+        twin_address.resolved_twin("twin:flir-ptu?seed=918273")
