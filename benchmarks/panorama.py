@@ -1,5 +1,7 @@
 """Stations registered to each other by their ranges: accuracy, false acceptance, loops, and a peer.
 
+Row `page_28m` is a panorama of 28 million cells in the page (benchmarks/panorama_page.py).
+
 Run it as `python -m benchmarks.panorama [--quick] [ROW ...]`. The rooms and seeds are kept aside: none was used for
 tuning.
 """
@@ -15,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bars import Row, table
+from benchmarks.panorama_page import page_rows
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.scan import Scan
@@ -208,6 +211,7 @@ def _rms(found: Sequence[dict[str, Any]]) -> float:
 
 ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
     "stations": stations_rows, "different": different_rows, "alike": alike_rows, "loop": loop_rows,
+    "page_28m": page_rows,
 }  # fmt: skip
 """The rows of this module."""
 
@@ -216,7 +220,7 @@ def main() -> None:
     """Measure the rows asked for, and print them against their bars."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("rows", nargs="*", metavar="ROW", help=f"some of {', '.join(ROWS)}; all if none is given")
-    parser.add_argument("--quick", action="store_true", help="a few seeds only")
+    parser.add_argument("--quick", action="store_true", help="a few seeds only, and a smaller panorama")
     given = parser.parse_args()
     if unknown := [name for name in given.rows if name not in ROWS]:
         parser.error(f"there is no row {', '.join(unknown)}; use {', '.join(ROWS)}")

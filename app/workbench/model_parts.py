@@ -48,6 +48,8 @@ _OF_CODES = ("label",)
 _NEED_VISIBILITY = ("resolution", "label")
 _LOSSY_QUALITY = 84
 _PHOTO_QUALITY = 90
+MOST_VERTICES = 400_000
+"""Most vertices that a page shows of the model at once."""
 BLOCK_VERTICES = 37_500
 """Most vertices of a block of the mesh; the page shows at most four, so that there are 400,000 with the dense mesh."""
 _LONGEST_BLOCK = 20
@@ -229,10 +231,14 @@ def _layer_part(scan: Scan, photo: Photo, result: PoseResult, labels: ByteArray,
 
     if not shows_more_detail(scan, result.camera, photo_px=level.photo_px, texture_px=level.texture_px):
         return _packed(b"")
-    mesh = surface_or_facets(scan, level.vertices)
     seen_by = ModelPhoto(photo.pixels, result.camera, result.camera_from_scanner, labels)
-    most_faces = _FACES_PER_VERTEX * level.vertices
-    layer = photo_layer(scan, mesh, seen_by, shown_px=level.photo_px, most_faces=most_faces)
+    vertices = level.vertices
+    while True:
+        mesh = surface_or_facets(scan, vertices)
+        layer = photo_layer(scan, mesh, seen_by, shown_px=level.photo_px, most_faces=_FACES_PER_VERTEX * vertices)
+        if len(layer.vertices) <= MOST_VERTICES - level.vertices or vertices <= LEVELS[DETAILS[0]].vertices:
+            break
+        vertices //= 2  # a photograph of all that surrounds it is seen by the whole surface
     return _packed(packed_mesh(layer) if len(layer.faces) else b"")
 
 

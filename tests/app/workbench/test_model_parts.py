@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
+from ladarreg.workbench.model_parts import LEVELS, MOST_VERTICES
 from PIL import Image
 
 from ladarreg_core.errors import LadarregError
@@ -29,6 +31,10 @@ def part(bench: WorkbenchDriver, name: str, **query: str) -> tuple[bytes, dict[s
     return picture.data, dict(picture.headers)
 
 
+def vertices_of(packed: bytes) -> int:
+    return int(np.frombuffer(gzip.decompress(packed), "<u4", 1, 4)[0])
+
+
 def texture(bench: WorkbenchDriver, kind: str, **query: str) -> tuple[np.ndarray, dict[str, object]]:
     data, headers = part(bench, "texture", kind=kind, **query)
     image = np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
@@ -45,6 +51,24 @@ def test_the_model_comes_coarse_first_and_small(bench: WorkbenchDriver) -> None:
     assert sizes["coarse"] < sizes["standard"] < sizes["dense"]
     assert sizes["coarse"] < 450_000
     assert sizes["standard"] < 1_000_000
+
+
+def test_surface_and_photograph_together_stay_within_what_a_page_shows(
+    bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def layer_vertices() -> int:
+        bench.workbench.loader._cache["model"].clear()
+        return vertices_of(part(bench, "layer", detail="standard", photo="p1")[0])
+
+    # The sample's photograph is hardly finer than its scan.
+    monkeypatch.setattr("ladarreg_core.surface.photo_layer.shows_more_detail", lambda *_, **__: True)
+    standard = LEVELS["standard"].vertices
+    assert vertices_of(part(bench, "mesh", detail="standard")[0]) <= standard
+    freely = layer_vertices()
+    assert freely <= MOST_VERTICES - standard
+    left = freely // 2
+    monkeypatch.setattr("ladarreg.workbench.model_parts.MOST_VERTICES", standard + left)
+    assert 0 < layer_vertices() <= left, "the photograph is drawn on a coarser surface"
 
 
 def test_textures_have_legends_and_their_own_colours(bench: WorkbenchDriver) -> None:
